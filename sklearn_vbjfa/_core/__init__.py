@@ -1,1 +1,1 @@
-"""_core."""
+"""Pure NumPy mathematics of the estimators; knows nothing of scikit-learn."""

@@ -1,1 +1,32 @@
-"""datasets."""
+"""Robot recordings: measured sets, found on disk or downloaded."""
+
+from sklearn_vbjfa.datasets._fetch_benches import fetch_emps, fetch_tflex_1dof
+from sklearn_vbjfa.datasets._fetch_industrial import (
+    fetch_kuka_kr300,
+    fetch_staubli_tx40,
+    fetch_ur5,
+)
+from sklearn_vbjfa.datasets._fetch_pendulums import (
+    fetch_bam_xl330,
+    fetch_dfki_double_pendulum,
+)
+from sklearn_vbjfa.datasets._fetch_research import (
+    fetch_franka_panda,
+    fetch_kuka_lbr_med7,
+    fetch_tiago,
+)
+from sklearn_vbjfa.datasets._recording import Recording
+
+__all__ = [
+    "Recording",
+    "fetch_bam_xl330",
+    "fetch_dfki_double_pendulum",
+    "fetch_emps",
+    "fetch_franka_panda",
+    "fetch_kuka_kr300",
+    "fetch_kuka_lbr_med7",
+    "fetch_staubli_tx40",
+    "fetch_tflex_1dof",
+    "fetch_tiago",
+    "fetch_ur5",
+]

@@ -1,0 +1,295 @@
+"""What the errors-in-variables estimators share: data, noise, attributes, predict."""
+
+import warnings
+
+import numpy as np
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from sklearn_vbjfa._core import _stats
+from sklearn_vbjfa._independent import fit_independent
+from sklearn_vbjfa._sklearn_compat import check_sample_weight
+
+
+def resolve_input_noise(input_noise, n_features):
+    """Validate the user's input noise; return None, a fraction, (d,) or (d, d).
+
+    Parameters
+    ----------
+    input_noise : None, float or array-like
+        Fraction of each input's variance, variances (d,), or covariance (d, d).
+    n_features : int
+        Number of inputs d.
+    """
+    if input_noise is None:
+        return None
+    value = np.asarray(input_noise, dtype=float)
+    if not np.isfinite(value).all():
+        raise ValueError(
+            "input_noise must be finite, got NaN or infinity; give a fraction in "
+            "[0, 1), variances per feature, or a covariance."
+        )
+    if value.ndim == 0:
+        if not 0 <= value < 1:
+            raise ValueError(
+                f"input_noise as a number is a fraction of each input's variance in "
+                f"[0, 1), got {float(value):.6g}; give variances as an array."
+            )
+        return float(value)
+    if value.shape == (n_features,):
+        if value.min() < 0:
+            raise ValueError(
+                f"input_noise variances must not be negative, got {value.min():.6g} "
+                f"for feature {int(value.argmin())}; give 0 for an exact input."
+            )
+        return value
+    if value.shape == (n_features, n_features):
+        scale = np.sqrt(np.abs(np.diagonal(value)))
+        unit = np.outer(scale, scale)
+        asymmetry = np.abs(value - value.T) > 1e-8 * unit
+        if asymmetry.any():
+            i, j = np.argwhere(asymmetry)[0]
+            raise ValueError(
+                "input_noise as a covariance must be symmetric, got "
+                f"{value[i, j]:.6g} at ({i}, {j}) and {value[j, i]:.6g} at ({j}, {i})."
+            )
+        normal = value / np.where(unit > 0, unit, 1.0)
+        smallest = np.linalg.eigvalsh(0.5 * (normal + normal.T)).min()
+        if smallest < -1e-8 or (np.diagonal(value) < 0).any():
+            raise ValueError(
+                "input_noise as a covariance must be positive semidefinite, got a "
+                f"smallest eigenvalue of {smallest:.3g} in units of its diagonal."
+            )
+        return 0.5 * (value + value.T)
+    raise ValueError(
+        f"input_noise must be a fraction, variances of shape ({n_features},) or a "
+        f"covariance of shape ({n_features}, {n_features}) for {n_features} features, "
+        f"got an array of shape {value.shape}."
+    )
+
+
+class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
+    """Validation, statistics, prediction; subclasses fit standardised moments."""
+
+    def fit(self, X, y, sample_weight=None):
+        """Fit the model.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Noisy inputs.
+        y : array-like of shape (n_samples,)
+            Noisy output.
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights; a weight of 2 is the row twice.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+        """
+        self._validate_params()
+        X, y = validate_data(
+            self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2
+        )
+        weight = None
+        if sample_weight is not None:
+            weight = check_sample_weight(sample_weight, X)
+        if X.shape[1] > X.shape[0] and self._accepts_data_moments():
+            # Fewer rows than columns: the rows themselves are the smaller form.
+            self.statistics_ = None
+            return self._fit(
+                _stats.standardise_data(X, y, weight, centred=self.fit_intercept)
+            )
+        return self._fit_statistics(_stats.from_data(X, y, weight))
+
+    def partial_fit(self, X, y, sample_weight=None):
+        """Add rows to those seen so far and refit from the merged statistics.
+
+        The result equals one `fit` on all rows together, in any order and chunking.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Further rows of inputs.
+        y : array-like of shape (n_samples,)
+            Their outputs.
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+        """
+        self._validate_params()
+        first = getattr(self, "statistics_", None) is None
+        if first and hasattr(self, "coef_"):
+            raise ValueError(
+                "partial_fit cannot continue a fit with fewer samples than features, "
+                "which keeps no statistics; start with partial_fit instead of fit."
+            )
+        X, y = validate_data(
+            self, X, y, dtype=np.float64, y_numeric=True, reset=first
+        )
+        weight = None
+        if sample_weight is not None:
+            weight = check_sample_weight(sample_weight, X)
+        total = _stats.from_data(X, y, weight)
+        if not first:
+            total = _stats.merge(self.statistics_, total)
+        return self._fit_statistics(total)
+
+    def _accepts_data_moments(self):
+        return True
+
+    def _fit_statistics(self, stats):
+        """Fit accumulated statistics; what pipelines that never hold X call."""
+        self.statistics_ = stats
+        self.n_features_in_ = stats.n_features
+        return self._fit(_stats.standardise(stats, centred=self.fit_intercept))
+
+    def _feature_labels(self):
+        """Names for messages: the columns' names, or their numbers."""
+        names = getattr(self, "feature_names_in_", None)
+        return range(self.n_features_in_) if names is None else names
+
+    def _fit_independent(self, data, prior, initial_noise):
+        """Fit the independent-latent model and set what it determines."""
+        if data.x_scale.size == 0 or data.y_scale == 0.0:
+            return self._fit_constant(data)
+        result = fit_independent(
+            data, prior, initial_noise, max_iter=self.max_iter, tol=self.tol
+        )
+        state = result.solution.state
+        self._set_loop_attributes(result.solution, data)
+        self._set_linear_model(result.coef, result.coef_noisy, result.coef_cov, data)
+        x2, y2 = data.x_scale**2, data.y_scale**2
+        self.input_noise_ = data.expand(state.psi_x * x2)
+        self.output_noise_ = result.output_noise * y2
+        self._noisy_query_noise = result.noisy_query_noise * y2
+        self.psi_y_ = state.psi_y * y2
+        self.psi_z_ = data.expand(state.psi_z * y2)
+        self.w_x_mean_ = data.expand(state.w_x_mean * data.x_scale)
+        self.w_z_mean_ = data.expand(state.w_z_mean * data.y_scale)
+        if prior.ard:
+            self.relevant_ = data.expand(result.retained).astype(bool)
+            # w_z in the unit of y: a standardised precision over y's variance
+            self.alpha_ = data.expand(state.E_alpha / y2, fill=np.inf)
+            self.w_x_var_ = data.expand(state.w_x_var * x2)
+            self.w_z_var_ = data.expand(state.w_z_var * y2)
+        self._warn_at_floor(result.solution.at_floor, data)
+        return self
+
+    def _warn_at_floor(self, at_floor, data):
+        self.heywood_ = data.expand(np.zeros(data.x_scale.size)).astype(bool)
+        if "psi_x" not in at_floor:
+            return
+        where = np.flatnonzero(data.active)[at_floor["psi_x"]]
+        self.heywood_[where] = True
+        labels = self._feature_labels()
+        shown = ", ".join(str(labels[i]) for i in where[:10])
+        warnings.warn(
+            f"The input-noise variance of {where.size} input(s) ({shown}) went to "
+            "zero, the smallest that the data resolve (a Heywood case): for these "
+            "the fit says exact input. See heywood_; give input_noise where known.",
+            UserWarning,
+            stacklevel=5,
+        )
+
+    def _fit_constant(self, data):
+        """y or all inputs are constant: the intercept is all there is."""
+        d = data.active.shape[0]
+        zero = np.zeros(data.x_scale.size)
+        cov = np.zeros((zero.size, zero.size))
+        self._set_linear_model(zero, zero, cov, data)
+        self.input_noise_, self.psi_z_ = np.zeros(d), np.zeros(d)
+        self.w_x_mean_, self.w_z_mean_ = np.zeros(d), np.zeros(d)
+        self.psi_y_ = self.output_noise_ = self._noisy_query_noise = data.y_scale**2
+        self.relevant_ = np.zeros(d, dtype=bool)
+        self.heywood_ = np.zeros(d, dtype=bool)
+        self.alpha_ = np.full(d, np.inf)
+        self.w_x_var_, self.w_z_var_ = np.zeros(d), np.zeros(d)
+        self.elbo_history_ = np.array([])
+        self.n_iter_, self.converged_, self.status_ = 1, True, "converged"
+        return self
+
+    def _set_loop_attributes(self, solution, data):
+        # log-density of X and y in their own units, not the standardised ones
+        n = data.moments.n
+        units = np.log(data.y_scale) + np.log(data.x_scale).sum()
+        self.elbo_history_ = solution.history - n * units
+        self.n_iter_ = solution.n_iter
+        self.converged_ = solution.status == "converged"
+        self.status_ = solution.status
+        if solution.status == "bound_decreased":
+            warnings.warn(
+                f"The bound fell by {solution.fall:.3g} at iteration "
+                f"{solution.n_iter} of {type(self).__name__}, more than rounding can "
+                "explain; the last state before it is kept. Check the scaling and "
+                "the rank of X.",
+                ConvergenceWarning,
+                stacklevel=4,
+            )
+        elif solution.status == "max_iter":
+            gain = np.diff(solution.history[-2:])
+            reached = f"{gain[0] / n:.3g}" if gain.size else "unknown"
+            warnings.warn(
+                f"{type(self).__name__} stopped after max_iter={self.max_iter} "
+                f"iterations with a gain of {reached} per sample, tol={self.tol:.3g}; "
+                "increase max_iter or tol.",
+                ConvergenceWarning,
+                stacklevel=4,
+            )
+
+    def _set_linear_model(self, coef, noisy, cov, data):
+        unit = data.y_scale / data.x_scale
+        self.coef_ = data.expand(coef * unit)
+        self.coef_noisy_ = data.expand(noisy * unit)
+        # A column without variation tells nothing of its coefficient.
+        d = data.active.shape[0]
+        self.coef_cov_ = np.zeros((d, d))
+        self.coef_cov_[~data.active, ~data.active] = np.inf
+        self.coef_cov_[np.ix_(data.active, data.active)] = cov * np.outer(unit, unit)
+        self.coef_std_ = np.sqrt(np.diagonal(self.coef_cov_))
+        self.intercept_ = float(data.y_offset - data.x_offset @ self.coef_)
+        self.intercept_noisy_ = float(data.y_offset - data.x_offset @ self.coef_noisy_)
+        self._x_offset = data.x_offset
+
+    def predict(self, X, return_std=False):
+        """Predict the output.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Query inputs; noiseless ones with ``query="noiseless"``, inputs as noisy
+            as those of the fit with ``query="noisy"``.
+        return_std : bool, default=False
+            Whether to return the standard deviation of the predicted outputs too.
+
+        Returns
+        -------
+        y_mean : ndarray of shape (n_samples,)
+            Predicted outputs.
+        y_std : ndarray of shape (n_samples,)
+            Standard deviations, of parameters and output noise together; only with
+            `return_std`.
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        noisy = self.query == "noisy"
+        coef = self.coef_noisy_ if noisy else self.coef_
+        mean = X @ coef + (self.intercept_noisy_ if noisy else self.intercept_)
+        if not return_std:
+            return mean
+        Xc = X - self._x_offset
+        # An input that never varied has no finite deviation, but at the value that
+        # it always had it does not matter either.
+        finite = np.isfinite(self.coef_std_)
+        known = Xc[:, finite]
+        cov = self.coef_cov_[np.ix_(finite, finite)]
+        parameters = np.einsum("ij,ij->i", known @ cov, known)
+        parameters = np.where(Xc[:, ~finite].any(axis=1), np.inf, parameters)
+        noise = self._noisy_query_noise if noisy else self.output_noise_
+        return mean, np.sqrt(np.maximum(parameters, 0.0) + noise)

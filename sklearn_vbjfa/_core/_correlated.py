@@ -1,0 +1,247 @@
+"""Regression with correlated latent inputs and known input-noise covariance.
+
+    t ~ N(0, Sigma_t),  x = t + e_x,  e_x ~ N(0, Psi),  y = beta't + e_y,
+    e_y ~ N(0, psi_y),  beta_m ~ N(0, 1/alpha_m),  alpha_m ~ Gamma,
+
+with Psi known and Sigma_t = psd(S - Psi) from the scatter S of x. Variational
+posterior q(T) q(beta) q(alpha); everything follows from n, S, S_xy and S_yy, at
+O(d^3) an iteration. With Psi = 0, t is x and this is Bayesian linear regression with
+automatic relevance determination.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+from scipy.special import digamma, gammaln
+
+from sklearn_vbjfa._core._solver import rounding_of_bound
+
+_LOG_2PI = float(np.log(2 * np.pi))
+
+# Smallest output noise, as a share of the variance of y, that second moments can tell
+# from their own rounding: the residual is a difference of sums of products.
+OUTPUT_FLOOR = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True)
+class Latent:
+    """Gaussian of the latent inputs given the observed ones.
+
+    Attributes
+    ----------
+    H : ndarray of shape (d, d)
+        E[t | x] = H x.
+    P : ndarray of shape (d, d)
+        Cov[t | x].
+    Sigma_t : ndarray of shape (d, d)
+        Covariance of t.
+    exact : bool
+        The noise is zero, so that t is x.
+    clipped : ndarray
+        Eigenvalues of S - Psi (relative to S) that were negative.
+    """
+
+    H: np.ndarray
+    P: np.ndarray
+    Sigma_t: np.ndarray
+    exact: bool
+    clipped: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrelatedState:
+    """Posterior of beta and alpha, and the output-noise variance."""
+
+    beta_mean: np.ndarray
+    beta_cov: np.ndarray
+    alpha_shape: float
+    alpha_rate: np.ndarray
+    psi_y: float
+
+    @property
+    def E_alpha(self):
+        """Posterior mean of the precisions."""
+        return self.alpha_shape / self.alpha_rate
+
+
+def infer_latent(S, n, psi, floor=1e-12):
+    """Split the covariance of x into that of t and the noise.
+
+    S : scatter (d, d) of x; psi : noise covariance (d, d). Where psi exceeds S along
+    some direction no latent signal is left there: the eigenvalue is set to zero.
+    """
+    covariance = S / n
+    d = covariance.shape[0]
+    if not psi.any():
+        eye = np.eye(d)
+        return Latent(
+            H=eye,
+            P=np.zeros((d, d)),
+            Sigma_t=covariance,
+            exact=True,
+            clipped=np.array([]),
+        )
+    values, vectors = linalg.eigh(covariance - psi)
+    clipped = values[values < -floor * max(values[-1], 0.0)]
+    Sigma_t = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    total = Sigma_t + psi
+    # Exactly redundant columns make `total` singular; the pseudo-inverse keeps to
+    # the span of the data, outside of which x never lies.
+    H = Sigma_t @ linalg.pinvh(total, rtol=floor)
+    P = Sigma_t - H @ Sigma_t
+    P = 0.5 * (P + P.T)
+    return Latent(H=H, P=P, Sigma_t=Sigma_t, exact=False, clipped=clipped)
+
+
+@dataclass(frozen=True, kw_only=True)
+class _LatentSums:
+    S_tt: np.ndarray
+    S_ty: np.ndarray
+    bound: float
+
+
+def _expect_latent(S, xy, yy, n, latent, state):
+    """E-step over T: the sums of <tt'> and <t> y, and the data part of the bound."""
+    beta, s2 = state.beta_mean, state.psi_y
+    if latent.exact:
+        residual = yy - 2 * beta @ xy + beta @ S @ beta
+        spread = float(np.einsum("ij,ji->", state.beta_cov, S))
+        value = -0.5 * (n * (_LOG_2PI + np.log(s2)) + (residual + spread) / s2)
+        return _LatentSums(S_tt=S, S_ty=xy, bound=value)
+    d = beta.shape[0]
+    # The uncertainty of beta acts as further precision beta_cov / s2 on t.
+    inflate = np.eye(d) + latent.P @ state.beta_cov / s2
+    lu = linalg.lu_factor(inflate)
+    H = linalg.lu_solve(lu, latent.H)
+    P = linalg.lu_solve(lu, latent.P)
+    P = 0.5 * (P + P.T)
+    P_beta = P @ beta
+    q = s2 + beta @ P_beta
+    k = P_beta / q
+    c = H.T @ beta
+    S_c = S @ c
+    S_xe = xy - S_c
+    S_ee = yy - 2 * c @ xy + c @ S_c
+    HS = H @ S
+    H_xe = H @ S_xe
+    S_tt = (
+        HS @ H.T
+        + np.outer(H_xe, k)
+        + np.outer(k, H_xe)
+        + S_ee * np.outer(k, k)
+        + n * (P - q * np.outer(k, k))
+    )
+    S_ty = H @ xy + k * (yy - c @ xy)
+    # Collapsed data term: log N(y; c'x, q) and the price of beta's uncertainty.
+    logdet = np.log(np.abs(np.diagonal(lu[0]))).sum()
+    cost = np.einsum("ij,ji->", latent.H.T @ state.beta_cov @ H, S) / s2
+    value = -0.5 * (n * (_LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)
+    return _LatentSums(S_tt=0.5 * (S_tt + S_tt.T), S_ty=S_ty, bound=float(value))
+
+
+def _prior_bound(state, shape0, rate0, logdet_cov):
+    shape, rate = state.alpha_shape, state.alpha_rate
+    E_alpha, E_log = state.E_alpha, digamma(shape) - np.log(rate)
+    square = state.beta_mean**2 + np.diagonal(state.beta_cov)
+    loadings = 0.5 * (E_log - E_alpha * square + 1.0)
+    prior = shape0 * np.log(rate0) - gammaln(shape0) + (shape0 - 1) * E_log
+    prior = prior - rate0 * E_alpha
+    entropy = shape - np.log(rate) + gammaln(shape) + (1 - shape) * digamma(shape)
+    return float((loadings + prior + entropy).sum()) + 0.5 * logdet_cov
+
+
+def _posterior_beta(S_tt, S_ty, s2, alpha):
+    # Scaled by sqrt(alpha) the matrix is I + positive semidefinite.
+    root = 1.0 / np.sqrt(alpha)
+    A = S_tt * np.outer(root, root) / s2
+    A[np.diag_indices_from(A)] += 1.0
+    try:
+        factor = linalg.cholesky(A, lower=True)
+    except linalg.LinAlgError:
+        # Noise so small that the rounding of S_tt / s2 exceeds 1: orthogonal factor
+        # of the square roots, which squares nothing.
+        values, vectors = linalg.eigh(S_tt)
+        half = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        stacked = np.vstack([half * root / np.sqrt(s2), np.eye(root.size)])
+        factor = linalg.qr(stacked, mode="r")[0][: root.size].T
+        factor = factor * np.sign(np.diagonal(factor))
+    inverse = linalg.solve_triangular(factor, np.eye(A.shape[0]), lower=True)
+    scaled = inverse * root
+    cov = scaled.T @ scaled
+    mean = root * linalg.cho_solve((factor, True), root * S_ty) / s2
+    logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
+    return mean, cov, float(logdet)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrelatedSolution:
+    """Where the iteration ended; see `_solver.Solution`."""
+
+    state: CorrelatedState
+    latent: Latent
+    history: np.ndarray
+    n_iter: int
+    status: str
+    fall: float
+
+
+def solve_correlated(S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol):
+    """Fit the model to standardised moments.
+
+    Parameters
+    ----------
+    S, xy, yy : ndarray (d, d), ndarray (d,), float
+        Scatter of x, of x with y, and of y.
+    n : float
+        Number of samples.
+    psi : ndarray of shape (d, d)
+        Input-noise covariance.
+    """
+    d = xy.shape[0]
+    latent = infer_latent(S, n, psi)
+    eps = OUTPUT_FLOOR
+    shape = ard_shape + 0.5
+    # <alpha> = 1 as in the paper; the noise starts at the whole variance of y, from
+    # which the first posterior is a ridge solution.
+    alpha_rate = np.full(d, shape)
+    s2 = max(yy / n, eps)
+    mean, cov, logdet = _posterior_beta(S, xy, s2, shape / alpha_rate)
+    state = CorrelatedState(
+        beta_mean=mean, beta_cov=cov, alpha_shape=shape, alpha_rate=alpha_rate, psi_y=s2
+    )
+    history = []
+    status, fall = "max_iter", 0.0
+    for _ in range(max_iter):
+        sums = _expect_latent(S, xy, yy, n, latent, state)
+        value = sums.bound + _prior_bound(state, ard_shape, ard_rate, logdet)
+        history.append(value)
+        if len(history) > 1:
+            gain = history[-1] - history[-2]
+            if gain < -rounding_of_bound(value, n, state.psi_y):
+                status, fall = "bound_decreased", -gain
+                break
+            if abs(gain) <= tol * n:
+                status = "converged"
+                break
+        mean, cov, logdet = _posterior_beta(
+            sums.S_tt, sums.S_ty, state.psi_y, state.E_alpha
+        )
+        square = mean**2 + np.diagonal(cov)
+        residual = yy - 2 * mean @ sums.S_ty + mean @ sums.S_tt @ mean
+        residual += np.einsum("ij,ji->", cov, sums.S_tt)
+        state = CorrelatedState(
+            beta_mean=mean,
+            beta_cov=cov,
+            alpha_shape=shape,
+            alpha_rate=ard_rate + 0.5 * square,
+            psi_y=max(float(residual) / n, eps),
+        )
+    return CorrelatedSolution(
+        state=state,
+        latent=latent,
+        history=np.array(history),
+        n_iter=len(history),
+        status=status,
+        fall=fall,
+    )

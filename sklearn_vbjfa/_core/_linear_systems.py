@@ -1,0 +1,134 @@
+"""Total least squares and two-stage least squares on triangular factors."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Relative distance of squared singular values below which total least squares is
+# nongeneric: nearer than this, half of the solution's digits are rounding.
+NONGENERIC = np.sqrt(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TLSSolution:
+    """Outcome of :func:`mixed_tls`.
+
+    Attributes
+    ----------
+    coef : ndarray of shape (n_features,)
+        Coefficients of the columns that were passed.
+
+    rank : int
+        Number of directions of the columns that the solution uses.
+    """
+
+    coef: np.ndarray
+    rank: int
+
+
+def rank_tolerance(matrix):
+    """Relative rounding of the singular values of a matrix of this shape."""
+    return 10 * max(matrix.shape) * np.finfo(np.float64).eps
+
+
+def orthonormal_basis(matrix):
+    """Orthonormal basis of the column space, columns scaled to one length first."""
+    length = np.linalg.norm(matrix, axis=0)
+    scaled = matrix / np.where(length > 0, length, 1.0)
+    U, s, _ = np.linalg.svd(scaled, full_matrices=False)
+    if s.size == 0:
+        return U
+    return U[:, s > rank_tolerance(matrix) * s[0]]
+
+
+def scaled_lstsq(matrix, target):
+    """Least squares, of minimum norm among the columns scaled to one length.
+
+    Returns
+    -------
+    coef : ndarray of shape (n_features,)
+        Solution.
+
+    inverse : ndarray of shape (n_features, n_features)
+        Pseudo-inverse of ``matrix.T @ matrix`` for the scaled columns, scaled back.
+
+    identified : ndarray of shape (n_features,), dtype=bool
+        Coefficients that are the same in all solutions.
+
+    rank : int
+        Rank of the scaled columns.
+    """
+    length = np.linalg.norm(matrix, axis=0)
+    length = np.where(length > 0, length, 1.0)
+    U, s, Vt = np.linalg.svd(matrix / length, full_matrices=True)
+    rank = int(np.sum(s > rank_tolerance(matrix) * s.max(initial=0.0)))
+    basis = Vt[:rank].T / s[:rank]
+    coef = basis @ (U[:, :rank].T @ target) / length
+    inverse = basis @ basis.T / np.outer(length, length)
+    identified = np.linalg.norm(Vt[rank:], axis=0) <= np.sqrt(np.finfo(float).eps)
+    return coef, inverse, identified, rank
+
+
+def mixed_tls(columns, target, exact):
+    """Mixed least squares - total least squares in noise-scaled coordinates.
+
+    Golub, Hoffman & Stewart (1987): the exact columns are eliminated by orthogonal
+    projection, what is left is a classical problem, and back-substitution gives the
+    coefficients of the exact columns.
+
+    Parameters
+    ----------
+    columns : ndarray of shape (n_rows, n_features)
+        Inputs; the noisy ones have noise of the variance of the target's.
+
+    target : ndarray of shape (n_rows,)
+        Output.
+
+    exact : ndarray of shape (n_features,), dtype=bool
+        Columns without noise.
+
+    Returns
+    -------
+    TLSSolution
+        Coefficients and rank.
+    """
+    coef = np.zeros(columns.shape[1])
+    basis = orthonormal_basis(columns[:, exact])
+    noisy = columns[:, ~exact]
+    # What elimination leaves of a column in the span of the exact ones is rounding
+    # of the column itself, not of its remainder.
+    floor = rank_tolerance(columns) * np.linalg.norm(noisy)
+    coef[~exact], rank = _classical_tls(
+        noisy - basis @ (basis.T @ noisy),
+        target - basis @ (basis.T @ target),
+        floor,
+    )
+    coef[exact] = scaled_lstsq(columns[:, exact], target - noisy @ coef[~exact])[0]
+    return TLSSolution(coef=coef, rank=rank + basis.shape[1])
+
+
+def _classical_tls(columns, target, floor):
+    """Minimum-norm total least squares; singular values below `floor` are zero.
+
+    With X = U S V', the singular value decomposition of [X y] is that of the small
+    matrix [[S, c], [0, rho]], c = U'y and rho what X does not reach. A problem with
+    sigma_k(X) = sigma_{k+1}([X y]) has no finite solution, or many: then, following
+    Van Huffel & Vandewalle (1991), the last direction of V is given up.
+    """
+    U, s, Vt = np.linalg.svd(columns, full_matrices=False)
+    rank = int(np.sum(s > floor))
+    along = U.T @ target
+    rest = np.linalg.norm(target - U[:, :rank] @ along[:rank])
+    while rank > 0:
+        arrow = np.zeros((rank + 1, rank + 1))
+        arrow[np.arange(rank), np.arange(rank)] = s[:rank]
+        arrow[:rank, rank] = along[:rank]
+        arrow[rank, rank] = rest
+        _, sigma, Wt = np.linalg.svd(arrow)
+        if 1 - (sigma[-1] / s[rank - 1]) ** 2 > NONGENERIC:
+            # The normal of the fitted hyperplane, with y's element scaled to -1.
+            normal = Wt[-1]
+            return Vt[:rank].T @ (-normal[:rank] / normal[rank]), rank
+        rank -= 1
+        rest = np.hypot(rest, along[rank])
+    return np.zeros(columns.shape[1]), 0

@@ -1,0 +1,136 @@
+"""The loop: start, iterate, watch the bound, stop."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa._core._bound import bound
+from sklearn_vbjfa._core._state import State
+from sklearn_vbjfa._core._updates import (
+    VARIANCE_FLOOR,
+    expect_hidden,
+    update_loadings,
+    update_noise,
+    update_precisions,
+)
+
+_RELATIVE_FALL = 1e-9
+
+
+def rounding_of_bound(value, n, output_variance):
+    """Return the largest fall of the bound that rounding can explain.
+
+    A share of the bound's own size, and what the rounding of the squared residual
+    (a difference of terms of size 1 per sample, in standardised units) does to the
+    bound when the residual itself is tiny.
+    """
+    residual = 64 * np.finfo(float).eps / output_variance
+    return _RELATIVE_FALL * max(abs(value), n) + n * residual
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """Where the iteration ended, and how.
+
+    ``status`` is "converged", "max_iter" or "bound_decreased"; ``fall`` is the size of
+    that decrease; ``at_floor`` names the variances at their floor (Heywood cases).
+    """
+
+    state: State
+    history: np.ndarray
+    n_iter: int
+    status: str
+    fall: float
+    at_floor: dict
+
+
+def start(moments, prior, input_noise):
+    """Return the documented starting point.
+
+    The inputs start with the share `input_noise` of their variance as noise. The
+    loadings to z start along the covariance with y with the step that fits y best
+    (one component of PLS); the rest of y is shared by y's own noise and the z's.
+
+    Parameters
+    ----------
+    moments : Moments
+        Standardised moments.
+    prior : Prior
+        Says whether there is an ARD layer, and which noise is fixed.
+    input_noise : ndarray of shape (n_features,)
+        Input-noise variances to start from, as shares of the inputs' variances.
+    """
+    n, d = moments.n, moments.xx.shape[0]
+    psi_x = input_noise if prior.psi_x_fixed is None else prior.psi_x_fixed
+    w_x = np.sqrt(np.maximum(1.0 - psi_x, VARIANCE_FLOOR))
+    direction = moments.xy
+    curvature = direction @ moments.dot(direction)
+    step = (direction @ direction) / curvature if curvature > 0 else 0.0
+    w_z = step * direction / w_x
+    explained = step * (direction @ direction)
+    rest = max(moments.yy - explained, VARIANCE_FLOOR * moments.yy) / n
+    shape = prior.ard_shape + (1.0 if prior.coupled else 0.5)
+    variance = np.full(d, 1.0 / n) if prior.ard else np.zeros(d)
+    return State(
+        w_z_mean=w_z,
+        w_z_var=variance,
+        w_x_mean=w_x,
+        w_x_var=variance if prior.coupled else np.zeros(d),
+        # The paper's initial value: <alpha> = 1.
+        alpha_shape=shape,
+        alpha_rate=np.full(d, shape),
+        psi_y=max(0.5 * rest, VARIANCE_FLOOR),
+        psi_z=np.full(d, max(0.5 * rest / d, VARIANCE_FLOOR)),
+        psi_x=np.maximum(psi_x, VARIANCE_FLOOR),
+    )
+
+
+def iterate(moments, state, prior):
+    """Do one whole iteration; return the new state and the bound of the old one."""
+    hidden = expect_hidden(moments, state)
+    value = bound(moments, state, hidden, prior)
+    new = update_loadings(state, hidden, prior)
+    new = update_precisions(new, prior)
+    new = update_noise(moments, state, new, hidden, prior)
+    return new, value
+
+
+def solve(moments, state, prior, *, max_iter, tol):
+    """Iterate until the bound gains less than `tol` per sample.
+
+    The loop holds nothing of the size of the data beyond `moments`.
+    """
+    if prior.psi_x_fixed is not None:
+        prior = replace(
+            prior, psi_x_fixed=np.maximum(prior.psi_x_fixed, VARIANCE_FLOOR)
+        )
+    history = []
+    status, fall = "max_iter", 0.0
+    for _ in range(max_iter):
+        new_state, value = iterate(moments, state, prior)
+        history.append(value)
+        if len(history) > 1:
+            gain = history[-1] - history[-2]
+            if gain < -rounding_of_bound(value, moments.n, state.psi_y):
+                status, fall = "bound_decreased", -gain
+                break
+            if abs(gain) <= tol * moments.n:
+                status = "converged"
+                break
+        state = new_state
+    floor = 2 * VARIANCE_FLOOR
+    fixed = prior.psi_x_fixed is not None
+    at_floor = {
+        "psi_y": np.flatnonzero(np.atleast_1d(state.psi_y) <= floor),
+        "psi_x": np.flatnonzero(state.psi_x <= floor)
+        if not fixed
+        else np.array([], dtype=int),
+    }
+    return Solution(
+        state=state,
+        history=np.array(history),
+        n_iter=len(history),
+        status=status,
+        fall=fall,
+        at_floor={name: where for name, where in at_floor.items() if where.size},
+    )

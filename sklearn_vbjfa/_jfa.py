@@ -1,0 +1,147 @@
+"""Joint factor analysis regression by expectation-maximisation."""
+
+from numbers import Integral, Real
+
+import numpy as np
+
+from sklearn_vbjfa._base import BaseJointFactorRegressor, resolve_input_noise
+from sklearn_vbjfa._core._state import Prior
+from sklearn_vbjfa._independent import noise_shares
+from sklearn_vbjfa._sklearn_compat import Interval, StrOptions
+
+
+class JFARegressor(BaseJointFactorRegressor):
+    r"""Joint factor analysis regression, fitted by EM.
+
+    Linear regression whose inputs are noisy too, with one hidden input
+    :math:`t_{im}` per observed input (Fig. 1b of [1]_):
+
+    .. math::
+        y_i = \sum_m z_{im} + \epsilon_{y_i}, \quad
+        z_{im} = w_{zm} t_{im} + \epsilon_{z_{im}}, \quad
+        x_{im} = w_{xm} t_{im} + \epsilon_{x_{im}}, \quad t_{im} \sim N(0, 1).
+
+    Parameters
+    ----------
+    input_noise : float or array-like of shape (n_features,), default=None
+        What is known of the input noise: its share of each input's variance, in
+        [0, 1), or its variances [unit of X_j squared]. ``None`` estimates it.
+    initial_input_noise : float, default=0.3
+        Share of each input's variance that is noise at the start of EM; not used
+        when `input_noise` is given. See Notes: the likelihood does not move it.
+    fit_intercept : bool, default=True
+        Whether the means of X and y are free.
+    query : {"noiseless", "noisy"}, default="noiseless"
+        Which queries `predict` expects: noiseless inputs (planned motions), or
+        inputs as noisy as those of the fit.
+    max_iter : int, default=20000
+        Largest number of iterations.
+    tol : float, default=1e-7
+        Gain of the log-likelihood per sample below which the iteration stops.
+
+    Attributes
+    ----------
+    coef_ : ndarray of shape (n_features,)
+        Coefficients for noiseless queries, w_z / w_x (eq. 29), unit of y / unit of
+        X_j.
+    coef_noisy_ : ndarray of shape (n_features,)
+        Coefficients for noisy queries, w_z w_x / (w_x^2 + psi_x) (eq. 27).
+    coef_std_ : ndarray of shape (n_features,)
+        Standard deviations of `coef_`, given the noise variances; infinite for an
+        input whose coefficient the data cannot tell from those of others.
+    coef_cov_ : ndarray of shape (n_features, n_features)
+        Their covariance.
+    intercept_, intercept_noisy_ : float
+        Intercepts that go with the two coefficient vectors.
+    input_noise_ : ndarray of shape (n_features,)
+        Input-noise variances psi_x (eq. 16), unit of X_j squared.
+    output_noise_ : float
+        Variance of y given noiseless inputs, psi_y + sum(psi_z), unit of y squared.
+    w_x_mean_, w_z_mean_ : ndarray of shape (n_features,)
+        Loadings [unit of X_j], [unit of y].
+    psi_y_, psi_z_ : float, ndarray of shape (n_features,)
+        The parts of `output_noise_` (eqs. 14, 15).
+    elbo_history_ : ndarray of shape (n_iter_,)
+        Log-likelihood after each iteration, with all constants, for standardised X.
+    n_iter_ : int
+        Number of iterations.
+    converged_ : bool
+        Whether the gain fell below `tol`.
+    statistics_ : SufficientStatistics or None
+        Count, means and scatter; None when there were fewer samples than features.
+    n_features_in_ : int
+        Number of features seen during fit.
+    feature_names_in_ : ndarray of shape (n_features_in_,)
+        Their names, where X had names that are all strings.
+
+    See Also
+    --------
+    VBJFARegressor : The same model with priors, which do identify more.
+    TotalLeastSquares : Equal noise in inputs and output.
+
+    Notes
+    -----
+    **What is identifiable.** The likelihood depends on the parameters through the
+    variances of the inputs, the noisy-query coefficients and the variance of y given
+    x: 2d + 1 numbers for 4d + 1 unknowns. `coef_noisy_` is identified (EM climbs to
+    ordinary least squares), the split of an input's variance into signal and noise
+    is not: EM keeps close to the split it was started with. Give `input_noise` when
+    you know it.
+
+    An iteration costs O(d^2), whatever the number of samples, on sufficient
+    statistics; with more features than samples O(n d) on the data.
+
+    References
+    ----------
+    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
+       with input and output noise", Neural Networks 24(1), 2011.
+       :doi:`10.1016/j.neunet.2010.08.011`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa import JFARegressor
+    >>> rng = np.random.default_rng(0)
+    >>> t = rng.normal(size=(2000, 2))
+    >>> y = t @ [1.0, -2.0] + 0.1 * rng.normal(size=2000)
+    >>> X = t + 0.5 * rng.normal(size=t.shape)
+    >>> model = JFARegressor(input_noise=[0.25, 0.25]).fit(X, y)
+    >>> model.coef_.round(1)
+    array([ 1., -2.])
+    >>> model.coef_noisy_.round(1)
+    array([ 0.8, -1.6])
+    """
+
+    _parameter_constraints: dict = {  # noqa: RUF012
+        "input_noise": [None, Real, "array-like"],
+        "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
+        "fit_intercept": ["boolean"],
+        "query": [StrOptions({"noiseless", "noisy"})],
+        "max_iter": [Interval(Integral, 1, None, closed="left")],
+        "tol": [Interval(Real, 0, None, closed="left")],
+    }
+
+    def __init__(
+        self,
+        *,
+        input_noise=None,
+        initial_input_noise=0.3,
+        fit_intercept=True,
+        query="noiseless",
+        max_iter=20000,
+        tol=1e-7,
+    ):
+        self.input_noise = input_noise
+        self.initial_input_noise = initial_input_noise
+        self.fit_intercept = fit_intercept
+        self.query = query
+        self.max_iter = max_iter
+        self.tol = tol
+
+    def _fit(self, data):
+        noise = resolve_input_noise(self.input_noise, data.active.shape[0])
+        fixed = noise_shares(noise, data, self._feature_labels())
+        self._fit_independent(
+            data, Prior(psi_x_fixed=fixed), self.initial_input_noise
+        )
+        return self

@@ -1,0 +1,349 @@
+"""Virtual parameters of eq. 30 and the minimisation of eq. 35 in them.
+
+The virtual parameters of a body are, in the paper's order, the square root of the
+mass, the centre of mass and the upper triangular factor ``U`` of the inertia at the
+centre of mass, ``I_c = U' U``, row by row: ``(sqrt(m), c_x, c_y, c_z, U_11, U_12, U_13,
+U_22, U_23, U_33)``.  Any ten numbers give a positive mass and a positive semidefinite
+``I_c``.
+
+The paper calls the minimisation convex with a unique minimum.  In the virtual
+parameters it is not: a sign change of any factor gives the same body, so minima come
+in pairs with saddle points between them.  It is convex in the parameters themselves.
+
+Source: Ting, D'Souza and Schaal, "Bayesian robot system identification with input and
+output noise", Neural Networks 24(1), 2011, doi:10.1016/j.neunet.2010.08.011.
+"""
+
+import numpy as np
+from scipy.optimize import minimize
+
+from sklearn_vbjfa.physical._pseudo_inertia import (
+    N_INERTIAL,
+    _check_parameters,
+    inertia_matrix,
+)
+
+# Place of U_11, U_12, U_13, U_22, U_23, U_33 in U.
+_FACTOR_ROW = np.array([0, 0, 0, 1, 1, 2])
+_FACTOR_COLUMN = np.array([0, 1, 2, 1, 2, 2])
+
+
+def _check_virtual(virtual):
+    """Return the virtual parameters as a float array of shape (..., 10)."""
+    virtual = np.asarray(virtual, dtype=float)
+    if virtual.ndim == 0 or virtual.shape[-1] != N_INERTIAL:
+        raise ValueError(
+            "The last axis of virtual must hold the 10 virtual parameters of a body "
+            f"(eq. 30); got an array of shape {virtual.shape}."
+        )
+    return virtual
+
+
+def inertial_from_virtual(virtual):
+    r"""Inertial parameters of a body from its virtual parameters (eq. 30).
+
+    Parameters
+    ----------
+    virtual : array-like of shape (..., 10)
+        Square root of the mass [kg^0.5], centre of mass [m], factor of the inertia at
+        the centre of mass [kg^0.5 m], in the paper's order.
+
+    Returns
+    -------
+    phi : ndarray of shape (..., 10)
+        Inertial parameters [kg, kg m, kg m^2] in Pinocchio's order.
+
+    Raises
+    ------
+    ValueError
+        If the last axis does not have ten entries.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.physical import inertial_from_virtual
+    >>> inertial_from_virtual([2.0, 0, 0, 1, 1, 0, 0, 1, 0, 1])
+    array([4., 0., 0., 4., 5., 0., 5., 0., 0., 1.])
+    """
+    v = np.moveaxis(_check_virtual(virtual), -1, 0)
+    # The paper prints theta_1 = theta_1; the lines that follow multiply by the square,
+    # and its text calls the first virtual parameter the square root of the mass.
+    m = v[0] ** 2
+    phi = np.empty(v.shape)
+    phi[0] = m  # [eq. 30, line 1]
+    phi[1:4] = v[1:4] * m  # [eq. 30, lines 2-4]
+    # The paper's order is Ixx Ixy Ixz Iyy Iyz Izz, Pinocchio's Ixx Ixy Iyy Ixz Iyz Izz.
+    phi[4] = v[4] ** 2 + (v[3] ** 2 + v[2] ** 2) * m  # [eq. 30, line 5]
+    phi[5] = v[4] * v[5] - v[1] * v[2] * m  # [eq. 30, line 6]
+    phi[7] = v[4] * v[6] - v[1] * v[3] * m  # [eq. 30, line 7]
+    phi[6] = v[5] ** 2 + v[7] ** 2 + (v[1] ** 2 + v[3] ** 2) * m  # [eq. 30, line 8]
+    phi[8] = v[5] * v[6] + v[7] * v[8] - v[2] * v[3] * m  # [eq. 30, line 9]
+    phi[9] = (
+        v[6] ** 2 + v[8] ** 2 + v[9] ** 2 + (v[1] ** 2 + v[2] ** 2) * m
+    )  # [eq. 30, line 10]
+    return np.moveaxis(phi, 0, -1)
+
+
+def virtual_from_inertial(phi):
+    """Virtual parameters of a consistent body: `inertial_from_virtual` undone.
+
+    Parameters
+    ----------
+    phi : array-like of shape (..., 10)
+        Inertial parameters [kg, kg m, kg m^2] in Pinocchio's order.
+
+    Returns
+    -------
+    virtual : ndarray of shape (..., 10)
+        Virtual parameters of eq. 30, in the paper's order, with positive square root
+        and positive diagonal of the factor.
+
+    Raises
+    ------
+    ValueError
+        If a mass or an inertia at the centre of mass is not positive: no virtual
+        parameters give such a body.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.physical import virtual_from_inertial
+    >>> virtual_from_inertial([4, 0, 0, 4, 5, 0, 5, 0, 0, 1])
+    array([2., 0., 0., 1., 1., 0., 0., 1., 0., 1.])
+    """
+    phi = _check_parameters(phi)
+    mass = phi[..., 0]
+    if not np.all(mass > 0):
+        raise ValueError(
+            "Virtual parameters exist for positive masses alone; the smallest mass is "
+            f"{np.min(mass):.6g} kg. Project the parameters first."
+        )
+    centre = phi[..., 1:4] / mass[..., None]
+    square = np.sum(centre**2, axis=-1)[..., None, None] * np.eye(3)
+    outer = centre[..., :, None] * centre[..., None, :]
+    inertia = inertia_matrix(phi) - mass[..., None, None] * (square - outer)
+    try:
+        factor = np.linalg.cholesky(inertia)
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            "Virtual parameters exist only where the inertia at the centre of mass is "
+            f"positive definite; its smallest eigenvalue is "
+            f"{np.linalg.eigvalsh(inertia).min():.6g} kg m^2. Project the parameters "
+            "first."
+        ) from None
+    virtual = np.empty(phi.shape)
+    virtual[..., 0] = np.sqrt(mass)
+    virtual[..., 1:4] = centre
+    # numpy's lower triangular factor is the transpose of the paper's U.
+    virtual[..., 4:] = factor[..., _FACTOR_COLUMN, _FACTOR_ROW]
+    return virtual
+
+
+def virtual_jacobian(virtual):
+    """Derivative of eq. 30, parameters by virtual parameters.
+
+    Parameters
+    ----------
+    virtual : array-like of shape (..., 10)
+        Virtual parameters in the paper's order.
+
+    Returns
+    -------
+    jacobian : ndarray of shape (..., 10, 10)
+        ``jacobian[..., k, l]`` is the derivative of inertial parameter `k` (Pinocchio's
+        order) with respect to virtual parameter `l`.
+
+    Raises
+    ------
+    ValueError
+        If the last axis does not have ten entries.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.physical import virtual_jacobian
+    >>> float(virtual_jacobian([3.0, 0, 0, 0, 1, 0, 0, 1, 0, 1])[0, 0])
+    6.0
+    """
+    virtual = _check_virtual(virtual)
+    v = np.moveaxis(virtual, -1, 0)
+    m = v[0] ** 2
+    jacobian = np.zeros((N_INERTIAL, N_INERTIAL, *v.shape[1:]))
+    x, y, z = v[1], v[2], v[3]
+    # Every row is linear in the mass: column 0 is 2 v_0 times the derivative by m.
+    by_mass = np.stack(
+        [
+            np.ones_like(m),
+            x,
+            y,
+            z,
+            y**2 + z**2,
+            -x * y,
+            x**2 + z**2,
+            -x * z,
+            -y * z,
+            x**2 + y**2,
+        ]
+    )
+    jacobian[:, 0] = 2 * v[0] * by_mass
+    for axis in range(3):
+        jacobian[1 + axis, 1 + axis] = m
+    jacobian[4, 2], jacobian[4, 3] = 2 * y * m, 2 * z * m
+    jacobian[5, 1], jacobian[5, 2] = -y * m, -x * m
+    jacobian[6, 1], jacobian[6, 3] = 2 * x * m, 2 * z * m
+    jacobian[7, 1], jacobian[7, 3] = -z * m, -x * m
+    jacobian[8, 2], jacobian[8, 3] = -z * m, -y * m
+    jacobian[9, 1], jacobian[9, 2] = 2 * x * m, 2 * y * m
+    jacobian[4, 4] = 2 * v[4]
+    jacobian[5, 4], jacobian[5, 5] = v[5], v[4]
+    jacobian[7, 4], jacobian[7, 6] = v[6], v[4]
+    jacobian[6, 5], jacobian[6, 7] = 2 * v[5], 2 * v[7]
+    jacobian[8, 5], jacobian[8, 6] = v[6], v[5]
+    jacobian[8, 7], jacobian[8, 8] = v[8], v[7]
+    jacobian[9, 6], jacobian[9, 8], jacobian[9, 9] = 2 * v[6], 2 * v[8], 2 * v[9]
+    return np.moveaxis(jacobian, (0, 1), (-2, -1))
+
+
+def virtual_curvature(virtual, gradient):
+    r"""Second derivative of ``gradient . inertial_from_virtual(virtual)``.
+
+    With :math:`G` the symmetric matrix for which the inertia's share of the product
+    is :math:`\langle G, I \rangle` and :math:`Q = \operatorname{tr}(G) E - G`, the
+    product is :math:`v_0^2 (g_m + g_h^\top c + c^\top Q c) + \langle G, U^\top U
+    \rangle`, a polynomial whose second derivative is immediate.
+
+    Parameters
+    ----------
+    virtual : array-like of shape (..., 10)
+        Virtual parameters in the paper's order.
+    gradient : array-like of shape (..., 10)
+        Weight of each inertial parameter (Pinocchio's order).
+
+    Returns
+    -------
+    curvature : ndarray of shape (..., 10, 10)
+        Symmetric matrix of second derivatives by the virtual parameters.
+
+    Raises
+    ------
+    ValueError
+        If a last axis does not have ten entries.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa.physical import virtual_curvature
+    >>> float(virtual_curvature(np.ones(10), np.eye(10)[0])[0, 0])
+    2.0
+    """
+    virtual = _check_virtual(virtual)
+    gradient = _check_parameters(gradient)
+    # An off-diagonal parameter stands at two places of I: half its weight at each.
+    G = inertia_matrix(gradient) * np.where(np.eye(3) == 1.0, 1.0, 0.5)
+    Q = np.trace(G, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - G
+    root, centre = virtual[..., 0], virtual[..., 1:4]
+    Q_centre = np.einsum("...ij,...j->...i", Q, centre)
+    first = gradient[..., 1:4]
+    curvature = np.zeros((*virtual.shape, N_INERTIAL))
+    curvature[..., 0, 0] = 2 * (
+        gradient[..., 0]
+        + np.sum(first * centre, axis=-1)
+        + np.sum(centre * Q_centre, axis=-1)
+    )
+    cross = 2 * root[..., None] * (first + 2 * Q_centre)
+    curvature[..., 0, 1:4] = cross
+    curvature[..., 1:4, 0] = cross
+    curvature[..., 1:4, 1:4] = 2 * root[..., None, None] ** 2 * Q
+    # <G, U'U> is a sum over the rows of U, each with the same quadratic form.
+    same_row = _FACTOR_ROW[:, None] == _FACTOR_ROW[None, :]
+    curvature[..., 4:, 4:] = np.where(
+        same_row, 2 * G[..., _FACTOR_COLUMN[:, None], _FACTOR_COLUMN[None, :]], 0.0
+    )
+    return curvature
+
+
+def solve_virtual(problem, starts, *, max_iter):
+    """Minimise eq. 35 in the virtual parameters of eq. 30 from several starts.
+
+    Parameters
+    ----------
+    problem : ConicProblem
+        The projection in scaled variables, constraint "eq30".
+    starts : sequence of ndarray of shape (n_features,)
+        Strictly consistent vectors in scaled units.
+    max_iter : int
+        Largest number of trust-region steps from each start.
+
+    Returns
+    -------
+    vector : ndarray of shape (n_features,)
+        Best consistent vector found, in scaled units.
+    n_iter : int
+        Steps taken in all.
+    message : str
+        The optimiser's own word on its end.
+    converged : bool
+        Whether the best run ended at a stationary point.
+    """
+    bodies = problem.body_columns
+    nonnegative = problem.nonnegative
+    # The set {min_eigenvalue >= margin} is the set of eq. 30 moved by the parameters
+    # whose spatial inertia is the margin times the unit matrix.
+    offset = np.zeros(problem.n_features)
+    if bodies.size:
+        offset[bodies[:, [0, 4, 6, 9]]] = problem.margin
+    scale = problem.distance(starts[0])
+    for start in starts[1:]:
+        scale = min(scale, problem.distance(start))
+    scale = scale if scale > 0 else 1.0
+
+    def to_vector(virtual):
+        vector = virtual.copy()
+        vector[bodies] = inertial_from_virtual(virtual[bodies])
+        vector[nonnegative] = virtual[nonnegative] ** 2  # [eq. 30, line 11]
+        return vector + offset
+
+    def jacobian(virtual):
+        derivative = np.eye(problem.n_features)
+        derivative[bodies[:, :, None], bodies[:, None, :]] = virtual_jacobian(
+            virtual[bodies]
+        )
+        derivative[nonnegative, nonnegative] = 2 * virtual[nonnegative]
+        return derivative
+
+    def value(virtual):
+        residual = problem.residual(to_vector(virtual)) / scale
+        gradient = problem.root.T @ residual / scale
+        return 0.5 * residual @ residual, jacobian(virtual).T @ gradient
+
+    def hessian(virtual):
+        residual = problem.residual(to_vector(virtual)) / scale
+        gradient = problem.root.T @ residual / scale
+        linear = problem.root @ jacobian(virtual) / scale
+        curvature = linear.T @ linear
+        # At the boundary of the set a factor tends to zero and its row of the Jacobian
+        # with it: Gauss-Newton stalls there, the full second derivative does not.
+        curvature[bodies[:, :, None], bodies[:, None, :]] += virtual_curvature(
+            virtual[bodies], gradient[bodies]
+        )
+        curvature[nonnegative, nonnegative] += 2 * gradient[nonnegative]
+        return curvature
+
+    best, n_iter = None, 0
+    for start in starts:
+        vector = start - offset
+        virtual = vector.copy()
+        virtual[bodies] = virtual_from_inertial(vector[bodies])
+        virtual[nonnegative] = np.sqrt(vector[nonnegative])
+        outcome = minimize(
+            value,
+            virtual,
+            jac=True,
+            hess=hessian,
+            method="trust-exact",
+            options={"gtol": 1e-9, "maxiter": max_iter},
+        )
+        n_iter += int(outcome.nit)
+        if best is None or outcome.fun < best.fun:
+            best = outcome
+    # Rounding may end the run before gtol is met; the gradient tells whether the end
+    # is a minimum: 1e-6 against an objective scaled to one half.
+    converged = bool(best.success or np.linalg.norm(best.jac) <= 1e-6)
+    return to_vector(best.x), n_iter, str(best.message), converged

@@ -1,0 +1,1 @@
+"""Literal transcriptions that the package is tested against."""

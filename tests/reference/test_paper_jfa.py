@@ -1,0 +1,816 @@
+"""The reference against oracles that do not share its formulas, and the misprints.
+
+Every number that the package is compared with comes from ``paper_jfa``; here that
+module itself is held against dense Gaussians, numerical integration and finite
+differences. Each misprint of the paper has a test that the printed form is false.
+"""
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import stats
+from scipy.special import gammaln, logsumexp
+
+from tests.reference import paper_jfa as ref
+
+N_FEATURES = [1, 2, 3, 5]
+SEEDS = [0, 1, 2]
+
+
+def make_data(seed, n_features, n_samples=25):
+    """Centred samples of a linear model with noise in inputs and output."""
+    rng = np.random.default_rng(seed)
+    t = rng.normal(size=(n_samples, n_features))
+    X = t * rng.uniform(0.5, 2.0, n_features)
+    X += 0.4 * rng.normal(size=X.shape)
+    y = t @ rng.normal(size=n_features) + 0.3 * rng.normal(size=n_samples)
+    return X - X.mean(axis=0), y - y.mean()
+
+
+def make_jfa_params(seed, n_features):
+    rng = np.random.default_rng([seed, 1])
+    return ref.JFAParams(
+        w_z=rng.choice([-1, 1], n_features) * rng.uniform(0.3, 1.5, n_features),
+        w_x=rng.choice([-1, 1], n_features) * rng.uniform(0.3, 1.5, n_features),
+        psi_y=rng.uniform(0.2, 1.0),
+        psi_z=rng.uniform(0.2, 1.0, n_features),
+        psi_x=rng.uniform(0.2, 1.0, n_features),
+    )
+
+
+def make_vb_params(seed, n_features):
+    rng = np.random.default_rng([seed, 2])
+    point = make_jfa_params(seed, n_features)
+    return ref.VBParams(
+        w_z_mean=point.w_z,
+        w_z_var=rng.uniform(0.05, 0.5, n_features),
+        w_x_mean=point.w_x,
+        w_x_var=rng.uniform(0.05, 0.5, n_features),
+        alpha_shape=rng.uniform(0.8, 3.0, n_features),
+        alpha_rate=rng.uniform(0.5, 3.0, n_features),
+        psi_y=point.psi_y,
+        psi_z=point.psi_z,
+        psi_x=point.psi_x,
+    )
+
+
+def assert_same_posterior(actual, desired, rtol=1e-9):
+    assert_allclose(actual.E_z, desired.E_z, rtol=rtol, atol=rtol)
+    assert_allclose(actual.E_t, desired.E_t, rtol=rtol, atol=rtol)
+    assert_allclose(actual.covariance(), desired.covariance(), rtol=rtol, atol=rtol)
+
+
+# ---------------------------------------------------------------------------------
+# E-step
+# ---------------------------------------------------------------------------------
+
+
+def condition_on_pseudo_observation(params, X, y):
+    """Oracle for q(Z, T) with uncertain loadings, and for its share of the bound.
+
+    The variances of w_z and w_x add -t^2 (w_z_var / psi_z + w_x_var / psi_x) / 2 to the
+    exponent. A pseudo-observation u_m = 0 with u_m | t_m ~ Normal(c_m t_m, 1) adds the
+    same, up to sqrt(2 pi), so the answer is a conditional of one dense Gaussian.
+    """
+    n_samples, n_features = X.shape
+    point = ref.JFAParams(
+        w_z=params.w_z_mean,
+        w_x=params.w_x_mean,
+        psi_y=params.psi_y,
+        psi_z=params.psi_z,
+        psi_x=params.psi_x,
+    )
+    scale = np.sqrt(params.w_z_var / params.psi_z + params.w_x_var / params.psi_x)
+    n_joint = 3 * n_features + 1
+    lift = np.vstack([np.eye(n_joint), np.zeros((n_features, n_joint))])
+    lift[n_joint:, :n_features] = np.diag(scale)
+    Sigma = lift @ ref.joint_covariance(point) @ lift.T
+    Sigma[n_joint:, n_joint:] += np.eye(n_features)
+    t, z = np.arange(n_features), np.arange(n_features, 2 * n_features)
+    seen = np.arange(2 * n_features, n_joint + n_features)
+    gain, cov = ref.condition_gaussian(Sigma, np.concatenate([z, t]), seen)
+    values = np.column_stack([X, y, np.zeros((n_samples, n_features))])
+    means = values @ gain.T
+    log_density = stats.multivariate_normal.logpdf(
+        values, np.zeros(len(seen)), Sigma[np.ix_(seen, seen)]
+    )
+    posterior = ref.Posterior(
+        E_z=means[:, :n_features],
+        E_t=means[:, n_features:],
+        Sigma_zz=cov[:n_features, :n_features],
+        Sigma_zt=cov[:n_features, n_features:],
+        Sigma_tt=cov[n_features:, n_features:],
+    )
+    bound = log_density.sum() + 0.5 * n_samples * n_features * ref.LOG_2PI
+    return posterior, bound
+
+
+@pytest.mark.parametrize("n_features", N_FEATURES)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_posterior_of_point_estimates(seed, n_features):
+    X, y = make_data(seed, n_features)
+    params = make_jfa_params(seed, n_features)
+    literal = ref.posterior_zt(X, y, **params.moments())
+    assert_same_posterior(literal, ref.posterior_zt_joint(params, X, y))
+    assert_same_posterior(literal, ref.posterior_zt_precision(X, y, **params.moments()))
+
+
+@pytest.mark.parametrize("n_features", N_FEATURES)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_posterior_with_uncertain_loadings(seed, n_features):
+    X, y = make_data(seed, n_features)
+    params = make_vb_params(seed, n_features)
+    literal = ref.posterior_zt(X, y, **params.moments())
+    assert_same_posterior(literal, condition_on_pseudo_observation(params, X, y)[0])
+    assert_same_posterior(literal, ref.posterior_zt_precision(X, y, **params.moments()))
+
+
+log_scale = st.floats(-2.0, 2.0)
+
+
+@settings(max_examples=30, deadline=None, derandomize=True, database=None)
+@given(
+    seed=st.integers(0, 1000),
+    n_features=st.integers(1, 5),
+    log_psi_y=log_scale,
+    log_psi_z=log_scale,
+    log_psi_x=log_scale,
+)
+def test_posterior_over_scales_of_noise(
+    seed, n_features, log_psi_y, log_psi_z, log_psi_x
+):
+    X, y = make_data(seed, n_features, n_samples=4)
+    params = make_vb_params(seed, n_features)
+    params = replace(
+        params,
+        psi_y=params.psi_y * 10.0**log_psi_y,
+        psi_z=params.psi_z * 10.0**log_psi_z,
+        psi_x=params.psi_x * 10.0**log_psi_x,
+    )
+    # The precision matrix has a condition number up to about 1e8 here.
+    assert_same_posterior(
+        ref.posterior_zt(X, y, **params.moments()),
+        ref.posterior_zt_precision(X, y, **params.moments()),
+        rtol=1e-7,
+    )
+
+
+def test_eq19_printed_is_false():
+    X, y = make_data(0, 3)
+    params = make_jfa_params(0, 3)
+    dense = ref.posterior_zt_joint(params, X, y)
+    printed = ref.posterior_zt(
+        X, y, cross_covariance=ref.sigma_zt_printed, **params.moments()
+    )
+    assert_allclose(printed.Sigma_zt, -dense.Sigma_zt, rtol=1e-9)
+    assert np.abs(dense.Sigma_zt).min() > 1e-3
+    # Eq. 24 holds Sigma_tz written out, with the plus sign that eq. 19 lacks.
+    assert_allclose(printed.E_t, dense.E_t, rtol=1e-9)
+    assert np.abs(printed.E_z - dense.E_z).max() > 0.1
+
+
+def test_eq19_printed_breaks_em():
+    X, y = make_data(0, 3)
+    params = make_jfa_params(0, 3)
+    for _ in range(20):
+        params = ref.jfa_em_step(params, X, y)
+    before = ref.jfa_loglik(params, X, y)
+    right = ref.jfa_em_step(params, X, y)
+    wrong = ref.jfa_em_step(params, X, y, cross_covariance=ref.sigma_zt_printed)
+    assert ref.jfa_loglik(right, X, y) > before
+    assert ref.jfa_loglik(wrong, X, y) < before - 1.0
+
+
+# ---------------------------------------------------------------------------------
+# Joint factor analysis
+# ---------------------------------------------------------------------------------
+
+
+def test_joint_covariance_by_hand():
+    params = make_jfa_params(3, 2)
+    Sigma = ref.joint_covariance(params)
+    var_z = params.w_z**2 + params.psi_z
+    assert_allclose(Sigma[:2, :2], np.eye(2))
+    assert_allclose(
+        np.diag(Sigma),
+        [1.0, 1.0, *var_z, *(params.w_x**2 + params.psi_x), var_z.sum() + params.psi_y],
+    )
+    assert_allclose(Sigma[4:6, 6], params.w_x * params.w_z)
+    assert_allclose(Sigma[2:4, 6], var_z)
+    assert_allclose(Sigma[2:4, 4:6], np.diag(params.w_x * params.w_z))
+
+
+@pytest.mark.parametrize("n_features", N_FEATURES)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_em_increases_likelihood(seed, n_features):
+    X, y = make_data(seed, n_features)
+    params = make_jfa_params(seed, n_features)
+    history = [ref.jfa_loglik(params, X, y)]
+    for _ in range(10):
+        params = ref.jfa_em_step(params, X, y)
+        history.append(ref.jfa_loglik(params, X, y))
+    assert np.all(np.diff(history) >= -1e-9 * np.abs(history[-1]))
+    assert history[1] > history[0] + 0.1
+
+
+@pytest.mark.parametrize("n_features", N_FEATURES)
+def test_data_terms_equal_likelihood_for_point_estimates(n_features):
+    X, y = make_data(0, n_features)
+    params = make_jfa_params(0, n_features)
+    posterior = ref.posterior_zt(X, y, **params.moments())
+    terms = ref.data_terms(X, y, posterior, **params.moments())
+    assert_allclose(sum(terms.values()), ref.jfa_loglik(params, X, y), rtol=1e-10)
+
+
+@pytest.mark.parametrize("name", ["w_z", "w_x", "psi_y", "psi_z", "psi_x"])
+def test_em_step_is_stationary(name):
+    X, y = make_data(1, 3)
+    old = make_jfa_params(1, 3)
+    posterior = ref.posterior_zt(X, y, **old.moments())
+
+    def objective(params):
+        return sum(ref.data_terms(X, y, posterior, **params.moments()).values())
+
+    assert np.abs(gradient(objective, old, name)).max() > 0.1
+    new = ref.jfa_em_step(old, X, y)
+    assert_allclose(gradient(objective, new, name), 0.0, atol=1e-5)
+
+
+# ---------------------------------------------------------------------------------
+# The variational bound
+# ---------------------------------------------------------------------------------
+
+# Unlike the paper's 1e-6, a prior that the data do not drown: its terms matter.
+ARD = {"ard_shape": 1.5, "ard_rate": 0.7}
+LOG_SCALE = {"w_z_var", "w_x_var", "alpha_shape", "alpha_rate"}
+
+
+def gradient(objective, params, name, step=1e-5):
+    """Central differences in one field; variances and rates on the log scale."""
+    value = np.asarray(getattr(params, name), dtype=float)
+    on_log_scale = name in LOG_SCALE or name.startswith("psi")
+    slopes = np.empty(value.shape)
+    for index in np.ndindex(value.shape):
+        sides = []
+        for delta in (step, -step):
+            moved = value.copy()
+            moved[index] = (
+                moved[index] * np.exp(delta) if on_log_scale else moved[index] + delta
+            )
+            sides.append(objective(replace(params, **{name: moved[()]})))
+        slopes[index] = (sides[0] - sides[1]) / (2.0 * step)
+    return slopes
+
+
+@pytest.mark.parametrize("n_features", N_FEATURES)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_data_terms_equal_dense_gaussian(seed, n_features):
+    X, y = make_data(seed, n_features)
+    params = make_vb_params(seed, n_features)
+    posterior = ref.posterior_zt(X, y, **params.moments())
+    terms = ref.data_terms(X, y, posterior, **params.moments())
+    _, expected = condition_on_pseudo_observation(params, X, y)
+    assert_allclose(sum(terms.values()), expected, rtol=1e-10)
+
+
+def test_prior_terms_by_integration():
+    params = make_vb_params(4, 1)
+    terms = ref.prior_terms(params, **ARD)
+    q_alpha = stats.gamma(params.alpha_shape[0], scale=1.0 / params.alpha_rate[0])
+    p_alpha = stats.gamma(ARD["ard_shape"], scale=1.0 / ARD["ard_rate"])
+    assert_allclose(terms["entropy_alpha"], q_alpha.entropy(), rtol=1e-8)
+    assert_allclose(terms["log_p_alpha"], q_alpha.expect(p_alpha.logpdf), rtol=1e-7)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(20)
+    for which in ("w_z", "w_x"):
+        q_w = stats.norm(
+            getattr(params, f"{which}_mean")[0],
+            np.sqrt(getattr(params, f"{which}_var")[0]),
+        )
+        w = q_w.mean() + q_w.std() * nodes
+
+        def expected_log_p(alpha, w=w):
+            log_p = stats.norm.logpdf(w, 0.0, 1.0 / np.sqrt(alpha))
+            return weights @ log_p / weights.sum()
+
+        assert_allclose(
+            terms[f"log_p_{which}"], q_alpha.expect(expected_log_p), rtol=1e-7
+        )
+        assert_allclose(terms[f"entropy_{which}"], q_w.entropy(), rtol=1e-10)
+
+
+def test_prior_terms_sum_over_features():
+    params = make_vb_params(5, 3)
+    total = ref.prior_terms(params, **ARD)
+    parts = []
+    for m in range(3):
+        arrays = {
+            name: getattr(params, name)[[m]] for name in vars(params) if name != "psi_y"
+        }
+        parts.append(ref.prior_terms(replace(params, **arrays), **ARD))
+    for name, value in total.items():
+        assert_allclose(value, sum(part[name] for part in parts), rtol=1e-12)
+
+
+@pytest.mark.parametrize("n_features", [1, 3])
+def test_posterior_zt_maximises_the_bound(n_features):
+    X, y = make_data(2, n_features)
+    params = make_vb_params(2, n_features)
+    best = ref.posterior_zt(X, y, **params.moments())
+    top = ref.elbo(params, X, y, **ARD)
+    assert_allclose(ref.elbo(params, X, y, **ARD, posterior=best), top, rtol=1e-14)
+    rng = np.random.default_rng(7)
+    for name in ("E_z", "E_t", "Sigma_zz", "Sigma_tt", "Sigma_zt"):
+        value = getattr(best, name)
+        step = 1e-3 * rng.normal(size=value.shape)
+        step = 0.5 * (step + step.T) if name in ("Sigma_zz", "Sigma_tt") else step
+        values = [
+            ref.elbo(
+                params, X, y, **ARD, posterior=replace(best, **{name: value + moved})
+            )
+            for moved in (step, -step)
+        ]
+        assert max(values) < top
+        # A maximum: the two falls agree to first order.
+        assert abs(values[0] - values[1]) < 0.1 * (2 * top - sum(values))
+
+
+BLOCKS = {
+    "w_z": ("w_z_mean", "w_z_var"),
+    "w_x": ("w_x_mean", "w_x_var"),
+    "alpha": ("alpha_shape", "alpha_rate"),
+    "psi_y": ("psi_y",),
+    "psi_z": ("psi_z",),
+    "psi_x": ("psi_x",),
+}
+
+
+def update_block(block, params, posterior, X, y, ard_shape, ard_rate):
+    """Params after one block's update, the others as they were."""
+    E_alpha = params.alpha_shape / params.alpha_rate
+    w_z = {"w_z_mean": params.w_z_mean, "w_z_var": params.w_z_var}
+    w_x = {"w_x_mean": params.w_x_mean, "w_x_var": params.w_x_var}
+    if block == "w_z":
+        new = ref.update_w_z(posterior, X, y, psi_z=params.psi_z, E_alpha=E_alpha)
+    elif block == "w_x":
+        new = ref.update_w_x(posterior, X, y, psi_x=params.psi_x, E_alpha=E_alpha)
+    elif block == "alpha":
+        new = ref.update_alpha(**w_z, **w_x, ard_shape=ard_shape, ard_rate=ard_rate)
+    elif block == "psi_y":
+        new = (ref.update_psi_y(posterior, X, y),)
+    elif block == "psi_z":
+        new = (ref.update_psi_z(posterior, X, y, **w_z),)
+    else:
+        new = (ref.update_psi_x(posterior, X, y, **w_x),)
+    return replace(params, **dict(zip(BLOCKS[block], new)))
+
+
+@pytest.mark.parametrize("block", BLOCKS)
+@pytest.mark.parametrize("n_features", [1, 3])
+def test_each_block_is_stationary(n_features, block):
+    X, y = make_data(3, n_features)
+    params = make_vb_params(3, n_features)
+    posterior = ref.posterior_zt(X, y, **params.moments())
+    objective = partial(ref.elbo, X=X, y=y, **ARD, posterior=posterior)
+    new = update_block(block, params, posterior, X, y, **ARD)
+    for name in BLOCKS[block]:
+        assert np.abs(gradient(objective, params, name)).max() > 0.05
+        assert_allclose(gradient(objective, new, name), 0.0, atol=1e-5)
+    assert objective(new) > objective(params)
+
+
+def test_vb_step_is_the_blocks_in_order():
+    X, y = make_data(3, 3)
+    params = make_vb_params(3, 3)
+    posterior = ref.posterior_zt(X, y, **params.moments())
+    stepped = ref.vb_step(params, X, y, **ARD)
+    for block in BLOCKS:
+        params = update_block(block, params, posterior, X, y, **ARD)
+    for name, value in vars(params).items():
+        assert_allclose(getattr(stepped, name), value, rtol=1e-12)
+
+
+@pytest.mark.parametrize("ard", [1e-6, 1.0])
+@pytest.mark.parametrize("n_features", [1, 2, 3, 4, 5])
+def test_vb_step_never_decreases_the_bound(n_features, ard):
+    for seed in range(4):
+        X, y = make_data(seed, n_features, n_samples=20 + 5 * seed)
+        params = make_vb_params(seed, n_features)
+        history = [ref.elbo(params, X, y, ard, ard)]
+        for _ in range(6):
+            params = ref.vb_step(params, X, y, ard, ard)
+            history.append(ref.elbo(params, X, y, ard, ard))
+        assert np.all(np.diff(history) >= -1e-9 * np.abs(history[-1])), seed
+        assert history[1] > history[0] + 0.1, seed
+
+
+def test_vb_step_from_sharp_loadings_is_em_and_a_variance():
+    # Without a prior and from sharp loadings only the new variances of w differ.
+    X, y = make_data(0, 2, n_samples=50)
+    point = make_jfa_params(0, 2)
+    params = replace(
+        make_vb_params(0, 2),
+        w_z_var=np.zeros(2),
+        w_x_var=np.zeros(2),
+        alpha_shape=np.ones(2),
+        alpha_rate=np.full(2, 1e12),
+    )
+    vb, em = ref.vb_step(params, X, y, 1e-6, 1e-6), ref.jfa_em_step(point, X, y)
+    assert_allclose(vb.w_z_mean, em.w_z, rtol=1e-10)
+    assert_allclose(vb.w_x_mean, em.w_x, rtol=1e-10)
+    assert_allclose(vb.psi_y, em.psi_y, rtol=1e-10)
+    # Their variance is psi / sum <t^2>, hence an excess of psi / n_samples.
+    assert_allclose(vb.psi_z, em.psi_z + params.psi_z / 50, rtol=1e-10)
+    assert_allclose(vb.psi_x, em.psi_x + params.psi_x / 50, rtol=1e-10)
+
+
+# ---------------------------------------------------------------------------------
+# One feature: the bound against the evidence by integration over w_z and w_x
+# ---------------------------------------------------------------------------------
+
+
+def log_prior_w(squares, n_loadings, ard_shape, ard_rate):
+    """Log of the integral over alpha of prod Normal(w; 0, 1/alpha) Gamma(alpha)."""
+    shape = ard_shape + 0.5 * n_loadings
+    return (
+        -0.5 * n_loadings * ref.LOG_2PI
+        + ard_shape * np.log(ard_rate)
+        - gammaln(ard_shape)
+        + gammaln(shape)
+        - shape * np.log(ard_rate + 0.5 * squares)
+    )
+
+
+def log_evidence(X, y, psi_y, psi_z, psi_x, ard_shape, ard_rate, n_grid):
+    """Log p(X, y) and log p(X) given the noise variances, by the trapezoidal rule.
+
+    The integrand is smooth and falls off long before the ends, where the trapezoidal
+    rule converges faster than any power of the spacing.
+    """
+    # The likelihood sets the scale of both loadings; a factor 8 leaves no tail.
+    w_x = 8.0 * X.std() * np.linspace(-1.0, 1.0, n_grid)[:, None]
+    w_z = 8.0 * y.std() * np.linspace(-1.0, 1.0, n_grid)[None, :]
+    var_x, cov, var_y = w_x**2 + psi_x, w_x * w_z, w_z**2 + psi_z + psi_y
+    determinant = var_x * var_y - cov**2
+    squares = X @ X * var_y - 2.0 * (X @ y) * cov + y @ y * var_x
+    log_joint = (
+        log_prior_w(w_x**2 + w_z**2, 2, ard_shape, ard_rate)
+        - len(y) * (ref.LOG_2PI + 0.5 * np.log(determinant))
+        - 0.5 * squares / determinant
+    )
+    log_inputs = (
+        log_prior_w(w_x**2, 1, ard_shape, ard_rate)
+        - 0.5 * len(y) * (ref.LOG_2PI + np.log(var_x))
+        - 0.5 * (X @ X) / var_x
+    )
+    log_dx, log_dz = np.log(np.diff(w_x[:2, 0])[0]), np.log(np.diff(w_z[0, :2])[0])
+    edges = (log_joint[0], log_joint[-1], log_joint[:, 0], log_joint[:, -1])
+    assert max(edge.max() for edge in edges) < log_joint.max() - 15.0
+    return logsumexp(log_joint) + log_dx + log_dz, logsumexp(log_inputs) + log_dx
+
+
+def fit_fixed_noise(params, X, y, ard_shape, ard_rate, n_iter):
+    for _ in range(n_iter):
+        posterior = ref.posterior_zt(X, y, **params.moments())
+        for block in ("w_z", "w_x", "alpha"):
+            params = update_block(block, params, posterior, X, y, ard_shape, ard_rate)
+    return params
+
+
+def test_prior_integral_over_alpha():
+    q_alpha = stats.gamma(ARD["ard_shape"], scale=1.0 / ARD["ard_rate"])
+    for w_z, w_x in ((0.0, 0.3), (1.2, -0.8)):
+
+        def density(alpha, w_z=w_z, w_x=w_x):
+            std = 1.0 / np.sqrt(alpha)
+            return stats.norm.pdf(w_z, 0.0, std) * stats.norm.pdf(w_x, 0.0, std)
+
+        expected = np.log(q_alpha.expect(density))
+        actual = log_prior_w(w_z**2 + w_x**2, 2, **ARD)
+        assert_allclose(actual, expected, rtol=1e-7)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_bound_is_below_the_evidence(seed):
+    X, y = make_data(seed, 1, n_samples=20)
+    params = make_vb_params(seed, 1)
+    noise = {"psi_y": params.psi_y, "psi_z": params.psi_z[0], "psi_x": params.psi_x[0]}
+    evidence, _ = log_evidence(X[:, 0], y, **noise, **ARD, n_grid=801)
+    coarse, _ = log_evidence(X[:, 0], y, **noise, **ARD, n_grid=401)
+    # Halving the spacing shows the accuracy of the quadrature: better than 1e-6 nats.
+    assert_allclose(evidence, coarse, atol=1e-6)
+    start = ref.elbo(params, X, y, **ARD)
+    fitted = fit_fixed_noise(params, X, y, **ARD, n_iter=60)
+    best = ref.elbo(fitted, X, y, **ARD)
+    assert start < best < evidence
+    # The posterior has two mirror modes and the bound fills one: at least log 2 below.
+    # The factorised q costs another 0.8 to 1.3 nats here, so lost constants show.
+    assert np.log(2.0) < evidence - best < 2.5
+
+
+def test_bound_is_on_the_joint_density_not_on_y_given_X():
+    # The paper calls the bounded quantity log p(y | X); eq. 6 holds log p(x | t) too.
+    X, y = make_data(0, 1, n_samples=20)
+    X = 0.1 * X
+    params = make_vb_params(0, 1)
+    params = replace(
+        params,
+        w_x_mean=0.1 * params.w_x_mean,
+        w_x_var=0.01 * params.w_x_var,
+        psi_x=0.01 * params.psi_x,
+    )
+    noise = {"psi_y": params.psi_y, "psi_z": params.psi_z[0], "psi_x": params.psi_x[0]}
+    joint, inputs = log_evidence(X[:, 0], y, **noise, **ARD, n_grid=801)
+    bound = ref.elbo(fit_fixed_noise(params, X, y, **ARD, n_iter=60), X, y, **ARD)
+    assert joint - inputs < bound < joint
+
+
+# ---------------------------------------------------------------------------------
+# Misprints of eqs. 5 and 6
+# ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("block", ["w_z", "w_x", "alpha"])
+def test_eq5_printed_is_false(block):
+    # With p(w_z | alpha) twice and no p(w_x | alpha), none of the updates that eq. 5
+    # is meant to lead to is a maximum.
+    X, y = make_data(3, 2)
+    params = make_vb_params(3, 2)
+    posterior = ref.posterior_zt(X, y, **params.moments())
+    new = update_block(block, params, posterior, X, y, **ARD)
+    right = partial(ref.elbo, X=X, y=y, **ARD, posterior=posterior)
+    printed = partial(ref.elbo_eq5_printed, X=X, y=y, **ARD, posterior=posterior)
+    for name in BLOCKS[block]:
+        assert_allclose(gradient(right, new, name), 0.0, atol=1e-5)
+        assert np.abs(gradient(printed, new, name)).min() > 1e-3
+
+
+def test_eq5_printed_bound_falls():
+    # From the optimum of the printed bound in q(w_x), the paper's eqs. 10-11 go down.
+    X, y = make_data(3, 2)
+    params = make_vb_params(3, 2)
+    posterior = ref.posterior_zt(X, y, **params.moments())
+    mean, var = ref.update_w_x(posterior, X, y, psi_x=params.psi_x, E_alpha=0.0)
+    params = replace(params, w_x_mean=mean, w_x_var=var)
+    new = update_block("w_x", params, posterior, X, y, **ARD)
+    right = partial(ref.elbo, X=X, y=y, **ARD, posterior=posterior)
+    printed = partial(ref.elbo_eq5_printed, X=X, y=y, **ARD, posterior=posterior)
+    assert right(new) > right(params) + 1e-3
+    assert printed(new) < printed(params) - 1e-3
+
+
+@pytest.mark.parametrize("ard", [1e-6, 1.5])
+def test_eq6_printed_is_false(ard):
+    # p(alpha_m) beside both loadings counts one prior twice; eqs. 12-13 count it once.
+    X, y = make_data(3, 2)
+    params = make_vb_params(3, 2)
+    posterior = ref.posterior_zt(X, y, **params.moments())
+    arguments = {"X": X, "y": y, "ard_shape": ard, "ard_rate": ard}
+    new = update_block("alpha", params, posterior, **arguments)
+    right = partial(ref.elbo, **arguments, posterior=posterior)
+    printed = partial(ref.elbo_eq6_printed, **arguments, posterior=posterior)
+    for name in BLOCKS["alpha"]:
+        assert_allclose(gradient(right, new, name), 0.0, atol=1e-5)
+        assert np.abs(gradient(printed, new, name)).min() > 1e-2
+
+
+# ---------------------------------------------------------------------------------
+# Regression vectors
+# ---------------------------------------------------------------------------------
+
+
+def expected_y_given_x(params):
+    """Slope of E[y | x] from the dense joint Gaussian."""
+    n_features = len(params.w_z)
+    x = np.arange(2 * n_features, 3 * n_features)
+    Sigma = ref.joint_covariance(params)
+    return ref.condition_gaussian(Sigma, np.array([3 * n_features]), x)[0][0]
+
+
+@pytest.mark.parametrize("n_features", N_FEATURES)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_eq27_is_the_conditional_expectation(seed, n_features):
+    params = make_jfa_params(seed, n_features)
+    expected = expected_y_given_x(params)
+    literal = ref.beta_noise_eq27(**vars(params))
+    assert_allclose(literal, expected, rtol=1e-9)
+    closed = ref.beta_noise_closed(params.w_z, params.w_x, params.psi_x)
+    assert_allclose(closed, expected, rtol=1e-9)
+
+
+def test_eq27_with_second_moments():
+    params = make_vb_params(0, 3)
+    literal = ref.beta_noise_eq27(
+        params.w_z_mean,
+        params.w_x_mean,
+        params.psi_y,
+        params.psi_z,
+        params.psi_x,
+        w_z_var=params.w_z_var,
+        w_x_var=params.w_x_var,
+    )
+    closed = ref.beta_noise_closed_second_moments(
+        params.w_z_mean,
+        params.w_x_mean,
+        params.psi_z,
+        params.psi_x,
+        params.w_z_var,
+        params.w_x_var,
+    )
+    assert_allclose(literal, closed, rtol=1e-9)
+    # The slope of sum_m <z_m> in x when y is unknown, i.e. infinitely noisy.
+    blind = {**params.moments(), "psi_y": 1e9}
+    slope = [
+        ref.posterior_zt_precision(row[None], np.zeros(1), **blind).E_z.sum()
+        for row in np.eye(3)
+    ]
+    assert_allclose(literal, slope, rtol=1e-6)
+
+
+@pytest.mark.parametrize("n_features", N_FEATURES)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_eq29_is_the_limit_without_input_noise(seed, n_features):
+    params = make_jfa_params(seed, n_features)
+    literal = ref.beta_true_eq29(params.w_z, params.w_x, params.psi_y, params.psi_z)
+    closed = ref.beta_true_closed(params.w_z, params.w_x)
+    assert_allclose(literal, closed, rtol=1e-9)
+    for scale, rtol in ((1e-3, 0.05), (1e-6, 5e-5)):
+        quiet = replace(params, psi_x=scale * params.psi_x)
+        assert_allclose(expected_y_given_x(quiet), closed, rtol=rtol)
+        assert np.all(np.abs(expected_y_given_x(quiet)) < np.abs(closed))
+    # y = sum_m w_zm t_m at the noiseless input x_m = w_xm t_m.
+    t = np.random.default_rng(seed).normal(size=n_features)
+    assert_allclose(literal @ (params.w_x * t), params.w_z @ t, rtol=1e-9)
+
+
+def test_eq29_is_not_the_limit_with_second_moments():
+    # Only with point estimates, as the text of section 3.3 says, does the limit of
+    # eq. 27 give eq. 29: a variance of w_x does not vanish with psi_x.
+    params = make_vb_params(0, 3)
+    limit = ref.beta_noise_eq27(
+        params.w_z_mean,
+        params.w_x_mean,
+        params.psi_y,
+        params.psi_z,
+        1e-8 * params.psi_x,
+        w_z_var=params.w_z_var,
+        w_x_var=params.w_x_var,
+    )
+    second_moment = params.w_x_mean**2 + params.w_x_var
+    assert_allclose(limit, params.w_z_mean * params.w_x_mean / second_moment, rtol=1e-5)
+    ratio = limit / ref.beta_true_closed(params.w_z_mean, params.w_x_mean)
+    assert np.all(ratio < 0.99)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_eq28_corrected_is_the_conditional_expectation(seed):
+    params = make_jfa_params(seed, 3)
+    corrected = ref.beta_jfa_eq28(params.w_z, params.w_x, params.psi_x)
+    assert_allclose(corrected, expected_y_given_x(params), rtol=1e-9)
+    # The extra terms that the paper sees in eq. 27 cancel: the two are one vector.
+    assert_allclose(corrected, ref.beta_noise_eq27(**vars(params)), rtol=1e-9)
+
+
+def test_eq28_printed_is_false():
+    params = make_jfa_params(0, 3)
+    printed = ref.beta_jfa_eq28_printed(params.w_z, params.w_x, params.psi_x)
+    error = np.abs(printed / expected_y_given_x(params) - 1.0)
+    assert error.min() > 0.01
+    # It has no consistent units: with x in other units, beta must scale inversely.
+    units = np.array([10.0, 0.1, 3.0])
+    arguments = (params.w_z, units * params.w_x, units**2 * params.psi_x)
+    right = ref.beta_jfa_eq28(*arguments) * units
+    wrong = ref.beta_jfa_eq28_printed(*arguments) * units
+    assert_allclose(right, ref.beta_jfa_eq28(params.w_z, params.w_x, params.psi_x))
+    assert np.abs(wrong / printed - 1.0).min() > 0.01
+
+
+# ---------------------------------------------------------------------------------
+# Virtual parameters
+# ---------------------------------------------------------------------------------
+
+
+def point_masses(seed, n_points=6):
+    """Random point masses (n_points,) and their positions (n_points, 3)."""
+    rng = np.random.default_rng(seed)
+    return rng.uniform(0.1, 1.0, n_points), rng.normal(size=(n_points, 3))
+
+
+def inertia_of(masses, positions):
+    inertia = np.zeros((3, 3))
+    for mass, position in zip(masses, positions):
+        inertia += mass * (position @ position * np.eye(3))
+        inertia -= mass * np.outer(position, position)
+    return inertia
+
+
+def virtual_of(mass, com, inertia_com, friction):
+    """Virtual parameters of a body: square roots and a lower Cholesky factor."""
+    L = np.linalg.cholesky(inertia_com)
+    by_columns = [L[0, 0], L[1, 0], L[2, 0], L[1, 1], L[2, 1], L[2, 2]]
+    return np.concatenate([[np.sqrt(mass)], com, by_columns, [np.sqrt(friction)]])
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_eq30_encodes_a_body(seed):
+    masses, positions = point_masses(seed)
+    mass = masses.sum()
+    com = masses @ positions / mass
+    about_com = inertia_of(masses, positions - com)
+    about_joint = inertia_of(masses, positions)
+    theta = ref.virtual_to_theta(virtual_of(mass, com, about_com, 0.3))
+    assert_allclose(theta[0], mass)
+    assert_allclose(theta[1:4], mass * com)
+    assert_allclose(theta[4:10], about_joint[np.triu_indices(3)])
+    assert_allclose(theta[10], 0.3)
+    assert_allclose(ref.theta_to_inertia(theta), about_joint)
+    assert_allclose(ref.theta_to_inertia_com(theta), about_com)
+    moments = np.column_stack([positions, np.ones(len(masses))])
+    assert_allclose(
+        ref.pseudo_inertia(theta), (moments.T * masses) @ moments, atol=1e-12
+    )
+
+
+def test_eq30_admits_an_inertia_without_mass_distribution():
+    # The paper: "any arbitrary set of virtual parameters gives rise to a physically
+    # consistent set of actual parameters".
+    inertia_com = np.diag([1.0, 1.0, 3.0])
+    virtual = virtual_of(2.0, np.array([0.1, -0.2, 0.3]), inertia_com, 0.1)
+    theta = ref.virtual_to_theta(virtual)
+    moments = np.linalg.eigvalsh(ref.theta_to_inertia_com(theta))
+    assert moments.min() > 0.0
+    assert moments[0] + moments[1] < moments[2] - 0.5
+    assert np.linalg.eigvalsh(ref.pseudo_inertia(theta)).min() < -0.1
+    # No set of point masses has it: Izz = sum m (x^2 + y^2) <= Ixx + Iyy.
+    for seed in range(20):
+        masses, positions = point_masses(seed)
+        com = masses @ positions / masses.sum()
+        real = np.linalg.eigvalsh(inertia_of(masses, positions - com))
+        assert real[0] + real[1] >= real[2]
+
+
+def test_eq30_does_not_keep_mass_and_friction_positive():
+    theta = ref.virtual_to_theta(np.zeros(11))
+    assert theta[0] == 0.0
+    assert theta[10] == 0.0
+
+
+def random_virtual(seed):
+    """Draw a body where eq. 30 is one to one: positive roots and diagonal."""
+    masses, positions = point_masses(seed)
+    com = masses @ positions / masses.sum()
+    return virtual_of(masses.sum(), com, inertia_of(masses, positions - com), 0.3)
+
+
+def random_metric(seed):
+    rows = np.random.default_rng([seed, 3]).normal(size=(40, 11))
+    return rows.T @ rows
+
+
+def test_projection_has_many_global_minima():
+    virtual = random_virtual(0)
+    theta, metric = ref.virtual_to_theta(virtual), random_metric(0)
+    objective = partial(ref.projection_objective, theta_uc=theta, metric=metric)
+    mirrored = virtual * np.array([-1.0, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1])
+    assert_allclose(objective(virtual), 0.0, atol=1e-12)
+    assert_allclose(objective(mirrored), 0.0, atol=1e-12)
+    # Convex would mean at most 0 at the midpoint, a body without mass.
+    assert objective(0.5 * (virtual + mirrored)) > 1.0
+
+
+def test_projection_is_not_convex_among_positive_roots():
+    # Nor is it the mirror images alone: m c = 1 is a curved set of (sqrt(m), c). Two
+    # bodies with one first moment, the metric weighing nothing else.
+    light = virtual_of(1.0, np.array([1.0, 0.0, 0.0]), np.eye(3), 0.1)
+    heavy = virtual_of(4.0, np.array([0.25, 0.0, 0.0]), np.eye(3), 0.1)
+    target = ref.virtual_to_theta(light)
+    metric = np.diag([0.0, 1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
+    objective = partial(ref.projection_objective, theta_uc=target, metric=metric)
+    assert_allclose([objective(light), objective(heavy)], 0.0, atol=1e-12)
+    # sqrt(m) = 1.5 and c = 0.625 give m c = 1.40625.
+    assert_allclose(objective(0.5 * (light + heavy)), 0.5 * 0.40625**2, rtol=1e-12)
+    # The same with every parameter weighed: add a small positive definite metric.
+    objective = partial(
+        ref.projection_objective, theta_uc=target, metric=metric + 1e-3 * np.eye(11)
+    )
+    chord = 0.5 * (objective(light) + objective(heavy))
+    assert objective(0.5 * (light + heavy)) > chord + 0.05
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_set_of_eq30_is_convex_in_theta(seed):
+    # What can be said instead: in theta the feasible set is convex, as the inertia
+    # about the centre of mass is a Schur complement of [[I, S], [S', m 1]].
+    left = ref.virtual_to_theta(random_virtual(seed))
+    right = ref.virtual_to_theta(random_virtual(seed + 100))
+    theta = 0.5 * (left + right)
+    assert theta[0] > 0.0
+    assert np.linalg.eigvalsh(ref.theta_to_inertia_com(theta)).min() > 0.0
+    x, y, z = theta[1:4]
+    S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    schur = ref.theta_to_inertia(theta) - S @ S.T / theta[0]
+    assert_allclose(ref.theta_to_inertia_com(theta), schur, atol=1e-12)

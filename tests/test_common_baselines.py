@@ -1,0 +1,21 @@
+"""The contract of scikit-learn for the baseline regressors."""
+
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from sklearn_vbjfa._instrumental_variables import InstrumentalVariables
+from sklearn_vbjfa._stepwise import StepwiseRegressor
+from sklearn_vbjfa._total_least_squares import TotalLeastSquares
+
+
+@parametrize_with_checks(
+    [
+        StepwiseRegressor(),
+        StepwiseRegressor(fit_intercept=False),
+        TotalLeastSquares(),
+        TotalLeastSquares(fit_intercept=False),
+        InstrumentalVariables(),
+        InstrumentalVariables(fit_intercept=False),
+    ]
+)
+def test_scikit_learn_contract(estimator, check):
+    check(estimator)

@@ -1,0 +1,199 @@
+"""Two-stage least squares against literal formulas and simulated truth."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_vbjfa._instrumental_variables import InstrumentalVariables
+
+examples = settings(derandomize=True, deadline=None, max_examples=25)
+
+
+def make_repeated(seed, n_samples=100, n_features=3, n_instruments=3, noise=0.5):
+    """Inputs measured with noise and instruments; returns X, y, Z, coefficients."""
+    rng = np.random.default_rng(seed)
+    xi = rng.normal(size=(n_samples, n_features)) + 2.0
+    coef = rng.normal(size=n_features)
+    y = xi @ coef - 3.0 + 0.2 * rng.normal(size=n_samples)
+    X = xi + noise * rng.normal(size=xi.shape)
+    mixing = np.eye(n_features, n_instruments)
+    mixing += 0.3 * rng.normal(size=mixing.shape)
+    Z = xi @ mixing + noise * rng.normal(size=(n_samples, n_instruments))
+    return X, y, Z, coef
+
+
+def literal_two_stages(X, y, Z):
+    """Regress X on Z, then y on the prediction; intercepts are columns of ones."""
+    ones = np.ones((len(y), 1))
+    X, Z = np.hstack([X, ones]), np.hstack([Z, ones])
+    predicted = Z @ np.linalg.lstsq(Z, X, rcond=None)[0]
+    solution = np.linalg.lstsq(predicted, y, rcond=None)[0]
+    residual = y - X @ solution
+    variance = residual @ residual / (len(y) - X.shape[1])
+    covariance = variance * np.linalg.inv(predicted.T @ predicted)
+    return solution[:-1], solution[-1], np.sqrt(np.diag(covariance))[:-1]
+
+
+@pytest.mark.parametrize("n_instruments", [3, 7])
+@pytest.mark.parametrize("seed", range(4))
+def test_two_literal_stages(seed, n_instruments):
+    X, y, Z, _ = make_repeated(seed, n_instruments=n_instruments)
+    model = InstrumentalVariables().fit(X, y, instruments=Z)
+    coef, intercept, std = literal_two_stages(X, y, Z)
+    assert_allclose(model.coef_, coef, rtol=1e-9)
+    assert_allclose(model.intercept_, intercept, rtol=1e-9)
+    assert_allclose(model.coef_std_, std, rtol=1e-9)
+    assert model.rank_ == 3
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_as_many_instruments_as_features(seed):
+    X, y, Z, _ = make_repeated(seed)
+    model = InstrumentalVariables(fit_intercept=False).fit(X, y, instruments=Z)
+    assert_allclose(model.coef_, np.linalg.solve(Z.T @ X, Z.T @ y), rtol=1e-9)
+    assert model.intercept_ == 0.0
+
+
+def test_without_instruments_least_squares():
+    X, y, _, _ = make_repeated(0)
+    model = InstrumentalVariables().fit(X, y)
+    expected = LinearRegression().fit(X, y)
+    assert_allclose(model.coef_, expected.coef_, rtol=1e-10)
+    assert_allclose(model.intercept_, expected.intercept_, rtol=1e-10)
+    assert_allclose(model.coef_std_, literal_two_stages(X, y, X)[2], rtol=1e-10)
+    explicit = InstrumentalVariables().fit(X, y, instruments=X)
+    assert_allclose(explicit.coef_, model.coef_, rtol=1e-10)
+
+
+@examples
+@given(seed=st.integers(0, 1000), factor=st.sampled_from([1e-6, 1e-3, 1e6, 1e100]))
+def test_units(seed, factor):
+    X, y, Z, _ = make_repeated(seed, n_instruments=4)
+    rng = np.random.default_rng(seed)
+    scale = factor ** rng.uniform(-1, 1, size=3)
+    reference = InstrumentalVariables().fit(X, y, instruments=Z)
+    model = InstrumentalVariables().fit(
+        X * scale, y / factor, instruments=Z * factor ** rng.uniform(-1, 1, size=4)
+    )
+    assert model.rank_ == 3
+    assert_allclose(model.coef_ * scale * factor, reference.coef_, rtol=1e-7)
+    assert_allclose(model.coef_std_ * scale * factor, reference.coef_std_, rtol=1e-7)
+
+
+@examples
+@given(seed=st.integers(0, 1000))
+def test_permutations_and_span_of_the_instruments(seed):
+    X, y, Z, _ = make_repeated(seed, n_instruments=4)
+    rng = np.random.default_rng(seed)
+    rows, columns = rng.permutation(len(y)), rng.permutation(3)
+    mixed = Z @ np.linalg.qr(rng.normal(size=(4, 4)))[0] + 5.0
+    reference = InstrumentalVariables().fit(X, y, instruments=Z)
+    model = InstrumentalVariables().fit(
+        X[rows][:, columns], y[rows], instruments=mixed[rows]
+    )
+    assert_allclose(model.coef_, reference.coef_[columns], rtol=1e-7, atol=1e-10)
+    assert_allclose(model.coef_std_, reference.coef_std_[columns], rtol=1e-7)
+
+
+@examples
+@given(seed=st.integers(0, 1000))
+def test_weight_counts_repetitions(seed):
+    X, y, Z, _ = make_repeated(seed)
+    weight = np.random.default_rng(seed).integers(0, 4, size=len(y))
+    weighted = InstrumentalVariables().fit(X, y, instruments=Z, sample_weight=weight)
+    repeated = InstrumentalVariables().fit(
+        *(np.repeat(array, weight, axis=0) for array in (X, y)),
+        instruments=np.repeat(Z, weight, axis=0),
+    )
+    for name in ["coef_", "intercept_", "coef_std_"]:
+        assert_allclose(getattr(weighted, name), getattr(repeated, name), rtol=1e-8)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e-6, 1e6])
+def test_duplicate_and_constant_features(factor):
+    X, y, Z, _ = make_repeated(1, n_instruments=6)
+    reference = InstrumentalVariables().fit(X, y, instruments=Z)
+    wide = np.column_stack([X, factor * X[:, 0], np.full(len(y), 0.1)])
+    model = InstrumentalVariables().fit(wide, y, instruments=Z)
+    assert model.rank_ == 3
+    # Copies contribute alike, whatever their units; a constant does not.
+    half = reference.coef_[0] / 2
+    expected = [half, *reference.coef_[1:], half / factor, 0.0]
+    assert_allclose(model.coef_, expected, rtol=1e-8)
+    assert_array_equal(np.isinf(model.coef_std_), [True, False, False, True, True])
+    assert_allclose(model.coef_std_[1:3], reference.coef_std_[1:], rtol=1e-8)
+    assert_allclose(model.predict(wide), reference.predict(X), rtol=1e-8)
+
+
+def test_dependent_instruments_add_nothing():
+    X, y, Z, _ = make_repeated(2)
+    reference = InstrumentalVariables().fit(X, y, instruments=Z)
+    wide = np.column_stack([Z, 1e6 * Z[:, 0], Z[:, 0] - Z[:, 1], np.full(len(y), 3)])
+    model = InstrumentalVariables().fit(X, y, instruments=wide)
+    assert_allclose(model.coef_, reference.coef_, rtol=1e-8)
+    assert_allclose(model.coef_std_, reference.coef_std_, rtol=1e-8)
+
+
+def test_instruments_that_miss_a_direction():
+    X, y, Z, _ = make_repeated(3)
+    model = InstrumentalVariables().fit(X, y, instruments=Z[:, [0, 1, 1]])
+    assert model.rank_ == 2
+    assert np.all(np.isfinite(model.coef_))
+    assert np.all(np.isinf(model.coef_std_))
+
+
+@pytest.mark.parametrize("n_samples", [2, 6, 20])
+def test_more_features_than_samples(n_samples):
+    X, y, _, _ = make_repeated(4, n_samples=n_samples, n_features=20)
+    model = InstrumentalVariables().fit(X, y)
+    assert_allclose(model.predict(X), y, rtol=1e-9)
+    assert np.all(np.isnan(model.coef_std_))
+
+
+@pytest.mark.slow
+def test_attenuation_is_removed_and_uncertainty_is_right():
+    # 400 replications: bias within 4 of its standard errors, coverage of the 95 %
+    # interval within 4 binomial standard errors (0.044).
+    rng = np.random.default_rng(0)
+    coef = np.array([1.0, -2.0])
+    errors, plain, covered = [], [], []
+    for _ in range(400):
+        xi = rng.normal(size=(500, 2))
+        y = xi @ coef + 0.3 * rng.normal(size=500)
+        X, Z = (xi + 0.5 * rng.normal(size=(500, 2)) for _ in range(2))
+        model = InstrumentalVariables().fit(X, y, instruments=Z)
+        errors.append(model.coef_ - coef)
+        covered.append(np.abs(errors[-1]) < 1.96 * model.coef_std_)
+        plain.append(InstrumentalVariables().fit(X, y).coef_ - coef)
+    standard_error = np.std(errors, axis=0) / np.sqrt(400)
+    assert np.all(np.abs(np.mean(errors, axis=0)) < 4 * standard_error)
+    # Least squares shrinks towards zero by 1 / (1 + 0.25).
+    assert_allclose(np.mean(plain, axis=0), -0.2 * coef, atol=0.02)
+    assert_allclose(np.mean(covered, axis=0), 0.95, atol=0.044)
+
+
+def test_bad_input():
+    X, y, Z, _ = make_repeated(5)
+    with pytest.raises(ValueError, match="at least 3 columns, .* got 2. Add instrum"):
+        InstrumentalVariables().fit(X, y, instruments=Z[:, :2])
+    with pytest.raises(ValueError, match="inconsistent numbers of samples"):
+        InstrumentalVariables().fit(X, y, instruments=Z[1:])
+    with pytest.raises(ValueError, match="instruments contains NaN"):
+        InstrumentalVariables().fit(X, y, instruments=np.where(Z == Z[0, 0], np.nan, Z))
+
+
+def test_instruments_pass_through_a_searched_pipeline():
+    X, y, Z, _ = make_repeated(6)
+    pipeline = make_pipeline(StandardScaler(), InstrumentalVariables())
+    reference = InstrumentalVariables().fit(X, y, instruments=Z)
+    fitted = pipeline.fit(X, y, instrumentalvariables__instruments=Z)
+    assert_allclose(fitted.predict(X), reference.predict(X), rtol=1e-9)
+    search = GridSearchCV(pipeline, {"standardscaler__with_mean": [True, False]})
+    search.fit(X, y, instrumentalvariables__instruments=Z)
+    assert_allclose(search.predict(X), reference.predict(X), rtol=1e-9)

@@ -1,0 +1,380 @@
+"""Stepwise regression against refits, the textbook's trace, and its invariances."""
+
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import stats
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_vbjfa._core._stepwise import select_features, sweep
+from sklearn_vbjfa._stepwise import StepwiseRegressor
+
+examples = settings(derandomize=True, deadline=None, max_examples=25)
+
+
+def residual_sum(X, y, weight, chosen, fit_intercept):
+    """Residual sum of squares of a refit on the chosen columns."""
+    columns = [X[:, j] for j in chosen]
+    if fit_intercept:
+        columns.append(np.ones(len(y)))
+    root = np.sqrt(weight)
+    if not columns:
+        return np.sum(weight * y**2)
+    design = np.column_stack(columns) * root[:, None]
+    solution = np.linalg.lstsq(design, root * y, rcond=None)[0]
+    return np.sum((root * y - design @ solution) ** 2)
+
+
+def literal_stepwise(X, y, *, p_enter, p_remove, weight=None, fit_intercept=True):
+    """Draper & Smith's procedure, refitting each candidate model."""
+    weight = np.ones(len(y)) if weight is None else weight
+    chosen, path = [], []
+
+    def test(larger, feature):
+        smaller = [j for j in larger if j != feature]
+        rss = residual_sum(X, y, weight, larger, fit_intercept)
+        rise = residual_sum(X, y, weight, smaller, fit_intercept) - rss
+        nu = weight.sum() - len(larger) - fit_intercept
+        F = rise / (rss / nu)
+        return F, stats.f.sf(F, 1, nu)
+
+    while True:
+        tests = [(*test(chosen, j), j) for j in chosen]
+        if tests and min(tests)[1] > p_remove:
+            F, p_value, j = min(tests)
+            chosen.remove(j)
+            path.append((j, "remove", F, p_value))
+            continue
+        tests = [
+            (*test([*chosen, j], j), j) for j in range(X.shape[1]) if j not in chosen
+        ]
+        if tests and max(tests)[1] < p_enter:
+            F, p_value, j = max(tests)
+            chosen.append(j)
+            path.append((j, "enter", F, p_value))
+            continue
+        return sorted(chosen), path
+
+
+def make_collinear(seed, n_samples=60, n_features=8):
+    """Correlated features, offsets, different scales; returns data and the truth."""
+    rng = np.random.default_rng(seed)
+    mixing = rng.normal(size=(n_features, n_features))
+    X = rng.normal(size=(n_samples, n_features)) @ (mixing + 0.5)
+    coef = np.where(rng.random(n_features) < 0.5, rng.normal(size=n_features), 0.0)
+    y = X @ coef + 5.0 + 2.0 * rng.normal(size=n_samples)
+    return X + 10 * rng.normal(size=n_features), y, coef
+
+
+def models_along(path, n_features):
+    """Return the models visited by a path, the empty one first."""
+    model, models = set(), [frozenset()]
+    for step in path:
+        (model.add if step.action == "enter" else model.remove)(step.feature)
+        models.append(frozenset(model))
+    return models
+
+
+@pytest.fixture
+def hald():
+    """Heat evolved by 13 cements, with the contents of four compounds [%]."""
+    X = np.array(
+        [
+            [7, 1, 11, 11, 7, 11, 3, 1, 2, 21, 1, 11, 10],
+            [26, 29, 56, 31, 52, 55, 71, 31, 54, 47, 40, 66, 68],
+            [6, 15, 8, 8, 6, 9, 17, 22, 18, 4, 23, 9, 8],
+            [60, 52, 20, 47, 33, 22, 6, 44, 22, 26, 34, 12, 12],
+        ],
+        dtype=float,
+    ).T
+    y = [
+        *[78.5, 74.3, 104.3, 87.6, 95.9, 109.2, 102.7],
+        *[72.5, 93.1, 115.9, 83.8, 113.3, 109.4],
+    ]
+    return X, np.array(y)
+
+
+def test_textbook_trace(hald):
+    # The worked example of Draper & Smith: x4, x1 and x2 enter, x4 leaves.
+    model = StepwiseRegressor(p_enter=0.10, p_remove=0.10).fit(*hald)
+    assert [(step.feature, step.action) for step in model.path_] == [
+        (3, "enter"),
+        (0, "enter"),
+        (1, "enter"),
+        (3, "remove"),
+    ]
+    F = [step.F for step in model.path_]
+    assert_allclose(F, [22.80, 108.22, 5.03, 1.86], atol=0.005)
+    assert_allclose(model.coef_, [1.47, 0.66, 0, 0], atol=0.005)
+    assert_allclose(model.intercept_, 52.58, atol=0.005)
+    assert model.converged_
+    assert model.n_iter_ == 4
+
+
+@pytest.mark.parametrize("fit_intercept", [True, False])
+@pytest.mark.parametrize("seed", range(8))
+def test_path_equals_refits(seed, fit_intercept):
+    X, y, _ = make_collinear(seed)
+    weight = np.random.default_rng(seed).integers(1, 4, size=len(y)).astype(float)
+    model = StepwiseRegressor(p_enter=0.2, p_remove=0.2, fit_intercept=fit_intercept)
+    model.fit(X, y, sample_weight=weight)
+    chosen, path = literal_stepwise(
+        X, y, p_enter=0.2, p_remove=0.2, weight=weight, fit_intercept=fit_intercept
+    )
+    assert [(step.feature, step.action) for step in model.path_] == [
+        step[:2] for step in path
+    ]
+    assert_allclose([s.F for s in model.path_], [s[2] for s in path], rtol=1e-8)
+    assert_allclose([s.p_value for s in model.path_], [s[3] for s in path], rtol=1e-7)
+    assert_array_equal(np.flatnonzero(model.selected_), chosen)
+
+    design = np.column_stack([X[:, chosen], np.full(len(y), float(fit_intercept))])
+    root = np.sqrt(weight)[:, None]
+    solution = np.linalg.lstsq(design * root, y * root[:, 0], rcond=None)[0]
+    assert_allclose(model.coef_[chosen], solution[:-1], rtol=1e-9)
+    assert_allclose(model.intercept_, solution[-1], rtol=1e-9)
+    assert np.all(model.coef_[~model.selected_] == 0)
+
+
+def test_refits_include_removals():
+    # Else the comparison above would not cover the backward half.
+    actions = [
+        step[1]
+        for seed in range(8)
+        for step in literal_stepwise(
+            *make_collinear(seed)[:2], p_enter=0.2, p_remove=0.2
+        )[1]
+    ]
+    assert actions.count("remove") >= 2
+
+
+def test_sweep_gives_inverse_coefficients_and_residual():
+    X, y, _ = make_collinear(0, n_features=4)
+    table = np.column_stack([X, y]).T @ np.column_stack([X, y])
+    swept = table
+    for pivot in [2, 0]:
+        swept = sweep(swept, pivot)
+    block = np.ix_([0, 2], [0, 2])
+    assert_allclose(swept[block], np.linalg.inv(table[block]), rtol=1e-9)
+    coef, rss = np.linalg.lstsq(X[:, [0, 2]], y, rcond=None)[:2]
+    assert_allclose(swept[[0, 2], -1], coef, rtol=1e-9)
+    assert_allclose(swept[-1, -1], rss[0], rtol=1e-9)
+    assert_allclose(sweep(sweep(table, 1), 1), table, rtol=1e-9)
+
+
+@examples
+@given(seed=st.integers(0, 1000), factor=st.sampled_from([1e-6, 1e-3, 1e6, 1e100]))
+def test_units(seed, factor):
+    X, y, _ = make_collinear(seed)
+    rng = np.random.default_rng(seed)
+    scale = factor ** rng.uniform(-1, 1, size=X.shape[1])
+    reference = StepwiseRegressor().fit(X, y)
+    model = StepwiseRegressor().fit(X * scale, y / factor)
+    assert [(s.feature, s.action) for s in model.path_] == [
+        (s.feature, s.action) for s in reference.path_
+    ]
+    assert_allclose(model.coef_ * scale * factor, reference.coef_, rtol=1e-8)
+    assert_allclose(model.intercept_ * factor, reference.intercept_, rtol=1e-8)
+
+
+@examples
+@given(seed=st.integers(0, 1000))
+def test_permutations_and_offsets(seed):
+    X, y, _ = make_collinear(seed)
+    rng = np.random.default_rng(seed)
+    rows, columns = rng.permutation(X.shape[0]), rng.permutation(X.shape[1])
+    reference = StepwiseRegressor().fit(X, y)
+    model = StepwiseRegressor().fit((X + 1e3)[rows][:, columns], y[rows] - 1e3)
+    assert_array_equal(model.selected_, reference.selected_[columns])
+    assert_allclose(model.coef_, reference.coef_[columns], rtol=1e-8, atol=1e-12)
+
+
+@examples
+@given(seed=st.integers(0, 1000))
+def test_weight_counts_repetitions(seed):
+    X, y, _ = make_collinear(seed, n_samples=40)
+    weight = np.random.default_rng(seed).integers(0, 4, size=len(y))
+    X[weight == 0] *= 1e6
+    weighted = StepwiseRegressor().fit(X, y, sample_weight=weight)
+    repeated = StepwiseRegressor().fit(
+        np.repeat(X, weight, axis=0), np.repeat(y, weight)
+    )
+    assert len(weighted.path_) == len(repeated.path_)
+    for step, expected in zip(weighted.path_, repeated.path_):
+        assert (step.feature, step.action) == (expected.feature, expected.action)
+        assert_allclose([step.F, step.p_value], [expected.F, expected.p_value], 1e-7)
+    assert_allclose(weighted.coef_, repeated.coef_, rtol=1e-9, atol=1e-12)
+    assert_allclose(weighted.intercept_, repeated.intercept_, rtol=1e-9)
+
+
+def test_degrees_of_freedom_use_the_sum_of_weights():
+    X, y, _ = make_collinear(3)
+    F = [
+        StepwiseRegressor().fit(X, y, sample_weight=np.full(60, w)).path_[0].F
+        for w in (1.0, 2.5)
+    ]
+    assert_allclose(F[1] / F[0], (2.5 * 60 - 2) / (60 - 2), rtol=1e-10)
+
+
+@examples
+@given(seed=st.integers(0, 1000), p_value=st.sampled_from([0.05, 0.3, 0.7, 1.0]))
+def test_no_model_comes_back(seed, p_value):
+    X, y, _ = make_collinear(seed, n_samples=30, n_features=12)
+    model = StepwiseRegressor(p_enter=p_value, p_remove=p_value).fit(X, y)
+    models = models_along(model.path_, 12)
+    assert len(set(models)) == len(models)
+    assert model.converged_
+    assert models[-1] == set(np.flatnonzero(model.selected_))
+
+
+def test_guard_against_cycles():
+    # Thresholds that the estimator refuses do cycle; the guard ends the search.
+    X, y, _ = make_collinear(0)
+    data = np.column_stack([X, y])
+    correlation = np.corrcoef(data.T)
+    selection = select_features(
+        correlation, 59.0, p_enter=0.9, p_remove=1e-6, max_iter=None
+    )
+    assert selection.status == "revisited"
+
+
+def test_guard_is_reported(monkeypatch):
+    X, y, _ = make_collinear(0)
+    monkeypatch.setattr(
+        "sklearn_vbjfa._stepwise.select_features",
+        lambda *args, **kwargs: select_features(
+            *args, p_enter=0.9, p_remove=1e-6, max_iter=None
+        ),
+    )
+    with pytest.warns(ConvergenceWarning, match="rounding proposed a model"):
+        model = StepwiseRegressor().fit(X, y)
+    assert not model.converged_
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e-6, 3e6])
+def test_duplicate_and_constant_columns_do_not_matter(factor):
+    X, y, _ = make_collinear(1)
+    reference = StepwiseRegressor().fit(X, y)
+    extra = [np.full(len(y), 0.1), X * factor, X[:, :2].sum(axis=1), np.zeros(len(y))]
+    model = StepwiseRegressor().fit(np.column_stack([X, *extra]), y)
+    assert_array_equal(model.selected_[: X.shape[1]], reference.selected_)
+    assert not model.selected_[X.shape[1] :].any()
+    assert_allclose(model.coef_[: X.shape[1]], reference.coef_, rtol=1e-9)
+
+
+def test_linear_combination_enters_instead_of_its_parts():
+    rng = np.random.default_rng(0)
+    parts = rng.normal(size=(200, 2))
+    X = np.column_stack([parts, parts.sum(axis=1)])
+    y = X[:, 2] + 0.1 * rng.normal(size=200)
+    model = StepwiseRegressor().fit(X, y)
+    assert_array_equal(model.selected_, [False, False, True])
+
+
+def test_nearly_collinear_features():
+    # Variance inflation of 1e6: coefficients as accurate as orthogonal ones.
+    rng = np.random.default_rng(0)
+    first, second = rng.normal(size=(2, 500))
+    X = np.column_stack([first, first + 1e-3 * second])
+    y = X @ [3.0, -2.0] + 1e-4 * rng.normal(size=500)
+    model = StepwiseRegressor().fit(X, y)
+    design = np.column_stack([X, np.ones(500)])
+    assert model.selected_.all()
+    assert_allclose(model.coef_, np.linalg.lstsq(design, y)[0][:2], rtol=1e-10)
+
+
+def test_more_features_than_samples():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(30, 100))
+    y = 5.0 * X[:, 7] - 4.0 * X[:, 70] + 0.1 * rng.normal(size=30)
+    model = StepwiseRegressor(p_enter=1e-4, p_remove=1e-4).fit(X, y)
+    assert_array_equal(np.flatnonzero(model.selected_), [7, 70])
+    greedy = StepwiseRegressor(p_enter=1.0, p_remove=1.0).fit(X, y)
+    assert greedy.selected_.sum() <= 28
+    assert np.all(np.isfinite(greedy.coef_))
+
+
+@pytest.mark.parametrize("fit_intercept", [True, False])
+def test_exact_relation_ends_the_search(fit_intercept):
+    X, _, _ = make_collinear(2)
+    y = X[:, 1] - 2 * X[:, 4] + (7.0 if fit_intercept else 0.0)
+    model = StepwiseRegressor(fit_intercept=fit_intercept).fit(X, y)
+    assert model.selected_[[1, 4]].all()
+    assert_allclose(model.predict(X), y, rtol=1e-9)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, -1e300])
+def test_constant_output(value):
+    X, _, _ = make_collinear(2)
+    model = StepwiseRegressor().fit(X, np.full(len(X), value))
+    assert model.path_ == ()
+    assert_allclose(model.predict(X), value, rtol=1e-14)
+
+
+def test_nothing_significant_leaves_the_mean():
+    rng = np.random.default_rng(5)
+    X, y = rng.normal(size=(50, 3)), rng.normal(size=50)
+    model = StepwiseRegressor(p_enter=1e-6, p_remove=1e-6).fit(X, y)
+    assert not model.selected_.any()
+    assert model.n_iter_ == 0
+    assert_allclose(model.intercept_, y.mean(), rtol=1e-12)
+    model.set_params(fit_intercept=False).fit(X, y)
+    assert_array_equal(model.predict(X), np.zeros(50))
+
+
+@pytest.mark.slow
+def test_false_entries_keep_their_rate():
+    # One irrelevant feature enters with probability p_enter. 2000 replications,
+    # binomial tolerance of 4 standard errors.
+    rng = np.random.default_rng(0)
+    entered = 0
+    for _ in range(2000):
+        X, y = rng.normal(size=(12, 1)), rng.normal(size=12)
+        entered += StepwiseRegressor().fit(X, y).selected_[0]
+    assert abs(entered / 2000 - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 2000)
+
+
+def test_max_iter_warns_only_when_it_stops_the_search(hald):
+    model = StepwiseRegressor(p_enter=0.10, p_remove=0.10, max_iter=2)
+    with pytest.warns(ConvergenceWarning, match="stopped at max_iter=2 steps"):
+        model.fit(*hald)
+    assert model.n_iter_ == 2
+    assert not model.converged_
+    assert StepwiseRegressor(max_iter=2).fit(*hald).converged_
+
+
+def test_steps_are_immutable(hald):
+    step = StepwiseRegressor().fit(*hald).path_[0]
+    with pytest.raises(FrozenInstanceError):
+        step.F = 0.0
+
+
+def test_bad_input(hald):
+    X, y = hald
+    with pytest.raises(ValueError, match=r"got p_enter=0.2 and p_remove=0.1\. Lower"):
+        StepwiseRegressor(p_enter=0.2).fit(X, y)
+    with pytest.raises(ValueError, match="sum up to more than 2, got 1"):
+        StepwiseRegressor().fit(X, y, sample_weight=np.full(13, 1 / 13))
+    with pytest.raises(ValueError, match="must not be negative, got a smallest"):
+        StepwiseRegressor().fit(X, y, sample_weight=np.linspace(-1, 1, 13))
+    with pytest.raises(ValueError, match="at least one non-zero"):
+        StepwiseRegressor().fit(X, y, sample_weight=np.zeros(13))
+    with pytest.raises(ValueError, match="'p_enter' parameter of StepwiseRegressor"):
+        StepwiseRegressor(p_enter=0.0).fit(X, y)
+
+
+def test_last_step_of_a_searched_pipeline():
+    X, y, _ = make_collinear(4, n_samples=100)
+    search = GridSearchCV(
+        make_pipeline(StandardScaler(), StepwiseRegressor()),
+        {"stepwiseregressor__p_enter": [0.001, 0.05]},
+    ).fit(X, y)
+    assert search.best_estimator_[-1].selected_.any()
+    assert search.score(X, y) > 0

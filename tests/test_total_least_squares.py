@@ -1,0 +1,321 @@
+"""Total least squares against closed forms, its objective and another solver."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.linalg import eigh
+from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from sklearn_vbjfa._total_least_squares import TotalLeastSquares
+
+examples = settings(derandomize=True, deadline=None, max_examples=25)
+
+
+def make_noisy(seed, n_samples=80, n_features=3, input_std=0.3, output_std=0.3):
+    """Noisy inputs and output with offsets; returns data and the coefficients."""
+    rng = np.random.default_rng(seed)
+    xi = rng.normal(size=(n_samples, n_features)) @ (
+        np.eye(n_features) + 0.3 * rng.normal(size=(n_features, n_features))
+    )
+    coef = rng.normal(size=n_features)
+    y = xi @ coef + 4.0 + output_std * rng.normal(size=n_samples)
+    X = xi + input_std * rng.normal(size=xi.shape) + 2.0
+    return X, y, coef
+
+
+def make_covariance(seed, n_features=3):
+    """Noise covariance of full rank."""
+    factor = np.random.default_rng(seed).normal(size=(n_features, n_features))
+    return factor @ factor.T + 0.1 * np.eye(n_features)
+
+
+def objective(coef, intercept, X, y, weight, input_noise, output_noise):
+    """Weighted squared distances to the hyperplane, in the metric of the noise."""
+    variance = output_noise + coef @ input_noise @ coef
+    return np.sum(weight * (y - X @ coef - intercept) ** 2) / variance
+
+
+def test_smallest_eigenvector():
+    X, y, _ = make_noisy(0)
+    model = TotalLeastSquares().fit(X, y)
+    values, vectors = np.linalg.eigh(np.cov(X.T, y))
+    assert_allclose(model.coef_, -vectors[:-1, 0] / vectors[-1, 0], rtol=1e-9)
+    assert_allclose(model.intercept_, y.mean() - X.mean(axis=0) @ model.coef_)
+    assert model.generic_
+    assert model.rank_ == 3
+    # The same as deflated normal equations (Golub & Van Loan, 1980).
+    C = np.cov(X.T, y)
+    deflated = np.linalg.solve(C[:-1, :-1] - values[0] * np.eye(3), C[:-1, -1])
+    assert_allclose(model.coef_, deflated, rtol=1e-9)
+
+
+def test_one_feature_formula():
+    # Deming's closed form for one feature and a known ratio of variances.
+    X, y, _ = make_noisy(1, n_features=1)
+    ratio = 2.5
+    C = np.cov(X[:, 0], y)
+    gap = C[1, 1] - ratio * C[0, 0]
+    slope = (gap + np.sqrt(gap**2 + 4 * ratio * C[0, 1] ** 2)) / (2 * C[0, 1])
+    model = TotalLeastSquares(input_noise=[0.2], output_noise=0.2 * ratio).fit(X, y)
+    assert_allclose(model.coef_, [slope], rtol=1e-10)
+
+
+def test_generalised_eigenvector_without_intercept():
+    X, y, _ = make_noisy(2)
+    covariance = make_covariance(2)
+    model = TotalLeastSquares(
+        input_noise=covariance, output_noise=0.7, fit_intercept=False
+    ).fit(X, y)
+    noise = np.zeros((4, 4))
+    noise[:3, :3], noise[3, 3] = covariance, 0.7
+    data = np.column_stack([X, y])
+    vector = eigh(data.T @ data, noise)[1][:, 0]
+    assert_allclose(model.coef_, -vector[:3] / vector[3], rtol=1e-8)
+    assert model.intercept_ == 0.0
+
+
+@pytest.mark.parametrize("kind", ["classical", "variances", "exact", "singular"])
+@pytest.mark.parametrize("seed", range(3))
+def test_minimises_its_objective(kind, seed):
+    X, y, _ = make_noisy(seed)
+    weight = np.random.default_rng(seed).uniform(0.5, 2.0, size=len(y))
+    direction = np.array([1.0, 2.0, -1.0])
+    noise, parameter, output_noise = {
+        "classical": (np.eye(3), None, None),
+        "variances": (np.diag([0.5, 2.0, 0.1]), [0.5, 2.0, 0.1], 0.3),
+        "exact": (np.diag([0.5, 0.0, 0.1]), [0.5, 0.0, 0.1], 0.3),
+        "singular": (np.outer(direction, direction),) * 2 + (0.3,),
+    }[kind]
+    model = TotalLeastSquares(input_noise=parameter, output_noise=output_noise)
+    model.fit(X, y, sample_weight=weight)
+    arguments = (X, y, weight, noise, output_noise or 1.0)
+
+    def value(parameters):
+        return objective(parameters[:3], parameters[3], *arguments)
+
+    best = np.append(model.coef_, model.intercept_)
+    for step in np.eye(4) * 1e-5:
+        slope = (value(best + step) - value(best - step)) / 2e-5
+        assert abs(slope) < 1e-6 * value(best)
+    rng = np.random.default_rng(seed)
+    for size in [1e-2, 1e-1, 1.0, 10.0]:
+        for _ in range(100):
+            assert value(best) < value(best + size * rng.normal(size=4))
+
+
+@pytest.mark.parametrize("covariance", [np.eye(3), make_covariance(4)])
+def test_orthogonal_distance_regression(covariance):
+    odrpack = pytest.importorskip("odrpack")
+    X, y, _ = make_noisy(5)
+    start = LinearRegression().fit(X, y)
+    result = odrpack.odr_fit(
+        lambda x, beta: beta[:3] @ x + beta[3],
+        X.T.copy(),
+        y,
+        np.append(start.coef_, start.intercept_),
+        weight_x=np.linalg.inv(covariance),
+        weight_y=2.0,
+        maxit=500,
+        sstol=1e-15,
+        partol=1e-12,
+        diff_scheme="central",
+    )
+    model = TotalLeastSquares(input_noise=covariance, output_noise=0.5).fit(X, y)
+    assert_allclose(model.coef_, result.beta[:3], rtol=1e-5)
+    assert_allclose(model.intercept_, result.beta[3], rtol=1e-5)
+
+
+def test_exact_inputs_are_least_squares():
+    X, y, _ = make_noisy(6)
+    model = TotalLeastSquares(input_noise=np.zeros(3), output_noise=1.0).fit(X, y)
+    expected = LinearRegression().fit(X, y)
+    assert_allclose(model.coef_, expected.coef_, rtol=1e-10)
+    assert_allclose(model.intercept_, expected.intercept_, rtol=1e-10)
+    model.set_params(input_noise=np.full(3, 1e-12)).fit(X, y)
+    assert_allclose(model.coef_, expected.coef_, rtol=1e-8)
+
+
+def test_common_factor_of_the_noise_does_not_matter():
+    X, y, _ = make_noisy(7)
+    classical = TotalLeastSquares().fit(X, y)
+    for factor in [1e-8, 1.0, 1e8]:
+        model = TotalLeastSquares(
+            input_noise=np.full(3, factor), output_noise=factor
+        ).fit(X, y)
+        assert_allclose(model.coef_, classical.coef_, rtol=1e-9)
+
+
+@examples
+@given(seed=st.integers(0, 1000), factor=st.sampled_from([1e-6, 1e-3, 1e6]))
+def test_units(seed, factor):
+    X, y, _ = make_noisy(seed)
+    scale = factor ** np.random.default_rng(seed).uniform(-1, 1, size=3)
+    covariance = make_covariance(seed)
+    reference = TotalLeastSquares(input_noise=covariance, output_noise=0.2).fit(X, y)
+    model = TotalLeastSquares(
+        input_noise=covariance * np.outer(scale, scale), output_noise=0.2 * factor**2
+    ).fit(X * scale, y * factor)
+    assert_allclose(model.coef_ * scale / factor, reference.coef_, rtol=1e-7)
+    assert_allclose(model.intercept_ / factor, reference.intercept_, rtol=1e-7)
+
+
+@examples
+@given(seed=st.integers(0, 1000))
+def test_permutations_and_rotations(seed):
+    X, y, _ = make_noisy(seed)
+    rng = np.random.default_rng(seed)
+    noise = np.array([0.3, 0.0, 0.1])
+    rows, columns = rng.permutation(X.shape[0]), rng.permutation(3)
+    reference = TotalLeastSquares(input_noise=noise, output_noise=0.2).fit(X, y)
+    model = TotalLeastSquares(input_noise=noise[columns], output_noise=0.2)
+    model.fit(X[rows][:, columns], y[rows])
+    assert_allclose(model.coef_, reference.coef_[columns], rtol=1e-7, atol=1e-10)
+
+    rotation = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+    reference = TotalLeastSquares().fit(X, y)
+    model = TotalLeastSquares().fit(X @ rotation, y)
+    assert_allclose(rotation @ model.coef_, reference.coef_, rtol=1e-7, atol=1e-10)
+
+
+@examples
+@given(seed=st.integers(0, 1000))
+def test_weight_counts_repetitions(seed):
+    X, y, _ = make_noisy(seed)
+    weight = np.random.default_rng(seed).integers(0, 4, size=len(y))
+    weighted = TotalLeastSquares().fit(X, y, sample_weight=weight)
+    repeated = TotalLeastSquares().fit(
+        np.repeat(X, weight, axis=0), np.repeat(y, weight)
+    )
+    assert_allclose(weighted.coef_, repeated.coef_, rtol=1e-8, atol=1e-12)
+    assert_allclose(weighted.intercept_, repeated.intercept_, rtol=1e-8)
+
+
+def test_nongeneric_problem():
+    # y is orthogonal to the direction of the second feature, and farther from the
+    # first than the second feature is long: no finite solution uses the second.
+    X = np.array([[1.0, 0.0], [0.0, 0.1], [0.0, 0.0]])
+    y = np.array([1.0, 0.0, 1.0])
+    model = TotalLeastSquares(fit_intercept=False).fit(X, y)
+    alone = TotalLeastSquares(fit_intercept=False).fit(X[:, :1], y)
+    assert not model.generic_
+    assert model.rank_ == 1
+    assert_allclose(model.coef_, [alone.coef_[0], 0.0], atol=1e-12)
+    assert alone.generic_
+
+    near = X + [[0, 0], [0, 0], [0, 1e-3]]
+    model.fit(near, y)
+    assert model.generic_
+    assert abs(model.coef_[1]) > 1
+
+
+def test_duplicate_columns_share_their_coefficient():
+    X, y, _ = make_noisy(8, n_features=1)
+    model = TotalLeastSquares().fit(np.column_stack([X, X]), y)
+    # Two copies are one feature, longer by sqrt(2).
+    longer = TotalLeastSquares().fit(np.sqrt(2) * X, y)
+    assert_allclose(model.coef_, np.full(2, longer.coef_[0] / np.sqrt(2)), rtol=1e-9)
+    assert not model.generic_
+    assert model.rank_ == 1
+
+
+@pytest.mark.parametrize("noise", [np.eye(3), np.zeros((3, 3)), np.diag([1, 0, 1])])
+def test_constant_column(noise):
+    X, y, _ = make_noisy(9)
+    X[:, 1] = 0.1
+    model = TotalLeastSquares(input_noise=noise, output_noise=1.0).fit(X, y)
+    reduced = TotalLeastSquares(
+        input_noise=np.delete(np.diag(noise), 1), output_noise=1.0
+    ).fit(X[:, [0, 2]], y)
+    assert_allclose(model.coef_[[0, 2]], reduced.coef_, rtol=1e-9)
+    assert model.coef_[1] == 0
+    assert not model.generic_
+
+
+def test_noisy_feature_in_the_span_of_exact_ones():
+    X, y, _ = make_noisy(10)
+    X[:, 2] = X[:, 0] - X[:, 1]
+    model = TotalLeastSquares(input_noise=[0, 0, 1.0], output_noise=1.0).fit(X, y)
+    expected = LinearRegression().fit(X[:, :2], y)
+    assert_allclose(model.coef_, [*expected.coef_, 0.0], rtol=1e-9, atol=1e-12)
+    assert not model.generic_
+
+
+def test_more_features_than_samples():
+    X, y, _ = make_noisy(11, n_samples=6, n_features=20)
+    model = TotalLeastSquares().fit(X, y)
+    expected = np.linalg.pinv(X - X.mean(axis=0)) @ (y - y.mean())
+    assert_allclose(model.coef_, expected, rtol=1e-9)
+    assert_allclose(model.predict(X), y, rtol=1e-9)
+    assert model.rank_ == 5
+
+
+@pytest.mark.parametrize("offset", [0.0, 1e6])
+def test_exact_relation(offset):
+    X, _, coef = make_noisy(12)
+    X = X + offset
+    model = TotalLeastSquares().fit(X, X @ coef - 1.0)
+    assert_allclose(model.coef_, coef, rtol=1e-8)
+    assert model.generic_
+
+
+@pytest.mark.slow
+def test_consistent_where_least_squares_is_not():
+    # 200 replications of 2000 samples; the mean error is compared with 4 of its
+    # own standard errors.
+    errors = {"tls": [], "ols": [], "mixed": [], "all noisy": []}
+    rng = np.random.default_rng(0)
+    coef = np.array([1.0, -2.0])
+    for _ in range(200):
+        xi = rng.normal(size=(2000, 2))
+        y = xi @ coef + 0.5 * rng.normal(size=2000)
+        noise = rng.normal(size=(2000, 2))
+        X = xi + 0.5 * noise
+        errors["tls"].append(TotalLeastSquares().fit(X, y).coef_ - coef)
+        errors["ols"].append(LinearRegression().fit(X, y).coef_ - coef)
+        X = xi + [0.8, 0.0] * noise
+        mixed = TotalLeastSquares(input_noise=[0.64, 0.0], output_noise=0.25)
+        errors["mixed"].append(mixed.fit(X, y).coef_ - coef)
+        errors["all noisy"].append(TotalLeastSquares().fit(X, y).coef_ - coef)
+    bias = {
+        name: np.abs(np.mean(e, axis=0)) / (np.std(e, axis=0) / np.sqrt(len(e)))
+        for name, e in errors.items()
+    }
+    assert np.all(bias["tls"] < 4)
+    assert np.all(bias["mixed"] < 4)
+    assert np.all(bias["ols"] > 20)
+    assert bias["all noisy"].max() > 20
+
+
+def test_bad_input():
+    X, y, _ = make_noisy(13)
+    with pytest.raises(ValueError, match="must be given together"):
+        TotalLeastSquares(input_noise=np.ones(3)).fit(X, y)
+    with pytest.raises(ValueError, match="must be given together"):
+        TotalLeastSquares(output_noise=1.0).fit(X, y)
+    with pytest.raises(ValueError, match=r"must be 3 variances .* got shape \(2,\)"):
+        TotalLeastSquares(input_noise=np.ones(2), output_noise=1.0).fit(X, y)
+    with pytest.raises(ValueError, match="no negative variance, got -1;"):
+        TotalLeastSquares(input_noise=[1, -1, 1], output_noise=1.0).fit(X, y)
+    for noise in [np.ones((3, 3)) + np.eye(3)[[1, 2, 0]], 2 * np.ones((3, 3))]:
+        noise[np.diag_indices(3)] = 1.0
+        with pytest.raises(ValueError, match="symmetric covariance without negative"):
+            TotalLeastSquares(input_noise=noise, output_noise=1.0).fit(X, y)
+    with pytest.raises(ValueError, match="'output_noise' parameter"):
+        TotalLeastSquares(input_noise=np.ones(3), output_noise=0.0).fit(X, y)
+
+
+def test_last_step_of_a_searched_pipeline():
+    X, y, _ = make_noisy(14)
+    search = GridSearchCV(
+        make_pipeline(
+            StandardScaler(), TotalLeastSquares(input_noise=np.ones(3), output_noise=1)
+        ),
+        {"totalleastsquares__output_noise": [0.1, 1.0, 10.0]},
+    ).fit(X, y)
+    assert search.score(X, y) > 0.5
+    assert_array_equal(search.best_estimator_[-1].input_noise, np.ones(3))

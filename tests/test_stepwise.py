@@ -64,12 +64,12 @@ def literal_stepwise(X, y, *, p_enter, p_remove, weight=None, fit_intercept=True
 
 
 def make_collinear(seed, n_samples=60, n_features=8):
-    """Correlated features, offsets, different scales; returns data and the truth."""
+    """Return noisy mixtures of four signals with offsets, output, and the truth."""
     rng = np.random.default_rng(seed)
-    mixing = rng.normal(size=(n_features, n_features))
-    X = rng.normal(size=(n_samples, n_features)) @ (mixing + 0.5)
+    X = rng.normal(size=(n_samples, 4)) @ rng.normal(size=(4, n_features))
+    X += 0.3 * rng.normal(size=X.shape)
     coef = np.where(rng.random(n_features) < 0.5, rng.normal(size=n_features), 0.0)
-    y = X @ coef + 5.0 + 2.0 * rng.normal(size=n_samples)
+    y = X @ coef + 5.0 + rng.normal(size=n_samples)
     return X + 10 * rng.normal(size=n_features), y, coef
 
 
@@ -201,7 +201,7 @@ def test_permutations_and_offsets(seed):
 def test_weight_counts_repetitions(seed):
     X, y, _ = make_collinear(seed, n_samples=40)
     weight = np.random.default_rng(seed).integers(0, 4, size=len(y))
-    X[weight == 0] *= 1e6
+    X[weight == 0] *= 1e20
     weighted = StepwiseRegressor().fit(X, y, sample_weight=weight)
     repeated = StepwiseRegressor().fit(
         np.repeat(X, weight, axis=0), np.repeat(y, weight)
@@ -299,6 +299,31 @@ def test_more_features_than_samples():
     greedy = StepwiseRegressor(p_enter=1.0, p_remove=1.0).fit(X, y)
     assert greedy.selected_.sum() <= 28
     assert np.all(np.isfinite(greedy.coef_))
+
+
+@examples
+@given(seed=st.integers(0, 1000), size=st.sampled_from([0.0, 1e-7, 1e-4]))
+def test_collinearity_of_the_model_is_bounded(seed, size):
+    # Twelve features that span four directions up to a small rest.
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(60, 4)) @ rng.normal(size=(4, 12))
+    X += size * rng.normal(size=X.shape)
+    y = X[:, 0] + rng.normal(size=60)
+    model = StepwiseRegressor(p_enter=1.0, p_remove=1.0).fit(X, y)
+    chosen = X[:, model.selected_]
+    # Inflation factors by orthogonal factorisation, not by the matrix under test.
+    Z = (chosen - chosen.mean(axis=0)) / np.std(chosen, axis=0) / np.sqrt(60)
+    inverse = np.linalg.inv(np.linalg.qr(Z, mode="r"))
+    inflation = np.sum(inverse**2, axis=1)
+    assert np.all(inflation * np.sqrt(np.finfo(float).eps) < 1 + 1e-4)
+    assert chosen.shape[1] == 4 or size > 1e-7
+    assert model.converged_
+
+
+def test_nothing_enters_after_an_exact_fit():
+    X = np.random.default_rng(0).normal(size=(50, 6))
+    model = StepwiseRegressor(p_enter=1.0, p_remove=1.0).fit(X, 0.3 * X[:, 2] + 1)
+    assert_array_equal(np.flatnonzero(model.selected_), [2])
 
 
 @pytest.mark.parametrize("fit_intercept", [True, False])

@@ -17,7 +17,7 @@ examples = settings(derandomize=True, deadline=None, max_examples=25)
 
 
 def make_noisy(seed, n_samples=80, n_features=3, input_std=0.3, output_std=0.3):
-    """Noisy inputs and output with offsets; returns data and the coefficients."""
+    """Return inputs and output with noise and offsets, and the coefficients."""
     rng = np.random.default_rng(seed)
     xi = rng.normal(size=(n_samples, n_features)) @ (
         np.eye(n_features) + 0.3 * rng.normal(size=(n_features, n_features))
@@ -29,7 +29,7 @@ def make_noisy(seed, n_samples=80, n_features=3, input_std=0.3, output_std=0.3):
 
 
 def make_covariance(seed, n_features=3):
-    """Noise covariance of full rank."""
+    """Return a noise covariance of full rank."""
     factor = np.random.default_rng(seed).normal(size=(n_features, n_features))
     return factor @ factor.T + 0.1 * np.eye(n_features)
 
@@ -164,6 +164,16 @@ def test_units(seed, factor):
     assert_allclose(model.intercept_ / factor, reference.intercept_, rtol=1e-7)
 
 
+@pytest.mark.parametrize("factor", [1e-30, 1e-6, 1e30])
+def test_units_of_exact_features(factor):
+    X, y, _ = make_noisy(3)
+    scale = np.array([factor, 1.0, 1.0])
+    model = TotalLeastSquares(input_noise=[0, 0, 0.1], output_noise=0.2)
+    expected = model.fit(X, y).coef_
+    assert_allclose(model.fit(X * scale, y).coef_ * scale, expected, rtol=1e-9)
+    assert model.generic_
+
+
 @examples
 @given(seed=st.integers(0, 1000))
 def test_permutations_and_rotations(seed):
@@ -187,6 +197,7 @@ def test_permutations_and_rotations(seed):
 def test_weight_counts_repetitions(seed):
     X, y, _ = make_noisy(seed)
     weight = np.random.default_rng(seed).integers(0, 4, size=len(y))
+    X[weight == 0] *= 1e20
     weighted = TotalLeastSquares().fit(X, y, sample_weight=weight)
     repeated = TotalLeastSquares().fit(
         np.repeat(X, weight, axis=0), np.repeat(y, weight)

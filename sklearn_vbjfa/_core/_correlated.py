@@ -151,27 +151,56 @@ def _prior_bound(state, shape0, rate0, logdet_cov):
     return float((loadings + prior + entropy).sum()) + 0.5 * logdet_cov
 
 
-def _posterior_beta(S_tt, S_ty, s2, alpha):
-    # Scaled by sqrt(alpha) the matrix is I + positive semidefinite.
-    root = 1.0 / np.sqrt(alpha)
-    A = S_tt * np.outer(root, root) / s2
-    A[np.diag_indices_from(A)] += 1.0
-    try:
+def _square_root(S):
+    """Return R of shape (rank, d) with S = R'R, without the rounding of the null space.
+
+    Eigenvalues below their own rounding are zero: left in, they would be information
+    as soon as the noise is small enough.
+    """
+    values, vectors = linalg.eigh(S)
+    keep = values > values[-1] * values.size * 4 * np.finfo(float).eps
+    return np.sqrt(values[keep])[:, None] * vectors[:, keep].T
+
+
+# Where rounding of S_tt / s2 stays below this share of the prior precision, the
+# Cholesky factor of the posterior precision is safe; beyond, the square root is used.
+_SAFE_ROUNDING = 1e-8
+
+
+def _posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root):
+    """Posterior mean, covariance and log-determinant of beta, and <|y - beta't|^2>.
+
+    ``square_root()`` returns R with S_tt = R'R; it is asked for only where needed.
+    """
+    prior = 1.0 / np.sqrt(alpha)
+    d = prior.size
+    A = S_tt * np.outer(prior, prior) / s2
+    if np.finfo(float).eps * d * np.diagonal(A).max() < _SAFE_ROUNDING:
+        A[np.diag_indices_from(A)] += 1.0
         factor = linalg.cholesky(A, lower=True)
-    except linalg.LinAlgError:
-        # Noise so small that the rounding of S_tt / s2 exceeds 1: orthogonal factor
-        # of the square roots, which squares nothing.
-        values, vectors = linalg.eigh(S_tt)
-        half = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-        stacked = np.vstack([half * root / np.sqrt(s2), np.eye(root.size)])
-        factor = linalg.qr(stacked, mode="r")[0][: root.size].T
-        factor = factor * np.sign(np.diagonal(factor))
-    inverse = linalg.solve_triangular(factor, np.eye(A.shape[0]), lower=True)
-    scaled = inverse * root
-    cov = scaled.T @ scaled
-    mean = root * linalg.cho_solve((factor, True), root * S_ty) / s2
-    logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
-    return mean, cov, float(logdet)
+        inverse = linalg.solve_triangular(factor, np.eye(d), lower=True)
+        scaled = inverse * prior
+        cov = scaled.T @ scaled
+        mean = prior * linalg.cho_solve((factor, True), prior * S_ty) / s2
+        logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
+        residual = yy - 2 * mean @ S_ty + mean @ S_tt @ mean
+        residual += np.einsum("ij,ij->", cov, S_tt)
+        return mean, cov, float(logdet), float(residual)
+    R = square_root()
+    # y in the coordinates of R: S_ty = R' z
+    z = (R @ S_ty) / np.einsum("ij,ij->i", R, R)
+    U, sv, Vt = linalg.svd(R * prior, full_matrices=False)
+    share = s2 / (s2 + sv**2)
+    Uz = U.T @ z
+    mean = prior * (Vt.T @ (sv / (s2 + sv**2) * Uz))
+    cov = (Vt.T * share) @ Vt
+    if sv.size < d:
+        cov += np.eye(d) - Vt.T @ Vt
+    cov *= np.outer(prior, prior)
+    logdet = np.log(share).sum() - np.log(alpha).sum()
+    # In these coordinates the residual is a sum of squares: no cancellation.
+    residual = max(yy - z @ z, 0.0) + np.sum((share * Uz) ** 2) + share @ sv**2
+    return mean, cov, float(logdet), float(residual)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -206,7 +235,19 @@ def solve_correlated(S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol):
     # which the first posterior is a ridge solution.
     alpha_rate = np.full(d, shape)
     s2 = max(yy / n, eps)
-    mean, cov, logdet = _posterior_beta(S, xy, s2, shape / alpha_rate)
+    cached = []
+
+    def root_of(S_tt):
+        # With exact inputs S_tt is S throughout: one decomposition serves all.
+        if not latent.exact:
+            return _square_root(S_tt)
+        if not cached:
+            cached.append(_square_root(S_tt))
+        return cached[0]
+
+    mean, cov, logdet, _ = _posterior_beta(
+        S, xy, yy, s2, shape / alpha_rate, lambda: _square_root(S)
+    )
     state = CorrelatedState(
         beta_mean=mean, beta_cov=cov, alpha_shape=shape, alpha_rate=alpha_rate, psi_y=s2
     )
@@ -224,18 +265,21 @@ def solve_correlated(S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol):
             if abs(gain) <= tol * n:
                 status = "converged"
                 break
-        mean, cov, logdet = _posterior_beta(
-            sums.S_tt, sums.S_ty, state.psi_y, state.E_alpha
+        mean, cov, logdet, residual = _posterior_beta(
+            sums.S_tt,
+            sums.S_ty,
+            yy,
+            state.psi_y,
+            state.E_alpha,
+            lambda: root_of(sums.S_tt),  # noqa: B023 - called at once
         )
         square = mean**2 + np.diagonal(cov)
-        residual = yy - 2 * mean @ sums.S_ty + mean @ sums.S_tt @ mean
-        residual += np.einsum("ij,ji->", cov, sums.S_tt)
         state = CorrelatedState(
             beta_mean=mean,
             beta_cov=cov,
             alpha_shape=shape,
             alpha_rate=ard_rate + 0.5 * square,
-            psi_y=max(float(residual) / n, eps),
+            psi_y=max(residual / n, eps),
         )
     return CorrelatedSolution(
         state=state,

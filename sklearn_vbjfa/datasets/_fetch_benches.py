@@ -54,8 +54,9 @@ def fetch_emps(
 
     Notes
     -----
-    Licence of the repository: Apache-2.0. The publishers identified a mass of
-    95.1 kg, 203.5 N s/m viscous and 20.4 N dry friction, offset -3.16 N.
+    Licence of the repository: Apache-2.0; the data were first published without
+    a licence text. The publishers identified a mass of 95.1 kg, 203.5 N s/m
+    viscous and 20.4 N dry friction, and an offset of -3.16 N.
 
     References
     ----------

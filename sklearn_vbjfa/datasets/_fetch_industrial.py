@@ -21,7 +21,12 @@ from sklearn_vbjfa.datasets._resample import Log, join
 # Ratio 101 times 0.125 (large) or 0.0922 (small drives) N m/A; not verified.
 _UR5_GAINS = (12.63, 12.63, 12.63, 9.31, 9.31, 9.31)
 _UR5_PERIOD = 0.008  # [s] of the controller
-_UR5_LOGS = ("q_actual", "qd_actual", "i_actual", "m_target", "i_target") + (
+_UR5_LOGS = (
+    "q_actual",
+    "qd_actual",
+    "i_actual",
+    "m_target",
+    "i_target",
     "q_target",
     "qd_target",
     "qdd_target",

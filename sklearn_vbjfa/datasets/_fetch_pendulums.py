@@ -42,8 +42,8 @@ def fetch_bam_xl330(
         Time between two tries [s].
     include_free_swing : bool, default=False
         Whether to keep the last 4 s of the "lift_and_drop" runs, in which
-        the motor is switched off. The bridge is then open: the voltage is
-        zero, and so is the braking current, hence the parameters of the
+        the motor is switched off. Only friction and gravity act then, without
+        the braking by the motor's own current, so that the parameters of the
         powered motor do not hold. If kept, they are recordings of their own,
         "kp..._lift_and_drop_free".
     resample : bool, default=True
@@ -55,7 +55,8 @@ def fetch_bam_xl330(
         About 12000 samples of 1 joint, dt = 0.0053 s, recordings "kp100_sin_sin",
         "kp100_lift_and_drop", "kp100_up_and_down", "kp100_sin_time_square" and
         likewise for kp400 and kp800; three more with the free swings. `q` [rad]
-        (0 hanging down, steps of 1.5 mrad), `v` [rad/s] of the servo, `tau` [V]
+        (0 hanging down, steps of 1.5 mrad), `v` [rad/s] of the servo (steps of
+        0.024 rad/s, of which one may show at standstill), `tau` [V]
         the motor voltage, duty cycle times supply. Signals (n_samples,):
         "duty" [1], "supply_volts" [V], "temperature" [deg C], "torque_enable"
         [0 or 1], "kp" (firmware gain); (n_samples, 1): "q_ref" [rad]. The model
@@ -143,10 +144,10 @@ def read_xl330(path: Path) -> dict:
     """Arrays (n_samples,) of a log and its header; the duty cycle is signed."""
     raw = json.loads(path.read_text("utf-8"))
     entries = raw.pop("entries")
+    channels = ["position", "speed", "input_volts", "temp", "timestamp"]
     arrays = {
         key: np.array([entry[key] for entry in entries], dtype=float)
-        for key in ("position", "speed", "input_volts", "temp", "timestamp")
-        + ("goal_position",)
+        for key in [*channels, "goal_position"]
     }
     load = np.array([entry["load"] for entry in entries], dtype=np.uint16)
     enabled = np.array([entry["torque_enable"] for entry in entries], dtype=np.uint8)
@@ -275,9 +276,8 @@ def fetch_dfki_double_pendulum(
             "Robotics & Automation Magazine 31(2), 2024."
         ),
         description=(
-            "Double pendulum with two AK80-6 drives (ratio 6), design A.0. "
-            + ("Torque measured by the drives." if which == "short" else "")
-            + ("Torque apparently commanded." if which == "long" else "")
+            "Double pendulum with two AK80-6 drives (ratio 6), design A.0. Torque "
+            + ("measured by the drives." if which == "short" else "as commanded.")
         ),
     )
 

@@ -46,7 +46,7 @@ class ProjectionError(RuntimeError):
     --------
     >>> from sklearn_vbjfa.physical import ProjectionError, project
     >>> try:
-    ...     project([2, 0, 0, 0, 1, 0, 1, 0, 0, 3], max_iter=1)
+    ...     project([2, 0, 0, 0, 1, 0, 1, 0, 0, 3], max_solver_iter=1)
     ... except ProjectionError as error:
     ...     print("failed")
     failed
@@ -273,14 +273,14 @@ def certified_gap(problem, vector, duals, multipliers):
     return float(complementarity + 0.5 * error @ error)
 
 
-def solve_conic(problem, *, max_iter):
+def solve_conic(problem, *, max_solver_iter):
     """Solve the programme with clarabel and certify the answer.
 
     Parameters
     ----------
     problem : ConicProblem
         The programme.
-    max_iter : int
+    max_solver_iter : int
         Largest number of interior-point iterations of one solve.
 
     Returns
@@ -306,7 +306,7 @@ def solve_conic(problem, *, max_iter):
     best, n_iter = None, 0
     for _ in range(3):
         vector, duals, multipliers, iterations, status = _solve_once(
-            problem, scale if scale > 0 else 1.0, max_iter
+            problem, scale if scale > 0 else 1.0, max_solver_iter
         )
         n_iter += iterations
         if not np.all(np.isfinite(vector)):
@@ -326,13 +326,13 @@ def solve_conic(problem, *, max_iter):
         raise ProjectionError(
             f"The projection on the {problem.constraint!r} set failed: clarabel ended "
             f"with {status} after {n_iter} iterations, and the certified relative gap "
-            f"{gap:.1e} is above {_GAP_LIMIT:.0e}. Raise max_iter, or check the vector "
-            "and the metric for columns many orders of magnitude apart."
+            f"{gap:.1e} is above {_GAP_LIMIT:.0e}. Raise max_solver_iter, or check the "
+            "vector and the metric for columns many orders of magnitude apart."
         )
     return best[0], max(best[1], 0.0), n_iter, best[2]
 
 
-def _solve_once(problem, scale, max_iter):
+def _solve_once(problem, scale, max_solver_iter):
     """One call of the solver, the distance measured in units of `scale`."""
     n_features = problem.n_features
     bodies, kept = problem.body_columns, problem.nonnegative
@@ -353,7 +353,9 @@ def _solve_once(problem, scale, max_iter):
         block = np.zeros((n_entries, n_features + 1))
         block[:, columns] = -triangle
         blocks.append(block)
-        right.append(triangle @ problem.point[columns] - problem.margin * (row == column))
+        right.append(
+            triangle @ problem.point[columns] - problem.margin * (row == column)
+        )
         cones.append(clarabel.PSDTriangleConeT(size))
     if kept.size:
         block = np.zeros((kept.size, n_features + 1))
@@ -364,7 +366,9 @@ def _solve_once(problem, scale, max_iter):
 
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.max_iter = max_iter
+    settings.max_iter = max_solver_iter
+    # A solve takes milliseconds: threads cost more than they bring.
+    settings.max_threads = 1
     # Tighter than can be met: the iterations go on until rounding stops them, and the
     # certificate, not the status, decides.
     settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-13

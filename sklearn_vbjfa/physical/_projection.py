@@ -1,7 +1,6 @@
 """Projection of one parameter vector on the physically consistent ones."""
 
-import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 
 import numpy as np
@@ -13,8 +12,8 @@ from sklearn_vbjfa.physical._conic import (
     make_problem,
     solve_conic,
 )
+from sklearn_vbjfa.physical._layout import resolve_layout
 from sklearn_vbjfa.physical._pseudo_inertia import (
-    N_INERTIAL,
     _check_constraint,
     body_scales,
     min_eigenvalue,
@@ -23,33 +22,6 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 from sklearn_vbjfa.physical._virtual import solve_virtual
 
 SOLVERS = ("conic", "virtual")
-# The paper's layout, and this package's default friction: ten inertial parameters and
-# the viscous friction of the joint.
-_PAPER_WIDTH = 11
-
-
-@dataclass(frozen=True, kw_only=True)
-class ParameterLayout:
-    """Where the bodies and the non-negative columns of a parameter vector are.
-
-    Attributes
-    ----------
-    n_features : int
-        Length of the vector.
-    body_starts : ndarray of int of shape (n_bodies,)
-        First column of each body's ten.
-    nonnegative : ndarray of int of shape (n_nonnegative,)
-        Columns that must not be negative, in increasing order.
-    """
-
-    n_features: int
-    body_starts: np.ndarray
-    nonnegative: np.ndarray
-
-    @property
-    def body_columns(self):
-        """Columns of every body, ndarray of int of shape (n_bodies, 10)."""
-        return self.body_starts[:, None] + np.arange(N_INERTIAL)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,173 +66,6 @@ class ProjectionResult:
     message: str
     mass_scale: np.ndarray
     length_scale: np.ndarray
-
-
-def resolve_layout(
-    n_features, *, parameters_per_joint="auto", body_starts=None, nonnegative="auto"
-):
-    """Find the bodies and the non-negative columns of a parameter vector.
-
-    Parameters
-    ----------
-    n_features : int
-        Length of the vector.
-    parameters_per_joint : "auto" or int >= 10, default="auto"
-        See :class:`PhysicalProjector`.
-    body_starts : array-like of int or None, default=None
-        See :class:`PhysicalProjector`.
-    nonnegative : "auto", array-like of int or of bool, default="auto"
-        See :class:`PhysicalProjector`.
-
-    Returns
-    -------
-    layout : ParameterLayout
-        The columns' roles.
-
-    Raises
-    ------
-    ValueError
-        If the columns are not a whole number of joints, bodies overlap or leave the
-        vector, a non-negative column belongs to a body, or "auto" cannot know.
-
-    Warns
-    -----
-    UserWarning
-        If the vector is too short for a body, or "auto" had to choose between two
-        readings.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.physical import resolve_layout
-    >>> layout = resolve_layout(24, parameters_per_joint=12, nonnegative=[10, 11, 22])
-    >>> layout.body_starts, layout.nonnegative
-    (array([ 0, 12]), array([10, 11, 22]))
-    """
-    if body_starts is not None:
-        starts = _check_body_starts(body_starts, n_features)
-        width = None
-    else:
-        width = _check_width(parameters_per_joint, n_features)
-        starts = np.arange(0, n_features - width + 1, width)
-    in_body = np.zeros(n_features, dtype=bool)
-    in_body[starts[:, None] + np.arange(N_INERTIAL)] = True
-
-    if isinstance(nonnegative, str) and nonnegative == "auto":
-        if width == _PAPER_WIDTH or not starts.size or in_body.all():
-            kept = np.flatnonzero(~in_body) if starts.size else np.array([], dtype=int)
-        else:
-            raise ValueError(
-                'nonnegative="auto" knows the layouts of 10 and 11 columns per joint '
-                f"(the eleventh is viscous friction); here {int((~in_body).sum())} "
-                "columns belong to no body and some effects, an offset say, may be "
-                "negative. List the columns that must not be negative, or pass () for "
-                "none."
-            )
-    else:
-        kept = _check_nonnegative(nonnegative, n_features)
-        if in_body[kept].any():
-            raise ValueError(
-                f"nonnegative names column {int(kept[in_body[kept]][0])}, which is an "
-                "inertial parameter; the constraint set already bounds those. List "
-                "friction and effect columns alone."
-            )
-    return ParameterLayout(n_features=n_features, body_starts=starts, nonnegative=kept)
-
-
-def _check_width(width, n_features):
-    """Columns per joint; explicit, or 10 or 11 when the length tells."""
-    if isinstance(width, str):
-        if width != "auto":
-            raise ValueError(
-                'parameters_per_joint must be "auto" or an integer >= 10, got '
-                f"{width!r}"
-            )
-        if n_features < N_INERTIAL:
-            warnings.warn(
-                f"{n_features} columns are too few for a body (10 inertial "
-                "parameters): there is nothing to constrain and the values pass "
-                "through unchanged.",
-                UserWarning,
-                stacklevel=4,
-            )
-            return n_features + 1
-        plain, paper = n_features % N_INERTIAL == 0, n_features % _PAPER_WIDTH == 0
-        if plain and paper:
-            warnings.warn(
-                f"{n_features} columns are a whole number of joints both at 10 and at "
-                "11 parameters per joint; taken as 11 (viscous friction last). Set "
-                "parameters_per_joint.",
-                UserWarning,
-                stacklevel=4,
-            )
-        if not plain and not paper:
-            raise ValueError(
-                f"{n_features} columns are not a whole number of joints with 10 or 11 "
-                "parameters each. Set parameters_per_joint, or body_starts where joints "
-                "differ."
-            )
-        return _PAPER_WIDTH if paper else N_INERTIAL
-    if isinstance(width, bool) or not isinstance(width, Integral) or width < N_INERTIAL:
-        raise ValueError(
-            f'parameters_per_joint must be "auto" or an integer >= 10, got {width!r}'
-        )
-    if n_features % width:
-        raise ValueError(
-            f"{n_features} columns are not a whole number of joints with "
-            f"{width} parameters each (parameters_per_joint). Set it to the columns of "
-            "one joint, or set body_starts where joints differ."
-        )
-    return int(width)
-
-
-def _check_indices(values, name, n_features):
-    """Array of distinct column numbers, sorted."""
-    values = np.asarray(values)
-    if values.size == 0:
-        return np.array([], dtype=int)
-    if values.ndim != 1 or not np.issubdtype(values.dtype, np.integer):
-        raise ValueError(
-            f"{name} must be a list of column numbers, got an array of shape "
-            f"{values.shape} and type {values.dtype}."
-        )
-    if values.min() < 0 or values.max() >= n_features:
-        raise ValueError(
-            f"{name} must hold column numbers from 0 to {n_features - 1}, got "
-            f"{values.min()} to {values.max()}."
-        )
-    return np.unique(values)
-
-
-def _check_body_starts(body_starts, n_features):
-    """Column numbers of bodies that fit and do not overlap."""
-    given = np.asarray(body_starts)
-    starts = _check_indices(body_starts, "body_starts", n_features)
-    if starts.size != given.size:
-        raise ValueError("body_starts names a column twice; every body has its own.")
-    if np.any(np.diff(starts) < N_INERTIAL):
-        raise ValueError(
-            "body_starts must be at least 10 columns apart, got "
-            f"{starts.tolist()}: two bodies overlap."
-        )
-    if starts.size and starts[-1] + N_INERTIAL > n_features:
-        raise ValueError(
-            f"The body that starts at column {starts[-1]} (body_starts) needs 10 "
-            f"columns; the vector has {n_features}."
-        )
-    return starts
-
-
-def _check_nonnegative(nonnegative, n_features):
-    """Column numbers from numbers or a mask."""
-    values = np.asarray(nonnegative)
-    if values.dtype == bool:
-        if values.shape != (n_features,):
-            raise ValueError(
-                f"nonnegative as a mask must have shape ({n_features},), got "
-                f"{values.shape}."
-            )
-        return np.flatnonzero(values)
-    return _check_indices(nonnegative, "nonnegative", n_features)
 
 
 def check_metric(metric, n_features):
@@ -332,7 +137,7 @@ def check_metric(metric, n_features):
     return metric, np.sqrt(eigenvalue)[:, None] * basis.T * size
 
 
-def check_options(constraint, margin, anchor_weight, solver, max_iter):
+def check_options(constraint, margin, anchor_weight, solver, max_solver_iter):
     """Raise ValueError when an option that needs no data is wrong."""
     _check_constraint(constraint)
     if solver not in SOLVERS:
@@ -349,10 +154,14 @@ def check_options(constraint, margin, anchor_weight, solver, max_iter):
         )
     if not _is_real(anchor_weight) or not 0 < anchor_weight <= 1:
         raise ValueError(
-            f"anchor_weight must be a number above 0 and at most 1, got {anchor_weight!r}"
+            "anchor_weight must be a number above 0 and at most 1, got "
+            f"{anchor_weight!r}"
         )
-    if isinstance(max_iter, bool) or not isinstance(max_iter, Integral) or max_iter < 1:
-        raise ValueError(f"max_iter must be an integer >= 1, got {max_iter!r}")
+    whole = isinstance(max_solver_iter, Integral)
+    if not whole or isinstance(max_solver_iter, bool) or max_solver_iter < 1:
+        raise ValueError(
+            f"max_solver_iter must be an integer >= 1, got {max_solver_iter!r}"
+        )
 
 
 def _is_real(value):
@@ -367,8 +176,8 @@ def check_vector(values, name, n_features=None):
         raise ValueError(f"{name} must have shape {expected}, got {values.shape}.")
     if not np.all(np.isfinite(values)):
         raise ValueError(
-            f"{name} must be finite; it contains NaN or infinity. A vector that was not "
-            "identified cannot be projected."
+            f"{name} must be finite; it contains NaN or infinity. A vector that was "
+            "not identified cannot be projected."
         )
     return values
 
@@ -437,14 +246,14 @@ def project(
     anchor=None,
     anchor_weight=1e-10,
     solver="conic",
-    max_iter=200,
+    max_solver_iter=200,
 ):
     r"""Find the physically consistent parameter vector nearest to a given one.
 
     Minimises :math:`(\theta - \theta_0)^\top A (\theta - \theta_0)`, eq. 35 of
-    [TDS2011]_ with `A` the de-noised :math:`X_t^\top X_t`, over the vectors whose bodies
-    satisfy the constraint and whose friction is not negative.  The options are those of
-    :class:`PhysicalProjector`, which does the same for every row of a matrix.
+    [TDS2011]_ with `A` the de-noised :math:`X_t^\top X_t`, over the vectors whose
+    bodies satisfy the constraint and whose friction is not negative.  The options are
+    those of :class:`PhysicalProjector`, which does the same for every row of a matrix.
 
     Parameters
     ----------
@@ -475,7 +284,7 @@ def project(
         Strength of that pull.
     solver : {"conic", "virtual"}, default="conic"
         How the minimum is found.
-    max_iter : int, default=200
+    max_solver_iter : int, default=200
         Iterations of one solve.
 
     Returns
@@ -508,7 +317,7 @@ def project(
     >>> (result.theta[[4, 6, 9]] * 9).round(5)
     array([13., 13., 26.])
     """
-    check_options(constraint, margin, anchor_weight, solver, max_iter)
+    check_options(constraint, margin, anchor_weight, solver, max_solver_iter)
     theta = check_vector(theta, "theta")
     layout = resolve_layout(
         theta.size,
@@ -536,7 +345,7 @@ def project(
         anchor=anchor,
         anchor_weight=anchor_weight,
         solver=solver,
-        max_iter=max_iter,
+        max_solver_iter=max_solver_iter,
     )
 
 
@@ -553,7 +362,7 @@ def project_vector(
     anchor,
     anchor_weight,
     solver,
-    max_iter,
+    max_solver_iter,
 ):
     """Project one validated vector; see :func:`project`.
 
@@ -604,8 +413,8 @@ def project_vector(
     seen = outside & (diagonal > 0)
     units[seen] = np.sqrt((largest if largest > 0 else 1.0) / diagonal[seen])
     column_norm = np.linalg.norm(root * units, axis=0).max(initial=0.0)
-    # One common factor brings a vector far from the scales back near one.
-    common = np.abs(theta / units).max(initial=0.0)
+    # One common factor brings bodies far from their scales back near one.
+    common = np.abs((theta / units)[bodies]).max(initial=0.0)
     common = common if common > 0 else 1.0
     units = units * common
     scale = column_norm * common
@@ -620,10 +429,12 @@ def project_vector(
         anchor_weight=anchor_weight,
     )
     if solver == "conic":
-        vector, gap, iterations, message = solve_conic(problem, max_iter=max_iter)
+        vector, gap, iterations, message = solve_conic(
+            problem, max_solver_iter=max_solver_iter
+        )
         name = "clarabel"
     else:
-        vector, gap, iterations, message = _solve_virtual(problem, max_iter)
+        vector, gap, iterations, message = _solve_virtual(problem, max_solver_iter)
         name = "trust-exact"
     vector = _settle(vector * units, problem, units, eigenvalues, margin)
     return outcome(
@@ -636,12 +447,29 @@ def project_vector(
     )
 
 
-def _solve_virtual(problem, max_iter):
+def _solve_virtual(problem, max_solver_iter):
     """Start the virtual solver from two consistent vectors and check its end."""
+    # Away from the boundary: a factor that is exactly zero has a zero derivative and
+    # would stay zero.
     floor = problem.margin + 1e-4
-    clipped = clip(problem, problem.point, floor)
-    full = ConicProblemWithTriangle = None  # placeholder
-    return clipped, full, ConicProblemWithTriangle, floor, max_iter
+    stricter, _, used, _ = solve_conic(
+        replace(problem, constraint="pseudo-inertia"), max_solver_iter=max_solver_iter
+    )
+    starts = [
+        lift(problem, stricter, floor)[0],
+        clip(problem, problem.point, floor),
+    ]
+    vector, iterations, message, converged = solve_virtual(
+        problem, starts, max_solver_iter=max_solver_iter
+    )
+    if not converged:
+        raise ProjectionError(
+            "The projection in the virtual parameters of eq. 30 failed: after "
+            f"{iterations} steps the optimiser reports {message!r}. Raise "
+            'max_solver_iter, or use solver="conic", which finds the same minimum by '
+            "convex optimisation."
+        )
+    return vector, np.nan, used + iterations, message
 
 
 def _settle(vector, problem, units, eigenvalues, margin):

@@ -1,4 +1,4 @@
-"""Inertial parameters as matrices: when does a rigid body exist that has them?
+"""Inertial parameters as matrices, and when a rigid body exists that has them.
 
 Pure functions of arrays, batched over the leading axes.  The ten parameters of a
 body stand in Pinocchio's order, ``(m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz,
@@ -256,7 +256,9 @@ def constraint_matrix(phi, constraint="pseudo-inertia"):
     (6, 6)
     """
     _check_constraint(constraint)
-    return pseudo_inertia(phi) if constraint == "pseudo-inertia" else spatial_inertia(phi)
+    return (
+        pseudo_inertia(phi) if constraint == "pseudo-inertia" else spatial_inertia(phi)
+    )
 
 
 def parameter_units(mass_scale=1.0, length_scale=1.0):
@@ -417,9 +419,9 @@ def body_scales(phi):
     phi = _check_parameters(phi)
     if phi.ndim < 2:
         raise ValueError(
-            f"phi must have shape (..., n_bodies, 10), got an array of shape {phi.shape}"
+            f"phi must have shape (..., n_bodies, 10), got shape {phi.shape}"
         )
-    rows = phi.reshape(-1, *phi.shape[-2:])
+    rows = phi.reshape(np.prod(phi.shape[:-2], dtype=int), *phi.shape[-2:])
     # Frobenius norm: the off-diagonal entries count twice, so that turning the frame
     # changes nothing.
     weight = np.where(_INERTIA_ROW == _INERTIA_COLUMN, 1.0, 2.0)

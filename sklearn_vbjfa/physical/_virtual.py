@@ -138,7 +138,7 @@ def virtual_from_inertial(phi):
 
 
 def virtual_jacobian(virtual):
-    """Derivative of eq. 30, parameters by virtual parameters.
+    """Differentiate eq. 30: parameters by virtual parameters.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def virtual_curvature(virtual, gradient):
     return curvature
 
 
-def solve_virtual(problem, starts, *, max_iter):
+def solve_virtual(problem, starts, *, max_solver_iter):
     """Minimise eq. 35 in the virtual parameters of eq. 30 from several starts.
 
     Parameters
@@ -268,7 +268,7 @@ def solve_virtual(problem, starts, *, max_iter):
         The projection in scaled variables, constraint "eq30".
     starts : sequence of ndarray of shape (n_features,)
         Strictly consistent vectors in scaled units.
-    max_iter : int
+    max_solver_iter : int
         Largest number of trust-region steps from each start.
 
     Returns
@@ -338,7 +338,7 @@ def solve_virtual(problem, starts, *, max_iter):
             jac=True,
             hess=hessian,
             method="trust-exact",
-            options={"gtol": 1e-9, "maxiter": max_iter},
+            options={"gtol": 1e-9, "maxiter": max_solver_iter},
         )
         n_iter += int(outcome.nit)
         if best is None or outcome.fun < best.fun:

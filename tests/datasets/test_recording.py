@@ -1,0 +1,192 @@
+"""Recording: validation, selection, models of single-joint benches."""
+
+import builtins
+import pickle
+import subprocess
+import sys
+from dataclasses import FrozenInstanceError, replace
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.datasets import Recording
+
+
+@pytest.fixture
+def make_recording():
+    def make(**changes):
+        rng = np.random.default_rng(0)
+        fields = {
+            "name": "bench",
+            "q": rng.normal(size=(9, 2)),
+            "tau": rng.normal(size=(9, 2)),
+            "v": rng.normal(size=(9, 2)),
+            "t": 0.1 * np.array([0, 1, 2, 0, 1, 2, 3, 0, 1]),
+            "dt": 0.1,
+            "groups": np.array([0, 0, 0, 1, 1, 1, 1, 2, 2]),
+            "group_names": ("slow", "fast", "rest"),
+            "joint_names": ("a", "b"),
+            "position_units": ("rad", "m"),
+            "torque_units": ("N m", "N"),
+            "signals": {"temperature": np.arange(9.0)},
+        }
+        return Recording(**{**fields, **changes})
+
+    return make
+
+
+def test_select_keeps_rows_and_renumbers_labels(make_recording):
+    recording = make_recording()
+    kept = recording.select("rest", 0, "rest")
+    rows = [0, 1, 2, 7, 8]
+    assert kept.group_names == ("slow", "rest")
+    np.testing.assert_array_equal(kept.groups, [0, 0, 0, 1, 1])
+    for name in ("q", "v", "tau", "t"):
+        np.testing.assert_array_equal(
+            getattr(kept, name), getattr(recording, name)[rows]
+        )
+    np.testing.assert_array_equal(kept.signals["temperature"], rows)
+    assert make_recording(v=None).select(1).v is None
+
+
+@pytest.mark.parametrize("entry", ["Fast", 3, -1, True, 1.0])
+def test_select_refuses_what_is_not_there(make_recording, entry):
+    with pytest.raises(
+        ValueError, match=r"choose from the names .* or the labels 0 to 2"
+    ):
+        make_recording().select(entry)
+
+
+def test_select_refuses_an_empty_choice(make_recording):
+    with pytest.raises(ValueError, match="Name at least one recording"):
+        make_recording().select()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"dt": 0.0}, "dt must be a positive number"),
+        ({"dt": np.nan}, "dt must be a positive number"),
+        ({"dt": "fast"}, "dt must be a positive number"),
+        ({"q": np.zeros(9)}, r"q must have shape \(n_samples, nv\), got \(9,\)"),
+        ({"q": [[0.0]]}, "q must be a numeric ndarray, got list"),
+        ({"tau": np.zeros((8, 2))}, r"tau must have shape \(9, 2\) to agree with q"),
+        ({"v": np.zeros((9, 1))}, r"v must have shape \(9, 2\)"),
+        ({"t": np.zeros(8)}, r"t must have shape \(9,\)"),
+        ({"t": -np.arange(9.0)}, "t must not decrease .* after row 0"),
+        ({"tau": np.full((9, 2), np.nan)}, "tau must be finite, got 18 values"),
+        ({"joint_names": ("a",)}, "joint_names must have one entry for each of the 2"),
+        ({"torque_units": ("N",)}, "torque_units must have one entry"),
+        ({"signals": {"x": np.zeros(8)}}, r"signals\['x'\] must have 9 rows like q"),
+        ({"groups": np.zeros(8, int)}, r"groups must have shape \(9,\)"),
+        ({"groups": np.array([0, 1, 2] * 3)}, "in contiguous blocks, got blocks"),
+        ({"groups": np.zeros(9, int)}, "integers 0 to 2"),
+        ({"groups": np.repeat([0.0, 1.0, 2.0], 3)}, "integers 0 to 2"),
+        ({"group_names": ("a", "a", "b")}, "group_names must differ"),
+    ],
+)
+def test_inconsistent_fields_are_refused(make_recording, changes, message):
+    with pytest.raises(ValueError, match=message):
+        make_recording(**changes)
+
+
+def test_recording_is_frozen_and_survives_pickle(make_recording):
+    recording = make_recording()
+    with pytest.raises(FrozenInstanceError):
+        recording.dt = 1.0
+    copy = pickle.loads(pickle.dumps(recording))
+    np.testing.assert_array_equal(copy.q, recording.q)
+    assert repr(copy) == (
+        "Recording 'bench': 9 samples, 2 joints, dt = 0.1 s, 3 recordings"
+    )
+
+
+def test_no_description_gives_a_remedy(make_recording):
+    pytest.importorskip("pinocchio")
+    with pytest.raises(FileNotFoundError, match=r"dataclasses\.replace"):
+        make_recording().robot_model()
+
+
+def test_description_with_other_joints_is_refused(make_recording, tmp_path):
+    pytest.importorskip("pinocchio")
+    urdf = tmp_path / "one.urdf"
+    urdf.write_text(
+        '<robot name="r"><link name="base"/><link name="l"/><joint name="a" '
+        'type="revolute"><parent link="base"/><child link="l"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    with pytest.raises(
+        ValueError, match=r"must have the joints \('a', 'b'\).*\('a',\)"
+    ):
+        make_recording(urdf=str(urdf)).robot_model()
+
+
+def test_robot_model_without_pinocchio_names_the_remedy(make_recording, monkeypatch):
+    real_import = builtins.__import__
+
+    def without_pinocchio(name, *args, **kwargs):
+        if name == "pinocchio":
+            raise ImportError(name)
+        return real_import(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without_pinocchio)
+    with pytest.raises(ImportError, match=r'pip install "sklearn-vbjfa\[robot\]"'):
+        make_recording().robot_model()
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "q", "gravity"),
+    [
+        ("emps", ("slide",), [0.1], [0.0]),
+        ("tflex_1dof", ("hinge",), [0.3], [0.0]),
+        ("bam_xl330", ("servo",), [0.3], [0.49 * 9.81 * 0.1 * np.sin(0.3)]),
+    ],
+)
+def test_gravity_of_the_one_joint_models(make_recording, name, joints, q, gravity):
+    pin = pytest.importorskip("pinocchio")
+    recording = make_recording(
+        name=name,
+        q=np.zeros((9, 1)),
+        tau=np.zeros((9, 1)),
+        v=None,
+        joint_names=joints,
+        position_units=("rad",),
+        torque_units=("N",),
+    )
+    model = recording.robot_model()
+    torque = pin.computeGeneralizedGravity(model, model.createData(), np.array(q))
+    np.testing.assert_allclose(torque, gravity, atol=1e-12)
+
+
+def test_double_pendulum_model_has_the_published_dynamics(make_recording):
+    pin = pytest.importorskip("pinocchio")
+    recording = make_recording(
+        name="dfki_double_pendulum", joint_names=("shoulder", "elbow")
+    )
+    model = recording.robot_model()
+    q, a = np.array([0.4, -0.7]), np.array([1.3, 0.6])
+    # Lagrange's equations of the publishers, inertias about the joints.
+    m1, m2, l1, r1, r2 = 0.5593806151425046, 0.6043459469186889, 0.3, 0.3, 0.18377686083
+    i1, i2 = 0.053470810264216295, 0.02392374528789766
+    coupling = i2 + m2 * l1 * r2 * np.cos(q[1])
+    mass = np.array([[i1 + m2 * l1**2 - i2 + 2 * coupling, coupling], [coupling, i2]])
+    tip = m2 * r2 * np.sin(q.sum())
+    gravity = 9.81 * np.array([(m1 * r1 + m2 * l1) * np.sin(q[0]) + tip, tip])
+    torque = pin.rnea(model, model.createData(), q, np.zeros(2), a)
+    np.testing.assert_allclose(torque, mass @ a + gravity, rtol=1e-9)
+
+
+def test_import_loads_no_heavy_package():
+    code = (
+        "import sys, sklearn_vbjfa.datasets; "
+        "print([m for m in ('pinocchio', 'matplotlib', 'pooch', 'requests') "
+        "if m in sys.modules])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_replace_changes_one_field(make_recording):
+    assert replace(make_recording(), urdf="x.urdf").urdf == "x.urdf"

@@ -209,11 +209,12 @@ class TotalLeastSquares(RegressorMixin, BaseEstimator):
             Noise standard deviation of y.
         """
         if (self.input_noise is None) != (self.output_noise is None):
+            names = ["input_noise", "output_noise"]
+            given, missing = names if self.output_noise is None else names[::-1]
             raise ValueError(
                 "input_noise and output_noise must be given together, because only "
-                f"their ratio matters; got input_noise={self.input_noise!r} and "
-                f"output_noise={self.output_noise!r}. Give both, or neither for "
-                "equal variances."
+                f"their ratios matter; got {given} without {missing}. Give both, or "
+                "neither for equal variances."
             )
         if self.input_noise is None:
             return np.eye(n_features), np.zeros(n_features, dtype=bool), 1.0

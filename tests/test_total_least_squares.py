@@ -304,9 +304,9 @@ def test_consistent_where_least_squares_is_not():
 
 def test_bad_input():
     X, y, _ = make_noisy(13)
-    with pytest.raises(ValueError, match="must be given together"):
+    with pytest.raises(ValueError, match="got input_noise without output_noise"):
         TotalLeastSquares(input_noise=np.ones(3)).fit(X, y)
-    with pytest.raises(ValueError, match="must be given together"):
+    with pytest.raises(ValueError, match="got output_noise without input_noise"):
         TotalLeastSquares(output_noise=1.0).fit(X, y)
     with pytest.raises(ValueError, match=r"must be 3 variances .* got shape \(2,\)"):
         TotalLeastSquares(input_noise=np.ones(2), output_noise=1.0).fit(X, y)

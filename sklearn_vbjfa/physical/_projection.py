@@ -1,5 +1,6 @@
 """Projection of one parameter vector on the physically consistent ones."""
 
+import warnings
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
 
@@ -22,6 +23,11 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 from sklearn_vbjfa.physical._virtual import solve_virtual
 
 SOLVERS = ("conic", "virtual")
+# How many times longer than the visible part of a vector its hidden part may be before
+# it is taken for rounding; a plausible robot's are of one order.
+_HIDDEN_LIMIT = 100.0
+# The virtual solver's steps are cheaper and more numerous than the conic solver's.
+_VIRTUAL_STEPS = 10
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +74,65 @@ class ProjectionResult:
     length_scale: np.ndarray
 
 
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """Validated metric with its square root.
+
+    Attributes
+    ----------
+    matrix : ndarray of shape (n_features, n_features)
+        Symmetric positive semidefinite `A`.
+    root : ndarray of shape (n_features, n_features)
+        `R` with ``R' R = A``.
+    size : ndarray of shape (n_features,)
+        Square root of the diagonal.
+    basis : ndarray of shape (n_features, n_visible)
+        Orthonormal basis of what `A` sees, in units of `size`.
+    """
+
+    matrix: np.ndarray
+    root: np.ndarray
+    size: np.ndarray
+    basis: np.ndarray
+
+    def without_rounding(self, theta):
+        """Drop what the metric does not see where it dwarfs what it sees.
+
+        A least-squares solve that does not cut its singular values returns 1e10 and
+        more along the directions without information.  Such numbers say nothing, and
+        neither scales nor anchors may come from them.
+
+        Parameters
+        ----------
+        theta : ndarray of shape (n_features,)
+            Parameter vector.
+
+        Returns
+        -------
+        theta : ndarray of shape (n_features,)
+            The vector, or its visible part.
+        """
+        standardised = theta * self.size
+        visible = self.basis @ (self.basis.T @ standardised)
+        hidden = np.linalg.norm(standardised - visible)
+        if hidden <= _HIDDEN_LIMIT * np.linalg.norm(visible):
+            return theta
+        warnings.warn(
+            f"The part of theta that the metric does not see is {hidden:.1e} long in "
+            f"units of the metric, the part it sees {np.linalg.norm(visible):.1e}: "
+            "taken for the rounding of a singular regression and replaced by the "
+            "shortest vector that predicts the same. Fit with a regressor that cuts "
+            "small singular values.",
+            UserWarning,
+            stacklevel=4,
+        )
+        return np.divide(
+            visible, self.size, out=np.zeros_like(theta), where=self.size > 0
+        )
+
+
 def check_metric(metric, n_features):
-    """Validate a metric and return it with a square root.
+    """Validate a metric and take its square root.
 
     Parameters
     ----------
@@ -80,10 +143,8 @@ def check_metric(metric, n_features):
 
     Returns
     -------
-    metric : ndarray of shape (n_features, n_features)
-        The symmetric part.
-    root : ndarray of shape (n_features, n_features)
-        `R` with ``R' R = metric``.
+    metric : Metric
+        The symmetric part and its square root.
 
     Raises
     ------
@@ -133,8 +194,14 @@ def check_metric(metric, n_features):
                 f"{raw:.3g}. A Gram matrix from which a noise covariance was "
                 "subtracted has to be clipped first."
             )
-    eigenvalue[eigenvalue < n_features * np.finfo(float).eps * eigenvalue[-1]] = 0.0
-    return metric, np.sqrt(eigenvalue)[:, None] * basis.T * size
+    visible = eigenvalue > n_features * np.finfo(float).eps * max(eigenvalue[-1], 0.0)
+    eigenvalue[~visible] = 0.0
+    return Metric(
+        matrix=metric,
+        root=np.sqrt(eigenvalue)[:, None] * basis.T * size,
+        size=size,
+        basis=basis[:, visible],
+    )
 
 
 def check_options(constraint, margin, anchor_weight, solver, max_solver_iter):
@@ -229,7 +296,7 @@ def default_metric(rows, layout, mass_scale, length_scale):
     units = np.sqrt(np.mean(rows**2, axis=0))
     units[units == 0] = 1.0
     units[layout.body_columns] = parameter_units(mass_scale, length_scale)
-    return np.diag(units**-2.0)
+    return check_metric(np.diag(units**-2.0), units.size)
 
 
 def project(
@@ -327,16 +394,19 @@ def project(
     )
     if anchor is not None:
         anchor = check_vector(anchor, "anchor", theta.size)
+    rows = theta[None]
+    if metric is not None:
+        metric = check_metric(metric, theta.size)
+        theta = metric.without_rounding(theta)
+        rows = theta[None]
     mass_scale, length_scale = resolve_scales(
-        theta[None], layout, mass_scale, length_scale, anchor
+        rows, layout, mass_scale, length_scale, anchor
     )
     if metric is None:
-        metric = default_metric(theta[None], layout, mass_scale, length_scale)
-    metric, root = check_metric(metric, theta.size)
+        metric = default_metric(rows, layout, mass_scale, length_scale)
     return project_vector(
         theta,
         metric=metric,
-        root=root,
         layout=layout,
         constraint=constraint,
         margin=margin,
@@ -353,7 +423,6 @@ def project_vector(
     theta,
     *,
     metric,
-    root,
     layout,
     constraint,
     margin,
@@ -366,9 +435,10 @@ def project_vector(
 ):
     """Project one validated vector; see :func:`project`.
 
-    Parameters are those of :func:`project` after validation, with `root` the square
-    root of `metric` and `layout` a ParameterLayout.
+    Parameters are those of :func:`project` after validation, with `metric` a Metric
+    and `layout` a ParameterLayout.
     """
+    root = metric.root
     bodies, kept = layout.body_columns, layout.nonnegative
     body_units = parameter_units(mass_scale, length_scale)
 
@@ -401,7 +471,7 @@ def project_vector(
             message="already consistent",
         )
 
-    diagonal = np.diag(metric)
+    diagonal = metric.size**2
     units = np.ones(theta.size)
     units[bodies] = body_units
     weight = diagonal * units**2
@@ -460,7 +530,7 @@ def _solve_virtual(problem, max_solver_iter):
         clip(problem, problem.point, floor),
     ]
     vector, iterations, message, converged = solve_virtual(
-        problem, starts, max_solver_iter=max_solver_iter
+        problem, starts, max_solver_iter=_VIRTUAL_STEPS * max_solver_iter
     )
     if not converged:
         raise ProjectionError(

@@ -36,7 +36,10 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         Symmetric positive semidefinite matrix `A` of the distance
         :math:`(\theta - \theta_0)^\top A (\theta - \theta_0)`: the (de-noised) Gram
         matrix of the regression that gave the vectors, singular as it may be.  Its
-        overall scale is immaterial.  None counts each parameter in its own unit: those
+        overall scale is immaterial.  A part of a row that the metric does not see and
+        that is over a hundred times longer than the rest, in units of the metric, is
+        the rounding of a singular regression: it is dropped, with a warning.  None
+        counts each parameter in its own unit: those
         of a body in units of its mass and length scale, the others in units of
         their root mean square over the rows seen in `fit`.
 
@@ -87,7 +90,8 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         minimise in the virtual parameters of eq. 30, which is not convex.
 
     max_solver_iter : int, default=200
-        Largest number of iterations of one solve.
+        Largest number of interior-point iterations of one solve; the virtual solver
+        may take ten times as many trust-region steps.
 
     Attributes
     ----------
@@ -219,14 +223,21 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             body_starts=self.body_starts,
             nonnegative=self.nonnegative,
         )
-        anchor = self._anchor(X.shape[1])
+        metric = None
+        if self.metric is not None:
+            metric = check_metric(self.metric, X.shape[1])
+            X = np.array([metric.without_rounding(row) for row in X])
         self.mass_scale_, self.length_scale_ = resolve_scales(
-            X, layout, self.mass_scale, self.length_scale, anchor
+            X,
+            layout,
+            self.mass_scale,
+            self.length_scale,
+            self._anchor(X.shape[1]),
         )
-        metric = self.metric
         if metric is None:
             metric = default_metric(X, layout, self.mass_scale_, self.length_scale_)
-        self.metric_, _ = check_metric(metric, X.shape[1])
+        self.metric_ = metric.matrix
+        self._metric = metric
         self.body_starts_ = layout.body_starts
         self.nonnegative_ = layout.nonnegative
         self._layout = layout
@@ -252,12 +263,10 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         """
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        _, root = check_metric(self.metric_, X.shape[1])
         return tuple(
             project_vector(
-                row,
-                metric=self.metric_,
-                root=root,
+                self._metric.without_rounding(row),
+                metric=self._metric,
                 layout=self._layout,
                 constraint=self.constraint,
                 margin=self.margin,

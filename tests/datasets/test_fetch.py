@@ -245,7 +245,7 @@ def test_gravity_explains_loaded_joints(fetch, dataset, options, joints):
     ("dataset", "options", "select", "cutoff", "min_speed", "limits"),
     [
         ("kuka_kr300", {}, ["A", "B"], 12.0, 0.02, [0.1] * 6),
-        ("staubli_tx40", {}, [0], 25.0, 0.1, [0.1, 0.1, 0.13, 0.13, 0.15, 0.15]),
+        ("staubli_tx40", {}, [0], 25.0, 0.1, [0.05, 0.055, 0.071, 0.075, 0.11, 0.1]),
         ("franka_panda", {}, [0], 10.0, 0.0, [0.1, 0.02, 0.03, 0.04, 0.1, 0.05]),
         ("ur5", {}, ["No6"], 8.0, 0.03, [0.08, 0.06, 0.08, 0.25, 0.2, 0.3]),
         ("tiago", {}, [0], 5.0, 0.02, [1.0, 0.25, 0.3, 0.25, 0.2]),
@@ -304,6 +304,16 @@ def test_tx40_motor_and_joint_power_agree(fetch):
     q_motor = tx40.signals["q_motor"]
     np.testing.assert_allclose(q_motor[:, 3], -48 * tx40.q[:, 3], atol=1e-9)
     np.testing.assert_allclose(q_motor[:, 5], 32 * tx40.q[:, 4:].sum(axis=1), atol=1e-9)
+
+
+def test_tx40_friction_is_that_published(fetch):
+    tx40 = fetch("staubli_tx40")
+    # The robot starts upright, which is the zero of the model.
+    np.testing.assert_allclose(tx40.q[0], 0, atol=1e-4)
+    _, viscous, dry = _regression(tx40, 25.0, 0.1)
+    published = [8.05, 5.53, 1.97, 1.11, 1.86, 0.65]
+    np.testing.assert_allclose(viscous, published, rtol=0.05)
+    np.testing.assert_allclose(dry[:5], [7.14, 8.26, 6.34, 2.48, 3.03], rtol=0.05)
 
 
 def test_kr300_second_encoders_agree_with_the_motors(fetch):

@@ -1,0 +1,217 @@
+"""Penalised splines: smooth positions and their derivatives, without phase.
+
+A quintic spline with equidistant knots is fitted to equidistant samples under a
+penalty on its third derivative (the difference form of Eilers and Marx, 1996). Inside
+the recording the fit acts as a symmetric filter with the gain
+
+    G(f) = 1 / (1 + lambda (2 sin(pi f h))^6 / B(f)^2),
+
+about 1 / (1 + (f / cutoff)^6), h being the knot distance; at the ends it continues
+the motion by its own polynomial, so that nothing is invented and nothing cut.
+"""
+
+import numpy as np
+from scipy import linalg
+from scipy.interpolate import BSpline
+
+_DEGREE = 5
+_ORDER = 3  # of the penalised derivative
+
+# Knots per period of the cut-off: at ten the knots themselves damp a sine at the
+# cut-off by less than 1e-4, and the banded system stays well conditioned however
+# much faster than the motion the recording is sampled.
+_KNOTS_PER_PERIOD = 10
+
+
+def knot_step(dt, cutoff):
+    """Samples per knot for a cut-off frequency [Hz]."""
+    return max(1, int(1.0 / (dt * cutoff * _KNOTS_PER_PERIOD)))
+
+
+def gain(frequency, dt, cutoff):
+    """Gain of the smoother in the middle of a long recording.
+
+    Parameters
+    ----------
+    frequency : ndarray
+        Frequencies [Hz], up to the Nyquist frequency.
+    dt : float
+        Sample period [s].
+    cutoff : float
+        Frequency [Hz] of half amplitude.
+    """
+    h = knot_step(dt, cutoff) * dt
+    lam = _penalty(dt, cutoff)
+    below = 1.0 / (1.0 + lam * _difference_gain(np.minimum(frequency, 0.5 / h), h))
+    # Above the knots' own Nyquist frequency the least-squares fit averages the samples
+    # between knots; the continuous form bounds what is left.
+    beyond = 1.0 / (1.0 + (frequency / cutoff) ** (2 * _ORDER))
+    return np.where(frequency < 0.5 / h, below, beyond)
+
+
+def _difference_gain(frequency, h):
+    # third differences of spline coefficients against the spline's own amplitude
+    w = 2 * np.pi * frequency * h
+    half = 0.5 * w
+    b_spline = (33 + 26 * np.cos(w) + np.cos(2 * w)) / 60.0
+    return (2 * np.sin(half)) ** (2 * _ORDER) / b_spline**2
+
+
+def _penalty(dt, cutoff):
+    h = knot_step(dt, cutoff) * dt
+    return 1.0 / _difference_gain(cutoff, h)
+
+
+def smooth(x, dt, cutoff):
+    """Smooth equidistant samples and differentiate them twice.
+
+    Parameters
+    ----------
+    x : ndarray of shape (n,)
+        Samples.
+    dt : float
+        Sample period [s].
+    cutoff : float
+        Frequency [Hz] at which the gain is one half; infinity interpolates.
+
+    Returns
+    -------
+    ndarray of shape (3, n)
+        Smoothed samples, first and second derivatives.
+    """
+    n = x.shape[0]
+    interpolate = not np.isfinite(cutoff)
+    step = 1 if interpolate else knot_step(dt, cutoff)
+    # In units of the knot distance, with knots beyond both ends.
+    u = np.arange(n) / step
+    n_intervals = max(1, int(np.ceil(u[-1] - 1e-9)))
+    knots = np.arange(-_DEGREE, n_intervals + _DEGREE + 1, dtype=float)
+    design = BSpline.design_matrix(np.minimum(u, n_intervals), knots, _DEGREE).tocsr()
+    n_coef = n_intervals + _DEGREE
+    gram = (design.T @ design).todia()
+    differences = _difference_matrix(n_coef)
+    penalty = (differences.T @ differences).todia()
+    # Interpolation leaves the coefficients beyond the ends free: the smallest
+    # penalty that the arithmetic resolves fixes them.
+    lam = 1e-13 if interpolate else step * _penalty(dt, cutoff)
+    offset = x.mean()
+    bands = _upper_bands(gram, n_coef) + lam * _upper_bands(penalty, n_coef)
+    coef = linalg.solveh_banded(bands, design.T @ (x - offset))
+    spline = BSpline(knots, coef, _DEGREE)
+    h = step * dt
+    at = np.minimum(u, n_intervals)
+    return np.stack(
+        [
+            spline(at) + offset,
+            spline.derivative(1)(at) / h,
+            spline.derivative(2)(at) / h**2,
+        ]
+    )
+
+
+def _difference_matrix(n_coef):
+    from scipy import sparse
+
+    stencil = np.array([-1.0, 3.0, -3.0, 1.0])
+    return sparse.diags_array(
+        [np.full(n_coef - _ORDER, c) for c in stencil],
+        offsets=range(_ORDER + 1),
+        shape=(n_coef - _ORDER, n_coef),
+    ).tocsr()
+
+
+def _upper_bands(matrix, size):
+    bands = np.zeros((_DEGREE + 1, size))
+    for k in range(_DEGREE + 1):
+        bands[_DEGREE - k, k:] = matrix.diagonal(k)
+    return bands
+
+
+def acceleration_spectra(segments, dt):
+    """Power of the second differences of all segments, and of white noise in them.
+
+    Parameters
+    ----------
+    segments : list of ndarray of shape (n_i,)
+        Samples of separate recordings.
+    dt : float
+        Sample period [s].
+
+    Returns
+    -------
+    frequency : ndarray of shape (m,)
+        Frequencies [Hz].
+    power : ndarray of shape (m,)
+        Power of the second derivative per frequency bin.
+    noise_gain : ndarray of shape (m,)
+        Power that white noise of variance 1 in the samples would have there.
+    """
+    # Second differences first: they whiten the enormous range between a slow motion
+    # and the noise, which would leak through any taper.
+    usable = [np.diff(x, 2) / dt**2 for x in segments if x.shape[0] >= 16]
+    if not usable:
+        longest = max((x.shape[0] for x in segments), default=0)
+        raise ValueError(
+            "Choosing the cut-off from the data needs a recording of at least 16 "
+            f"samples, got {longest}; give cutoff in Hz."
+        )
+    longest = max(x.shape[0] for x in usable)
+    n_fft = 1 << int(np.ceil(np.log2(longest)))
+    power = np.zeros(n_fft // 2 + 1)
+    total = 0.0
+    for x in usable:
+        taper = np.hanning(x.shape[0] + 2)[1:-1]
+        power += np.abs(np.fft.rfft((x - x.mean()) * taper, n_fft)) ** 2
+        total += taper @ taper
+    frequency = np.fft.rfftfreq(n_fft, dt)
+    noise_gain = (2 * np.sin(np.pi * frequency * dt)) ** 4 / dt**4
+    return frequency[1:], power[1:] / total, noise_gain[1:]
+
+
+def white_noise_variance(frequency, power, noise_gain):
+    """Variance of white noise in the samples, from the upper half of the spectrum.
+
+    The median resists lines (vibrations) there; periodogram ordinates of noise are
+    exponential, whose median is log(2) of the mean.
+    """
+    upper = frequency >= 0.5 * frequency[-1]
+    return float(np.median(power[upper] / noise_gain[upper]) / np.log(2))
+
+
+def choose_cutoff(frequency, power, noise_gain, dt):
+    """Cut-off that minimises the estimated error of the second derivative.
+
+    For the gain G the expected squared error at a frequency is (1 - G)^2 times the
+    signal's power plus G^2 times the noise's; the signal's power is the measured one
+    minus the noise's (Mallows' C_p, an unbiased estimate of the risk).
+
+    Returns
+    -------
+    cutoff : float
+        Cut-off [Hz], at most a third of the sampling rate.
+    noise_variance : float
+        White-noise variance of the samples.
+    """
+    variance = white_noise_variance(frequency, power, noise_gain)
+    noise = variance * noise_gain
+    candidates = np.geomspace(max(frequency[0], 1e-3 / dt), 1.0 / (3 * dt), 120)
+    risks = np.empty(candidates.size)
+    for i, cutoff in enumerate(candidates):
+        G = gain(frequency, dt, cutoff)
+        risks[i] = np.sum((1 - G) ** 2 * (power - noise) + G**2 * noise)
+    return float(candidates[np.argmin(risks)]), variance
+
+
+def signal_bandwidth(frequency, power, noise_gain, cutoff, variance, share=0.99):
+    """Frequency [Hz] below which `share` of the signal's acceleration power lies.
+
+    Only what the smoother with this cut-off lets pass is counted: far above it the
+    difference of measured and expected noise power is noise itself.
+    """
+    excess = power - variance * noise_gain
+    excess = np.where(frequency <= 2 * cutoff, excess, 0.0)
+    cumulative = np.cumsum(excess)
+    top = cumulative.max()
+    if top <= 0:
+        return float(cutoff)
+    return float(frequency[np.argmax(cumulative >= share * top)])

@@ -1,0 +1,185 @@
+"""Regressor matrices of rigid-body dynamics, as a scikit-learn transformer."""
+
+import numpy as np
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from sklearn_vbjfa.robot import _friction
+from sklearn_vbjfa.robot._model import (
+    INERTIAL_NAMES,
+    import_pinocchio,
+    is_prismatic,
+    joint_names,
+    load_model,
+)
+
+
+class RigidBodyFeatures(TransformerMixin, BaseEstimator):
+    """Joint-torque regressor matrix of a robot, one row per sample.
+
+    The equations of motion are linear in the inertial and friction parameters,
+    tau = Phi(q, v, a) theta (eq. 1 of [1]_). This transformer turns states into Phi,
+    with the torque of each joint a block of columns, so that the number of rows stays
+    the number of samples.
+
+    Parameters
+    ----------
+    model : str, os.PathLike or pinocchio.Model
+        Path of a URDF file, or a model; a tree of one-degree-of-freedom joints.
+    friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"}, \
+            default=("viscous",)
+        Further columns for each joint: v, sign(v), 1, a. With the default there are
+        the paper's 11 parameters per degree of freedom.
+
+    Attributes
+    ----------
+    n_joints_ : int
+        Number of joints, nv.
+    n_parameters_ : int
+        Length p of theta, nv * (10 + number of friction columns).
+    parameter_names_ : tuple of str
+        Names of the entries of theta, such as "joint_1:m" or "joint_2:viscous".
+    parameter_units_ : tuple of str
+        Their units.
+    n_features_in_ : int
+        3 nv.
+
+    See Also
+    --------
+    StateEstimator : Makes the states from joint positions.
+    JointTorqueRegressor : Estimates theta from these features.
+
+    Notes
+    -----
+    theta holds for each joint, in Pinocchio's order, the ten inertial parameters of
+    the body that it moves (m, m c_x, m c_y, m c_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about
+    the joint frame) [kg, kg m, kg m^2], then that joint's friction columns. Entry
+    ``j * p + k`` of a row is the derivative of the torque of joint j by parameter k.
+
+    References
+    ----------
+    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
+       with input and output noise", Neural Networks 24(1), 2011.
+       :doi:`10.1016/j.neunet.2010.08.011`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import pinocchio
+    >>> from sklearn_vbjfa import RigidBodyFeatures
+    >>> model = pinocchio.buildSampleModelManipulator()
+    >>> features = RigidBodyFeatures(model)
+    >>> states = np.zeros((4, 3 * model.nv))
+    >>> features.fit_transform(states).shape == (4, model.nv * 11 * model.nv)
+    True
+    """
+
+    def __init__(self, model, friction=("viscous",)):
+        self.model = model
+        self.friction = friction
+
+    def fit(self, X, y=None):
+        """Load the model and check the states.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, 3 * nv)
+            States [q | v | a] [rad or m, and their derivatives by s].
+        y : None
+            Ignored.
+
+        Returns
+        -------
+        self : object
+            Fitted transformer.
+        """
+        self._load()
+        X = validate_data(self, X, dtype=np.float64)
+        self._check_width(X)
+        return self
+
+    def _load(self):
+        self._model = load_model(self.model)
+        self._friction = _friction.check_names(self.friction)
+        self.n_joints_ = self._model.nv
+        per_joint = len(INERTIAL_NAMES) + len(self._friction)
+        self.n_parameters_ = self.n_joints_ * per_joint
+        names, units = [], []
+        kinds = is_prismatic(self._model)
+        for name, prismatic in zip(joint_names(self._model), kinds):
+            columns = INERTIAL_NAMES + self._friction
+            names += [f"{name}:{column}" for column in columns]
+            units += ["kg"] + 3 * ["kg m"] + 6 * ["kg m^2"]
+            units += [_friction.unit(column, prismatic) for column in self._friction]
+        self.parameter_names_ = tuple(names)
+        self.parameter_units_ = tuple(units)
+        return self
+
+    def _check_width(self, X):
+        nv = self.n_joints_
+        if X.shape[1] != 3 * nv:
+            raise ValueError(
+                f"The robot has {nv} joints, so that states [q | v | a] have "
+                f"{3 * nv} columns; got {X.shape[1]}. "
+                + (
+                    "These look like positions alone: use StateEstimator first."
+                    if X.shape[1] == nv
+                    else f"Joints in order: {', '.join(joint_names(self._model))}."
+                )
+            )
+
+    def transform(self, X):
+        """Compute the regressor matrices.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, 3 * nv)
+            States [q | v | a].
+
+        Returns
+        -------
+        ndarray of shape (n_samples, nv * p)
+            Regressor matrices, joints outermost.
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        return self._compute(X).reshape(X.shape[0], -1)
+
+    def _compute(self, X):
+        """Return the regressor matrices as (n_samples, nv, p)."""
+        pin = import_pinocchio()
+        model, nv = self._model, self.n_joints_
+        data = model.createData()
+        n = X.shape[0]
+        q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
+        k = len(self._friction)
+        Phi = np.zeros((n, nv, nv, 10 + k))
+        for i in range(n):
+            regressor = pin.computeJointTorqueRegressor(model, data, q[i], v[i], a[i])
+            Phi[i, :, :, :10] = regressor.reshape(nv, nv, 10)
+        diagonal = np.arange(nv)
+        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self._friction, q, v, a)
+        return Phi.reshape(n, nv, self.n_parameters_)
+
+    def get_feature_names_out(self, input_features=None):
+        """Names of the columns, such as "tau_joint_1/joint_2:m".
+
+        Parameters
+        ----------
+        input_features : None
+            Ignored.
+
+        Returns
+        -------
+        ndarray of shape (nv * p,) of object
+            Names.
+        """
+        check_is_fitted(self)
+        return np.array(
+            [
+                f"tau_{joint}/{parameter}"
+                for joint in joint_names(self._model)
+                for parameter in self.parameter_names_
+            ],
+            dtype=object,
+        )

@@ -1,0 +1,48 @@
+"""Joint-torque columns of friction and drive, one set per joint."""
+
+import numpy as np
+
+# name -> (function of (q, v, a), unit for a revolute joint, for a prismatic joint,
+# whether physics asks for a non-negative coefficient)
+_COLUMNS = {
+    "viscous": (lambda q, v, a: v, "N m s/rad", "N s/m", True),
+    "coulomb": (lambda q, v, a: np.sign(v), "N m", "N", True),
+    "offset": (lambda q, v, a: np.ones_like(v), "N m", "N", False),
+    "rotor_inertia": (lambda q, v, a: a, "kg m^2", "kg", True),
+}
+
+
+def available():
+    """Names of the friction columns."""
+    return tuple(_COLUMNS)
+
+
+def check_names(friction):
+    """Return the names as a tuple, refusing unknown and repeated ones."""
+    names = (friction,) if isinstance(friction, str) else tuple(friction)
+    unknown = [name for name in names if name not in _COLUMNS]
+    if unknown:
+        raise ValueError(
+            f"Unknown friction column(s) {unknown}; expected some of "
+            f"{list(_COLUMNS)}."
+        )
+    if len(set(names)) < len(names):
+        raise ValueError(f"friction names a column twice: {list(names)}.")
+    return names
+
+
+def columns(names, q, v, a):
+    """Return the columns, ndarray of shape (n, nv, len(names))."""
+    if not names:
+        return np.zeros((*np.shape(v), 0))
+    return np.stack([_COLUMNS[name][0](q, v, a) for name in names], axis=-1)
+
+
+def unit(name, prismatic):
+    """Unit of the coefficient."""
+    return _COLUMNS[name][2 if prismatic else 1]
+
+
+def nonnegative(name):
+    """Whether physics asks for a non-negative coefficient."""
+    return _COLUMNS[name][3]

@@ -11,7 +11,7 @@ the motion by its own polynomial, so that nothing is invented and nothing cut.
 """
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 from scipy.interpolate import BSpline
 
 _DEGREE = 5
@@ -110,8 +110,6 @@ def smooth(x, dt, cutoff):
 
 
 def _difference_matrix(n_coef):
-    from scipy import sparse
-
     stencil = np.array([-1.0, 3.0, -3.0, 1.0])
     return sparse.diags_array(
         [np.full(n_coef - _ORDER, c) for c in stencil],
@@ -202,16 +200,13 @@ def choose_cutoff(frequency, power, noise_gain, dt):
     return float(candidates[np.argmin(risks)]), variance
 
 
-def signal_bandwidth(frequency, power, noise_gain, cutoff, variance, share=0.99):
-    """Frequency [Hz] below which `share` of the signal's acceleration power lies.
-
-    Only what the smoother with this cut-off lets pass is counted: far above it the
-    difference of measured and expected noise power is noise itself.
-    """
-    excess = power - variance * noise_gain
-    excess = np.where(frequency <= 2 * cutoff, excess, 0.0)
+def velocity_bandwidth(frequency, power, noise_gain, variance, share=0.99):
+    """Frequency [Hz] below which `share` of the power of the velocity lies."""
+    excess = (power - variance * noise_gain) / frequency**2
+    # The noise that was subtracted leaves its own scatter; what lies within five
+    # deviations of it (the deviation of a periodogram is its mean) is no signal.
+    excess = np.where(power > 5 * variance * noise_gain, excess, 0.0)
     cumulative = np.cumsum(excess)
-    top = cumulative.max()
-    if top <= 0:
-        return float(cutoff)
-    return float(frequency[np.argmax(cumulative >= share * top)])
+    if not cumulative[-1] > 0:
+        return float(frequency[-1])
+    return float(frequency[np.argmax(cumulative >= share * cumulative[-1])])

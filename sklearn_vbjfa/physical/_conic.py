@@ -34,9 +34,10 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 # distance, and the one up to which an answer is accepted.
 _GAP_TARGET = 1e-6
 _GAP_LIMIT = 1e-4
-# A distance is known no better than this fraction of the vector's own length: the
-# solver resolves the matrices to about 1e-9 of their size.
-_RESOLUTION = 1e-8
+# Distances below this fraction of the vector's own length count as this fraction in the
+# relative gap: the solver resolves the matrices to about 1e-9 of their size, the square
+# root of the limit times this.
+_RESOLUTION = 1e-7
 
 
 class ProjectionError(RuntimeError):
@@ -299,12 +300,20 @@ def solve_conic(problem, *, max_solver_iter):
     ProjectionError
         If no solve ends with a certified gap below the limit.
     """
-    upper = problem.distance(clip(problem, problem.point, 2 * problem.margin))
     resolution = _RESOLUTION * float(np.linalg.norm(problem.root @ problem.point))
+    least = max(resolution**2, np.finfo(float).tiny)
+    # The least lift is an answer by itself where hardly anything has to move; no vector
+    # is nearer than nothing, so its own squared distance bounds its excess.
+    lifted, _ = lift(problem, problem.point, problem.margin)
+    squared = problem.distance(lifted) ** 2
+    best = (lifted, squared / max(squared, least), "lifted")
+    upper = problem.distance(clip(problem, problem.point, 2 * problem.margin))
     # A distance below the resolution cannot be measured, nor used as a scale.
     scale = max(upper, resolution)
-    best, n_iter = None, 0
+    n_iter, status = 0, "nothing to do"
     for _ in range(3):
+        if best[1] <= _GAP_TARGET:
+            break
         vector, duals, multipliers, iterations, status = _solve_once(
             problem, scale if scale > 0 else 1.0, max_solver_iter
         )
@@ -313,20 +322,16 @@ def solve_conic(problem, *, max_solver_iter):
             break
         vector, _ = lift(problem, vector, problem.margin)
         gap = certified_gap(problem, vector, duals, multipliers)
-        squared = problem.distance(vector) ** 2
-        relative = 2 * gap / max(squared, resolution**2, np.finfo(float).tiny)
-        if best is None or relative < best[1]:
+        relative = 2 * gap / max(problem.distance(vector) ** 2, least)
+        if relative < best[1]:
             best = (vector, relative, status)
-        if best[1] <= _GAP_TARGET:
-            break
         # Solve again in units of the distance found: the guess may have been far off.
         scale = max(problem.distance(best[0]), resolution)
-    if best is None or not best[1] <= _GAP_LIMIT:
-        gap = np.nan if best is None else best[1]
+    if best[1] > _GAP_LIMIT:
         raise ProjectionError(
             f"The projection on the {problem.constraint!r} set failed: clarabel ended "
             f"with {status} after {n_iter} iterations, and the certified relative gap "
-            f"{gap:.1e} is above {_GAP_LIMIT:.0e}. Raise max_solver_iter, or check the "
+            f"{best[1]:.1e} is above {_GAP_LIMIT:.0e}. Raise max_solver_iter, or check the "
             "vector and the metric for columns many orders of magnitude apart."
         )
     return best[0], max(best[1], 0.0), n_iter, best[2]

@@ -1,7 +1,26 @@
 """Linear models with noisy inputs and outputs, made for robot identification."""
 
+from sklearn_vbjfa._instrumental_variables import InstrumentalVariables
 from sklearn_vbjfa._jfa import JFARegressor
+from sklearn_vbjfa._stepwise import StepwiseRegressor
+from sklearn_vbjfa._total_least_squares import TotalLeastSquares
 from sklearn_vbjfa._vbjfa import VBJFARegressor
+from sklearn_vbjfa.physical import PhysicalProjector
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._identifier import RobotIdentifier
+from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._states import StateEstimator
 
 __version__ = "0.1.0.dev0"
-__all__ = ["JFARegressor", "VBJFARegressor"]
+__all__ = [
+    "InstrumentalVariables",
+    "JFARegressor",
+    "JointTorqueRegressor",
+    "PhysicalProjector",
+    "RigidBodyFeatures",
+    "RobotIdentifier",
+    "StateEstimator",
+    "StepwiseRegressor",
+    "TotalLeastSquares",
+    "VBJFARegressor",
+]

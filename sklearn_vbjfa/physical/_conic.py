@@ -102,6 +102,11 @@ class ConicProblem:
         """Matrices of the ten unit bodies, shape (10, n, n), n = 4 or 6."""
         return constraint_matrix(np.eye(N_INERTIAL), self.constraint)
 
+    def slack(self, vector):
+        """Matrices that must be positive semidefinite, shape (n_bodies, n, n)."""
+        matrices = constraint_matrix(vector[self.body_columns], self.constraint)
+        return matrices - self.margin * np.eye(matrices.shape[-1])
+
     def min_eigenvalues(self, vector):
         """Smallest eigenvalue of each body's matrix, shape (n_bodies,)."""
         return min_eigenvalue(vector[self.body_columns], self.constraint)
@@ -261,10 +266,8 @@ def certified_gap(problem, vector, duals, multipliers):
         "...ik,...k,...jk->...ij", basis, np.maximum(eigenvalue, 0.0), basis
     )
     multipliers = np.maximum(multipliers, 0.0)
-    matrices = constraint_matrix(vector[problem.body_columns], problem.constraint)
-    size = matrices.shape[-1]
-    slack = matrices - problem.margin * np.eye(size)
-    complementarity = np.sum(duals * slack) + multipliers @ vector[problem.nonnegative]
+    complementarity = np.sum(duals * problem.slack(vector))
+    complementarity += multipliers @ vector[problem.nonnegative]
     stationarity = problem.root.T @ problem.residual(vector)
     stationarity[problem.body_columns] -= np.einsum(
         "kij,bij->bk", problem.generators, duals
@@ -289,7 +292,8 @@ def solve_conic(problem, *, max_solver_iter):
     vector : ndarray of shape (n_features,)
         Strictly consistent vector in scaled units.
     gap : float
-        Certified excess of the squared distance, relative to it.
+        Certified excess of the squared distance, relative to it (or to the square of
+        the resolution, where that is larger).
     n_iter : int
         Interior-point iterations.
     status : str
@@ -331,8 +335,8 @@ def solve_conic(problem, *, max_solver_iter):
         raise ProjectionError(
             f"The projection on the {problem.constraint!r} set failed: clarabel ended "
             f"with {status} after {n_iter} iterations, and the certified relative gap "
-            f"{best[1]:.1e} is above {_GAP_LIMIT:.0e}. Raise max_solver_iter, or check the "
-            "vector and the metric for columns many orders of magnitude apart."
+            f"{best[1]:.1e} is above {_GAP_LIMIT:.0e}. Raise max_solver_iter, or check "
+            "the vector and the metric for columns many orders of magnitude apart."
         )
     return best[0], max(best[1], 0.0), n_iter, best[2]
 

@@ -1,1 +1,1 @@
-"""robot."""
+"""Robots: states, features, identification. Pinocchio is imported here alone."""

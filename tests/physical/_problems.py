@@ -77,10 +77,10 @@ def literal_matrix(phi, constraint):
     )
 
 
-def cvxopt_projection(theta, matrix, constraint, starts, nonnegative, floors=0.0):
+def cvxopt_projection(theta, matrix, constraint, starts, nonnegative, floor=0.0):
     """Solve the projection by cvxopt's cone QP: an independent optimum.
 
-    `floors` is the matrix that each body's matrix must exceed (0 for none).
+    `floor` is the least eigenvalue of each body's matrix (units of 1 kg and 1 m).
     """
     from cvxopt import matrix as dense
     from cvxopt import solvers
@@ -99,7 +99,9 @@ def cvxopt_projection(theta, matrix, constraint, starts, nonnegative, floors=0.0
         for k in range(10):
             block[:, start + k] = -literal_matrix(np.eye(10)[k], constraint).ravel()
         G.append(block)
-        value = literal_matrix(theta[start : start + 10], constraint) - floors
+        value = literal_matrix(theta[start : start + 10], constraint) - floor * np.eye(
+            size
+        )
         h.append(value.ravel())
     options = {
         "show_progress": False,
@@ -108,13 +110,18 @@ def cvxopt_projection(theta, matrix, constraint, starts, nonnegative, floors=0.0
         "feastol": 1e-12,
         "maxiters": 60,
     }
-    answer = solvers.coneqp(
-        dense(matrix),
-        dense(np.zeros(n)),
-        dense(np.vstack(G)),
-        dense(np.concatenate(h)),
-        {"l": len(nonnegative), "q": [], "s": [size] * len(starts)},
-        options=options,
-    )
-    delta = np.array(answer["x"]).ravel()
-    return theta + delta, float(delta @ matrix @ delta), answer
+    scale = 1.0
+    # cvxopt measures its gap absolutely: the second solve has an optimum near one.
+    for _ in range(2):
+        answer = solvers.coneqp(
+            dense(matrix / scale),
+            dense(np.zeros(n)),
+            dense(np.vstack(G)),
+            dense(np.concatenate(h)),
+            {"l": len(nonnegative), "q": [], "s": [size] * len(starts)},
+            options=options,
+        )
+        delta = np.array(answer["x"]).ravel()
+        squared = float(delta @ matrix @ delta)
+        scale = squared
+    return theta + delta, squared

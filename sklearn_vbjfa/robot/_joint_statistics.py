@@ -1,0 +1,136 @@
+"""Second moments of joint-torque regressors, joint by joint."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_vbjfa._core._stats import SufficientStatistics
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointStatistics:
+    """What a fit of one shared parameter vector needs of each joint's equations.
+
+    Attributes
+    ----------
+    n : ndarray of shape (nv,)
+        Sum of the weights of the joint's rows.
+    n_rows : ndarray of shape (nv,)
+        Number of the joint's rows with positive weight.
+    G : ndarray of shape (nv, p, p)
+        sum of w phi phi' over the rows phi of each joint's regressor.
+    g : ndarray of shape (nv, p)
+        sum of w phi tau.
+    yy : ndarray of shape (nv,)
+        sum of w tau^2.
+    """
+
+    n: np.ndarray
+    n_rows: np.ndarray
+    G: np.ndarray
+    g: np.ndarray
+    yy: np.ndarray
+
+    def __add__(self, other):
+        """Merge the statistics of disjoint rows."""
+        return JointStatistics(
+            n=self.n + other.n,
+            n_rows=self.n_rows + other.n_rows,
+            G=self.G + other.G,
+            g=self.g + other.g,
+            yy=self.yy + other.yy,
+        )
+
+
+def joint_statistics(Phi, tau, weight):
+    """Accumulate rows.
+
+    Parameters
+    ----------
+    Phi : ndarray of shape (n, nv, p)
+        Regressor matrices.
+    tau : ndarray of shape (n, nv)
+        Torques.
+    weight : ndarray of shape (n, nv)
+        Weights, zero to leave a row out.
+    """
+    _, nv, p = Phi.shape
+    G, g = np.empty((nv, p, p)), np.empty((nv, p))
+    root = np.sqrt(weight)
+    for j in range(nv):
+        rows = Phi[:, j] * root[:, j, None]
+        # A joint's torque does not depend on bodies below it in the tree: most
+        # columns of its rows are structurally zero.
+        used = np.flatnonzero(rows.any(axis=0))
+        block = rows[:, used]
+        G[j] = 0.0
+        G[j][np.ix_(used, used)] = block.T @ block
+        g[j] = rows.T @ (tau[:, j] * root[:, j])
+    return JointStatistics(
+        n=weight.sum(axis=0),
+        n_rows=(weight > 0).sum(axis=0),
+        G=G,
+        g=g,
+        yy=np.einsum("nj,nj->j", weight, tau**2),
+    )
+
+
+def _least_squares(G, g):
+    """Minimum-norm solution in columns scaled to unit diagonal."""
+    scale = np.sqrt(np.diagonal(G))
+    unit = np.where(scale > 0, scale, 1.0)
+    values, vectors = linalg.eigh(G / np.outer(unit, unit))
+    keep = values > max(values[-1], 0.0) * values.size * np.finfo(float).eps * 8
+    V = vectors[:, keep]
+    return V @ ((V.T @ (g / unit)) / values[keep]) / unit
+
+
+def residual_squares(stats, theta):
+    """Weighted sum of squared residuals of each joint, ndarray of shape (nv,)."""
+    squares = stats.yy - 2 * stats.g @ theta
+    squares += np.einsum("i,jik,k->j", theta, stats.G, theta)
+    # A difference of sums: below this share of yy it is rounding.
+    return np.maximum(squares, 1e-13 * stats.yy)
+
+
+def noise_weights(stats, max_iter=30, tol=1e-6):
+    """Inverse residual variance of each joint by iterated weighted least squares.
+
+    Starts from the torques' own mean squares, so that the unit of a joint's torque
+    never matters; a joint without rows gets the weight zero.
+    """
+    used = stats.n > 0
+    n = np.where(used, stats.n, 1.0)
+    variance = np.where(used & (stats.yy > 0), stats.yy / n, np.inf)
+    for _ in range(max_iter):
+        weight = 1.0 / variance
+        theta = _least_squares(
+            np.einsum("j,jik->ik", weight, stats.G), weight @ stats.g
+        )
+        new = residual_squares(stats, theta) / n
+        new = np.where(np.isfinite(variance), new, np.inf)
+        # A joint that is fitted exactly would get an infinite weight.
+        new = np.maximum(new, 1e-12 * np.where(used, stats.yy / n, np.inf))
+        new = np.where(new > 0, new, np.inf)
+        finite = np.isfinite(new)
+        change = np.abs(new[finite] / variance[finite] - 1)
+        variance = new
+        if change.size == 0 or change.max() < tol:
+            break
+    return 1.0 / variance
+
+
+def combine(stats, weight):
+    """Statistics of all joints' rows together, weighted, about zero."""
+    p = stats.g.shape[1]
+    used = weight > 0
+    return SufficientStatistics(
+        n_rows=int(stats.n_rows[used].sum()),
+        n_samples=float(stats.n[used].sum()),
+        x_mean=np.zeros(p),
+        y_mean=0.0,
+        S_xx=np.einsum("j,jik->ik", weight, stats.G),
+        S_xy=weight @ stats.g,
+        S_yy=float(weight @ stats.yy),
+    )

@@ -1,0 +1,370 @@
+"""One parameter vector from the torques of all joints, as a scikit-learn regressor."""
+
+import numpy as np
+from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from sklearn_vbjfa._base import BaseJointFactorRegressor
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa._vbjfa import VBJFARegressor
+from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_groups
+from sklearn_vbjfa.robot._joint_statistics import (
+    combine,
+    joint_statistics,
+    noise_weights,
+)
+
+# A filtered row counts when at least this share of the filter's neighbourhood counts.
+_MASK_SHARE = 0.5
+
+
+class JointTorqueRegressor(RegressorMixin, BaseEstimator):
+    """Estimate one parameter vector from the torques of all joints.
+
+    The last step of a pipeline that begins with `RigidBodyFeatures`: takes the wide
+    rows apart into one equation per joint and sample, weights the joints by their
+    noise, fits any linear scikit-learn regressor to all equations together, and
+    projects the parameters on physically consistent ones.
+
+    Parameters
+    ----------
+    regressor : estimator, default=None
+        Linear regressor, such as `VBJFARegressor`, `sklearn.linear_model.LassoCV` or
+        `sklearn.cross_decomposition.PLSRegression`; a pipeline of scaler and
+        regressor will do. It is fitted without intercept (an offset is a column of
+        its own), to columns and torques of unit mean square. None is
+        ``VBJFARegressor(latent="correlated")``: Bayesian regression with automatic
+        relevance determination.
+    projector : PhysicalProjector, default=None
+        Transformer of parameter vectors; None does not project. Where its `metric` is
+        None the weighted Gram matrix of the fit is used (eq. 35 of [1]_).
+    joint_weights : "auto", None or array-like of shape (nv,), default="auto"
+        Weights of the joints' equations [1 / torque squared]. ``"auto"``: the inverse
+        of each joint's residual variance, by iterated weighted least squares; None:
+        one for all.
+    dt : float, default=None
+        Sample period [s]; needed with `cutoff`.
+    cutoff : float, default=None
+        Cut-off [Hz] of a zero-phase low-pass that features and torques both pass
+        (parallel filtering: filtering the torque alone leaves a residual at every
+        reversal that looks like friction). None filters nothing. The filter's length
+        is lost at both ends of each recording.
+    decimation : int, default=None
+        Keep every so-manieth filtered sample; None keeps four per period of the
+        cut-off.
+
+    Attributes
+    ----------
+    theta_ : ndarray of shape (p,)
+        Parameters.
+    theta_unconstrained_ : ndarray of shape (p,)
+        Parameters before the projection.
+    theta_std_ : ndarray of shape (p,)
+        Standard deviations of `theta_unconstrained_`; nan where the regressor does
+        not tell.
+    joint_weights_ : ndarray of shape (nv,)
+        Weights of the joints.
+    n_rows_ : ndarray of shape (nv,)
+        Number of equations of each joint.
+    regressor_, projector_ : estimator
+        The fitted regressor and projector (None without).
+    metric_ : ndarray of shape (p, p)
+        Weighted Gram matrix of the equations.
+    lowpass_ : Lowpass
+        The filter.
+    n_features_in_ : int
+        nv * p.
+
+    See Also
+    --------
+    RobotIdentifier : The whole chain in one estimator.
+
+    References
+    ----------
+    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
+       with input and output noise", Neural Networks 24(1), 2011.
+       :doi:`10.1016/j.neunet.2010.08.011`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn.linear_model import LinearRegression
+    >>> from sklearn_vbjfa import JointTorqueRegressor
+    >>> rng = np.random.default_rng(0)
+    >>> Phi = rng.normal(size=(50, 2, 3))  # two joints, three parameters
+    >>> tau = Phi @ [1.0, 2.0, 3.0]
+    >>> model = JointTorqueRegressor(LinearRegression())
+    >>> model.fit(Phi.reshape(50, 6), tau).theta_.round(6)
+    array([1., 2., 3.])
+    """
+
+    def __init__(
+        self,
+        regressor=None,
+        projector=None,
+        joint_weights="auto",
+        *,
+        dt=None,
+        cutoff=None,
+        decimation=None,
+    ):
+        self.regressor = regressor
+        self.projector = projector
+        self.joint_weights = joint_weights
+        self.dt = dt
+        self.cutoff = cutoff
+        self.decimation = decimation
+
+    def __sklearn_tags__(self):
+        """Tags of a regressor with one or several outputs."""
+        tags = super().__sklearn_tags__()
+        tags.target_tags.multi_output = True
+        tags.target_tags.single_output = True
+        return tags
+
+    def fit(self, X, y, groups=None, sample_weight=None, instruments=None):
+        """Fit the parameters.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv * p)
+            Regressor matrices, joints outermost, rows in the order of time.
+        y : array-like of shape (n_samples, nv) or (n_samples,)
+            Joint torques.
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings; nothing is filtered across their borders.
+        sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
+                default=None
+            Weights of samples, or of each joint's equations; zero leaves one out.
+            With a low-pass, a filtered row gets the weights' average over the
+            filter's length, or zero where less than half of that counts.
+        instruments : array-like of shape (n_samples, nv * p), default=None
+            Second, independent measurement of X for a regressor that takes
+            `instruments`.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+        """
+        X, y = validate_data(
+            self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
+        )
+        self._one_output = y.ndim == 1
+        tau = y.reshape(X.shape[0], -1).astype(float)
+        nv = tau.shape[1]
+        if X.shape[1] % nv:
+            raise ValueError(
+                f"y has {nv} joints, so that the number of columns of X must be a "
+                f"multiple of {nv}; got {X.shape[1]}."
+            )
+        weight = self._check_weight(sample_weight, tau.shape)
+        if instruments is not None:
+            instruments = np.asarray(instruments, dtype=float)
+            if instruments.shape != X.shape:
+                raise ValueError(
+                    f"instruments must have the shape of X, {X.shape}; got "
+                    f"{instruments.shape}."
+                )
+        lowpass = self._begin()
+        for part in contiguous_groups(groups, X.shape[0]):
+            Phi = X[part].reshape(-1, nv, X.shape[1] // nv)
+            Z = None if instruments is None else instruments[part].reshape(Phi.shape)
+            self._accumulate(
+                lowpass(Phi),
+                lowpass(tau[part]),
+                filter_weight(lowpass, weight[part]),
+                None if Z is None else lowpass(Z),
+            )
+        return self._finish()
+
+    @staticmethod
+    def _check_weight(sample_weight, shape):
+        if sample_weight is None:
+            return np.ones(shape)
+        weight = np.asarray(sample_weight, dtype=float)
+        if weight.shape not in {shape, shape[:1]}:
+            raise ValueError(
+                f"sample_weight must have the shape {shape[:1]} or {shape}; got "
+                f"{weight.shape}."
+            )
+        if not np.isfinite(weight).all() or weight.min() < 0:
+            raise ValueError("sample_weight must be finite and not negative.")
+        if not weight.any():
+            raise ValueError("Sample weights must contain at least one non-zero number.")
+        return weight if weight.ndim == 2 else np.repeat(weight[:, None], shape[1], 1)
+
+    # The three stages are apart so that a recording can come in pieces.
+
+    def _begin(self):
+        """Design the filter and forget what was accumulated."""
+        self._stats = None
+        self._rows = []
+        regressor = self.regressor
+        if regressor is None:
+            regressor = VBJFARegressor(latent="correlated")
+        self.regressor_ = clone(regressor)
+        self._from_statistics = isinstance(self.regressor_, BaseJointFactorRegressor)
+        if self.cutoff is None:
+            self.lowpass_ = _lowpass.design(1.0, np.inf, self.decimation)
+        else:
+            dt = check_dt(self.dt)
+            cutoff = check_cutoff(self.cutoff, dt, "cutoff")
+            self.lowpass_ = _lowpass.design(dt, cutoff, self.decimation)
+        return self.lowpass_
+
+    def _accumulate(self, Phi, tau, weight, instruments=None):
+        """Take in filtered rows (n, nv, p), (n, nv), (n, nv)."""
+        if Phi.shape[0] == 0:
+            return
+        stats = joint_statistics(Phi, tau, weight)
+        self._stats = stats if self._stats is None else self._stats + stats
+        if not self._from_statistics:
+            self._rows.append((Phi, tau, weight, instruments))
+
+    def _finish(self):
+        """Weight the joints, fit, project."""
+        stats = self._stats
+        if stats is None or not stats.n.any():
+            raise ValueError(
+                "No equation is left to fit: every sample was masked, or the "
+                "recordings are shorter than the low-pass filter "
+                f"({2 * self.lowpass_.half + 1} samples). Raise the cut-off or give "
+                "longer recordings."
+            )
+        self.joint_weights_ = self._resolve_weights(stats)
+        self.n_rows_ = stats.n_rows
+        total = combine(stats, self.joint_weights_)
+        self.metric_ = total.S_xx
+        if self._from_statistics:
+            theta, std = self._fit_from_statistics(total)
+        else:
+            theta, std = self._fit_rows(total)
+        self.theta_unconstrained_ = theta
+        self.theta_std_ = std
+        self.statistics_ = stats
+        self.theta_ = self._project(theta)
+        del self._stats, self._rows
+        return self
+
+    def _resolve_weights(self, stats):
+        nv = stats.n.size
+        if self.joint_weights is None:
+            return np.where(stats.n > 0, 1.0, 0.0)
+        if isinstance(self.joint_weights, str):
+            if self.joint_weights != "auto":
+                raise ValueError(
+                    "joint_weights must be 'auto', None or an array of shape "
+                    f"({nv},); got {self.joint_weights!r}."
+                )
+            return noise_weights(stats)
+        weight = np.asarray(self.joint_weights, dtype=float)
+        if weight.shape != (nv,) or not np.isfinite(weight).all() or weight.min() < 0:
+            raise ValueError(
+                f"joint_weights must hold {nv} finite, non-negative numbers; got "
+                f"{self.joint_weights!r}."
+            )
+        return np.where(stats.n > 0, weight, 0.0)
+
+    def _fit_from_statistics(self, total):
+        self.regressor_.set_params(fit_intercept=False)
+        self.regressor_._validate_params()
+        self.regressor_._fit_statistics(total)
+        return self.regressor_.coef_.copy(), self.regressor_.coef_std_.copy()
+
+    def _stacked(self, which, scale):
+        """All joints' equations as one matrix (which=0) or vector (which=1)."""
+        out = []
+        root = np.sqrt(self.joint_weights_)
+        for rows in self._rows:
+            values, keep = rows[which], rows[2] > 0
+            if which == 1:
+                out.append((values * root)[keep])
+            else:
+                out.append((values * root[:, None])[keep] / scale)
+        return np.concatenate(out)
+
+    def _fit_rows(self, total):
+        """Fit any scikit-learn regressor to the stacked, scaled equations."""
+        n = total.n_samples
+        scale = np.sqrt(np.diagonal(total.S_xx) / n)
+        scale = np.where(scale > 0, scale, 1.0)
+        y_scale = np.sqrt(total.S_yy / n) or 1.0
+        A = self._stacked(0, scale)
+        b = self._stacked(1, None) / y_scale
+        weight = np.concatenate([w[w > 0] for _, _, w, _ in self._rows])
+        fit_params = {}
+        if not np.all(weight == weight[0]):
+            # Weights go into the rows: not every regressor takes sample_weight.
+            root = np.sqrt(weight / weight.mean())
+            A, b = A * root[:, None], b * root
+        if self._rows[0][3] is not None:
+            Z = self._stacked(3, scale)
+            fit_params["instruments"] = Z
+        intercepts = [
+            name
+            for name in self.regressor_.get_params(deep=True)
+            if name.split("__")[-1] == "fit_intercept"
+        ]
+        if intercepts:
+            self.regressor_.set_params(**dict.fromkeys(intercepts, False))
+        else:
+            # A regressor that always centres (PLS) sees each equation with its
+            # mirror image: the means are zero and nothing is lost.
+            A, b = np.vstack([A, -A]), np.r_[b, -b]
+            fit_params = {k: np.vstack([v, -v]) for k, v in fit_params.items()}
+        self.regressor_.fit(A, b, **fit_params)
+        theta = self._read_coefficients(A[:50])
+        std = getattr(self.regressor_, "coef_std_", None)
+        unit = y_scale / scale
+        std = np.full(theta.shape, np.nan) if std is None else np.ravel(std) * unit
+        return theta * unit, std
+
+    def _read_coefficients(self, sample):
+        """Coefficients by asking for predictions: right for pipelines as well."""
+        p = sample.shape[1]
+        probe = np.vstack([np.zeros((1, p)), np.eye(p)])
+        answer = np.ravel(self.regressor_.predict(probe))
+        coef = answer[1:] - answer[0]
+        direct = np.ravel(self.regressor_.predict(sample)) - answer[0]
+        size = np.abs(sample) @ np.abs(coef) + np.abs(answer[0])
+        if np.any(np.abs(direct - sample @ coef) > 1e-6 * size + 1e-300):
+            raise ValueError(
+                "regressor must be linear in its inputs, since its coefficients are "
+                f"the parameters; got {type(self.regressor_).__name__}."
+            )
+        return coef
+
+    def _project(self, theta):
+        self.projector_ = None
+        if self.projector is None:
+            return theta.copy()
+        self.projector_ = clone(self.projector)
+        if getattr(self.projector_, "metric", False) is None:
+            self.projector_.set_params(metric=self.metric_)
+        return self.projector_.fit(theta[None]).transform(theta[None])[0]
+
+    def predict(self, X):
+        """Predict the joint torques.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv * p)
+            Regressor matrices.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, nv), or (n_samples,) if y had one dimension
+            Torques.
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        tau = X.reshape(X.shape[0], -1, self.theta_.size) @ self.theta_
+        return tau[:, 0] if self._one_output else tau
+
+
+def filter_weight(lowpass, weight):
+    """Weights of filtered rows: the average, zero where less than half counts."""
+    average = lowpass.average(weight)
+    full = lowpass.average((weight > 0).astype(float))
+    return np.where(full >= _MASK_SHARE, average, 0.0)

@@ -1,0 +1,52 @@
+"""Torque residuals on recordings, filtered as in the fit."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueResiduals:
+    """Measured and predicted torques behind the same low-pass, and what counts.
+
+    Attributes
+    ----------
+    index : ndarray of shape (m,)
+        Row of the recording at the middle of each filtered sample.
+    torque : ndarray of shape (m, nv)
+        Filtered measured torques [N m or N].
+    predicted : ndarray of shape (m, nv)
+        Torques of the model, from filtered regressor columns [N m or N].
+    weight : ndarray of shape (m, nv)
+        Zero where a joint stands still, or the sample was left out.
+    """
+
+    index: np.ndarray
+    torque: np.ndarray
+    predicted: np.ndarray
+    weight: np.ndarray
+
+    @property
+    def residual(self):
+        """Measured minus predicted torque [N m or N], ndarray of shape (m, nv)."""
+        return self.torque - self.predicted
+
+    def rms(self):
+        """Root mean square of the residual of each joint [N m or N]."""
+        return _weighted(self.residual**2, self.weight) ** 0.5
+
+    def normalised_error(self):
+        """Root mean square over the standard deviation of the torque, each joint.
+
+        nan for a joint without counting samples or with a constant torque.
+        """
+        mean = _weighted(self.torque, self.weight)
+        spread = _weighted((self.torque - mean) ** 2, self.weight) ** 0.5
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(spread > 0, self.rms() / spread, np.nan)
+
+
+def _weighted(values, weight):
+    total = weight.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(total > 0, (values * weight).sum(axis=0) / total, np.nan)

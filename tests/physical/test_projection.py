@@ -1,0 +1,528 @@
+"""Projection: closed form, independent optimum, optimality, invariances, errors."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sklearn_vbjfa.physical import (
+    PhysicalProjector,
+    ProjectionError,
+    is_consistent,
+    parameter_units,
+    project,
+    spatial_inertia,
+)
+from tests.physical._problems import (
+    cvxopt_projection,
+    literal_matrix,
+    metric,
+    parameters_of,
+    point_masses,
+    robot,
+)
+
+seeds = st.integers(0, 2**31 - 1)
+constraints = st.sampled_from(["pseudo-inertia", "eq30"])
+properties = settings(derandomize=True, deadline=None, max_examples=15)
+
+FLAT = np.array([2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3])
+# Plain units, so that the oracle and the code state the margin alike.
+PLAIN = {"mass_scale": 1.0, "length_scale": 1.0}
+
+
+def inconsistent_robot(rng, n_bodies, n_extra=1, noise=0.5):
+    """Robot whose parameters were spoiled by noise of the order of their size."""
+    theta = robot(rng, n_bodies, n_extra)
+    return theta + noise * rng.normal(size=theta.size) * (np.abs(theta) + 0.2)
+
+
+def smallest_eigenvalue(theta, constraint, width=11):
+    """Smallest eigenvalue over the bodies, from the literal matrices."""
+    return min(
+        np.linalg.eigvalsh(literal_matrix(theta[k : k + 10], constraint))[0]
+        for k in range(0, theta.size, width)
+    )
+
+
+# -- closed form
+
+
+def test_closed_form_of_the_flat_body():
+    result = project(FLAT, np.diag([1.0] * 9 + [4.0]))
+    expected = FLAT.copy()
+    expected[[4, 6, 9]] = 13 / 9, 13 / 9, 26 / 9
+    # The margin moves the boundary by 1e-8 of the body's size.
+    np.testing.assert_allclose(result.theta, expected, rtol=0, atol=1e-7)
+    # (4/9)^2 + (4/9)^2 + 4 (1/9)^2
+    assert result.objective == pytest.approx(36 / 81, rel=1e-6)
+    assert result.status == "projected"
+    assert result.relative_gap <= 1e-6
+
+
+def test_larger_margin_moves_the_closed_form_as_predicted():
+    # Ixx = Iyy = a, Izz = c with a - c/2 = delta; minimise 2 (a - 1)^2 + 4 (c - 3)^2.
+    margin = 0.01
+    result = project(FLAT, np.diag([1.0] * 9 + [4.0]), margin=margin, **PLAIN)
+    c = (26 - 2 * margin) / 9
+    np.testing.assert_allclose(result.theta[9], c, rtol=1e-7)
+    np.testing.assert_allclose(result.theta[4], c / 2 + margin, rtol=1e-7)
+    assert result.min_eigenvalues[0] == pytest.approx(margin, rel=1e-9)
+
+
+def test_eq30_keeps_an_inertia_that_violates_the_triangle_inequality():
+    kept = project(FLAT, constraint="eq30")
+    assert kept.status == "unchanged"
+    np.testing.assert_array_equal(kept.theta, FLAT)
+    assert project(FLAT).status == "projected"
+
+
+def test_negative_friction_alone_is_set_to_zero():
+    theta = np.r_[2.0, 0, 0, 0, 1, 0, 1, 0, 0, 1, -0.5]
+    result = project(theta)
+    assert result.theta[10] >= 0
+    np.testing.assert_allclose(result.theta[10], 0, atol=1e-8)
+    np.testing.assert_allclose(result.theta[:10], theta[:10], atol=1e-7)
+
+
+def test_free_columns_keep_their_sign():
+    rng = np.random.default_rng(0)
+    theta = inconsistent_robot(rng, 2, n_extra=3)
+    theta[[11, 24]] = -2.0
+    kept = [10, 12, 23, 25]
+    theta[kept] = -1.0
+    result = project(theta, parameters_per_joint=13, nonnegative=kept)
+    np.testing.assert_allclose(result.theta[[11, 24]], -2.0, rtol=1e-6)
+    assert (result.theta[kept] >= 0).all()
+
+
+# -- against an independent solver
+
+conditionings = st.sampled_from(
+    [(1.0, None), (1e4, None), (1e10, None), (1e3, 0.6), (1e8, 0.8)]
+)
+
+
+@properties
+@given(seeds, constraints, st.integers(1, 4), conditionings)
+def test_objective_is_the_optimum_of_an_independent_solver(
+    seed, constraint, n_bodies, conditioning
+):
+    condition, share = conditioning
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, n_bodies)
+    rank = None if share is None else int(share * theta.size)
+    A = metric(rng, theta.size, condition, rank)
+    result = project(
+        theta, A, constraint=constraint, parameters_per_joint=11, margin=1e-6, **PLAIN
+    )
+    # The documented regulariser, in its documented units, so that both have the same
+    # unique minimum; see anchor_weight.
+    diagonal = np.diag(A)
+    units = np.ones(theta.size)
+    kept = np.arange(10, theta.size, 11)
+    bodies = np.setdiff1d(np.arange(theta.size), kept)
+    largest = diagonal[bodies].max()
+    units[kept] = np.sqrt(largest / diagonal[kept])
+    full = A + 1e-10 * np.diag(largest / units**2)
+    _, optimum = cvxopt_projection(
+        theta, full, constraint, np.arange(0, theta.size, 11), kept, floor=1e-6
+    )
+    delta = result.theta - theta
+    reached = delta @ full @ delta
+    # One-sided bounds: never better than the optimum by more than the oracle's own
+    # error, never worse by more than 1e-6.
+    assert reached <= optimum * (1 + 1e-6)
+    assert reached >= optimum * (1 - 1e-5)
+    assert result.objective == pytest.approx(delta @ A @ delta, rel=1e-6)
+
+
+@properties
+@given(seeds, constraints, st.sampled_from([1.0, 1e6, 1e10]))
+def test_variational_inequality_holds(seed, constraint, condition):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 3)
+    A = metric(rng, theta.size, condition)
+    options = {"constraint": constraint, "parameters_per_joint": 11, **PLAIN}
+    result = project(theta, A, anchor_weight=1e-14, **options)
+    pull = A @ (theta - result.theta)
+    for _ in range(20):
+        # Feasible vectors near and far; the set is convex, so is every mixture.
+        other = robot(rng, 3)
+        near = result.theta + 1e-2 * (other - result.theta)
+        length = np.sqrt((other - theta) @ A @ (other - theta))
+        tolerance = 1e-3 * np.sqrt(result.objective) * length
+        assert (other - result.theta) @ pull <= tolerance
+        assert (near - result.theta) @ pull <= 1e-2 * tolerance
+
+
+@properties
+@given(seeds, constraints)
+def test_result_is_strictly_consistent_and_certified(seed, constraint):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 4)
+    A = metric(rng, theta.size, 1e8)
+    result = project(
+        theta, A, constraint=constraint, parameters_per_joint=11, margin=1e-4, **PLAIN
+    )
+    assert (result.min_eigenvalues >= 1e-4).all()
+    assert smallest_eigenvalue(result.theta, constraint) >= 1e-4 * (1 - 1e-9)
+    assert (result.theta[10::11] >= 0).all()
+    assert result.relative_gap <= 1e-5
+
+
+# -- the paper's virtual parameters
+
+
+@settings(properties, max_examples=6)
+@given(seeds, st.sampled_from([1.0, 1e4]))
+def test_virtual_parameters_reach_the_convex_optimum(seed, condition):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 2)
+    A = metric(rng, theta.size, condition)
+    options = {"constraint": "eq30", "parameters_per_joint": 11, **PLAIN}
+    virtual = project(theta, A, solver="virtual", **options)
+    conic = project(theta, A, **options)
+    assert virtual.objective == pytest.approx(conic.objective, rel=1e-5)
+    np.testing.assert_allclose(virtual.theta, conic.theta, atol=1e-2)
+    M = spatial_inertia(virtual.theta.reshape(2, 11)[:, :10])
+    assert (np.linalg.eigvalsh(M)[:, 0] > 0).all()
+    assert virtual.solver == "trust-exact"
+
+
+@properties
+@given(seeds)
+def test_eq30_set_is_larger_so_its_distance_is_smaller(seed):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 3)
+    A = metric(rng, theta.size, 1e3)
+    loose = project(theta, A, constraint="eq30", parameters_per_joint=11)
+    strict = project(theta, A, parameters_per_joint=11)
+    assert loose.objective <= strict.objective * (1 + 1e-6)
+
+
+# -- invariances
+
+
+@properties
+@given(seeds, constraints)
+def test_consistent_vector_comes_back_bit_for_bit(seed, constraint):
+    rng = np.random.default_rng(seed)
+    theta = robot(rng, 3)
+    result = project(
+        theta,
+        metric(rng, theta.size, 1e8, 20),
+        constraint=constraint,
+        parameters_per_joint=11,
+        anchor=robot(rng, 3),
+    )
+    np.testing.assert_array_equal(result.theta, theta)
+    assert result.theta is not theta
+    assert (result.status, result.solver) == ("unchanged", "none")
+    assert (result.objective, result.iterations) == (0.0, 0)
+
+
+@properties
+@given(seeds, constraints, st.sampled_from([1.0, 1e10]))
+def test_projecting_twice_changes_nothing(seed, constraint, condition):
+    rng = np.random.default_rng(seed)
+    X = np.array([inconsistent_robot(rng, 2) for _ in range(2)])
+    projector = PhysicalProjector(constraint, metric=metric(rng, 22, condition)).fit(X)
+    once = projector.transform(X)
+    np.testing.assert_array_equal(projector.transform(once), once)
+
+
+@properties
+@given(seeds, st.sampled_from([1e-6, 1e-3, 7.0, 1e6]))
+def test_scaling_the_parameters_scales_the_projection(seed, factor):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 3)
+    A = metric(rng, theta.size, 1e4)
+    reference = project(theta, A, parameters_per_joint=11)
+    scaled = project(factor * theta, A, parameters_per_joint=11)
+    np.testing.assert_allclose(scaled.theta / factor, reference.theta, atol=1e-4)
+    assert scaled.objective / factor**2 == pytest.approx(reference.objective, rel=1e-6)
+    np.testing.assert_allclose(scaled.mass_scale, factor * reference.mass_scale)
+
+
+@properties
+@given(seeds, st.sampled_from([1e-3, 1e3]), st.booleans())
+def test_unit_of_length_does_not_matter(seed, unit, with_metric):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 3)
+    units = np.tile(np.r_[parameter_units(1.0, unit), unit**2], 3)
+    A = metric(rng, theta.size, 1e4) if with_metric else None
+    converted = A / units / units[:, None] if with_metric else None
+    reference = project(theta, A, parameters_per_joint=11)
+    result = project(units * theta, converted, parameters_per_joint=11)
+    np.testing.assert_allclose(result.theta / units, reference.theta, atol=1e-4)
+    assert result.objective == pytest.approx(reference.objective, rel=1e-6)
+
+
+@properties
+@given(seeds)
+def test_scale_of_the_metric_does_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 2)
+    A = metric(rng, theta.size, 1e4)
+    reference = project(theta, A, parameters_per_joint=11)
+    result = project(theta, 1e9 * A, parameters_per_joint=11)
+    np.testing.assert_allclose(result.theta, reference.theta, atol=1e-4)
+
+
+@properties
+@given(seeds)
+def test_order_of_the_bodies_does_not_matter(seed):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 4)
+    A = metric(rng, theta.size, 1e4)
+    order = rng.permutation(4)
+    columns = (11 * order[:, None] + np.arange(11)).ravel()
+    reference = project(theta, A, parameters_per_joint=11)
+    result = project(
+        theta[columns], A[np.ix_(columns, columns)], parameters_per_joint=11
+    )
+    np.testing.assert_allclose(result.theta, reference.theta[columns], atol=1e-4)
+
+
+def test_independent_bodies_are_projected_independently():
+    rng = np.random.default_rng(5)
+    theta = inconsistent_robot(rng, 2)
+    weights = rng.uniform(0.5, 2.0, size=22)
+    both = project(theta, np.diag(weights), **PLAIN)
+    first = project(theta[:11], np.diag(weights[:11]), **PLAIN)
+    np.testing.assert_allclose(both.theta[:11], first.theta, atol=1e-5)
+
+
+@properties
+@given(seeds)
+def test_rotated_frame_gives_the_rotated_body(seed):
+    # The plain Frobenius distance of the pseudo-inertia does not depend on the frame.
+    rng = np.random.default_rng(seed)
+    points, masses = point_masses(rng)
+    masses[:3] *= -1.0
+    turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    generators = np.array([literal_matrix(e, "pseudo-inertia") for e in np.eye(10)])
+    A = np.einsum("aij,bij->ab", generators, generators)
+    straight = project(parameters_of(points, masses), A, **PLAIN).theta
+    turned = project(parameters_of(points @ turn.T, masses), A, **PLAIN).theta
+    frame = np.eye(4)
+    frame[:3, :3] = turn
+    np.testing.assert_allclose(
+        frame @ literal_matrix(straight, "pseudo-inertia") @ frame.T,
+        literal_matrix(turned, "pseudo-inertia"),
+        atol=1e-5,
+    )
+
+
+# -- directions that the metric does not see
+
+
+def test_unseen_columns_go_to_the_anchor():
+    theta = np.r_[FLAT, FLAT]
+    anchor = np.r_[FLAT[:9], 1.5, 3.0, 0.1, 0, 0, 2, 0, 2, 0, 0, 2]
+    weights = np.r_[np.ones(10), np.zeros(10)]
+    result = project(theta, np.diag(weights), anchor=anchor, margin=1e-6)
+    np.testing.assert_allclose(result.theta[10:], anchor[10:], atol=1e-3)
+    alone = project(FLAT, np.eye(10), anchor=anchor[:10], margin=1e-6)
+    np.testing.assert_allclose(result.theta[:10], alone.theta, atol=1e-3)
+
+
+def test_without_an_anchor_unseen_columns_stay():
+    good = np.array([3.0, 0.1, 0, 0, 2, 0, 2, 0, 0, 2])
+    weights = np.r_[np.ones(10), np.zeros(10)]
+    result = project(np.r_[FLAT, good], np.diag(weights), parameters_per_joint=10)
+    np.testing.assert_allclose(result.theta[10:], good, atol=1e-3)
+
+
+def test_rounding_of_a_singular_regression_is_dropped_with_a_warning():
+    rng = np.random.default_rng(6)
+    theta = inconsistent_robot(rng, 3)
+    basis, _ = np.linalg.qr(rng.normal(size=(33, 33)))
+    A = basis[:, :20] @ basis[:, :20].T
+    clean = project(basis[:, :20] @ basis[:, :20].T @ theta, A)
+    spoiled = theta + 1e9 * basis[:, 20:] @ rng.normal(size=13)
+    with pytest.warns(UserWarning, match="rounding of a singular regression"):
+        result = project(spoiled, A)
+    assert np.abs(result.theta).max() < 1e2
+    # The spoiled vector itself is only known to 1e9 times the machine precision.
+    assert result.objective == pytest.approx(clean.objective, rel=1e-3, abs=1e-10)
+
+
+def test_metric_of_zeros_projects_by_the_anchor_alone():
+    result = project(FLAT, np.zeros((10, 10)))
+    assert result.objective == 0.0
+    assert is_consistent(result.theta)
+
+
+def test_robot_regression_with_singular_gram_matrix_keeps_its_predictions():
+    pin = pytest.importorskip("pinocchio")
+    rng = np.random.default_rng(7)
+    model = pin.Model()
+    parent = 0
+    for k in range(4):
+        angle = rng.normal(size=3)
+        placement = pin.SE3(pin.exp3(angle), 0.2 * rng.normal(size=3))
+        joint = [pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ()][k % 3]
+        parent = model.addJoint(parent, joint, placement, f"joint{k}")
+        phi = parameters_of(*point_masses(rng, spread=0.1))
+        body = pin.Inertia.FromDynamicParameters(phi)
+        model.appendBodyToJoint(parent, body, pin.SE3.Identity())
+    truth = np.concatenate(
+        [model.inertias[k].toDynamicParameters() for k in range(1, 5)]
+    )
+    data = model.createData()
+    Y = np.vstack(
+        [
+            pin.computeJointTorqueRegressor(model, data, *rng.normal(size=(3, 4)))
+            for _ in range(150)
+        ]
+    )
+    torque = Y @ truth
+    noisy = torque + 0.5 * np.std(torque) * rng.normal(size=torque.size)
+    theta = np.linalg.lstsq(Y, noisy, rcond=1e-10)[0]
+    assert not is_consistent(theta.reshape(4, 10)).all()
+    result = project(theta, Y.T @ Y)
+    assert is_consistent(result.theta.reshape(4, 10)).all()
+    # The truth is in the set, so the projection in the metric of the data cannot be
+    # further from it than the estimate (projections on convex sets do not expand).
+    before = np.linalg.norm(Y @ (theta - truth))
+    after = np.linalg.norm(Y @ (result.theta - truth))
+    assert after <= before * (1 + 1e-6)
+
+
+# -- failures
+
+
+@pytest.mark.parametrize("constraint", ["pseudo-inertia", "eq30"])
+def test_unfinished_solve_raises_and_returns_nothing(constraint):
+    theta = inconsistent_robot(np.random.default_rng(0), 3)
+    with pytest.raises(ProjectionError, match="failed: clarabel ended with MaxIter"):
+        project(theta, constraint=constraint, max_solver_iter=1)
+
+
+def test_unfinished_virtual_solve_raises(monkeypatch):
+    monkeypatch.setattr("sklearn_vbjfa.physical._projection._VIRTUAL_STEPS", 0.05)
+    theta = inconsistent_robot(np.random.default_rng(0), 3)
+    with pytest.raises(ProjectionError, match=r"virtual parameters of eq\. 30 failed"):
+        project(theta, constraint="eq30", solver="virtual", max_solver_iter=20)
+
+
+def test_projection_error_is_a_runtime_error():
+    assert issubclass(ProjectionError, RuntimeError)
+
+
+INDEFINITE = np.diag([1.0] * 10)
+INDEFINITE[0, 1] = INDEFINITE[1, 0] = 2.0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"metric": np.eye(9)}, r"metric must have shape \(10, 10\).*got \(9, 9\)"),
+        ({"metric": np.triu(np.ones((10, 10)))}, "metric must be symmetric"),
+        (
+            {"metric": INDEFINITE},
+            "positive semidefinite; its smallest eigenvalue is -1",
+        ),
+        ({"metric": -np.eye(10)}, "positive semidefinite; its diagonal has a negative"),
+        ({"metric": np.full((10, 10), np.nan)}, "metric must be finite"),
+        ({"constraint": "triangle"}, "constraint must be one of .*got 'triangle'"),
+        ({"margin": 0.0}, "margin must be a number between 0 and 1.*got 0.0"),
+        ({"margin": 1.5}, "margin must be a number between 0 and 1.*got 1.5"),
+        ({"margin": np.nan}, "margin must be a number between 0 and 1.*got nan"),
+        ({"margin": "small"}, "margin must be a number between 0 and 1.*got 'small'"),
+        ({"solver": "osqp"}, "solver must be one of .*got 'osqp'"),
+        ({"solver": "virtual"}, 'needs constraint="eq30", got .pseudo-inertia.'),
+        ({"max_solver_iter": 0}, "max_solver_iter must be an integer >= 1, got 0"),
+        ({"max_solver_iter": 2.5}, "max_solver_iter must be an integer >= 1, got 2.5"),
+        ({"anchor_weight": 0.0}, "anchor_weight must be a number above 0"),
+        ({"anchor": np.ones(9)}, r"anchor must have shape \(10,\), got \(9,\)"),
+        ({"anchor": np.full(10, np.inf)}, "anchor must be finite"),
+        ({"mass_scale": [1.0, 2.0]}, r"mass_scale must be a number or one number per"),
+        ({"length_scale": -1.0}, "length_scale must be positive and finite, got -1.0"),
+    ],
+)
+def test_wrong_options_are_named(options, message):
+    with pytest.raises(ValueError, match=message):
+        project(FLAT, **options)
+    with pytest.raises(ValueError, match=message):
+        PhysicalProjector(**options).fit(FLAT[None])
+
+
+def test_wrong_vectors_are_named():
+    with pytest.raises(ValueError, match=r"theta must have shape \(n_features,\)"):
+        project(FLAT[None])
+    with pytest.raises(ValueError, match="theta must be finite; it contains NaN"):
+        project(np.where(np.arange(10) == 3, np.nan, FLAT))
+
+
+def test_gram_matrix_of_tiny_columns_is_accepted():
+    # Rounding of a matrix clipped in its own units is no indefiniteness.
+    rng = np.random.default_rng(8)
+    factor = rng.normal(size=(40, 10)) * np.logspace(0, -9, 10)
+    gram = factor.T @ factor
+    eigenvalue, basis = np.linalg.eigh(gram)
+    eigenvalue[:4] = 0.0
+    assert is_consistent(project(FLAT, (basis * eigenvalue) @ basis.T).theta)
+
+
+# -- the transformer
+
+
+def test_transformer_projects_each_row_as_the_function_does():
+    rng = np.random.default_rng(9)
+    X = np.array([inconsistent_robot(rng, 2) for _ in range(3)])
+    A = metric(rng, 22, 1e4)
+    projector = PhysicalProjector(metric=A).fit(X)
+    scales = {
+        "mass_scale": projector.mass_scale_,
+        "length_scale": projector.length_scale_,
+    }
+    for row, projected, result in zip(
+        X, projector.transform(X), projector.projections(X)
+    ):
+        np.testing.assert_array_equal(projected, result.theta)
+        np.testing.assert_array_equal(projected, project(row, A, **scales).theta)
+
+
+def test_options_of_the_transformer_are_those_of_the_function():
+    theta = inconsistent_robot(np.random.default_rng(10), 2)
+    projector = PhysicalProjector("eq30", margin=1e-3, anchor_weight=1e-6)
+    result = project(theta, **projector.get_params())
+    np.testing.assert_allclose(
+        projector.fit_transform(theta[None])[0], result.theta, atol=1e-6
+    )
+
+
+def test_fitted_attributes():
+    rng = np.random.default_rng(11)
+    X = np.array([inconsistent_robot(rng, 2) for _ in range(3)])
+    projector = PhysicalProjector().fit(X)
+    assert projector.n_features_in_ == 22
+    assert projector.body_starts_.tolist() == [0, 11]
+    assert projector.nonnegative_.tolist() == [10, 21]
+    assert projector.mass_scale_.shape == projector.length_scale_.shape == (2,)
+    np.testing.assert_array_equal(
+        projector.metric_, np.diag(np.diag(projector.metric_))
+    )
+    np.testing.assert_allclose(
+        np.diag(projector.metric_)[:10] ** -0.5,
+        parameter_units(projector.mass_scale_[0], projector.length_scale_[0]),
+        rtol=1e-12,
+    )
+
+
+def test_scales_of_the_anchor_come_before_those_of_the_rows():
+    rng = np.random.default_rng(12)
+    anchor = robot(rng, 2)
+    X = 1e3 * inconsistent_robot(rng, 2)[None]
+    with_anchor = PhysicalProjector(anchor=anchor).fit(X)
+    of_anchor = PhysicalProjector().fit(anchor[None])
+    np.testing.assert_array_equal(with_anchor.mass_scale_, of_anchor.mass_scale_)
+
+
+def test_failed_row_raises_from_transform():
+    X = inconsistent_robot(np.random.default_rng(13), 2)[None]
+    with pytest.raises(ProjectionError, match="failed"):
+        PhysicalProjector(max_solver_iter=1).fit_transform(X)

@@ -5,15 +5,10 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from sklearn_vbjfa.physical._conic import (
-    ProjectionError,
-    clip,
-    lift,
-    make_problem,
-    solve_conic,
-)
+from sklearn_vbjfa.physical._conic import ProjectionError, solve_conic
 from sklearn_vbjfa.physical._layout import resolve_layout
 from sklearn_vbjfa.physical._metric import check_metric
+from sklearn_vbjfa.physical._programme import clip, lift, make_problem
 from sklearn_vbjfa.physical._pseudo_inertia import (
     _check_constraint,
     body_scales,
@@ -25,6 +20,8 @@ from sklearn_vbjfa.physical._virtual import solve_virtual
 SOLVERS = ("conic", "virtual")
 # The virtual solver's steps are cheaper and more numerous than the conic solver's.
 _VIRTUAL_STEPS = 10
+# Excess of the squared distance up to which their answer is accepted, relative.
+_VIRTUAL_LIMIT = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +43,7 @@ class ProjectionResult:
     relative_gap : float
         Certified bound on how far the squared distance (with the regulariser's share)
         exceeds the least possible one, relative to it (or to the square of 1e-7 of the
-        vector's length, where that is larger).  0 for an unchanged vector, nan for the
-        virtual solver, which has no such certificate.
+        vector's length, where that is larger).  0 for an unchanged vector.
     iterations : int
         Iterations of the solver, all passes together.
     solver : {"none", "clarabel", "trust-exact"}
@@ -179,7 +175,7 @@ def project(
     mass_scale=None,
     length_scale=None,
     anchor=None,
-    anchor_weight=1e-10,
+    anchor_weight=1e-8,
     solver="conic",
     max_solver_iter=200,
 ):
@@ -215,7 +211,7 @@ def project(
         Unit of length of each body [m].
     anchor : array-like of shape (n_features,) or None, default=None
         Where directions that the metric does not see are pulled.
-    anchor_weight : float, default=1e-10
+    anchor_weight : float, default=1e-8
         Strength of that pull.
     solver : {"conic", "virtual"}, default="conic"
         How the minimum is found.
@@ -397,17 +393,22 @@ def _solve_virtual(problem, max_solver_iter):
         lift(problem, stricter, floor)[0],
         clip(problem, problem.point, floor),
     ]
-    vector, iterations, message, converged = solve_virtual(
+    vector, steps, message = solve_virtual(
         problem, starts, max_solver_iter=_VIRTUAL_STEPS * max_solver_iter
     )
-    if not converged:
+    # A stationary point of a problem that is not convex proves nothing.  The convex
+    # programme has the same minimum, and its certificate bounds it from below.
+    nearest, gap, checked, _ = solve_conic(problem, max_solver_iter=max_solver_iter)
+    least = problem.distance(nearest) ** 2 * (1.0 - gap)
+    excess = problem.distance(vector) ** 2 / max(least, np.finfo(float).tiny) - 1.0
+    if not excess <= _VIRTUAL_LIMIT:
         raise ProjectionError(
             "The projection in the virtual parameters of eq. 30 failed: after "
-            f"{iterations} steps the optimiser reports {message!r}. Raise "
-            'max_solver_iter, or use solver="conic", which finds the same minimum by '
-            "convex optimisation."
+            f"{steps} steps the optimiser reports {message!r}, {excess:.1e} above the "
+            "least squared distance (relative). Raise max_solver_iter, or use "
+            'solver="conic".'
         )
-    return vector, np.nan, used + iterations, message
+    return vector, max(excess, 0.0), used + steps + checked, message
 
 
 def _settle(vector, problem, units, eigenvalues, margin):

@@ -79,7 +79,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         pulled to.  None: the row itself, so that such directions move only as far as
         consistency demands.  A row that is consistent already is not pulled.
 
-    anchor_weight : float, default=1e-10
+    anchor_weight : float, default=1e-8
         Weight of that pull, relative to the largest diagonal entry of the metric in
         scaled units.  It makes the minimum unique; directions that the metric sees
         less than this are left to the anchor.
@@ -87,7 +87,8 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     solver : {"conic", "virtual"}, default="conic"
         "conic": the equivalent convex programme, by an interior-point method with a
         certificate.  "virtual": the paper's way, for `constraint="eq30"` alone:
-        minimise in the virtual parameters of eq. 30, which is not convex.
+        minimise in the virtual parameters of eq. 30, which is not convex; the answer
+        is checked against the convex programme, and takes a hundred times longer.
 
     max_solver_iter : int, default=200
         Largest number of interior-point iterations of one solve; the virtual solver
@@ -172,7 +173,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         mass_scale=None,
         length_scale=None,
         anchor=None,
-        anchor_weight=1e-10,
+        anchor_weight=1e-8,
         solver="conic",
         max_solver_iter=200,
     ):

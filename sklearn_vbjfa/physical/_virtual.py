@@ -279,8 +279,6 @@ def solve_virtual(problem, starts, *, max_solver_iter):
         Steps taken in all.
     message : str
         The optimiser's own word on its end.
-    converged : bool
-        Whether the best run ended at a stationary point.
     """
     bodies = problem.body_columns
     nonnegative = problem.nonnegative
@@ -343,7 +341,4 @@ def solve_virtual(problem, starts, *, max_solver_iter):
         n_iter += int(outcome.nit)
         if best is None or outcome.fun < best.fun:
             best = outcome
-    # Rounding may end the run before gtol is met; the gradient tells whether the end
-    # is a minimum: 1e-6 against an objective scaled to one half.
-    converged = bool(best.success or np.linalg.norm(best.jac) <= 1e-6)
-    return to_vector(best.x), n_iter, str(best.message), converged
+    return to_vector(best.x), n_iter, str(best.message)

@@ -16,9 +16,15 @@ from sklearn_vbjfa.datasets._fetch_research import (
     fetch_tiago,
 )
 from sklearn_vbjfa.datasets._recording import Recording
+from sklearn_vbjfa.datasets._robots import (
+    SimulatedRecording,
+    load_demo_recording,
+    make_robot_recording,
+)
 
 __all__ = [
     "Recording",
+    "SimulatedRecording",
     "fetch_bam_xl330",
     "fetch_dfki_double_pendulum",
     "fetch_emps",
@@ -29,4 +35,6 @@ __all__ = [
     "fetch_tflex_1dof",
     "fetch_tiago",
     "fetch_ur5",
+    "load_demo_recording",
+    "make_robot_recording",
 ]

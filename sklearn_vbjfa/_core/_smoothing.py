@@ -62,7 +62,7 @@ def _penalty(dt, cutoff):
     return 1.0 / _difference_gain(cutoff, h)
 
 
-def smooth(x, dt, cutoff):
+def smooth(x, dt, cutoff, at=None):
     """Smooth equidistant samples and differentiate them twice.
 
     Parameters
@@ -73,10 +73,13 @@ def smooth(x, dt, cutoff):
         Sample period [s].
     cutoff : float
         Frequency [Hz] at which the gain is one half; infinity interpolates.
+    at : ndarray of shape (m,), default=None
+        Times [s] after the first sample at which to evaluate, at most one sample
+        period outside the recording; None is the samples' own times.
 
     Returns
     -------
-    ndarray of shape (3, n)
+    ndarray of shape (3, m)
         Smoothed samples, first and second derivatives.
     """
     n = x.shape[0]
@@ -85,6 +88,7 @@ def smooth(x, dt, cutoff):
     # In units of the knot distance, with knots beyond both ends.
     u = np.arange(n) / step
     n_intervals = max(1, int(np.ceil(u[-1] - 1e-9)))
+    times = u if at is None else np.asarray(at) / (dt * step)
     knots = np.arange(-_DEGREE, n_intervals + _DEGREE + 1, dtype=float)
     design = BSpline.design_matrix(np.minimum(u, n_intervals), knots, _DEGREE).tocsr()
     n_coef = n_intervals + _DEGREE
@@ -99,12 +103,11 @@ def smooth(x, dt, cutoff):
     coef = linalg.solveh_banded(bands, design.T @ (x - offset))
     spline = BSpline(knots, coef, _DEGREE)
     h = step * dt
-    at = np.minimum(u, n_intervals)
     return np.stack(
         [
-            spline(at) + offset,
-            spline.derivative(1)(at) / h,
-            spline.derivative(2)(at) / h**2,
+            spline(times) + offset,
+            spline.derivative(1)(times) / h,
+            spline.derivative(2)(times) / h**2,
         ]
     )
 

@@ -68,6 +68,8 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         Speed [rad/s or m/s] at or below which a joint's equations are left out.
         ``"auto"``: 2 % of the 99.5th percentile of its speed in the recordings of the
         fit. None masks nothing.
+    joint_weights : "auto", None or array-like of shape (nv,), default="auto"
+        Weights of the joints' equations, see `JointTorqueRegressor`.
 
     Attributes
     ----------
@@ -128,6 +130,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         cutoff="auto",
         state_cutoff="auto",
         standstill="auto",
+        joint_weights="auto",
     ):
         self.model = model
         self.dt = dt
@@ -137,6 +140,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.cutoff = cutoff
         self.state_cutoff = state_cutoff
         self.standstill = standstill
+        self.joint_weights = joint_weights
 
     def __sklearn_tags__(self):
         """Tags of a regressor with several outputs."""
@@ -179,16 +183,21 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.cutoff_ = self._resolve_cutoff(parts)
         self.standstill_ = self._resolve_standstill(states)
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
+        lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
+        self._check_length(parts, lowpass)
+        return self._fit_equations(self._filtered(states, y, weight, parts, lowpass))
 
+    def _fit_equations(self, pieces):
+        """Estimate from filtered (index, Phi, tau, weight), which may be a stream."""
         self.estimator_ = JointTorqueRegressor(
             None if self.regressor is None else clone(self.regressor),
+            joint_weights=self.joint_weights,
             dt=self.dt,
             cutoff=self.cutoff_ if np.isfinite(self.cutoff_) else None,
         )
-        lowpass = self.estimator_._begin()
-        self._check_length(parts, lowpass)
-        for _, Phi, tau, w in self._filtered(states, y, weight, parts, lowpass):
-            self.estimator_._accumulate(Phi, tau, w)
+        self.estimator_._begin()
+        for _, *equations in pieces:
+            self.estimator_._accumulate(*equations)
         self._check_count(self.estimator_._stats)
         self.estimator_._finish()
         self._constrain()
@@ -235,13 +244,20 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         )
         return self.state_estimator_.fit_transform(X, groups=groups)
 
-    def _states(self, X, groups):
+    def _states(self, X, groups, *, in_band=False):
+        """States of a query; `in_band` smooths to the band that was identified."""
         if X.shape[1] == 3 * self._nv:
             return X
         estimator = self.state_estimator_
         if estimator is None:
             estimator = StateEstimator(check_dt(self.dt), cutoff=self.state_cutoff)
-            return estimator.fit_transform(X, groups=groups)
+            estimator.fit(X, groups=groups)
+        if in_band:
+            cutoffs = np.minimum(estimator.cutoff_, self.cutoff_)
+            estimator = clone(estimator).set_params(
+                cutoff=[c if np.isfinite(c) else None for c in cutoffs]
+            )
+            estimator.fit(X, groups=groups)
         return estimator.transform(X, groups=groups)
 
     def _check_channels(self, states, y):
@@ -424,7 +440,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions, or states [q | v | a], which count as noiseless.
+            Joint positions, which are smoothed up to the cut-off of the fit (above
+            it nothing was identified); or states [q | v | a], which count as
+            noiseless and are taken as they are.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
 
@@ -435,7 +453,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         X = self._validate_query(X)
-        states = self._states(X, groups)
+        states = self._states(X, groups, in_band=True)
         rows = max(1, _CHUNK_BYTES // (8 * self._nv * self.theta_.size))
         return np.concatenate(
             [
@@ -488,13 +506,13 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         self._check_length(parts, lowpass)
-        pieces = [
-            (index, tau, Phi @ self.theta_, w)
-            for index, Phi, tau, w in self._filtered(
-                self._states(X, groups), y, weight, parts, lowpass
-            )
-        ]
-        index, torque, predicted, weight = (np.concatenate(x) for x in zip(*pieces))
+        return self._residuals_of(
+            self._filtered(self._states(X, groups), y, weight, parts, lowpass)
+        )
+
+    def _residuals_of(self, pieces):
+        found = [(i, tau, Phi @ self.theta_, w) for i, Phi, tau, w in pieces]
+        index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
         return TorqueResiduals(
             index=index, torque=torque, predicted=predicted, weight=weight
         )

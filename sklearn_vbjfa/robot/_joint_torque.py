@@ -311,8 +311,8 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         else:
             # A regressor that always centres (PLS) sees each equation with its
             # mirror image: the means are zero and nothing is lost.
-            A, b = np.vstack([A, -A]), np.r_[b, -b]
-            fit_params = {k: np.vstack([v, -v]) for k, v in fit_params.items()}
+            A, b = _mirror(A), _mirror(b)
+            fit_params = {k: _mirror(v) for k, v in fit_params.items()}
         self.regressor_.fit(A, b, **fit_params)
         theta = self._read_coefficients(A[:50])
         std = getattr(self.regressor_, "coef_std_", None)
@@ -361,6 +361,11 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         X = validate_data(self, X, dtype=np.float64, reset=False)
         tau = X.reshape(X.shape[0], -1, self.theta_.size) @ self.theta_
         return tau[:, 0] if self._one_output else tau
+
+
+def _mirror(rows):
+    """Each row followed by its negative: pairs stay together in any block split."""
+    return np.stack([rows, -rows], axis=1).reshape(-1, *rows.shape[1:])
 
 
 def filter_weight(lowpass, weight):

@@ -167,6 +167,50 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 ).T
         return states.reshape(n, 3 * nv)
 
+    def split_transform(self, X, groups=None):
+        """Estimate the states twice, from the even and from the odd samples.
+
+        The encoder noise of the two is independent (white noise assumed) while the
+        motion is the same: what their regressors do not share is noise.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv)
+            Joint positions [rad or m].
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+
+        Returns
+        -------
+        even, odd : ndarray of shape (n_samples, 3 * nv)
+            States at the times of all samples.
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        n, nv = X.shape
+        halves = np.empty((2, n, 3, nv))
+        # Each half is sampled at half the rate; its own cut-off must fit below.
+        highest = 1.0 / (6 * self.dt)
+        for part in contiguous_groups(groups, n):
+            length = part.stop - part.start
+            if length < 2 * _MIN_SAMPLES:
+                raise ValueError(
+                    f"A recording must have at least {2 * _MIN_SAMPLES} samples to be "
+                    f"split; the one at row {part.start} has {length}."
+                )
+            times = np.arange(length) * self.dt
+            for k in range(2):
+                samples = X[part][k::2]
+                for j in range(nv):
+                    cutoff = self.cutoff_[j]
+                    halves[k, part, :, j] = _smoothing.smooth(
+                        samples[:, j],
+                        2 * self.dt,
+                        min(cutoff, highest) if np.isfinite(cutoff) else cutoff,
+                        at=times - k * self.dt,
+                    ).T
+        return halves[0].reshape(n, -1), halves[1].reshape(n, -1)
+
     def fit_transform(self, X, y=None, groups=None):
         """Choose the cut-offs and estimate the states.
 

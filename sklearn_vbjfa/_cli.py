@@ -1,0 +1,202 @@
+"""Command line: identify a recording and show the held-out error beside rivals."""
+
+import argparse
+import os
+import sys
+import warnings
+
+import numpy as np
+
+
+def main(argv=None):
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : list of str, default=None
+        Arguments; None takes those of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0, or 2 for bad input (one line on stderr).
+    """
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    try:
+        arguments.run(arguments)
+    except (ValueError, OSError, ImportError) as error:
+        message = " ".join(str(error).split())
+        print(f"sklearn-vbjfa: {message}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:
+        # The reader (head, less) has seen enough.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _parser():
+    from sklearn_vbjfa import __version__
+
+    parser = argparse.ArgumentParser(
+        prog="sklearn-vbjfa",
+        description="Robot identification with noise in inputs and outputs. Without "
+        "a command: identify the recording that the package brings along.",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    parser.set_defaults(run=_identify, data="demo", data_home=None, methods=None)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    identify = commands.add_parser(
+        "identify",
+        help="identify a measured set and compare methods on its held-out part",
+        description="Identify a recording and compare methods on its held-out part.",
+    )
+    identify.add_argument(
+        "--data",
+        default="demo",
+        metavar="NAME",
+        help="demo (default) or a measured set; see the command datasets",
+    )
+    identify.add_argument(
+        "--data-home",
+        default=None,
+        metavar="DIR",
+        help="folder of the measured sets; by default scikit-learn's, where what is "
+        "missing is downloaded",
+    )
+    identify.set_defaults(run=_identify)
+    datasets = commands.add_parser("datasets", help="list the measured sets")
+    datasets.set_defaults(run=_datasets)
+    return parser
+
+
+def _datasets(arguments):
+    from tabulate import tabulate
+
+    from sklearn_vbjfa.datasets._protocols import protocols
+
+    rows = []
+    for name, protocol in protocols().items():
+        summary = (protocol.load.__doc__ or "").strip().splitlines()[0]
+        rows.append([name, summary])
+    print(tabulate(rows, headers=["name", "recording"]))
+
+
+def _identify(arguments):
+    from sklearn_vbjfa import RobotIdentifier
+    from sklearn_vbjfa.datasets._protocols import protocols
+    from sklearn_vbjfa.robot._comparison import compare_methods
+
+    known = protocols()
+    if arguments.data not in known:
+        raise ValueError(
+            f"no recording is called {arguments.data!r}; expected one of "
+            f"{', '.join(known)}."
+        )
+    protocol = known[arguments.data]
+    if arguments.data == "demo":
+        recording = protocol.load()
+    else:
+        recording = protocol.load(data_home=arguments.data_home, **protocol.options)
+    train, test = protocol.split(recording)
+    identifier = RobotIdentifier(
+        recording.robot_model(),
+        dt=recording.dt,
+        friction=protocol.friction,
+        cutoff=protocol.cutoff,
+        standstill=protocol.standstill,
+    )
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        results, fitted = compare_methods(
+            identifier,
+            _part(recording, train),
+            _part(recording, test),
+            on_progress=_progress(),
+        )
+    print(_report(recording, protocol, results, fitted))
+    _say_warnings(caught)
+
+
+def _part(recording, rows):
+    return recording.q[rows], recording.tau[rows], recording.groups[rows]
+
+
+def _progress():
+    """Name each method while it runs, on a terminal only."""
+    if not sys.stderr.isatty():
+        return None
+
+    def show(name):
+        print(f"\r\033[K{name} ...", end="", file=sys.stderr, flush=True)
+
+    return show
+
+
+def _say_warnings(caught):
+    from sklearn.exceptions import ConvergenceWarning
+
+    if sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr)
+    seen = set()
+    for warning in caught:
+        text = " ".join(str(warning.message).split())
+        # How rivals converge is their affair; what concerns the data is the user's.
+        if warning.category is ConvergenceWarning or text in seen:
+            continue
+        if issubclass(warning.category, UserWarning):
+            seen.add(text)
+            print(f"note: {text}", file=sys.stderr)
+
+
+def _report(recording, protocol, results, fitted):
+    from tabulate import tabulate
+
+    names = fitted.joint_names_
+    percent = [
+        [result.name, *(100 * result.error), _overall(result)] for result in results
+    ]
+    table = tabulate(
+        percent,
+        headers=["method", *names, "mean"],
+        floatfmt=".1f",
+        missingval="failed",
+    )
+    cutoff = (
+        f"low-pass {fitted.cutoff_:.3g} Hz"
+        if np.isfinite(fitted.cutoff_)
+        else "no low-pass"
+    )
+    lines = [
+        f"{recording}",
+        f"{protocol.describe(recording)}; {cutoff}, standstill masked; friction: "
+        f"{', '.join(protocol.friction)}",
+        "",
+        "held-out torque error [% of the torque's standard deviation]",
+        table,
+        "",
+        _consistency(results, len(names)),
+    ]
+    failed = [f"{r.name} failed: {r.message}" for r in results if r.message]
+    return "\n".join(lines + failed)
+
+
+def _overall(result):
+    finite = np.isfinite(result.error)
+    return 100 * float(np.mean(result.error[finite])) if finite.any() else np.nan
+
+
+def _consistency(results, n_bodies):
+    ours = results[0]
+    broken = {r.n_inconsistent for r in results[1:] if not r.message}
+    spread = f"{min(broken)}" if len(broken) == 1 else f"{min(broken)} to {max(broken)}"
+    state = (
+        f"all {n_bodies} bodies physically consistent"
+        if ours.n_inconsistent == 0
+        else f"{ours.n_inconsistent} of {n_bodies} bodies NOT physically consistent"
+    )
+    return (
+        f"physical consistency: {ours.name}: {state} (smallest pseudo-inertia "
+        f"eigenvalue {ours.min_eigenvalue:.2g}, in units of each body's mass and "
+        f"length); without projection {spread} of {n_bodies} bodies are impossible."
+    )

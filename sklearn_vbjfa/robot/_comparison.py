@@ -1,0 +1,190 @@
+"""Methods side by side on one recording: same equations, same held-out part."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from sklearn.base import clone
+from sklearn.cross_decomposition import PLSRegression
+from sklearn.linear_model import LassoCV, LinearRegression, RidgeCV
+from sklearn.model_selection import GridSearchCV, KFold
+
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa._instrumental_variables import InstrumentalVariables
+from sklearn_vbjfa._jfa import JFARegressor
+from sklearn_vbjfa._stepwise import StepwiseRegressor
+from sklearn_vbjfa._total_least_squares import TotalLeastSquares
+from sklearn_vbjfa._vbjfa import VBJFARegressor
+from sklearn_vbjfa.robot._groups import contiguous_groups
+from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+
+OURS = "VB + projection"
+# Rows are in the order of time: unshuffled folds are blocks of time.
+_BLOCKS = KFold(5)
+
+
+def methods(n_parameters):
+    """Return name -> settings of `RobotIdentifier` for every method.
+
+    All share states, filter, mask and joint weights (but for ordinary least squares);
+    what a method has to choose it chooses by five blocks of time of the training part.
+    """
+    components = sorted(
+        {int(c) for c in np.geomspace(3, max(4, 0.8 * n_parameters), 8)}
+    )
+    pls = GridSearchCV(
+        PLSRegression(scale=False, max_iter=5000),
+        {"n_components": components},
+        cv=_BLOCKS,
+        scoring="neg_mean_squared_error",
+    )
+    ridge = RidgeCV(alphas=np.geomspace(1e-4, 1e4, 17), cv=_BLOCKS)
+    lasso = LassoCV(cv=_BLOCKS, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
+    plain = {"projector": None}
+    return {
+        OURS: {"regressor": None, "projector": "default"},
+        "VB": {"regressor": None, **plain},
+        "OLS": {"regressor": LinearRegression(), "joint_weights": None, **plain},
+        "WLS": {"regressor": LinearRegression(), **plain},
+        "ridge": {"regressor": ridge, **plain},
+        "LASSO": {"regressor": lasso, **plain},
+        "PLS": {"regressor": pls, **plain},
+        "stepwise": {"regressor": StepwiseRegressor(), **plain},
+        "TLS": {"regressor": TotalLeastSquares(), **plain},
+        "IV": {"regressor": InstrumentalVariables(), **plain},
+        "JFA": {"regressor": JFARegressor(), **plain},
+        "VB-JFA": {"regressor": VBJFARegressor(), **plain},
+        "VB-JFA, paper": {"regressor": VBJFARegressor(prior="paper"), **plain},
+    }
+
+
+@dataclass(frozen=True, kw_only=True)
+class MethodResult:
+    """One method on one recording.
+
+    Attributes
+    ----------
+    name : str
+        Method.
+    error : ndarray of shape (nv,)
+        Held-out error of each joint: root mean square of the residual over the
+        standard deviation of the torque.
+    train_error : ndarray of shape (nv,)
+        The same on the training part.
+    min_eigenvalue : float
+        Smallest eigenvalue of all bodies' pseudo-inertia matrices, dimensionless.
+    n_inconsistent : int
+        Bodies that no mass distribution has.
+    message : str
+        Why there is no result; empty otherwise.
+    """
+
+    name: str
+    error: np.ndarray
+    train_error: np.ndarray
+    min_eigenvalue: float
+    n_inconsistent: int
+    message: str = ""
+
+
+def compare_methods(identifier, train, test, *, names=None, on_progress=None):
+    """Fit all methods to the training part and judge them on the other.
+
+    Parameters
+    ----------
+    identifier : RobotIdentifier
+        Settings that all methods share.
+    train, test : tuple of (X, y, groups)
+        Positions, torques and labels of the two parts.
+    names : sequence of str, default=None
+        Methods; None is all.
+    on_progress : callable, default=None
+        Called with the name of each method before it starts.
+
+    Returns
+    -------
+    results : list of MethodResult
+        In the order of `methods`.
+    base : RobotIdentifier
+        The fitted identifier of the first method.
+    """
+    base = clone(identifier).fit(train[0], train[1], groups=train[2])
+    train_pieces = _pieces(base, *train)
+    test_pieces = _pieces(base, *test)
+    chosen = methods(len(base.parameter_names_))
+    if names is not None:
+        chosen = {name: chosen[name] for name in names}
+    results = []
+    for name, settings in chosen.items():
+        if on_progress is not None:
+            on_progress(name)
+        model = clone(identifier).set_params(**settings)
+        for attribute in _PREPARED:
+            setattr(model, attribute, getattr(base, attribute))
+        pieces = train_pieces
+        if name == "IV":
+            pieces = _split_pieces(base, *train)
+        try:
+            model._fit_equations(pieces)
+        except ValueError as error:
+            nothing = np.full(base._nv, np.nan)
+            results.append(
+                MethodResult(
+                    name=name,
+                    error=nothing,
+                    train_error=nothing,
+                    min_eigenvalue=np.nan,
+                    n_inconsistent=0,
+                    message=str(error),
+                )
+            )
+            continue
+        results.append(
+            MethodResult(
+                name=name,
+                error=model._residuals_of(test_pieces).normalised_error(),
+                train_error=model._residuals_of(train_pieces).normalised_error(),
+                min_eigenvalue=float(model.min_eigenvalues_.min()),
+                n_inconsistent=int((model.min_eigenvalues_ <= 0).sum()),
+            )
+        )
+    return results, base
+
+
+# What the preparation of a fit leaves behind, apart from the estimation itself.
+_PREPARED = (
+    "features_",
+    "_nv",
+    "joint_names_",
+    "parameter_names_",
+    "parameter_units_",
+    "n_features_in_",
+    "state_estimator_",
+    "cutoff_",
+    "standstill_",
+)
+
+
+def _prepare(base, X, y, groups):
+    parts = contiguous_groups(groups, X.shape[0])
+    weight = JointTorqueRegressor._check_weight(None, y.shape)
+    lowpass = _lowpass.design(base.dt or 1.0, base.cutoff_)
+    return parts, weight, lowpass
+
+
+def _pieces(base, X, y, groups):
+    parts, weight, lowpass = _prepare(base, X, y, groups)
+    states = base._states(X, groups)
+    return list(base._filtered(states, y, weight, parts, lowpass))
+
+
+def _split_pieces(base, X, y, groups):
+    """Equations from the even samples, with those from the odd ones as instruments."""
+    parts, weight, lowpass = _prepare(base, X, y, groups)
+    even, odd = base.state_estimator_.split_transform(X, groups)
+    first = base._filtered(even, y, weight, parts, lowpass)
+    second = base._filtered(odd, y, weight, parts, lowpass)
+    # An equation counts only where both halves say that the joint moves.
+    return [
+        (index, Phi, tau, np.minimum(w, other_w), other)
+        for (index, Phi, tau, w), (_, other, _, other_w) in zip(first, second)
+    ]

@@ -111,7 +111,10 @@ def protocols():
             standstill=0.02,
         ),
         "franka_panda": Protocol(load=fetch_franka_panda, cutoff=10.0),
-        "tflex_1dof": Protocol(load=fetch_tflex_1dof, cutoff=40.0),
+        # A flexure hinge: practically no dry friction.
+        "tflex_1dof": Protocol(
+            load=fetch_tflex_1dof, cutoff=40.0, friction=("viscous", "offset")
+        ),
         "bam_xl330": Protocol(load=fetch_bam_xl330, cutoff=12.0, standstill=0.05),
         "kuka_lbr_med7": Protocol(load=fetch_kuka_lbr_med7, cutoff=4.0),
         "dfki_double_pendulum": Protocol(

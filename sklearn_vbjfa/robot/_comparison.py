@@ -39,11 +39,11 @@ def methods(n_parameters):
     )
     ridge = RidgeCV(alphas=np.geomspace(1e-4, 1e4, 17), cv=_BLOCKS)
     lasso = LassoCV(cv=_BLOCKS, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
-    plain = {"projector": None}
+    plain = {"projector": None, "block_noise": False}
     return {
         OURS: {"regressor": None, "projector": "default"},
-        "VB": {"regressor": None, **plain},
-        "OLS": {"regressor": LinearRegression(), "joint_weights": None, **plain},
+        "VB": {"regressor": None, "projector": None},
+        "OLS": {**plain, "regressor": LinearRegression(), "joint_weights": None},
         "WLS": {"regressor": LinearRegression(), **plain},
         "ridge": {"regressor": ridge, **plain},
         "LASSO": {"regressor": lasso, **plain},

@@ -70,6 +70,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         fit. None masks nothing.
     joint_weights : "auto", None or array-like of shape (nv,), default="auto"
         Weights of the joints' equations, see `JointTorqueRegressor`.
+    block_noise : bool, default=False
+        Whether stretches of time in which the model fails count less, see
+        `JointTorqueRegressor`.
 
     Attributes
     ----------
@@ -131,6 +134,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         state_cutoff="auto",
         standstill="auto",
         joint_weights="auto",
+        block_noise=False,
     ):
         self.model = model
         self.dt = dt
@@ -141,6 +145,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.state_cutoff = state_cutoff
         self.standstill = standstill
         self.joint_weights = joint_weights
+        self.block_noise = block_noise
 
     def __sklearn_tags__(self):
         """Tags of a regressor with several outputs."""
@@ -192,6 +197,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.estimator_ = JointTorqueRegressor(
             None if self.regressor is None else clone(self.regressor),
             joint_weights=self.joint_weights,
+            block_noise=self.block_noise,
             dt=self.dt,
             cutoff=self.cutoff_ if np.isfinite(self.cutoff_) else None,
         )

@@ -1,6 +1,6 @@
 """Second moments of joint-torque regressors, joint by joint."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -119,6 +119,74 @@ def noise_weights(stats, max_iter=30, tol=1e-6):
         if change.size == 0 or change.max() < tol:
             break
     return 1.0 / variance
+
+
+# Degrees of freedom of Student's t; the customary value for robust regression without
+# tuning (Lange, Little and Taylor, 1989).
+_STUDENT_FREEDOM = 4.0
+
+
+def block_precisions(pieces, blocks, independent, max_iter=20, tol=1e-3):
+    """Relative precision of each joint's noise in each block of time.
+
+    The residual of a joint is Gaussian with a precision of its own in every block,
+    Gamma(nu/2, nu/2) times the joint's: a multivariate Student t. What the model lacks
+    (stiction, transients) comes in stretches of time, which then count less. The
+    parameters in between are weighted least squares; EM to convergence.
+
+    Parameters
+    ----------
+    pieces : list of (Phi, tau, weight)
+        Equations (n, nv, p), (n, nv), (n, nv).
+    blocks : list of ndarray of shape (n,)
+        Number of the block of each row, over all pieces.
+    independent : float
+        Independent samples per row; less than one for filtered rows.
+
+    Returns
+    -------
+    list of ndarray of shape (n, nv)
+        Factors of the weights, near one.
+    """
+    n_blocks = 1 + max(int(block.max()) for block in blocks)
+    nv = pieces[0][1].shape[1]
+    nu = _STUDENT_FREEDOM
+    factor = np.ones((n_blocks, nv))
+    count = sum(_by_block(w, b, n_blocks) for (_, _, w), b in zip(pieces, blocks))
+    for _ in range(max_iter):
+        stats = _sum_statistics(pieces, blocks, factor)
+        weight = noise_weights(stats)
+        theta = _least_squares(
+            np.einsum("j,jik->ik", weight, stats.G), weight @ stats.g
+        )
+        squares = sum(
+            _by_block(w * (tau - Phi @ theta) ** 2, b, n_blocks)
+            for (Phi, tau, w), b in zip(pieces, blocks)
+        )
+        scaled = squares * weight
+        new = (nu + independent * count) / (nu + independent * scaled)
+        new = np.where(count > 0, new, 1.0)
+        change = np.abs(new / factor - 1).max()
+        factor = new
+        if change < tol:
+            break
+    return [factor[b] for b in blocks]
+
+
+def _by_block(values, block, n_blocks):
+    out = np.zeros((n_blocks, values.shape[1]))
+    np.add.at(out, block, values)
+    return out
+
+
+def _sum_statistics(pieces, blocks, factor):
+    total = None
+    for (Phi, tau, weight), block in zip(pieces, blocks):
+        stats = joint_statistics(Phi, tau, weight * factor[block])
+        # The factors re-weight the samples; their number stays what it is.
+        stats = replace(stats, n=weight.sum(axis=0))
+        total = stats if total is None else total + stats
+    return total
 
 
 def combine(stats, weight):

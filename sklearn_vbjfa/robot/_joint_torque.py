@@ -1,5 +1,7 @@
 """One parameter vector from the torques of all joints, as a scikit-learn regressor."""
 
+from dataclasses import replace
+
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -9,11 +11,14 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._vbjfa import VBJFARegressor
 from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._joint_statistics import (
+    block_precisions,
     combine,
     joint_statistics,
     noise_weights,
 )
 
+# Rows of a block of constant noise: 2.5 periods of the cut-off.
+_BLOCK_ROWS = 10
 # A filtered row counts when at least this share of the filter's neighbourhood counts.
 _MASK_SHARE = 0.5
 
@@ -52,6 +57,10 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     decimation : int, default=None
         Keep every so-manieth filtered sample; None keeps four per period of the
         cut-off.
+    block_noise : bool, default=False
+        Whether the noise of each joint may differ between blocks of time (ten
+        filtered rows, 2.5 periods of the cut-off): a Student t with four degrees of
+        freedom, so that stretches in which the model fails count less.
 
     Attributes
     ----------
@@ -66,6 +75,8 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         Weights of the joints.
     n_rows_ : ndarray of shape (nv,)
         Number of equations of each joint.
+    block_factors_ : list of ndarray of shape (n_rows, nv) or None
+        Relative precision of each row's noise, piece by piece of the recording.
     regressor_, projector_ : estimator
         The fitted regressor and projector (None without).
     metric_ : ndarray of shape (p, p)
@@ -107,6 +118,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         dt=None,
         cutoff=None,
         decimation=None,
+        block_noise=False,
     ):
         self.regressor = regressor
         self.projector = projector
@@ -114,6 +126,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self.dt = dt
         self.cutoff = cutoff
         self.decimation = decimation
+        self.block_noise = block_noise
 
     def __sklearn_tags__(self):
         """Tags of a regressor with one or several outputs."""
@@ -219,7 +232,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
             return
         stats = joint_statistics(Phi, tau, weight)
         self._stats = stats if self._stats is None else self._stats + stats
-        if not self._from_statistics:
+        if self.block_noise or not self._from_statistics:
             self._rows.append((Phi, tau, weight, instruments))
 
     def _finish(self):
@@ -232,6 +245,9 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
                 f"({2 * self.lowpass_.half + 1} samples). Raise the cut-off or give "
                 "longer recordings."
             )
+        self.block_factors_ = None
+        if self.block_noise:
+            stats = self._weight_blocks()
         self.joint_weights_ = self._resolve_weights(stats)
         self.n_rows_ = stats.n_rows
         total = combine(stats, self.joint_weights_)
@@ -246,6 +262,33 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self.theta_ = self._project(theta)
         del self._stats, self._rows
         return self
+
+    def _weight_blocks(self):
+        """Re-weight the rows by the precision of their blocks; return the statistics.
+
+        Four rows per period of the cut-off are twice what the band can carry.
+        """
+        blocks, first = [], 0
+        for Phi, *_ in self._rows:
+            block = first + np.arange(Phi.shape[0]) // _BLOCK_ROWS
+            first = int(block[-1]) + 1
+            blocks.append(block)
+        filtered = self.lowpass_.half > 0
+        pieces = [row[:3] for row in self._rows]
+        self.block_factors_ = block_precisions(
+            pieces, blocks, independent=0.5 if filtered else 1.0
+        )
+        self._rows = [
+            (Phi, tau, w * factor, Z)
+            for (Phi, tau, w, Z), factor in zip(self._rows, self.block_factors_)
+        ]
+        total = None
+        for (Phi, tau, weight, _), (_, _, plain) in zip(self._rows, pieces):
+            stats = joint_statistics(Phi, tau, weight)
+            # The factors re-weight the samples; their number stays what it is.
+            stats = replace(stats, n=plain.sum(axis=0))
+            total = stats if total is None else total + stats
+        return total
 
     def _resolve_weights(self, stats):
         nv = stats.n.size

@@ -95,8 +95,73 @@ def iterate(moments, state, prior):
     return new, value
 
 
-def solve(moments, state, prior, *, max_iter, tol):
+def _coordinates(state):
+    """State as one vector in which any real values make a state."""
+    return np.concatenate(
+        [
+            state.w_z_mean,
+            state.w_x_mean,
+            np.log(np.maximum(state.w_z_var, _TINY)),
+            np.log(np.maximum(state.w_x_var, _TINY)),
+            np.log(state.alpha_rate),
+            np.log(state.psi_z),
+            np.log(state.psi_x),
+            [np.log(state.psi_y)],
+        ]
+    )
+
+
+_TINY = float(np.finfo(float).tiny)
+# Largest extrapolation: exp of it must stay a number.
+_LARGEST_LOG = 300.0
+
+
+def _from_coordinates(vector, like):
+    """Return the state with these coordinates; zero variances stay zero."""
+    d = like.w_z_mean.size
+    w_z, w_x, z_var, x_var, rate, psi_z, psi_x = vector[: 7 * d].reshape(7, d)
+    clip = np.clip(vector[-1], -_LARGEST_LOG, _LARGEST_LOG)
+
+    def positive(log):
+        return np.exp(np.clip(log, -_LARGEST_LOG, _LARGEST_LOG))
+
+    return replace(
+        like,
+        w_z_mean=w_z,
+        w_x_mean=w_x,
+        w_z_var=np.where(like.w_z_var > 0, positive(z_var), 0.0),
+        w_x_var=np.where(like.w_x_var > 0, positive(x_var), 0.0),
+        alpha_rate=positive(rate),
+        psi_z=np.maximum(positive(psi_z), VARIANCE_FLOOR),
+        psi_x=np.maximum(positive(psi_x), VARIANCE_FLOOR),
+        psi_y=max(float(np.exp(clip)), VARIANCE_FLOOR),
+    )
+
+
+def _extrapolate(before, between, after, longest):
+    """SQUAREM step (S3 of Varadhan and Roland, 2008) from three successive states.
+
+    Returns the state and the step length; None where the iteration stands still.
+    """
+    x0, x1, x2 = (_coordinates(state) for state in (before, between, after))
+    r = x1 - x0
+    v = x2 - x1 - r
+    size = np.linalg.norm(v)
+    if size == 0:
+        return None, 1.0
+    length = min(max(np.linalg.norm(r) / size, 1.0), longest)
+    if length == 1.0:
+        return None, 1.0
+    return _from_coordinates(x0 + 2 * length * r + length**2 * v, after), length
+
+
+def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
     """Iterate until the bound gains less than `tol` per sample.
+
+    The plain iteration crawls along flat directions. Between every two plain steps and
+    the next, the state is extrapolated (SQUAREM); an extrapolated state is kept only
+    if its bound is not lower, so that the bound never falls and the fixed points are
+    those of the plain iteration.
 
     The loop holds nothing of the size of the data beyond `moments`.
     """
@@ -106,18 +171,46 @@ def solve(moments, state, prior, *, max_iter, tol):
         )
     history = []
     status, fall = "max_iter", 0.0
-    for _ in range(max_iter):
+    longest, used = 4.0, 0
+    recent = [state]  # since the last extrapolation
+    cycle_start = -np.inf
+    while used < max_iter:
         new_state, value = iterate(moments, state, prior)
-        history.append(value)
-        if len(history) > 1:
-            gain = history[-1] - history[-2]
+        used += 1
+        if history:
+            gain = value - history[-1]
             if gain < -rounding_of_bound(value, moments.n, state.psi_y):
                 status, fall = "bound_decreased", -gain
                 break
-            if abs(gain) <= tol * moments.n:
+        history.append(value)
+        state = new_state
+        recent.append(state)
+        if not accelerate:
+            if len(history) > 1 and abs(gain) <= tol * moments.n:
                 status = "converged"
                 break
-        state = new_state
+            continue
+        if len(recent) < 3:
+            continue
+        # Two plain steps since the last check: their gain and the extrapolation's.
+        if value - cycle_start <= tol * moments.n:
+            status = "converged"
+            break
+        cycle_start = value
+        trial, length = _extrapolate(*recent, longest)
+        recent = [state]
+        if trial is None or used >= max_iter:
+            continue
+        trial_next, trial_value = iterate(moments, trial, prior)
+        used += 1
+        if np.isfinite(trial_value) and trial_value >= value:
+            history.append(trial_value)
+            state = trial_next
+            recent = [state]
+            if length == longest:
+                longest *= 4.0
+        else:
+            longest = max(longest / 2.0, 2.0)
     floor = 2 * VARIANCE_FLOOR
     fixed = prior.psi_x_fixed is not None
     at_floor = {
@@ -129,7 +222,7 @@ def solve(moments, state, prior, *, max_iter, tol):
     return Solution(
         state=state,
         history=np.array(history),
-        n_iter=len(history),
+        n_iter=used,
         status=status,
         fall=fall,
         at_floor={name: where for name, where in at_floor.items() if where.size},

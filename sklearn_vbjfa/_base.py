@@ -130,9 +130,7 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
                 "partial_fit cannot continue a fit with fewer samples than features, "
                 "which keeps no statistics; start with partial_fit instead of fit."
             )
-        X, y = validate_data(
-            self, X, y, dtype=np.float64, y_numeric=True, reset=first
-        )
+        X, y = validate_data(self, X, y, dtype=np.float64, y_numeric=True, reset=first)
         weight = None
         if sample_weight is not None:
             weight = check_sample_weight(sample_weight, X)
@@ -163,7 +161,8 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
             data, prior, initial_noise, max_iter=self.max_iter, tol=self.tol
         )
         state = result.solution.state
-        self._set_loop_attributes(result.solution, data)
+        units = np.log(data.y_scale) + np.log(data.x_scale).sum()
+        self._set_loop_attributes(result.solution, data, units)
         self._set_linear_model(result.coef, result.coef_noisy, result.coef_cov, data)
         x2, y2 = data.x_scale**2, data.y_scale**2
         self.input_noise_ = data.expand(state.psi_x * x2)
@@ -215,11 +214,10 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         self.n_iter_, self.converged_, self.status_ = 1, True, "converged"
         return self
 
-    def _set_loop_attributes(self, solution, data):
-        # log-density of X and y in their own units, not the standardised ones
+    def _set_loop_attributes(self, solution, data, log_units):
+        # log-density of what the bound is of in its own units, not standardised
         n = data.moments.n
-        units = np.log(data.y_scale) + np.log(data.x_scale).sum()
-        self.elbo_history_ = solution.history - n * units
+        self.elbo_history_ = solution.history - n * log_units
         self.n_iter_ = solution.n_iter
         self.converged_ = solution.status == "converged"
         self.status_ = solution.status

@@ -2,8 +2,6 @@
 
 from numbers import Integral, Real
 
-import numpy as np
-
 from sklearn_vbjfa._base import BaseJointFactorRegressor, resolve_input_noise
 from sklearn_vbjfa._core._state import Prior
 from sklearn_vbjfa._independent import noise_shares
@@ -61,8 +59,9 @@ class JFARegressor(BaseJointFactorRegressor):
         Loadings [unit of X_j], [unit of y].
     psi_y_, psi_z_ : float, ndarray of shape (n_features,)
         The parts of `output_noise_` (eqs. 14, 15).
-    elbo_history_ : ndarray of shape (n_iter_,)
-        Log-likelihood after each iteration, with all constants, for standardised X.
+    elbo_history_ : ndarray
+        Log-likelihood of X and y at each iteration that was kept, at most `n_iter_`
+        values, with all constants.
     n_iter_ : int
         Number of iterations.
     converged_ : bool
@@ -141,7 +140,5 @@ class JFARegressor(BaseJointFactorRegressor):
     def _fit(self, data):
         noise = resolve_input_noise(self.input_noise, data.active.shape[0])
         fixed = noise_shares(noise, data, self._feature_labels())
-        self._fit_independent(
-            data, Prior(psi_x_fixed=fixed), self.initial_input_noise
-        )
+        self._fit_independent(data, Prior(psi_x_fixed=fixed), self.initial_input_noise)
         return self

@@ -5,8 +5,9 @@ from numbers import Integral, Real
 import numpy as np
 
 from sklearn_vbjfa._base import BaseJointFactorRegressor, resolve_input_noise
-from sklearn_vbjfa._core import _correlated
 from sklearn_vbjfa._core._state import Prior
+from sklearn_vbjfa._core._stats import GramMoments
+from sklearn_vbjfa._correlated_fit import fit_correlated
 from sklearn_vbjfa._independent import noise_shares
 from sklearn_vbjfa._sklearn_compat import Interval, StrOptions
 
@@ -15,6 +16,9 @@ from sklearn_vbjfa._sklearn_compat import Interval, StrOptions
 # samples. A share of a share: free of units, and no stronger or weaker for more data.
 NOISE_PRIOR_MODE = 0.2
 NOISE_PRIOR_WEIGHT = 0.1
+
+# Samples per input from which on the correlated model is the default.
+SAMPLES_PER_INPUT = 2
 
 
 class VBJFARegressor(BaseJointFactorRegressor):
@@ -25,11 +29,16 @@ class VBJFARegressor(BaseJointFactorRegressor):
 
     Parameters
     ----------
-    latent : {"independent", "correlated"}, default="independent"
+    latent : {"auto", "independent", "correlated"}, default="auto"
         ``"independent"``: the paper's model, one hidden input of its own for each
-        observed input. ``"correlated"``: the hidden inputs share a full covariance,
-        which needs a known `input_noise` (zero by default) and is the one to use
-        for strongly correlated inputs, such as the columns of a robot's regressor.
+        observed input. ``"correlated"``: the hidden inputs share a full covariance.
+        ``"auto"``: correlated with more than two samples per input, else independent.
+    selection : "auto" or bool, default="auto"
+        Correlated latents only. Whether inputs that are exact combinations of others
+        are reduced to those that generate them, only relevant inputs are fitted, and
+        their coefficients share one precision. ``"auto"``: yes, unless `input_noise`
+        is zero (then this is Bayesian ARD regression on all inputs) or a full
+        covariance (then dependencies are part of what is known).
     prior : {"noise", "paper"}, default="noise"
         For independent latents: ``"paper"`` is the model of the paper to the letter
         (one precision alpha_m for both w_zm and w_xm, no prior on the input noise);
@@ -40,8 +49,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
             (n_features, n_features), default=None
         What is known of the input noise: its share of each input's variance, in
         [0, 1), its variances [unit of X_j squared], or (correlated latents) its
-        covariance. ``None``: estimated with independent latents, zero with
-        correlated ones.
+        covariance. ``None``: estimated, see Notes.
     initial_input_noise : float, default=0.3
         Share of each input's variance that is noise at the start; not used when
         `input_noise` is given.
@@ -79,15 +87,22 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Posterior means of the ARD precisions, 1 / unit of y squared; infinite for
         an input that never varies.
     relevant_ : ndarray of shape (n_features,), bool
-        Inputs that the ARD prior keeps. Independent latents: the posterior means of
-        both loadings are more than two posterior standard deviations away from zero.
-        Correlated latents: the coefficient is.
-    elbo_history_ : ndarray of shape (n_iter_,)
-        The bound after each iteration, with all constants of the likelihood.
+        Inputs that matter. Independent latents: the posterior means of both loadings
+        are more than two posterior standard deviations away from zero. Correlated
+        latents: the coefficient of an ARD regression on the noisy inputs is. Of inputs
+        that are exact combinations of others only the generators can be relevant;
+        exact copies share one coefficient and are relevant together.
+    elbo_history_ : ndarray
+        The bound at each iteration that was kept, at most `n_iter_` values, with all
+        constants of the likelihood: of X and y with independent latents, of y given X
+        with correlated ones.
     n_iter_ : int
         Number of iterations.
     converged_ : bool
         Whether the gain fell below `tol`.
+    basis_rule_ : {"full rank", "rays", "volume", "all inputs"}
+        How the generators of exactly dependent inputs were found; correlated latents
+        only.
     heywood_ : ndarray of shape (n_features,), bool
         Inputs whose estimated noise went to zero.
     w_x_mean_, w_x_var_, w_z_mean_, w_z_var_ : ndarray of shape (n_features,)
@@ -109,19 +124,31 @@ class VBJFARegressor(BaseJointFactorRegressor):
 
     Notes
     -----
-    **What is identifiable.** With independent latents the likelihood fixes the
-    coefficients for noisy queries, and says nothing of how the variance of an input
-    splits into signal and noise (2d + 1 second moments, 4d + 1 unknowns): the split
-    comes from `input_noise` if given, else from the prior and the starting point.
-    With ``prior="paper"`` the shared alpha_m lets both loadings of a redundant input
-    shrink together at different rates; their ratio then means nothing, and the input
-    is reported as not relevant with the coefficient zero. With
-    ``latent="correlated"`` and a known `input_noise` everything is identified where
-    the latent inputs vary.
+    **What is identifiable.** Second moments fix the coefficients for noisy queries.
+    How the variance of an input splits into signal and noise they do not say; they
+    only bound the noise from above. So the split comes from `input_noise` if given,
+    else from a prior, which is documented and free of units:
 
-    The second moments of any data of full rank are fitted exactly by the correlated
-    model, so its estimates are consistent for known noise; with zero noise it is
-    Bayesian linear regression with automatic relevance determination.
+    - Correlated latents: all relevant inputs have the same fraction of noise,
+      0.9 of the smallest eigenvalue of the joint correlation matrix of relevant
+      inputs and output (no fraction can exceed that eigenvalue), at most 0.25. If the
+      output depends on the inputs almost without noise, so are the inputs taken to
+      be; with exact but weakly correlated inputs and a very noisy output, the
+      coefficients come out too large by a third at most: give ``input_noise=0``.
+    - Independent latents with ``prior="noise"``: an inverse-gamma on each psi_x with
+      its mode at 0.2 of the input's variance and the weight of 0.1 of the samples.
+    - ``prior="paper"``: the starting point and the shared alpha_m, under which both
+      loadings of a redundant input shrink at different rates; their ratio then means
+      nothing, and the input is reported as not relevant with the coefficient zero.
+
+    Noise that is independent from input to input is not so among inputs that are sums
+    of each other. Exactly dependent inputs are therefore reduced to the ones that
+    generate the others with non-negative weights, where these are unique, else to
+    the subset of largest volume.
+
+    Known noise: the correlated model fits the second moments of any data of full
+    rank exactly, so its estimates are consistent; with zero noise it is Bayesian
+    linear regression with automatic relevance determination.
 
     An iteration costs O(d^2) with independent latents (O(n d) on the data with more
     features than samples), O(d^3) with correlated ones, whatever the number of
@@ -149,7 +176,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
     """
 
     _parameter_constraints: dict = {  # noqa: RUF012
-        "latent": [StrOptions({"independent", "correlated"})],
+        "latent": [StrOptions({"auto", "independent", "correlated"})],
+        "selection": [StrOptions({"auto"}), "boolean"],
         "prior": [StrOptions({"noise", "paper"})],
         "input_noise": [None, Real, "array-like"],
         "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
@@ -164,7 +192,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
     def __init__(
         self,
         *,
-        latent="independent",
+        latent="auto",
+        selection="auto",
         prior="noise",
         input_noise=None,
         initial_input_noise=0.3,
@@ -176,6 +205,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         tol=1e-7,
     ):
         self.latent = latent
+        self.selection = selection
         self.prior = prior
         self.input_noise = input_noise
         self.initial_input_noise = initial_input_noise
@@ -187,11 +217,11 @@ class VBJFARegressor(BaseJointFactorRegressor):
         self.tol = tol
 
     def _accepts_data_moments(self):
-        return self.latent == "independent"
+        return self.latent != "correlated"
 
     def _fit(self, data):
         noise = resolve_input_noise(self.input_noise, data.active.shape[0])
-        if self.latent == "correlated":
+        if self._resolve_latent(data) == "correlated":
             return self._fit_correlated(data, noise)
         fixed = noise_shares(noise, data, self._feature_labels())
         weight = 0.0
@@ -208,42 +238,51 @@ class VBJFARegressor(BaseJointFactorRegressor):
         )
         return self._fit_independent(data, prior, self.initial_input_noise)
 
+    def _resolve_latent(self, data):
+        if self.latent != "auto":
+            return self.latent
+        # With hardly more samples than inputs the smallest eigenvalues, on which the
+        # correlated model rests, are those of chance.
+        enough = data.moments.n > SAMPLES_PER_INPUT * data.x_scale.size
+        gram = isinstance(data.moments, GramMoments)
+        return "correlated" if enough and gram else "independent"
+
+    def _resolve_selection(self, noise):
+        if not isinstance(self.selection, str):
+            return bool(self.selection)
+        if noise is None:
+            return True
+        # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
+        return np.ndim(noise) < 2 and bool(np.any(noise))
+
     def _fit_correlated(self, data, noise):
         d = data.active.shape[0]
-        self.input_noise_ = np.zeros((d, d))
         if data.x_scale.size == 0 or data.y_scale == 0.0:
             self._fit_constant(data)
             self.input_noise_ = np.zeros((d, d))
             return self
-        moments, unit = data.moments, np.outer(data.x_scale, data.x_scale)
-        if noise is None:
-            psi = np.zeros_like(unit)
-        elif np.ndim(noise) == 0:
-            psi = noise * np.eye(unit.shape[0])
-        else:
-            full = np.diag(noise) if np.ndim(noise) == 1 else noise
-            psi = full[np.ix_(data.active, data.active)] / unit
-        result = _correlated.solve_correlated(
-            moments.S,
-            moments.xy,
-            moments.yy,
-            moments.n,
-            psi,
-            ard_shape=self.ard_shape,
-            ard_rate=self.ard_rate,
-            max_iter=self.max_iter,
-            tol=self.tol,
+        result = fit_correlated(
+            data,
+            noise,
+            self._feature_labels(),
+            select=self._resolve_selection(noise),
+            settings={
+                "ard_shape": self.ard_shape,
+                "ard_rate": self.ard_rate,
+                "max_iter": self.max_iter,
+                "tol": self.tol,
+            },
         )
-        state, y2 = result.state, data.y_scale**2
-        self._set_loop_attributes(result, data)
-        noisy = result.latent.H.T @ state.beta_mean
-        self._set_linear_model(state.beta_mean, noisy, state.beta_cov, data)
-        self.input_noise_[np.ix_(data.active, data.active)] = psi * unit
-        self.output_noise_ = state.psi_y * y2
-        spread = state.beta_mean @ result.latent.P @ state.beta_mean
-        self._noisy_query_noise = self.output_noise_ + spread * y2
-        self.alpha_ = data.expand(state.E_alpha / y2, fill=np.inf)
-        significant = state.beta_mean**2 > 4 * np.diagonal(state.beta_cov)
-        self.relevant_ = data.expand(significant).astype(bool)
+        y2 = data.y_scale**2
+        self._set_loop_attributes(result.solution, data, np.log(data.y_scale))
+        self._set_linear_model(result.coef, result.coef_noisy, result.coef_cov, data)
+        unit = np.outer(data.x_scale, data.x_scale)
+        self.input_noise_ = np.zeros((d, d))
+        self.input_noise_[np.ix_(data.active, data.active)] = result.psi * unit
+        self.output_noise_ = result.output_noise * y2
+        self._noisy_query_noise = result.noisy_query_noise * y2
+        self.alpha_ = data.expand(result.alpha / y2, fill=np.inf)
+        self.relevant_ = data.expand(result.relevant).astype(bool)
         self.heywood_ = np.zeros(d, dtype=bool)
+        self.basis_rule_ = result.rule
         return self

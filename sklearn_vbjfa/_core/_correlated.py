@@ -140,7 +140,7 @@ def _expect_latent(S, xy, yy, n, latent, state):
     return _LatentSums(S_tt=0.5 * (S_tt + S_tt.T), S_ty=S_ty, bound=float(value))
 
 
-def _prior_bound(state, shape0, rate0, logdet_cov):
+def _prior_bound(state, shape0, rate0, logdet_cov, shared):
     shape, rate = state.alpha_shape, state.alpha_rate
     E_alpha, E_log = state.E_alpha, digamma(shape) - np.log(rate)
     square = state.beta_mean**2 + np.diagonal(state.beta_cov)
@@ -148,7 +148,8 @@ def _prior_bound(state, shape0, rate0, logdet_cov):
     prior = shape0 * np.log(rate0) - gammaln(shape0) + (shape0 - 1) * E_log
     prior = prior - rate0 * E_alpha
     entropy = shape - np.log(rate) + gammaln(shape) + (1 - shape) * digamma(shape)
-    return float((loadings + prior + entropy).sum()) + 0.5 * logdet_cov
+    # A precision that `shared` coefficients have in common counts once.
+    return float((loadings + (prior + entropy) / shared).sum()) + 0.5 * logdet_cov
 
 
 def _square_root(S):
@@ -215,7 +216,9 @@ class CorrelatedSolution:
     fall: float
 
 
-def solve_correlated(S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol):
+def solve_correlated(
+    S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol, common=False
+):
     """Fit the model to standardised moments.
 
     Parameters
@@ -226,11 +229,14 @@ def solve_correlated(S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol):
         Number of samples.
     psi : ndarray of shape (d, d)
         Input-noise covariance.
+    common : bool
+        One precision for all coefficients instead of one for each.
     """
     d = xy.shape[0]
+    shared = d if common else 1
     latent = infer_latent(S, n, psi)
     eps = OUTPUT_FLOOR
-    shape = ard_shape + 0.5
+    shape = ard_shape + 0.5 * shared
     # <alpha> = 1 as in the paper; the noise starts at the whole variance of y, from
     # which the first posterior is a ridge solution.
     alpha_rate = np.full(d, shape)
@@ -255,16 +261,17 @@ def solve_correlated(S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol):
     status, fall = "max_iter", 0.0
     for _ in range(max_iter):
         sums = _expect_latent(S, xy, yy, n, latent, state)
-        value = sums.bound + _prior_bound(state, ard_shape, ard_rate, logdet)
+        value = sums.bound + _prior_bound(state, ard_shape, ard_rate, logdet, shared)
+        gain = value - history[-1] if history else np.inf
+        if gain < -rounding_of_bound(value, n, state.psi_y):
+            status, fall = "bound_decreased", -gain
+            state = before
+            break
         history.append(value)
-        if len(history) > 1:
-            gain = history[-1] - history[-2]
-            if gain < -rounding_of_bound(value, n, state.psi_y):
-                status, fall = "bound_decreased", -gain
-                break
-            if abs(gain) <= tol * n:
-                status = "converged"
-                break
+        if abs(gain) <= tol * n:
+            status = "converged"
+            break
+        before = state
         mean, cov, logdet, residual = _posterior_beta(
             sums.S_tt,
             sums.S_ty,
@@ -274,6 +281,8 @@ def solve_correlated(S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol):
             lambda: root_of(sums.S_tt),  # noqa: B023 - called at once
         )
         square = mean**2 + np.diagonal(cov)
+        if common:
+            square = np.full(d, square.sum())
         state = CorrelatedState(
             beta_mean=mean,
             beta_cov=cov,
@@ -289,3 +298,32 @@ def solve_correlated(S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol):
         status=status,
         fall=fall,
     )
+
+
+def posterior_covariance(S, n, psi, solution):
+    """Covariance of beta that counts the noise of the inputs' moments too.
+
+    For known psi the corrected estimate has the asymptotic covariance (Fuller 1987,
+    eq. 2.2.23, normal errors)
+
+        (v G^-1 + G^-1 (v psi + psi beta beta' psi) G^-1) / n,  v = psi_y + beta'psi beta,
+
+    G being the covariance of the latent inputs, here with the prior's share added.
+    With psi = 0 it is the posterior covariance of Bayesian regression. The
+    variational one takes the latent inputs as given and is too small.
+    """
+    state = solution.state
+    if solution.latent.exact:
+        return state.beta_cov
+    beta = state.beta_mean
+    v = state.psi_y + beta @ psi @ beta
+    prior = np.sqrt(v * state.E_alpha / n)
+    root = 1.0 / prior
+    A = solution.latent.Sigma_t * np.outer(root, root)
+    A[np.diag_indices_from(A)] += 1.0
+    half = linalg.solve_triangular(linalg.cholesky(A, lower=True), np.diag(root), lower=True)
+    G_inv = half.T @ half
+    psi_beta = psi @ beta
+    middle = v * psi + np.outer(psi_beta, psi_beta)
+    cov = (v * G_inv + G_inv @ middle @ G_inv) / n
+    return 0.5 * (cov + cov.T)

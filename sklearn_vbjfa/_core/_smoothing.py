@@ -95,9 +95,10 @@ def smooth(x, dt, cutoff, at=None):
     gram = (design.T @ design).todia()
     differences = _difference_matrix(n_coef)
     penalty = (differences.T @ differences).todia()
-    # Interpolation leaves the coefficients beyond the ends free: the smallest
-    # penalty that the arithmetic resolves fixes them.
-    lam = 1e-13 if interpolate else step * _penalty(dt, cutoff)
+    # Interpolation leaves the coefficients beyond the ends free: a penalty fixes them
+    # that the arithmetic resolves (with 1e-13 a straight line gets accelerations at
+    # its ends) and that changes white noise by some 1e-6 of its size.
+    lam = 1e-9 if interpolate else step * _penalty(dt, cutoff)
     offset = x.mean()
     bands = _upper_bands(gram, n_coef) + lam * _upper_bands(penalty, n_coef)
     coef = linalg.solveh_banded(bands, design.T @ (x - offset))

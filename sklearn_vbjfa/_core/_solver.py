@@ -172,6 +172,7 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
     history = []
     status, fall = "max_iter", 0.0
     longest, used = 4.0, 0
+    before = state  # the state of the last bound in `history`
     recent = [state]  # since the last extrapolation
     cycle_start = -np.inf
     while used < max_iter:
@@ -181,9 +182,10 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
             gain = value - history[-1]
             if gain < -rounding_of_bound(value, moments.n, state.psi_y):
                 status, fall = "bound_decreased", -gain
+                state = before
                 break
         history.append(value)
-        state = new_state
+        before, state = state, new_state
         recent.append(state)
         if not accelerate:
             if len(history) > 1 and abs(gain) <= tol * moments.n:
@@ -205,7 +207,7 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
         used += 1
         if np.isfinite(trial_value) and trial_value >= value:
             history.append(trial_value)
-            state = trial_next
+            before, state = trial, trial_next
             recent = [state]
             if length == longest:
                 longest *= 4.0

@@ -23,8 +23,7 @@ def check_names(friction):
     unknown = [name for name in names if name not in _COLUMNS]
     if unknown:
         raise ValueError(
-            f"Unknown friction column(s) {unknown}; expected some of "
-            f"{list(_COLUMNS)}."
+            f"Unknown friction column(s) {unknown}; expected some of {list(_COLUMNS)}."
         )
     if len(set(names)) < len(names):
         raise ValueError(f"friction names a column twice: {list(names)}.")

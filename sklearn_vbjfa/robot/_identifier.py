@@ -30,6 +30,9 @@ _SHORTEST_CUTOFF_PERIODS = 36.0
 _STANDSTILL_SHARE = 0.02
 # Rows of the feature matrix that are in memory at once.
 _CHUNK_BYTES = 64 << 20
+# Root mean square below which an entry of the regressor matrix is the rounding of a
+# zero, relative to the largest of its unit in the same torque.
+_ROUNDING = 1e-12
 # Directions of parameter space that the data determine less than this, relative to
 # the best determined one in scaled columns, count as not identifiable.
 _IDENTIFIABLE = 1e-9
@@ -54,7 +57,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         Further columns of each joint.
     regressor : estimator, default=None
         Linear regressor, see `JointTorqueRegressor`; None is
-        ``VBJFARegressor(latent="correlated")``.
+        ``VBJFARegressor(latent="correlated", input_noise=0.0)``.
     projector : "default", PhysicalProjector or None, default="default"
         Projection of the parameters; None leaves them as estimated.
     cutoff : "auto", float or None, default="auto"
@@ -181,7 +184,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.joint_names_ = joint_names(self.features_._model)
         self.parameter_names_ = self.features_.parameter_names_
         self.parameter_units_ = self.features_.parameter_units_
-        X, y = self._validate(X, y, reset=True)
+        X, y = self._validate(X, y)
         parts = contiguous_groups(groups, X.shape[0])
         states = self._fit_states(X, groups)
         self._check_channels(states, y)
@@ -205,27 +208,19 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         for _, *equations in pieces:
             self.estimator_._accumulate(*equations)
         self._check_count(self.estimator_._stats)
+        self.estimator_._forget(self._rounding_columns(self.estimator_._stats))
         self.estimator_._finish()
         self._constrain()
         return self
 
     # -- input -----------------------------------------------------------------
 
-    def _validate(self, X, y=None, *, reset):
+    def _validate(self, X, y):
         nv = self._nv
-        if y is None:
-            X = validate_data(self, X, dtype=np.float64, reset=reset)
-        else:
-            X, y = validate_data(
-                self,
-                X,
-                y,
-                dtype=np.float64,
-                multi_output=True,
-                y_numeric=True,
-                reset=reset,
-            )
-            y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
+        X, y = validate_data(
+            self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
+        )
+        y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
         if X.shape[1] not in {nv, 3 * nv}:
             raise ValueError(
                 f"The robot has {nv} joint(s) ({', '.join(self.joint_names_)}), so X "
@@ -234,12 +229,12 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
                 "or lock joints that were not recorded with "
                 "pinocchio.buildReducedModel."
             )
-        if y is not None and y.shape[1] != nv:
+        if y.shape[1] != nv:
             raise ValueError(
                 f"The robot has {nv} joint(s) ({', '.join(self.joint_names_)}), so y "
                 f"must have {nv} column(s) of torques; got {y.shape[1]}."
             )
-        return X if y is None else (X, y)
+        return X, y
 
     def _fit_states(self, X, groups):
         if X.shape[1] == 3 * self._nv and X.shape[1] != self._nv:
@@ -276,7 +271,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
                 "joints to be identified. Check the position columns."
             )
         dead = [
-            names[j] for j in range(nv) if not np.ptp(y[:, j]) > 0 and names[j] not in still
+            names[j]
+            for j in range(nv)
+            if not np.ptp(y[:, j]) > 0 and names[j] not in still
         ]
         if dead:
             raise ValueError(
@@ -366,6 +363,21 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             )
 
     # -- computation -----------------------------------------------------------
+
+    def _rounding_columns(self, stats):
+        """Return which entries (nv, p) of the regressor matrices are rounding alone.
+
+        Where a torque does not depend on a parameter the recursive algorithm leaves
+        some 1e-16 instead of zero, which a regression in standardised columns would
+        blow up. In one torque all masses (first moments, inertias) have one unit.
+        """
+        nv = self._nv
+        power = np.diagonal(stats.G, axis1=1, axis2=2).reshape(nv, nv, -1)
+        rounding = np.zeros(power.shape, dtype=bool)
+        for kind in (slice(0, 1), slice(1, 4), slice(4, 10)):
+            largest = power[:, :, kind].max(axis=(1, 2), keepdims=True)
+            rounding[:, :, kind] = power[:, :, kind] <= _ROUNDING**2 * largest
+        return rounding.reshape(nv, -1)
 
     def _filtered(self, states, y, weight, parts, lowpass):
         """Yield (index, Phi, tau, weight) behind the low-pass, piece by piece."""
@@ -542,6 +554,16 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             raise ValueError(
                 "to_urdf needs the URDF that the robot came from: give its path as "
                 "`model` (a pinocchio.Model does not keep the links' shapes)."
+            )
+        if (self.min_eigenvalues_ <= 0).any():
+            bad = [
+                name
+                for name, low in zip(self.joint_names_, self.min_eigenvalues_)
+                if low <= 0
+            ]
+            raise ValueError(
+                f"The bodies of {', '.join(bad)} are not physically consistent, and a "
+                'URDF must be: identify with projector="default".'
             )
         write_urdf(
             self.model,

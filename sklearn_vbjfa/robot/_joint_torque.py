@@ -38,7 +38,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         `sklearn.cross_decomposition.PLSRegression`; a pipeline of scaler and
         regressor will do. It is fitted without intercept (an offset is a column of
         its own), to columns and torques of unit mean square. None is
-        ``VBJFARegressor(latent="correlated")``: Bayesian regression with automatic
+        ``VBJFARegressor(latent="correlated", input_noise=0.0)``: Bayesian regression with automatic
         relevance determination.
     projector : PhysicalProjector, default=None
         Transformer of parameter vectors; None does not project. Where its `metric` is
@@ -204,7 +204,9 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         if not np.isfinite(weight).all() or weight.min() < 0:
             raise ValueError("sample_weight must be finite and not negative.")
         if not weight.any():
-            raise ValueError("Sample weights must contain at least one non-zero number.")
+            raise ValueError(
+                "Sample weights must contain at least one non-zero number."
+            )
         return weight if weight.ndim == 2 else np.repeat(weight[:, None], shape[1], 1)
 
     # The three stages are apart so that a recording can come in pieces.
@@ -215,7 +217,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self._rows = []
         regressor = self.regressor
         if regressor is None:
-            regressor = VBJFARegressor(latent="correlated")
+            regressor = VBJFARegressor(latent="correlated", input_noise=0.0)
         self.regressor_ = clone(regressor)
         self._from_statistics = isinstance(self.regressor_, BaseJointFactorRegressor)
         if self.cutoff is None:
@@ -234,6 +236,17 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self._stats = stats if self._stats is None else self._stats + stats
         if self.block_noise or not self._from_statistics:
             self._rows.append((Phi, tau, weight, instruments))
+
+    def _forget(self, entries):
+        """Set entries (nv, p) of all regressor matrices to zero."""
+        for rows in self._rows:
+            rows[0][:, entries] = 0.0
+        keep = ~entries
+        self._stats = replace(
+            self._stats,
+            G=self._stats.G * keep[:, :, None] * keep[:, None, :],
+            g=self._stats.g * keep,
+        )
 
     def _finish(self):
         """Weight the joints, fit, project."""
@@ -344,16 +357,13 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         if self._rows[0][3] is not None:
             Z = self._stacked(3, scale)
             fit_params["instruments"] = Z
-        intercepts = [
-            name
-            for name in self.regressor_.get_params(deep=True)
-            if name.split("__")[-1] == "fit_intercept"
-        ]
-        if intercepts:
-            self.regressor_.set_params(**dict.fromkeys(intercepts, False))
-        else:
-            # A regressor that always centres (PLS) sees each equation with its
-            # mirror image: the means are zero and nothing is lost.
+        parameters = self.regressor_.get_params(deep=True)
+        names = {name.split("__")[-1] for name in parameters}
+        intercepts = [n for n in parameters if n.split("__")[-1] == "fit_intercept"]
+        self.regressor_.set_params(**dict.fromkeys(intercepts, False))
+        if not intercepts or "steps" in names:
+            # What always centres (PLS, a scaler in a pipeline) sees each equation
+            # with its mirror image: the means are zero and nothing is lost.
             A, b = _mirror(A), _mirror(b)
             fit_params = {k: _mirror(v) for k, v in fit_params.items()}
         self.regressor_.fit(A, b, **fit_params)

@@ -60,7 +60,7 @@ def load_model(model):
     if isinstance(model, (str, os.PathLike)):
         loaded = _read_urdf(pin, Path(model))
     elif isinstance(model, pin.Model):
-        loaded = model
+        loaded = model.copy()
     else:
         raise TypeError(
             "model must be the path of a URDF file or a pinocchio.Model, got "
@@ -125,7 +125,9 @@ def joint_names(model):
 
 def is_prismatic(model):
     """Return which joints are prismatic, ndarray of shape (nv,) of bool."""
-    return np.array([joint.shortname().startswith("JointModelP") for joint in model.joints[1:]])
+    return np.array(
+        [joint.shortname().startswith("JointModelP") for joint in model.joints[1:]]
+    )
 
 
 def nominal_parameters(model):

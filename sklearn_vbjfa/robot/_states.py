@@ -115,7 +115,13 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 "(1 sample or a few are not enough). Give cutoff in Hz."
             )
         if not auto:
-            given = np.broadcast_to(np.asarray(self.cutoff, dtype=object), (nv,))
+            given = np.asarray(self.cutoff, dtype=object)
+            if given.shape not in {(), (nv,)}:
+                raise ValueError(
+                    f"cutoff must be one frequency or one for each of the {nv} joints; "
+                    f"got an array of shape {given.shape}."
+                )
+            given = np.broadcast_to(given, (nv,))
             chosen = np.array([check_cutoff(c, dt, "cutoff") for c in given])
         self.cutoff_ = chosen
         return self

@@ -79,7 +79,9 @@ def write_urdf(source, target, model, parameters, friction):
     for joint in joints.values():
         if joint.get("name") not in moving:
             parent = joint.find("parent").get("link")
-            fixed_children.setdefault(parent, []).append(joint.find("child").get("link"))
+            fixed_children.setdefault(parent, []).append(
+                joint.find("child").get("link")
+            )
     for name, row in zip(names, parameters):
         joint = joints[name]
         child = joint.find("child").get("link")

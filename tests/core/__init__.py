@@ -1,0 +1,1 @@
+"""Tests of the core mathematics, one file for one module."""

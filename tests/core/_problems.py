@@ -1,0 +1,94 @@
+"""Data, states and the bridge to the reference, for the tests of the core."""
+
+import numpy as np
+
+from sklearn_vbjfa._core._state import Prior, State
+from sklearn_vbjfa._core._stats import DataMoments, GramMoments
+from tests.reference import paper_jfa as ref
+
+ARD_SHAPE, ARD_RATE = 0.3, 0.7  # nothing special, and far from their defaults
+
+
+def make_data(seed, n_features, n_samples=25, noise=0.4):
+    """Return centred, unscaled X and y with noise in both, and the coefficients."""
+    rng = np.random.default_rng(seed)
+    scale = rng.uniform(0.5, 2.0, n_features)
+    t = rng.normal(size=(n_samples, n_features))
+    coef = rng.normal(size=n_features)
+    y = t @ coef + 0.3 * rng.normal(size=n_samples)
+    X = (t + noise * rng.normal(size=t.shape)) * scale
+    return X - X.mean(axis=0), y - y.mean(), coef / scale
+
+
+def as_gram(X, y):
+    """Moments of the rows as they are, neither centred nor scaled."""
+    S = X.T @ X
+    return GramMoments(
+        n=float(len(y)), S=S, xy=X.T @ y, yy=float(y @ y), xx=np.diagonal(S).copy()
+    )
+
+
+def as_rows(X, y):
+    """The same moments, held as the rows."""
+    return DataMoments(
+        n=float(len(y)), X=X, xy=X.T @ y, yy=float(y @ y), xx=(X**2).sum(axis=0)
+    )
+
+
+def make_state(seed, n_features, *, ard=True, coupled=True):
+    """Return an arbitrary state, of either model."""
+    rng = np.random.default_rng([seed, 1])
+    variance = rng.uniform(0.05, 0.5, (2, n_features))
+    return State(
+        w_z_mean=rng.choice([-1, 1], n_features) * rng.uniform(0.3, 1.5, n_features),
+        w_z_var=variance[0] * ard,
+        w_x_mean=rng.choice([-1, 1], n_features) * rng.uniform(0.3, 1.5, n_features),
+        w_x_var=variance[1] * (ard and coupled),
+        alpha_shape=float(rng.uniform(0.8, 3.0)),
+        alpha_rate=rng.uniform(0.5, 3.0, n_features),
+        psi_y=float(rng.uniform(0.2, 1.0)),
+        psi_z=rng.uniform(0.2, 1.0, n_features),
+        psi_x=rng.uniform(0.2, 1.0, n_features),
+    )
+
+
+def make_prior(model, n_samples, n_features):
+    """Prior of a model by name: "jfa", "paper" or "noise"."""
+    if model == "jfa":
+        return Prior()
+    if model == "paper":
+        return Prior(ard=True, ard_shape=ARD_SHAPE, ard_rate=ARD_RATE)
+    return Prior(
+        ard=True,
+        coupled=False,
+        ard_shape=ARD_SHAPE,
+        ard_rate=ARD_RATE,
+        psi_x_weight=0.1 * n_samples,
+        psi_x_mode=np.full(n_features, 0.2),
+    )
+
+
+def as_jfa_params(state):
+    """The state as the reference's point estimates."""
+    return ref.JFAParams(
+        w_z=state.w_z_mean,
+        w_x=state.w_x_mean,
+        psi_y=state.psi_y,
+        psi_z=state.psi_z,
+        psi_x=state.psi_x,
+    )
+
+
+def as_vb_params(state):
+    """The state as the reference's posteriors."""
+    return ref.VBParams(
+        w_z_mean=state.w_z_mean,
+        w_z_var=state.w_z_var,
+        w_x_mean=state.w_x_mean,
+        w_x_var=state.w_x_var,
+        alpha_shape=np.full(state.alpha_rate.size, state.alpha_shape),
+        alpha_rate=state.alpha_rate,
+        psi_y=state.psi_y,
+        psi_z=state.psi_z,
+        psi_x=state.psi_x,
+    )

@@ -1,0 +1,205 @@
+"""One iteration and the coefficients against the literal transcription of the paper."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sklearn_vbjfa._core import _predict, _solver
+from sklearn_vbjfa._core._state import Prior
+from sklearn_vbjfa._core._updates import (
+    expect_hidden,
+    update_loadings,
+    update_noise,
+    update_precisions,
+)
+from tests.core import _problems
+from tests.core._problems import ARD_RATE, ARD_SHAPE
+from tests.reference import paper_jfa as ref
+
+# d, N and seed: one input, few, many; fewer samples than features too.
+SIZES = [(1, 25, 0), (2, 7, 1), (3, 40, 2), (5, 25, 3), (6, 4, 4)]
+MOMENTS = [_problems.as_gram, _problems.as_rows]
+
+# Both sides are sums of some 1e3 terms of size 1: 1e-10 leaves a factor of 1e3 for
+# the condition of the reference's inverses.
+ONE_STEP = 1e-10
+
+
+def assert_same_posterior(state, params, rtol):
+    """Every parameter of the reference equals that of the state."""
+    for field in fields(params):
+        expected = getattr(params, field.name)
+        ours = getattr(
+            state, {"w_z": "w_z_mean", "w_x": "w_x_mean"}.get(field.name, field.name)
+        )
+        assert_allclose(ours, expected, rtol=rtol, err_msg=field.name)
+
+
+@pytest.mark.parametrize(("n_features", "n_samples", "seed"), SIZES)
+@pytest.mark.parametrize("as_moments", MOMENTS)
+def test_jfa_iteration(as_moments, n_features, n_samples, seed):
+    X, y, _ = _problems.make_data(seed, n_features, n_samples)
+    state = _problems.make_state(seed, n_features, ard=False)
+    new, value = _solver.iterate(as_moments(X, y), state, Prior())
+    params = _problems.as_jfa_params(state)
+    assert_same_posterior(new, ref.jfa_em_step(params, X, y), ONE_STEP)
+    assert_allclose(value, ref.jfa_loglik(params, X, y), rtol=ONE_STEP)
+
+
+@pytest.mark.parametrize(("n_features", "n_samples", "seed"), SIZES)
+@pytest.mark.parametrize("as_moments", MOMENTS)
+def test_vb_iteration(as_moments, n_features, n_samples, seed):
+    X, y, _ = _problems.make_data(seed, n_features, n_samples)
+    state = _problems.make_state(seed, n_features)
+    prior = _problems.make_prior("paper", n_samples, n_features)
+    new, value = _solver.iterate(as_moments(X, y), state, prior)
+    params = _problems.as_vb_params(state)
+    expected = ref.vb_step(params, X, y, ARD_SHAPE, ARD_RATE)
+    assert_same_posterior(new, expected, ONE_STEP)
+    assert_allclose(value, ref.elbo(params, X, y, ARD_SHAPE, ARD_RATE), rtol=ONE_STEP)
+
+
+@pytest.mark.parametrize("n_features", [1, 4])
+@pytest.mark.parametrize("model", ["jfa", "paper"])
+def test_two_hundred_iterations(model, n_features):
+    X, y, _ = _problems.make_data(n_features, n_features, 12)
+    moments = _problems.as_gram(X, y)
+    state = _problems.make_state(7, n_features, ard=model == "paper")
+    prior = _problems.make_prior(model, 12, n_features)
+    if model == "jfa":
+        params = _problems.as_jfa_params(state)
+    else:
+        params = _problems.as_vb_params(state)
+    for _ in range(200):
+        state, _ = _solver.iterate(moments, state, prior)
+        if model == "jfa":
+            params = ref.jfa_em_step(params, X, y)
+        else:
+            params = ref.vb_step(params, X, y, ARD_SHAPE, ARD_RATE)
+    # The rounding of 200 steps, carried along the flat directions of the likelihood.
+    assert_same_posterior(state, params, 1e-8)
+
+
+def test_known_input_noise_replaces_its_update():
+    X, y, _ = _problems.make_data(0, 3)
+    state = _problems.make_state(0, 3, ard=False)
+    known = np.array([0.1, 0.2, 0.3])
+    moments = _problems.as_gram(X, y)
+    free, _ = _solver.iterate(moments, state, Prior())
+    fixed, _ = _solver.iterate(moments, state, Prior(psi_x_fixed=known))
+    assert_array_equal(fixed.psi_x, known)
+    for name in ("w_z_mean", "w_x_mean", "psi_z", "psi_y"):
+        assert_array_equal(getattr(fixed, name), getattr(free, name))
+
+
+def test_without_posterior_variance_and_prior_vb_is_jfa():
+    X, y, _ = _problems.make_data(1, 4)
+    moments = _problems.as_gram(X, y)
+    state = _problems.make_state(1, 4, ard=False)
+    hidden = expect_hidden(moments, state)
+    flat = replace(state, alpha_shape=1e-300)
+    vb = update_loadings(flat, hidden, Prior(ard=True))
+    jfa = update_loadings(state, hidden, Prior())
+    assert_allclose(vb.w_z_mean, jfa.w_z_mean, rtol=1e-15)
+    assert_allclose(vb.w_x_mean, jfa.w_x_mean, rtol=1e-15)
+
+
+def test_uncoupled_precision_sees_the_output_loading_alone():
+    state = _problems.make_state(2, 3, coupled=False)
+    prior = _problems.make_prior("noise", 25, 3)
+    new = update_precisions(state, prior)
+    # Eqs. 12 and 13 with one loading for each precision: half a count, not one.
+    assert new.alpha_shape == ARD_SHAPE + 0.5
+    assert_allclose(
+        new.alpha_rate, ARD_RATE + (state.w_z_mean**2 + state.w_z_var) / 2, rtol=1e-15
+    )
+
+
+def expected_log_joint(psi_x, new, posterior, prior, X, y):
+    """Terms with psi_x of the bound at the old q(Z, T), from the transcription."""
+    moments = {**_problems.as_vb_params(new).moments(), "psi_x": psi_x}
+    data = sum(ref.data_terms(X, y, posterior, **moments).values())
+    ratio = prior.psi_x_mode / psi_x
+    # Log-density of log(psi_x) when psi_x is inverse-gamma, up to its constant.
+    return data + 0.5 * prior.psi_x_weight * (np.log(ratio) - ratio).sum()
+
+
+@pytest.mark.parametrize("weight", [0.0, 2.5, 100.0])
+def test_input_noise_maximises_the_bound_under_its_prior(weight):
+    X, y, _ = _problems.make_data(3, 3)
+    state = _problems.make_state(3, 3, coupled=False)
+    prior = replace(_problems.make_prior("noise", 25, 3), psi_x_weight=weight)
+    new, _ = _solver.iterate(_problems.as_gram(X, y), state, prior)
+    posterior = ref.posterior_zt(X, y, **_problems.as_vb_params(state).moments())
+    best = expected_log_joint(new.psi_x, new, posterior, prior, X, y)
+    step = 1e-4
+    for m in range(3):
+        up, down = new.psi_x.copy(), new.psi_x.copy()
+        up[m] *= np.exp(step)
+        down[m] *= np.exp(-step)
+        above = expected_log_joint(up, new, posterior, prior, X, y)
+        below = expected_log_joint(down, new, posterior, prior, X, y)
+        # A central difference: truncation n step^2, rounding 1e-13 / step.
+        assert abs(above - below) / (2 * step) < 1e-6
+        assert max(above, below) < best
+
+
+def test_heavy_prior_holds_the_input_noise_at_its_mode():
+    X, y, _ = _problems.make_data(4, 2)
+    state = _problems.make_state(4, 2, coupled=False)
+    mode = np.array([0.2, 0.5])
+    prior = _problems.make_prior("noise", 25, 2)
+    prior = replace(prior, psi_x_weight=1e12, psi_x_mode=mode)
+    new, _ = _solver.iterate(_problems.as_gram(X, y), state, prior)
+    # 25 samples against 1e12
+    assert_allclose(new.psi_x, mode, rtol=1e-9)
+
+
+@pytest.mark.parametrize("psi_x", [1e-12, 1e-15])
+def test_input_noise_near_zero_keeps_its_digits(psi_x):
+    # The residual x - w_x t is as small as psi_x; a difference of sums of size n
+    # would have lost it at 1e-16 n.
+    X, y, _ = _problems.make_data(5, 2, 200, noise=0.0)
+    state = _problems.make_state(5, 2, ard=False)
+    state = replace(state, psi_x=np.full(2, psi_x))
+    moments = _problems.as_gram(X, y)
+    hidden = expect_hidden(moments, state)
+    # With the loadings held, x - w_x t shrinks in proportion to psi_x.
+    new = update_noise(moments, state, state, hidden, Prior())
+    reference = replace(state, psi_x=np.full(2, 1e-6))
+    expected = update_noise(
+        moments, reference, reference, expect_hidden(moments, reference), Prior()
+    )
+    assert_allclose(new.psi_x / psi_x, expected.psi_x / 1e-6, rtol=1e-4)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_coefficients_equal_the_literal_matrices(seed):
+    state = _problems.make_state(seed, 5)
+    args = state.psi_y, state.psi_z
+    noisy = ref.beta_noise_eq27(state.w_z_mean, state.w_x_mean, *args, state.psi_x)
+    noiseless = ref.beta_true_eq29(state.w_z_mean, state.w_x_mean, *args)
+    assert_allclose(_predict.coefficients_noisy(state), noisy, rtol=1e-10)
+    everything = np.ones(5, dtype=bool)
+    ours = _predict.coefficients_noiseless(state, everything)
+    assert_allclose(ours, noiseless, rtol=1e-10)
+
+
+def test_inputs_not_retained_get_the_coefficient_zero():
+    state = _problems.make_state(0, 3)
+    state = replace(state, w_x_mean=np.array([0.0, 0.5, -0.5]))
+    beta = _predict.coefficients_noiseless(state, np.array([False, True, False]))
+    assert_array_equal(beta, [0.0, state.w_z_mean[1] / 0.5, 0.0])
+
+
+def test_negligible_loadings_become_exact_zeros():
+    X, y, _ = _problems.make_data(6, 2)
+    state = _problems.make_state(6, 2)
+    state = replace(state, alpha_rate=np.array([1e-300, 1.0]))
+    new, _ = _solver.iterate(
+        _problems.as_gram(X, y), state, _problems.make_prior("paper", 25, 2)
+    )
+    assert new.w_z_mean[0] == new.w_x_mean[0] == 0.0
+    assert new.w_z_mean[1] != 0.0

@@ -1,0 +1,209 @@
+"""Wrong and poor input: what was expected, what came, what to do."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return make_robot_recording(duration=12.0, dt=0.01, frequency=1.0, random_state=3)
+
+
+def identify(recording, q=None, tau=None, groups=None, **settings):
+    settings = {"dt": recording.dt, **settings}
+    robot = RobotIdentifier(demo_arm_urdf(), **settings)
+    return robot.fit(
+        recording.q if q is None else q,
+        recording.tau if tau is None else tau,
+        groups=groups,
+    )
+
+
+def changed(values, where, value):
+    values = values.copy()
+    values[where] = value
+    return values
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "message"),
+    [
+        ("dt", None, "dt must be the sample period in seconds, positive.*got None"),
+        ("dt", 0.0, r"dt must be .*got 0\.0"),
+        ("dt", -0.01, r"dt must be .*got -0\.01"),
+        ("dt", np.nan, "dt must be .*got nan"),
+        ("dt", np.inf, "dt must be .*got inf"),
+        ("cutoff", "low", "cutoff must be 'auto', a frequency in Hz, or None; got"),
+        ("cutoff", 50.0, "cutoff must lie below the Nyquist frequency 50 Hz.*Give None"),
+        ("cutoff", 0.0, "cutoff must be a positive frequency.*got 0"),
+        ("state_cutoff", "low", "cutoff must be 'auto', a frequency in Hz, or None"),
+        ("state_cutoff", 51.0, "below the Nyquist frequency 50 Hz"),
+        ("state_cutoff", [1.0, 2.0], "one for each of the 6 joints"),
+        ("standstill", "slow", "standstill must be 'auto', a speed, or None; got"),
+        ("standstill", -1.0, "one non-negative speed or 6 of them; got -1"),
+        ("standstill", [0.1, 0.2], "one non-negative speed or 6 of them"),
+        ("standstill", 99.0, "Every sample is masked as standstill; lower"),
+        ("joint_weights", "even", "joint_weights must be 'auto', None or an array"),
+        ("projector", "convex", "projector must be 'default', a PhysicalProjector or"),
+        ("friction", ("sticky",), r"Unknown friction column\(s\).*expected some of"),
+    ],
+)
+def test_wrong_settings(recording, setting, value, message):
+    with pytest.raises(ValueError, match=message):
+        identify(recording, **{setting: value})
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite(recording, value):
+    with pytest.raises(ValueError, match="X contains (NaN|infinity)"):
+        identify(recording, q=changed(recording.q, (7, 2), value))
+    with pytest.raises(ValueError, match="y contains (NaN|infinity)"):
+        identify(recording, tau=changed(recording.tau, (7, 2), value))
+
+
+def test_wrong_shapes(recording):
+    q, tau = recording.q, recording.tau
+    with pytest.raises(
+        ValueError,
+        match=r"6 joint\(s\) \(joint_1, .*6 columns of positions or 18 of states "
+        r".*got 5\. Leave out channels .*buildReducedModel",
+    ):
+        identify(recording, q=q[:, :5])
+    with pytest.raises(ValueError, match=r"y must have 6 column\(s\).*got 5"):
+        identify(recording, tau=tau[:, :5])
+    with pytest.raises(ValueError, match="inconsistent numbers of samples"):
+        identify(recording, tau=tau[:-1])
+    with pytest.raises(ValueError, match=r"one label per row, shape \(1200,\); got"):
+        identify(recording, groups=np.zeros(1199))
+    with pytest.raises(ValueError, match="requires y to be passed"):
+        RobotIdentifier(demo_arm_urdf(), dt=0.01).fit(q, None)
+    with pytest.raises(ValueError, match="Expected 2D array"):
+        identify(recording, q=q[:, 0])
+
+
+def test_wrong_queries(recording):
+    robot = identify(recording)
+    with pytest.raises(ValueError, match="X must have 6 columns .* or 18 .*got 7"):
+        robot.predict(np.zeros((20, 7)))
+    with pytest.raises(ValueError, match=r"y must have 6 column\(s\).*got 2"):
+        robot.residuals(recording.q, recording.tau[:, :2])
+    with pytest.raises(ValueError, match="NaN"):
+        robot.predict(np.full((20, 18), np.nan))
+    with pytest.raises(ValueError, match="is .* samples long and the longest.*has 30"):
+        robot.residuals(recording.q[:30], recording.tau[:30])
+
+
+def test_a_joint_that_never_moves(recording):
+    q = changed(recording.q, (slice(None), 3), 0.25)
+    with pytest.warns(UserWarning, match=r"joint_4 never move\(s\).*is left out"):
+        robot = identify(recording, q=q)
+    for name in ("theta_", "theta_unconstrained_", "min_eigenvalues_"):
+        assert np.isfinite(getattr(robot, name)).all()
+    assert np.all(robot.min_eigenvalues_ > 0)
+    assert robot.estimator_.n_rows_[3] == 0
+    assert np.all(robot.estimator_.n_rows_[[0, 1, 2, 4, 5]] > 100)
+    names = np.array(robot.parameter_names_)
+    assert not robot.identifiable_[names == "joint_4:viscous"]
+    assert np.abs(robot.theta_unconstrained_).max() < 1e3
+    error = robot.predict(q) - recording.tau
+    assert np.isfinite(error).all()
+
+
+def test_a_still_joint_may_have_a_dead_torque_channel(recording):
+    q = changed(recording.q, (slice(None), 3), 0.25)
+    tau = changed(recording.tau, (slice(None), 3), 0.0)
+    with pytest.warns(UserWarning, match=r"joint_4 never move\(s\)"):
+        robot = identify(recording, q=q, tau=tau)
+    assert np.isfinite(robot.theta_).all()
+    assert np.all(robot.min_eigenvalues_ > 0)
+
+
+def test_a_dead_torque_channel(recording):
+    tau = changed(recording.tau, (slice(None), [1, 4]), 3.0)
+    with pytest.raises(
+        ValueError, match="torque of joint_2, joint_5 is constant while .*Check the rec"
+    ):
+        identify(recording, tau=tau)
+
+
+def test_no_motion_at_all(recording):
+    with pytest.raises(ValueError, match="No joint moves.*Check the position columns"):
+        identify(recording, q=np.ones_like(recording.q))
+
+
+def test_too_few_equations(recording):
+    states = recording.states[:10]
+    with pytest.raises(
+        ValueError, match="60 equations .* fewer than the 66 parameters; record for"
+    ):
+        identify(recording, q=states, tau=recording.tau[:10], standstill=None)
+
+
+@pytest.mark.parametrize(
+    ("n", "message"),
+    [
+        (5, "needs a recording of at least 16 samples; the longest has 5"),
+        (15, "needs a recording of at least 16 samples; the longest has 15"),
+    ],
+)
+def test_too_short_to_differentiate(recording, n, message):
+    with pytest.raises(ValueError, match=message):
+        identify(recording, q=recording.q[:n], tau=recording.tau[:n])
+
+
+def test_too_short_for_the_filter(recording):
+    with pytest.raises(ValueError, match=r"The low-pass at 2 Hz is .*higher cutoff"):
+        identify(recording, q=recording.q[:60], tau=recording.tau[:60], cutoff=2.0)
+
+
+def test_short_recordings_among_long_ones_are_left_out(recording):
+    groups = np.repeat([0, 1, 2], [800, 20, 380])
+    with pytest.warns(UserWarning, match=r"1 of 3 recordings \(from row 800\) are sho"):
+        robot = identify(recording, groups=groups, cutoff=6.0, state_cutoff=6.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        without = identify(
+            recording,
+            q=recording.q[groups != 1],
+            tau=recording.tau[groups != 1],
+            groups=groups[groups != 1],
+            cutoff=6.0,
+            state_cutoff=6.0,
+            standstill=robot.standstill_,
+        )
+    np.testing.assert_allclose(robot.theta_, without.theta_, rtol=1e-6, atol=1e-8)
+
+
+def test_equal_rows_and_positions_in_steps(recording):
+    # A coarse encoder repeats its value for many samples.
+    q = np.round(recording.q, 2)
+    q = np.repeat(q[::2], 2, axis=0)
+    robot = identify(recording, q=q)
+    assert np.isfinite(robot.theta_).all()
+    assert np.all(robot.min_eigenvalues_ > 0)
+
+
+def test_equal_states_leave_the_projection_to_the_model(recording):
+    states, tau = np.repeat(recording.states[:4], 50, axis=0), recording.tau[:4]
+    robot = identify(recording, q=states, tau=np.repeat(tau, 50, axis=0))
+    assert np.isfinite(robot.theta_).all()
+    assert np.all(robot.min_eigenvalues_ > 0)
+    # 24 different equations: a column is its own only by luck
+    assert np.linalg.matrix_rank(robot.estimator_.metric_, tol=None) <= 24
+
+
+def test_what_is_no_robot(recording):
+    for model, kind, message in (
+        ("nowhere.urdf", FileNotFoundError, "No robot description at 'nowhere.urdf'"),
+        (7, TypeError, "path of a URDF file or a pinocchio.Model, got int"),
+    ):
+        with pytest.raises(kind, match=message):
+            RobotIdentifier(model, dt=0.01).fit(recording.q, recording.tau)

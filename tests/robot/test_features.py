@@ -1,0 +1,188 @@
+"""Regressor matrices: the identity Phi theta = inverse dynamics, layout, names."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sklearn.base import clone
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
+from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
+from sklearn_vbjfa.robot._model import load_model, nominal_parameters  # noqa: E402
+from tests.robot._robots import random_tree  # noqa: E402
+
+ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
+properties = settings(derandomize=True, deadline=None, max_examples=40)
+
+
+def states_of(rng, model, n=4):
+    return rng.normal(size=(n, 3 * model.nv))
+
+
+def inverse_dynamics(model, states):
+    data = model.createData()
+    parts = np.split(states, 3, axis=1)
+    return np.array([pin.rnea(model, data, *row) for row in zip(*parts)])
+
+
+def assert_torques(Phi, theta, expected):
+    # Sums of some hundred products: 1e-10 of the largest torque is far above their
+    # rounding and far below any term that might be missing.
+    tau = Phi.reshape(expected.shape[0], -1, theta.size) @ theta
+    np.testing.assert_allclose(
+        tau, expected, rtol=0, atol=1e-10 * np.abs(expected).max()
+    )
+
+
+@properties
+@given(seed=st.integers(0, 2**31 - 1), n_joints=st.integers(1, 7))
+def test_inverse_dynamics_of_random_trees(seed, n_joints):
+    rng = np.random.default_rng(seed)
+    model, bodies = random_tree(rng, n_joints)
+    states = states_of(rng, model)
+    Phi = RigidBodyFeatures(model, friction=()).fit_transform(states)
+    assert_torques(Phi, bodies.ravel(), inverse_dynamics(model, states))
+
+
+def test_inverse_dynamics_of_the_demo_arm_with_its_tool():
+    rng = np.random.default_rng(0)
+    model = pin.buildModelFromUrdf(demo_arm_urdf())
+    states = states_of(rng, model, 20)
+    Phi = RigidBodyFeatures(demo_arm_urdf(), friction=()).fit_transform(states)
+    theta = np.array([body.toDynamicParameters() for body in model.inertias[1:]])
+    assert_torques(Phi, theta.ravel(), inverse_dynamics(model, states))
+
+
+@properties
+@given(
+    seed=st.integers(0, 2**31 - 1),
+    friction=st.permutations(ALL).flatmap(
+        lambda names: st.integers(0, 4).map(lambda k: tuple(names[:k]))
+    ),
+)
+def test_friction_columns(seed, friction):
+    rng = np.random.default_rng(seed)
+    model, bodies = random_tree(rng, 4)
+    states = states_of(rng, model)
+    _, v, a = np.split(states, 3, axis=1)
+    signals = {
+        "viscous": v,
+        "coulomb": np.sign(v),
+        "offset": np.ones_like(v),
+        "rotor_inertia": a,
+    }
+    coefficients = rng.normal(size=(4, len(friction)))
+    expected = inverse_dynamics(model, states)
+    for k, name in enumerate(friction):
+        expected = expected + coefficients[:, k] * signals[name]
+    theta = np.hstack([bodies, coefficients]).ravel()
+    features = RigidBodyFeatures(model, friction=friction)
+    assert_torques(features.fit_transform(states), theta, expected)
+
+
+def test_layout_is_joints_outermost():
+    rng = np.random.default_rng(2)
+    model, bodies = random_tree(rng, 3)
+    states = states_of(rng, model, 6)
+    features = RigidBodyFeatures(model, friction=("viscous", "offset"))
+    Phi = features.fit_transform(states)
+    p = features.n_parameters_
+    assert (features.n_joints_, p, features.n_features_in_) == (3, 36, 9)
+    assert Phi.shape == (6, 3 * 36)
+    _, v, _ = np.split(states, 3, axis=1)
+    for j in range(3):
+        for k in range(3):
+            viscous = Phi[:, j * p + k * 12 + 10]
+            np.testing.assert_array_equal(viscous, v[:, k] if j == k else 0 * v[:, k])
+    # the derivative by one body's parameter, by changing that body alone
+    for k in range(3):
+        for i in range(10):
+            changed = bodies.copy()
+            changed[k, i] += 1.0
+            other = model.copy()
+            for joint, body in enumerate(changed):
+                other.inertias[joint + 1] = pin.Inertia.FromDynamicParameters(body)
+            slope = inverse_dynamics(other, states) - inverse_dynamics(model, states)
+            np.testing.assert_allclose(
+                Phi[:, [j * p + k * 12 + i for j in range(3)]], slope, atol=1e-10
+            )
+
+
+def test_names_and_units():
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
+    model.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
+    features = RigidBodyFeatures(model, friction=ALL).fit(np.zeros((1, 6)))
+    inertial = ["m", "mc_x", "mc_y", "mc_z"]
+    inertial += ["I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz"]
+    names = [f"{j}:{c}" for j in ("slide", "hinge") for c in [*inertial, *ALL]]
+    assert features.parameter_names_ == tuple(names)
+    body = ["kg"] + 3 * ["kg m"] + 6 * ["kg m^2"]
+    assert features.parameter_units_ == (
+        *body,
+        *("N s/m", "N", "N", "kg"),
+        *body,
+        *("N m s/rad", "N m", "N m", "kg m^2"),
+    )
+    out = features.get_feature_names_out()
+    assert list(out) == [f"tau_{j}/{n}" for j in ("slide", "hinge") for n in names]
+    assert len(out) == features.transform(np.zeros((2, 6))).shape[1]
+
+
+def test_copies_compute_the_same():
+    rng = np.random.default_rng(4)
+    model, _ = random_tree(rng, 3)
+    states = states_of(rng, model)
+    features = RigidBodyFeatures(model, friction=("coulomb",)).fit(states)
+    expected = features.transform(states)
+    for other in (
+        clone(features).fit(states),
+        pickle.loads(pickle.dumps(features)),
+        copy.deepcopy(features),
+        pickle.loads(pickle.dumps(clone(features))).fit(states),
+    ):
+        np.testing.assert_array_equal(other.transform(states), expected)
+
+
+def test_one_name_may_stand_alone():
+    path = demo_arm_urdf()
+    alone = RigidBodyFeatures(path, friction="viscous").fit(np.zeros((1, 18)))
+    assert alone.parameter_names_ == RigidBodyFeatures(path)._load().parameter_names_
+
+
+def test_nominal_parameters_go_with_the_features():
+    # What completes the identification is laid out as theta is.
+    rng = np.random.default_rng(5)
+    model, bodies = random_tree(rng, 3)
+    np.testing.assert_allclose(nominal_parameters(load_model(model)), bodies)
+
+
+@pytest.mark.parametrize(
+    ("friction", "message"),
+    [
+        (("viscous", "stiction"), r"Unknown friction.*stiction.*expected.*'viscous'"),
+        (("viscous", "viscous"), "names a column twice"),
+        ("sticky", "Unknown friction"),
+    ],
+)
+def test_refuses_unknown_friction(friction, message):
+    with pytest.raises(ValueError, match=message):
+        RigidBodyFeatures(demo_arm_urdf(), friction=friction).fit(np.zeros((1, 18)))
+
+
+def test_refuses_a_wrong_width():
+    features = RigidBodyFeatures(demo_arm_urdf())
+    with pytest.raises(ValueError, match=r"have 18 columns; got 6\. .*StateEstimator"):
+        features.fit(np.zeros((3, 6)))
+    with pytest.raises(ValueError, match=r"18 columns; got 17\. Joints.*joint_6"):
+        features.fit(np.zeros((3, 17)))
+    features.fit(np.zeros((3, 18)))
+    with pytest.raises(ValueError, match="expecting 18 features"):
+        features.transform(np.zeros((3, 6)))
+    with pytest.raises(ValueError, match="NaN"):
+        features.transform(np.full((3, 18), np.nan))

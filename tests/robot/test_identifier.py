@@ -1,0 +1,446 @@
+"""The whole chain on a simulated arm, whose truth is known."""
+
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+from sklearn.linear_model import LinearRegression, Ridge
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import PhysicalProjector, RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.robot import _identifier  # noqa: E402
+from sklearn_vbjfa.robot._model import load_model, nominal_parameters  # noqa: E402
+from tests.robot._robots import random_tree  # noqa: E402
+
+FRICTION = ("viscous", "coulomb")
+
+
+def identify(recording, torque=None, **settings):
+    settings = {"dt": recording.dt, "friction": FRICTION, **settings}
+    robot = RobotIdentifier(recording.urdf, **settings)
+    return robot.fit(
+        recording.q,
+        recording.tau if torque is None else torque,
+        groups=recording.groups,
+    )
+
+
+def squared_error(robot, X, torque):
+    """Mean squared error over the torque's variance, joint by joint."""
+    return np.mean((robot.predict(X) - torque) ** 2, axis=0) / torque.var(axis=0)
+
+
+# -- recovery
+
+
+def test_predicts_another_motion_and_is_a_possible_robot(identified, new_motion):
+    # Some 850 filtered equations a joint for 12 parameters each, 5 % of torque noise
+    # of which the filter passes a tenth of the band: 0.05^2 / 10 * 12 / 850 = 4e-6
+    # and a few times that, since the motions differ.
+    error = squared_error(identified, new_motion.states, new_motion.tau_clean)
+    assert np.all(error < 1e-4)
+    assert np.all(identified.min_eigenvalues_ > 0)
+    assert np.all(identified.theta_.reshape(6, 12)[:, 10:] >= 0)
+
+
+def test_min_eigenvalues_are_those_of_the_bodies(identified):
+    for row, low in zip(identified.theta_.reshape(6, 12), identified.min_eigenvalues_):
+        m, cx, cy, cz, xx, xy, yy, xz, yz, zz = row[:10]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        first = np.array([[cx], [cy], [cz]])
+        J = np.block([[second, first], [first.T, np.array([[m]])]])
+        assert np.linalg.eigvalsh(J)[0] > 0
+        assert low > 0
+
+
+def test_noiseless_states_and_torques_give_the_torque_exactly(simulated, new_motion):
+    robot = RobotIdentifier(simulated.urdf, friction=FRICTION, standstill=None)
+    robot.fit(simulated.states, simulated.tau_clean, groups=simulated.groups)
+    # relevance determination may drop what explains less than about 1e-5
+    error = squared_error(robot, new_motion.states, new_motion.tau_clean)
+    assert np.all(error < 1e-9)
+    plain = robot.set_params(projector=None, regressor=LinearRegression())
+    plain.fit(simulated.states, simulated.tau_clean, groups=simulated.groups)
+    error = squared_error(plain, new_motion.states, new_motion.tau_clean)
+    assert np.all(error < 1e-18)
+
+
+def test_identifiable_parameters_are_found(identified, simulated):
+    truth = simulated.theta(FRICTION)
+    free = identified.identifiable_
+    error = np.abs(identified.theta_unconstrained_ - truth)[free]
+    # given the noise, five deviations; states from positions add a bias at reversals
+    assert np.all(error < 5 * identified.theta_std_[free] + 0.01 * np.abs(truth[free]))
+
+
+def test_states_and_positions_are_both_welcome(identified, simulated, new_motion):
+    from_states = RobotIdentifier(simulated.urdf, friction=FRICTION)
+    from_states.fit(simulated.states, simulated.tau, groups=simulated.groups)
+    assert from_states.state_estimator_ is None
+    assert from_states.cutoff_ == np.inf
+    assert from_states.n_features_in_ == 18
+    error = squared_error(from_states, new_motion.states, new_motion.tau_clean)
+    assert np.all(error < 1e-4)
+    assert identified.n_features_in_ == 6
+    # Positions of a query are smoothed: accelerations from encoders of 1e-4 rad, and
+    # Coulomb friction that jumps at another sample.
+    error = squared_error(identified, new_motion.q, new_motion.tau_clean)
+    assert np.all(error < 0.01)
+    with pytest.raises(ValueError, match="dt must be the sample period"):
+        from_states.predict(new_motion.q)
+    both = from_states.set_params(dt=simulated.dt)
+    both.fit(simulated.states, simulated.tau, groups=simulated.groups)
+    assert np.all(squared_error(both, new_motion.q, new_motion.tau_clean) < 0.01)
+
+
+def test_prediction_from_states_is_inverse_dynamics(identified, simulated, new_motion):
+    model = load_model(simulated.urdf).copy()
+    theta = identified.theta_.reshape(6, 12)
+    for j in range(6):
+        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(theta[j, :10])
+    data = model.createData()
+    expected = []
+    for row in new_motion.states[::50]:
+        q, v, a = row.reshape(3, 6)
+        rigid = pin.rnea(model, data, q, v, a)
+        expected.append(rigid + theta[:, 10] * v + theta[:, 11] * np.sign(v))
+    np.testing.assert_allclose(
+        identified.predict(new_motion.states[::50]), expected, rtol=1e-9, atol=1e-9
+    )
+
+
+def test_prediction_does_not_depend_on_its_pieces(identified, new_motion, monkeypatch):
+    whole = identified.predict(new_motion.states)
+    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", 1)
+    np.testing.assert_allclose(
+        identified.predict(new_motion.states[:40]), whole[:40], rtol=1e-12, atol=1e-12
+    )
+
+
+def test_groups_of_a_query_are_kept_apart(identified, simulated):
+    parts = [simulated.q[simulated.groups == k][:500] for k in (0, 1)]
+    groups = np.repeat([0, 1], 500)
+    together = identified.predict(np.concatenate(parts), groups=groups)
+    blind = identified.predict(np.concatenate(parts))
+    apart = np.concatenate([identified.predict(part) for part in parts])
+    # the cut-offs are those of the fit in both, so nothing else differs
+    np.testing.assert_allclose(together, apart, rtol=1e-8, atol=1e-8)
+    assert np.abs(blind - apart)[495:505].max() > 1.0
+
+
+# -- what the data determine
+
+
+def test_identifiable_is_what_random_motions_determine(identified, simulated):
+    model = load_model(simulated.urdf)
+    data = model.createData()
+    rng = np.random.default_rng(3)
+    rows = []
+    for _ in range(200):
+        q, v, a = rng.normal(size=(3, 6))
+        inertial = pin.computeJointTorqueRegressor(model, data, q, v, a)
+        block = np.zeros((6, 6, 12))
+        block[:, :, :10] = inertial.reshape(6, 6, 10)
+        block[range(6), range(6), 10] = v
+        block[range(6), range(6), 11] = np.sign(v)
+        rows.append(block.reshape(6, 72))
+    rows = np.concatenate(rows)
+    size = np.linalg.norm(rows, axis=0)
+    # Columns that are zero but for rounding count for nothing.
+    seen = size > 1e-10 * size.max()
+    _, values, directions = np.linalg.svd(rows[:, seen] / size[seen])
+    null = directions[np.sum(values > 1e-10 * values[0]) :]
+    expected = np.zeros(72, dtype=bool)
+    expected[seen] = np.sum(null**2, axis=0) < 1e-12
+    np.testing.assert_array_equal(identified.identifiable_, expected)
+    # 36 base parameters of a six-axis arm (the first axis vertical) and 12 of friction
+    assert np.sum(values > 1e-10 * values[0]) == 36 + 12
+
+
+def test_what_no_torque_depends_on_comes_from_the_model(identified, simulated):
+    # The first body turns about a vertical axis: of its ten only I_zz is felt.
+    nominal = nominal_parameters(load_model(simulated.urdf))[0]
+    first = identified.theta_[:10]
+    assert np.all(np.isinf(identified.theta_std_[:9]))
+    # the anchor is the model scaled as a whole, and consistency holds it together
+    np.testing.assert_allclose(first[0] / nominal[0], 1.0, atol=0.6)
+    # and rounding alone never passes for information
+    assert np.abs(identified.theta_unconstrained_).max() < 100
+    weighed = np.diagonal(identified.estimator_.metric_)[:9]
+    np.testing.assert_array_equal(weighed, 0.0)
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e-6])
+def test_torques_in_another_unit_are_the_robot_in_that_unit(
+    identified, simulated, new_motion, factor
+):
+    other = identify(simulated, factor * simulated.tau)
+    unit = np.abs(identified.theta_.reshape(6, 12)).max(axis=0)
+    unit = np.maximum(unit, 1e-12)
+    for name, rtol in (("theta_unconstrained_", 1e-8), ("theta_", 1e-4)):
+        got = getattr(other, name).reshape(6, 12) / factor / unit
+        expected = getattr(identified, name).reshape(6, 12) / unit
+        np.testing.assert_allclose(got, expected, rtol=0, atol=rtol)
+    np.testing.assert_allclose(
+        other.predict(new_motion.states) / factor,
+        identified.predict(new_motion.states),
+        rtol=0,
+        atol=1e-6 * new_motion.tau_clean.std(),
+    )
+    np.testing.assert_array_equal(other.identifiable_, identified.identifiable_)
+
+
+def test_pieces_of_memory_change_nothing(identified, simulated, monkeypatch):
+    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", 1)
+    pieces = identify(simulated)
+    scale = np.abs(identified.estimator_.metric_).max()
+    np.testing.assert_allclose(
+        pieces.estimator_.metric_,
+        identified.estimator_.metric_,
+        rtol=0,
+        atol=1e-10 * scale,
+    )
+    np.testing.assert_allclose(pieces.theta_, identified.theta_, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(
+        pieces.theta_unconstrained_,
+        identified.theta_unconstrained_,
+        rtol=0,
+        atol=1e-10 * np.abs(identified.theta_unconstrained_).max(),
+    )
+
+
+def test_order_and_names_of_recordings_do_not_matter(identified, simulated):
+    order = np.argsort(-simulated.groups, kind="stable")
+    names = np.where(simulated.groups[order] == 1, "late", "early")
+    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=FRICTION)
+    robot.fit(simulated.q[order], simulated.tau[order], groups=names)
+    np.testing.assert_allclose(robot.theta_, identified.theta_, rtol=1e-6, atol=1e-8)
+    assert robot.cutoff_ == pytest.approx(identified.cutoff_, rel=1e-12)
+
+
+def test_repeating_a_recording_repeats_the_result(identified, simulated):
+    q, tau = np.tile(simulated.q, (2, 1)), np.tile(simulated.tau, (2, 1))
+    groups = np.concatenate([simulated.groups, simulated.groups + 2])
+    robot = RobotIdentifier(
+        simulated.urdf, dt=simulated.dt, friction=FRICTION, projector=None,
+        regressor=LinearRegression(),
+    ).fit(q, tau, groups=groups)
+    once = identify(simulated, projector=None, regressor=LinearRegression())
+    np.testing.assert_allclose(robot.theta_, once.theta_, rtol=1e-6, atol=1e-9)
+
+
+# -- settings
+
+
+def test_any_regressor_and_projector(simulated, new_motion):
+    projector = PhysicalProjector("eq30", margin=1e-6)
+    robot = identify(simulated, regressor=Ridge(alpha=1e-6), projector=projector)
+    error = squared_error(robot, new_motion.states, new_motion.tau_clean)
+    assert np.all(error < 1e-4)
+    assert robot.projector_.constraint == "eq30"
+    assert robot.projector_.margin == 1e-6
+    assert robot.projector_.metric is robot.estimator_.metric_
+    assert projector.metric is None
+    assert np.isnan(robot.theta_std_).all()
+
+
+def test_settings_of_a_projector_of_the_user_stay(simulated):
+    metric = np.eye(72)
+    robot = identify(simulated, projector=PhysicalProjector(metric=metric))
+    np.testing.assert_array_equal(robot.projector_.metric, metric)
+    assert robot.projector_.parameters_per_joint == 12
+
+
+def test_without_projection_theta_is_the_estimate(simulated):
+    robot = identify(simulated, projector=None)
+    np.testing.assert_array_equal(robot.theta_, robot.theta_unconstrained_)
+    assert robot.min_eigenvalues_.min() < 0  # which is why there is a projection
+
+
+def test_automatic_cutoff_is_five_bandwidths(identified):
+    bandwidth = identified.state_estimator_.bandwidth_.max()
+    assert 0.8 < bandwidth < 1.2  # the motion goes up to 1 Hz
+    assert identified.cutoff_ == pytest.approx(5 * bandwidth)
+
+
+def test_automatic_standstill_is_two_per_cent_of_the_speed(identified, simulated):
+    speed = np.abs(simulated.states[:, 6:12])
+    fast = np.quantile(speed, 0.995, axis=0)
+    np.testing.assert_allclose(identified.standstill_, 0.02 * fast, rtol=0.02)
+
+
+def test_standing_samples_are_left_out():
+    # While a joint stands, stiction holds: its torque may be anything.
+    recording = make_robot_recording(
+        duration=20.0, dt=0.01, encoder_noise=0.0, torque_noise=0.0, random_state=4
+    )
+    q, tau = recording.q.copy(), recording.tau_clean.copy()
+    pause = 400
+    q = np.concatenate([np.repeat(q[:1], pause, axis=0), q])
+    tau = np.concatenate([tau[:1] + np.linspace(0, 40, pause)[:, None], tau])
+    robot = RobotIdentifier(
+        recording.urdf, dt=0.01, friction=FRICTION, cutoff=10.0, state_cutoff=20.0
+    )
+    masked = robot.fit(q, tau).residuals(recording.q, recording.tau_clean)
+    assert np.all(masked.normalised_error() < 0.02)
+    error = robot.residuals(q, tau)
+    standing = error.index < pause - 40
+    assert standing.sum() > 50
+    np.testing.assert_array_equal(error.weight[standing], 0.0)
+    everything = clone(robot).set_params(standstill=None).fit(q, tau)
+    np.testing.assert_array_equal(everything.standstill_, -1.0)
+    assert np.all(everything.estimator_.n_rows_ > robot.estimator_.n_rows_)
+    spoiled = everything.residuals(recording.q, recording.tau_clean)
+    assert spoiled.normalised_error().max() > 5 * masked.normalised_error().max()
+
+
+def test_sample_weight_zero_leaves_out(identified, simulated):
+    tau = simulated.tau.copy()
+    weight = np.ones(tau.shape)
+    tau[500:700, 2], weight[500:700, 2] = 1e5, 0.0
+    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=FRICTION)
+    robot.fit(simulated.q, tau, groups=simulated.groups, sample_weight=weight)
+    found = robot.residuals(
+        simulated.q, tau, groups=simulated.groups, sample_weight=weight
+    )
+    half = robot.estimator_.lowpass_.half
+    inside = (found.index > 500 + half) & (found.index < 700 - half)
+    assert inside.sum() > 5
+    np.testing.assert_array_equal(found.weight[inside, 2], 0.0)
+    # Rows at the stretch's border count half and see what the filter reaches of it.
+    far = (found.index < 500 - half) | (found.index > 700 + half)
+    assert far.sum() > 500
+
+
+def test_block_noise_resists_a_stretch_that_the_model_misses(simulated, new_motion):
+    tau = simulated.tau.copy()
+    tau[400:550] += 2 * simulated.tau.std(axis=0)
+    error = [
+        squared_error(
+            identify(simulated, tau, block_noise=on),
+            new_motion.states,
+            new_motion.tau_clean,
+        ).mean()
+        for on in (False, True)
+    ]
+    assert error[1] < 0.3 * error[0]
+
+
+# -- residuals
+
+
+def test_residuals_are_filtered_torques_against_filtered_predictions(
+    identified, simulated
+):
+    found = identified.residuals(simulated.q, simulated.tau, groups=simulated.groups)
+    lowpass = identified.estimator_.lowpass_
+    states = identified.state_estimator_.transform(
+        simulated.q, groups=simulated.groups
+    )
+    at = found.index[100]
+    window = slice(at - lowpass.half, at + lowpass.half + 1)
+    np.testing.assert_allclose(
+        found.torque[100], lowpass.taps @ simulated.tau[window], rtol=1e-10
+    )
+    np.testing.assert_allclose(
+        found.predicted[100], lowpass.taps @ identified.predict(states[window]),
+        rtol=1e-8,
+    )
+    np.testing.assert_array_equal(found.residual, found.torque - found.predicted)
+    # 5 % of white torque noise of which 2 * 5.1 Hz of 100 Hz pass
+    expected = simulated.torque_noise * np.sqrt(2 * identified.cutoff_ * simulated.dt)
+    np.testing.assert_allclose(found.rms(), expected, rtol=0.25)
+    squares = found.residual[:, 3] ** 2 * found.weight[:, 3]
+    rms = np.sqrt(squares.sum() / found.weight[:, 3].sum())
+    assert found.rms()[3] == pytest.approx(rms)
+    mean = np.average(found.torque[:, 3], weights=found.weight[:, 3])
+    spread = np.average((found.torque[:, 3] - mean) ** 2, weights=found.weight[:, 3])
+    assert found.normalised_error()[3] == pytest.approx(rms / np.sqrt(spread))
+
+
+def test_residuals_never_cross_a_border(identified, simulated):
+    found = identified.residuals(simulated.q, simulated.tau, groups=simulated.groups)
+    half, border = identified.estimator_.lowpass_.half, simulated.q.shape[0] // 2
+    assert not np.any(np.abs(found.index - border + 0.5) < half)
+    assert found.index.min() >= half
+
+
+# -- robots of other kinds
+
+
+def test_a_branching_tree_with_sliding_joints():
+    rng = np.random.default_rng(8)
+    model, bodies = random_tree(rng, 4)
+    recording = make_robot_recording(
+        model,
+        inertial=bodies,
+        duration=20.0,
+        dt=0.01,
+        torque_noise=0.01,
+        friction={"viscous": [1.0, 2.0, 0.5, 3.0], "offset": [1.0, -1.0, 0.0, 2.0]},
+        random_state=9,
+    )
+    robot = RobotIdentifier(model, dt=0.01, friction=("viscous", "offset"))
+    robot.fit(recording.q, recording.tau)
+    test = make_robot_recording(
+        model, inertial=bodies, duration=8.0, dt=0.01, friction=recording.friction,
+        random_state=10,
+    )
+    assert np.all(squared_error(robot, test.states, test.tau_clean) < 1e-3)
+    assert np.all(robot.min_eigenvalues_ > 0)
+    offsets = robot.theta_.reshape(4, 12)[:, 11]
+    assert offsets[1] < 0  # an offset may have either sign
+
+
+def test_one_joint_takes_a_flat_torque():
+    from tests.robot._robots import swing
+
+    recording = make_robot_recording(swing(), duration=10.0, dt=0.01, random_state=0)
+    robot = RobotIdentifier(swing(), dt=0.01, friction=FRICTION)
+    robot.fit(recording.q, recording.tau[:, 0])
+    column = clone(robot).fit(recording.q, recording.tau)
+    np.testing.assert_array_equal(robot.theta_, column.theta_)
+    assert np.all(robot.min_eigenvalues_ > 0)
+
+
+def test_a_robot_without_inertias_in_its_description(simulated, new_motion):
+    model = load_model(simulated.urdf).copy()
+    for j in range(1, 7):
+        model.inertias[j] = pin.Inertia.Zero()
+    robot = RobotIdentifier(model, dt=simulated.dt, friction=FRICTION)
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    assert np.all(robot.min_eigenvalues_ > 0)
+    error = squared_error(robot, new_motion.states, new_motion.tau_clean)
+    assert np.all(error < 1e-4)
+
+
+# -- scikit-learn
+
+
+def test_clone_pickle_and_refit(identified, simulated, new_motion):
+    expected = identified.predict(new_motion.states[:50])
+    copy = pickle.loads(pickle.dumps(identified))
+    np.testing.assert_array_equal(copy.predict(new_motion.states[:50]), expected)
+    again = clone(identified).set_params(model=Path(simulated.urdf))
+    again.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    np.testing.assert_array_equal(again.predict(new_motion.states[:50]), expected)
+    given = clone(identified).set_params(model=load_model(simulated.urdf))
+    given.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    np.testing.assert_array_equal(given.theta_, identified.theta_)
+    assert identified.score(new_motion.states, new_motion.tau_clean) > 0.999
+
+
+def test_names_and_units_are_those_of_the_features(identified):
+    assert identified.joint_names_ == tuple(f"joint_{j}" for j in range(1, 7))
+    assert len(identified.parameter_names_) == identified.theta_.size == 72
+    assert identified.parameter_names_[10:13] == (
+        "joint_1:viscous",
+        "joint_1:coulomb",
+        "joint_2:m",
+    )
+    assert identified.parameter_units_[10:13] == ("N m s/rad", "N m", "kg")

@@ -1,0 +1,503 @@
+"""One parameter vector from all joints: weights, filter, swapped regressors."""
+
+import numpy as np
+import pytest
+from scipy.signal import convolve
+from sklearn.base import clone
+from sklearn.cross_decomposition import PLSRegression
+from sklearn.decomposition import PCA
+from sklearn.ensemble import RandomForestRegressor
+from sklearn.linear_model import Lasso, LassoCV, LinearRegression, Ridge
+from sklearn.model_selection import GridSearchCV, KFold
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+from sklearn.tree import DecisionTreeRegressor
+
+from sklearn_vbjfa import (
+    InstrumentalVariables,
+    JFARegressor,
+    JointTorqueRegressor,
+    PhysicalProjector,
+    StepwiseRegressor,
+    TotalLeastSquares,
+    VBJFARegressor,
+)
+from tests.robot._robots import (
+    joint_equations,
+    random_body,
+    weighted_least_squares,
+    wide,
+)
+
+NOISE = np.array([0.1, 1.0, 10.0])
+
+
+def fitted(Phi, tau, regressor=None, projector=None, fit=None, **settings):
+    regressor = LinearRegression() if regressor is None else regressor
+    model = JointTorqueRegressor(regressor, projector, **settings)
+    return model.fit(wide(Phi), tau, **(fit or {}))
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(20)
+
+
+# -- least squares and weights
+
+
+def test_is_weighted_least_squares(rng):
+    Phi, tau, _ = joint_equations(rng, noise=NOISE)
+    given = np.array([3.0, 0.2, 1.5])
+    expected = weighted_least_squares(Phi, tau, np.tile(given, (300, 1)))
+    model = fitted(Phi, tau, joint_weights=given)
+    np.testing.assert_allclose(model.theta_, expected, rtol=1e-10)
+    np.testing.assert_allclose(model.predict(wide(Phi)), Phi @ expected, rtol=1e-9)
+    unweighted = weighted_least_squares(Phi, tau, np.ones((300, 3)))
+    plain = fitted(Phi, tau, joint_weights=None)
+    np.testing.assert_allclose(plain.theta_, unweighted, rtol=1e-10)
+
+
+def test_automatic_weights_are_iterated_to_their_fixed_point(rng):
+    Phi, tau, theta = joint_equations(rng, n=2000, noise=NOISE)
+    model = fitted(Phi, tau)
+    weight = np.ones(3)
+    for _ in range(50):
+        estimate = weighted_least_squares(
+            Phi[:200], tau[:200], np.tile(weight, (200, 1))
+        )
+        weight = 1 / np.mean((tau[:200] - Phi[:200] @ estimate) ** 2, axis=0)
+    small = fitted(Phi[:200], tau[:200])
+    # the iteration stops when no variance changes by more than 1e-6
+    np.testing.assert_allclose(small.joint_weights_, weight, rtol=1e-5)
+    np.testing.assert_allclose(small.theta_, estimate, rtol=1e-6)
+    # a variance from 2000 residuals has a deviation of sqrt(2 / 2000) = 3.2 %
+    np.testing.assert_allclose(model.joint_weights_ * NOISE**2, 1, atol=0.13)
+    # and the weighting pays: the third joint's noise would drown the rest
+    plain = fitted(Phi, tau, joint_weights=None)
+    error = [np.linalg.norm((m.theta_ - theta) / theta) for m in (model, plain)]
+    assert error[0] < 0.2 * error[1]
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e-6])
+@pytest.mark.parametrize("regressor", [LinearRegression(), None], ids=["ols", "vb"])
+def test_the_unit_of_one_torque_changes_nothing(rng, regressor, factor):
+    Phi, tau, _ = joint_equations(rng, noise=NOISE)
+    unit = np.array([1.0, factor, 1.0])
+    plain = JointTorqueRegressor(regressor).fit(wide(Phi), tau)
+    other = JointTorqueRegressor(regressor).fit(wide(Phi * unit[:, None]), tau * unit)
+    np.testing.assert_allclose(other.theta_, plain.theta_, rtol=1e-7)
+    np.testing.assert_allclose(other.joint_weights_ * unit**2, plain.joint_weights_)
+    np.testing.assert_allclose(
+        other.predict(wide(Phi))[:, 0], plain.predict(wide(Phi))[:, 0], rtol=1e-6
+    )
+
+
+def test_an_exact_joint_does_not_blow_up_the_weights(rng):
+    Phi, tau, theta = joint_equations(rng, noise=np.array([0.0, 1.0, 1.0]))
+    model = fitted(Phi, tau)
+    assert np.isfinite(model.joint_weights_).all()
+    np.testing.assert_allclose(model.theta_, theta, rtol=1e-6)
+
+
+def test_vb_tells_how_uncertain_it_is(rng):
+    Phi, tau, theta = joint_equations(rng, n=1000, noise=NOISE)
+    model = JointTorqueRegressor().fit(wide(Phi), tau)
+    rows = (Phi / NOISE[:, None]).reshape(-1, 5)
+    expected = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+    # known noise against estimated, 3000 equations: 1.3 % and the prior's little
+    np.testing.assert_allclose(model.theta_std_, expected, rtol=0.06)
+    assert np.all(np.abs(model.theta_ - theta) < 4.5 * model.theta_std_)
+
+
+def test_a_parameter_that_no_torque_depends_on_is_zero(rng):
+    Phi, tau, _ = joint_equations(rng, noise=0.1)
+    Phi[:, :, 2] = 0.0
+    for regressor in (LinearRegression(), None, Ridge(), PLSRegression(2, scale=False)):
+        model = JointTorqueRegressor(regressor).fit(wide(Phi), tau)
+        assert abs(model.theta_[2]) < 1e-12
+        assert np.isfinite(model.theta_).all()
+
+
+# -- regressors
+
+
+def iv_pair(rng):
+    """Noisy regressors, an independent second measurement, torques, theta."""
+    Phi = rng.normal(size=(4000, 3, 5))
+    theta = np.array([1.0, -2.0, 0.5, 1.5, -1.0])
+    first, second = Phi + 0.3 * rng.normal(size=(2, *Phi.shape))
+    return first, second, Phi @ theta, theta
+
+
+@pytest.mark.parametrize(
+    ("regressor", "rtol"),
+    [
+        (LinearRegression(), 1e-9),
+        (Ridge(alpha=1e-8), 1e-8),
+        (PLSRegression(n_components=5, scale=False), 1e-8),
+        (StepwiseRegressor(), 1e-8),
+        (TotalLeastSquares(), 1e-6),
+        (InstrumentalVariables(), 1e-8),
+        # The smallest penalty is 1e-6 of the largest, and the weakest column explains
+        # 1e-4 of the torque.
+        (LassoCV(cv=KFold(4), alphas=30, eps=1e-6, tol=1e-6, max_iter=20_000), 0.01),
+        (VBJFARegressor(latent="correlated"), 1e-6),
+        (make_pipeline(StandardScaler(with_mean=False), Ridge(alpha=1e-8)), 1e-8),
+        (make_pipeline(StandardScaler(), LinearRegression()), 1e-8),
+        (make_pipeline(PCA(), LinearRegression()), 1e-8),
+        (
+            GridSearchCV(
+                PLSRegression(scale=False), {"n_components": [2, 5]}, cv=KFold(4)
+            ),
+            1e-8,
+        ),
+    ],
+    ids=lambda value: type(value).__name__,
+)
+def test_any_linear_regressor_finds_the_parameters(rng, regressor, rtol):
+    # Columns of mean 3: a regressor that centred them would lose information.
+    Phi, _, theta = joint_equations(rng)
+    Phi += 3.0 * np.geomspace(0.1, 10, 5)
+    before = clone(regressor).get_params(deep=False).keys()
+    model = fitted(Phi, Phi @ theta, regressor)
+    np.testing.assert_allclose(model.theta_, theta, rtol=rtol)
+    np.testing.assert_allclose(model.predict(wide(Phi)), Phi @ theta, rtol=10 * rtol)
+    assert regressor.get_params(deep=False).keys() == before
+    assert not hasattr(regressor, "coef_")  # the one given is a pattern
+
+
+def test_a_constant_column_is_a_parameter_like_any_other(rng):
+    # an offset: what a regressor took for its own intercept would be missing here
+    Phi, tau, theta = joint_equations(rng, n=500)
+    Phi[:, :, 4] = 1.0
+    tau = Phi @ theta + 0.1 * rng.normal(size=tau.shape)
+    expected = weighted_least_squares(Phi, tau, np.ones((500, 3)))
+    for regressor in (
+        LinearRegression(),
+        PLSRegression(n_components=5, scale=False),
+        make_pipeline(StandardScaler(), LinearRegression()),
+        make_pipeline(StandardScaler(with_mean=False), LinearRegression()),
+    ):
+        model = fitted(Phi, tau, regressor, joint_weights=None)
+        np.testing.assert_allclose(model.theta_, expected, rtol=1e-8)
+
+
+@pytest.mark.parametrize("factory", [Ridge, Lasso])
+def test_penalties_act_on_unit_columns(rng, factory):
+    # Penalised in columns and torques of unit mean square, whatever their units.
+    Phi, tau, _ = joint_equations(rng, noise=0.5)
+    model = fitted(Phi, tau, factory(alpha=0.1), joint_weights=None)
+    rows, values = Phi.reshape(-1, 5), tau.ravel()
+    scale, size = np.sqrt(np.mean(rows**2, axis=0)), np.sqrt(np.mean(values**2))
+    direct = factory(alpha=0.1, fit_intercept=False).fit(rows / scale, values / size)
+    np.testing.assert_allclose(model.theta_, direct.coef_ * size / scale, rtol=1e-8)
+    unit = np.geomspace(1e-3, 1e3, 5)
+    other = fitted(Phi * unit, tau, factory(alpha=0.1), joint_weights=None)
+    np.testing.assert_allclose(other.theta_ * unit, model.theta_, rtol=1e-8)
+
+
+def test_vb_from_second_moments_is_vb_on_the_rows(rng):
+    Phi, tau, _ = joint_equations(rng, noise=NOISE)
+    model = fitted(Phi, tau, VBJFARegressor(latent="correlated"))
+    root = np.sqrt(model.joint_weights_)
+    direct = VBJFARegressor(latent="correlated", fit_intercept=False)
+    direct.fit((Phi * root[:, None]).reshape(-1, 5), (tau * root).ravel())
+    np.testing.assert_allclose(model.theta_, direct.coef_, rtol=1e-6)
+
+
+def test_joint_factor_analysis_may_be_swapped_in(rng):
+    Phi, tau, theta = joint_equations(rng, n=3000, noise=0.01)
+    model = fitted(Phi, tau, JFARegressor(tol=1e-5))
+    np.testing.assert_allclose(model.theta_, theta, rtol=0.05)
+
+
+def test_instruments_remove_the_attenuation(rng):
+    Phi, second, tau, theta = iv_pair(rng)
+    ols = fitted(Phi, tau, joint_weights=None)
+    # Noise of 0.3 deviations attenuates by 1 / 1.09; residuals of 0.9 in 12000
+    # equations give a deviation of 0.008.
+    np.testing.assert_allclose(ols.theta_, theta / 1.09, atol=0.032)
+    iv = fitted(
+        Phi,
+        tau,
+        InstrumentalVariables(),
+        joint_weights=None,
+        fit={"instruments": wide(second)},
+    )
+    np.testing.assert_allclose(iv.theta_, theta, atol=0.035)
+    rows, values, other = Phi.reshape(-1, 5), tau.ravel(), second.reshape(-1, 5)
+    literal = np.linalg.solve(other.T @ rows, other.T @ values)
+    np.testing.assert_allclose(iv.theta_, literal, rtol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "regressor", [DecisionTreeRegressor(), RandomForestRegressor(n_estimators=5)]
+)
+def test_refuses_a_regressor_that_is_not_linear(rng, regressor):
+    Phi, tau, _ = joint_equations(rng)
+    name = type(regressor).__name__
+    with pytest.raises(ValueError, match=f"must be linear in its inputs.*got {name}"):
+        fitted(Phi, tau, regressor)
+
+
+# -- sample weights
+
+
+def test_weights_of_samples_and_of_single_equations(rng):
+    Phi, tau, _ = joint_equations(rng, noise=1.0)
+    weight = rng.integers(1, 4, size=300).astype(float)
+    model = fitted(Phi, tau, joint_weights=None, fit={"sample_weight": weight})
+    each = np.repeat(weight[:, None], 3, axis=1)
+    np.testing.assert_allclose(
+        model.theta_, weighted_least_squares(Phi, tau, each), rtol=1e-9
+    )
+    each = rng.uniform(0.1, 3.0, size=(300, 3))
+    model = fitted(Phi, tau, joint_weights=None, fit={"sample_weight": each})
+    np.testing.assert_allclose(
+        model.theta_, weighted_least_squares(Phi, tau, each), rtol=1e-9
+    )
+
+
+REGRESSORS = [
+    LinearRegression(),
+    Ridge(alpha=0.1),
+    PLSRegression(n_components=3, scale=False),
+    VBJFARegressor(latent="correlated"),
+]
+
+
+# Not Ridge: weights go into the rows with mean one, so that a mean of squares (Lasso)
+# keeps its size; a sum of squares against a penalty then sees fewer rows.
+@pytest.mark.parametrize(
+    "regressor", [REGRESSORS[0], *REGRESSORS[2:]], ids=lambda r: type(r).__name__
+)
+def test_weight_two_is_the_sample_twice(rng, regressor):
+    Phi, tau, _ = joint_equations(rng, noise=NOISE)
+    times = rng.integers(0, 3, size=300)
+    weighted = fitted(Phi, tau, regressor, fit={"sample_weight": times.astype(float)})
+    repeated = fitted(np.repeat(Phi, times, axis=0), np.repeat(tau, times, axis=0),
+                      regressor)
+    np.testing.assert_allclose(weighted.theta_, repeated.theta_, rtol=1e-6)
+    np.testing.assert_allclose(
+        weighted.joint_weights_, repeated.joint_weights_, rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize("regressor", REGRESSORS, ids=lambda r: type(r).__name__)
+def test_weight_zero_is_the_equation_removed(rng, regressor):
+    Phi, tau, _ = joint_equations(rng, noise=NOISE)
+    keep = rng.uniform(size=300) < 0.7
+    spoiled = np.where(keep[:, None], tau, 1e6)
+    weighted = fitted(
+        Phi, spoiled, regressor, fit={"sample_weight": keep.astype(float)}
+    )
+    removed = fitted(Phi[keep], tau[keep], regressor)
+    np.testing.assert_allclose(weighted.theta_, removed.theta_, rtol=1e-6)
+    np.testing.assert_array_equal(weighted.n_rows_, removed.n_rows_)
+
+
+def test_one_joint_may_be_left_out_at_times(rng):
+    Phi, tau, theta = joint_equations(rng)
+    each = np.ones((300, 3))
+    each[100:200, 1] = 0.0
+    tau[100:200, 1] = -77.0
+    model = fitted(Phi, tau, fit={"sample_weight": each})
+    np.testing.assert_allclose(model.theta_, theta, rtol=1e-8)
+    np.testing.assert_array_equal(model.n_rows_, [300, 200, 300])
+
+
+# -- low-pass
+
+
+def test_parallel_filtering_leaves_exact_equations_exact(rng):
+    # Both sides pass the same filter: white regressors, a tenth of the band kept.
+    Phi, tau, theta = joint_equations(rng, n=600)
+    model = fitted(Phi, tau, dt=0.01, cutoff=5.0)
+    np.testing.assert_allclose(model.theta_, theta, rtol=1e-8)
+    assert 0 < model.n_rows_[0] < 600 / 4
+
+
+def test_groups_are_filtered_apart(rng):
+    Phi, tau, _ = joint_equations(rng, n=900, noise=NOISE)
+    groups = np.repeat([1, 0, 3], [300, 350, 250])
+    model = fitted(
+        Phi, tau, joint_weights=None, dt=0.01, cutoff=8.0, fit={"groups": groups}
+    )
+    taps, step = model.lowpass_.taps, model.lowpass_.step
+    rows, values = [], []
+    for label in (1, 0, 3):
+        mine = groups == label
+        for j in range(3):
+            columns = [
+                convolve(Phi[mine, j, k], taps, mode="valid")[::step] for k in range(5)
+            ]
+            rows.append(np.column_stack(columns))
+            values.append(convolve(tau[mine, j], taps, mode="valid")[::step])
+    expected = np.linalg.lstsq(np.vstack(rows), np.concatenate(values), rcond=None)[0]
+    np.testing.assert_allclose(model.theta_, expected, rtol=1e-8)
+    np.testing.assert_array_equal(
+        model.n_rows_, sum(part.shape[0] for part in rows) / 3
+    )
+
+
+def test_what_lies_across_a_border_is_never_seen(rng):
+    Phi, tau, _ = joint_equations(rng, n=600, noise=NOISE)
+    groups = np.repeat([0, 1], 300)
+    settings = {"dt": 0.01, "cutoff": 8.0}
+    alone = fitted(Phi[:300], tau[:300], **settings)
+    spoiled = tau.copy()
+    spoiled[300:] = 1e9
+    mask = (groups == 0).astype(float)
+    both = fitted(
+        Phi, spoiled, **settings, fit={"groups": groups, "sample_weight": mask}
+    )
+    np.testing.assert_allclose(both.theta_, alone.theta_, rtol=1e-8)
+
+
+def test_masked_stretches_count_by_what_is_left_of_the_filter(rng):
+    Phi, tau, _ = joint_equations(rng, n=600)
+    weight = np.ones(600)
+    weight[200:400] = 0.0
+    model = fitted(Phi, tau, dt=0.01, cutoff=8.0, fit={"sample_weight": weight})
+    whole = fitted(Phi, tau, dt=0.01, cutoff=8.0)
+    # Centres inside the stretch see less than half: about a third of the rows.
+    lost = 1 - model.n_rows_ / whole.n_rows_
+    filtered = 600 - 2 * model.lowpass_.half
+    np.testing.assert_allclose(lost, 200 / filtered, atol=0.05)
+
+
+def test_decimation(rng):
+    Phi, tau, _ = joint_equations(rng, n=600)
+    dense = fitted(Phi, tau, dt=0.01, cutoff=5.0, decimation=1)
+    assert dense.n_rows_[0] == 600 - 2 * dense.lowpass_.half
+    default = fitted(Phi, tau, dt=0.01, cutoff=5.0)
+    assert default.lowpass_.step == 5  # four per period of 0.2 s
+
+
+# -- projection
+
+
+def test_projector_gets_the_metric_of_the_fit(rng):
+    body = np.append(random_body(rng), 0.3)
+    Phi = rng.normal(size=(80, 2, 11))
+    tau = Phi @ body + 3.0 * rng.normal(size=(80, 2))
+    projector = PhysicalProjector()
+    model = fitted(Phi, tau, None, projector)
+    expected = sum(
+        model.joint_weights_[j] * Phi[:, j].T @ Phi[:, j] for j in range(2)
+    )
+    np.testing.assert_allclose(model.metric_, expected, rtol=1e-10, atol=1e-8)
+    assert model.projector_.metric is model.metric_
+    assert projector.metric is None  # the one given is a pattern
+    by_hand = PhysicalProjector(metric=expected)
+    by_hand.fit(model.theta_unconstrained_[None])
+    np.testing.assert_allclose(
+        model.theta_, by_hand.transform(model.theta_unconstrained_[None])[0], rtol=1e-6
+    )
+    with pytest.raises(AssertionError):  # it had something to do
+        np.testing.assert_allclose(model.theta_, model.theta_unconstrained_, rtol=1e-3)
+
+
+def test_a_metric_of_the_user_stays(rng):
+    Phi = rng.normal(size=(80, 2, 11))
+    model = fitted(
+        Phi, rng.normal(size=(80, 2)), None, PhysicalProjector(metric=np.eye(11))
+    )
+    np.testing.assert_array_equal(model.projector_.metric, np.eye(11))
+
+
+def test_without_a_projector_theta_is_a_copy(rng):
+    Phi, tau, _ = joint_equations(rng)
+    model = fitted(Phi, tau)
+    assert model.projector_ is None
+    np.testing.assert_array_equal(model.theta_, model.theta_unconstrained_)
+    assert model.theta_ is not model.theta_unconstrained_
+
+
+# -- noise by blocks of time
+
+
+@pytest.mark.parametrize("regressor", [LinearRegression(), None], ids=["ols", "vb"])
+def test_block_noise_discounts_a_stretch_that_the_model_misses(rng, regressor):
+    Phi, tau, theta = joint_equations(rng, n=1000, noise=0.1)
+    # one joint sticks for a tenth of the time
+    tau[300:400, 1] -= 0.8 * (Phi[300:400, 1] @ theta)
+    plain, robust = (
+        JointTorqueRegressor(regressor, block_noise=on).fit(wide(Phi), tau)
+        for on in (False, True)
+    )
+    error = [np.linalg.norm((m.theta_ - theta) / theta) for m in (plain, robust)]
+    assert error[1] < 0.5 * error[0]
+    assert plain.block_factors_ is None
+    factor = np.concatenate(robust.block_factors_)
+    assert factor.shape == (1000, 3)
+    stuck = np.zeros((1000, 3), dtype=bool)
+    stuck[300:400, 1] = True
+    assert factor[stuck].max() < 0.1 * np.median(factor[~stuck])
+    assert factor[~stuck].min() > 0.2
+
+
+def test_block_noise_leaves_even_noise_alone(rng):
+    Phi, tau, _ = joint_equations(rng, n=2000, noise=NOISE)
+    plain = fitted(Phi, tau)
+    robust = fitted(Phi, tau, block_noise=True)
+    # Ten rows a block, four degrees of freedom: weights scatter by some 40 %, which
+    # moves an estimate by a fraction of its deviation.
+    deviation = np.sqrt(np.diag(np.linalg.inv(plain.metric_)))
+    assert np.all(np.abs(robust.theta_ - plain.theta_) < 1.5 * deviation)
+
+
+def test_block_noise_behind_the_filter_and_across_recordings(rng):
+    Phi, tau, theta = joint_equations(rng, n=1200, noise=0.1)
+    tau[600:750] += 20.0
+    groups = np.repeat([0, 1], 600)
+    settings = {"dt": 0.01, "cutoff": 20.0, "fit": {"groups": groups}}
+    error = []
+    for on in (False, True):
+        model = fitted(Phi, tau, block_noise=on, **settings)
+        error.append(np.linalg.norm((model.theta_ - theta) / theta))
+    assert error[1] < 0.5 * error[0]
+    assert len(model.block_factors_) == 2
+
+
+# -- shapes and errors
+
+
+def test_one_output_keeps_one_dimension(rng):
+    Phi, tau, theta = joint_equations(rng, nv=1)
+    flat = JointTorqueRegressor(LinearRegression()).fit(wide(Phi), tau[:, 0])
+    assert flat.predict(wide(Phi)).shape == (300,)
+    column = JointTorqueRegressor(LinearRegression()).fit(wide(Phi), tau)
+    assert column.predict(wide(Phi)).shape == (300, 1)
+    np.testing.assert_array_equal(flat.theta_, column.theta_)
+
+
+@pytest.mark.parametrize(
+    ("settings", "fit", "message"),
+    [
+        ({"joint_weights": "even"}, {}, r"'auto', None or an array.*\(3,\); got 'even'"),
+        ({"joint_weights": [1.0, 2.0]}, {}, "must hold 3 finite, non-negative numbers"),
+        ({"joint_weights": [1.0, -1.0, 1.0]}, {}, "must hold 3 finite, non-negative"),
+        ({"cutoff": 5.0}, {}, "dt must be the sample period.*got None"),
+        ({"cutoff": 60.0, "dt": 0.01}, {}, "below the Nyquist frequency 50 Hz"),
+        ({"cutoff": -2.0, "dt": 0.01}, {}, "positive frequency.*got -2"),
+        ({"cutoff": 0.1, "dt": 0.01}, {}, r"shorter than the low-pass.*longer record"),
+        ({}, {"groups": np.zeros(5)}, r"one label per row, shape \(300,\); got"),
+        ({}, {"sample_weight": np.ones(5)}, r"shape \(300,\) or \(300, 3\); got \(5,"),
+        ({}, {"sample_weight": -np.ones(300)}, "finite and not negative"),
+        ({}, {"sample_weight": np.full(300, np.nan)}, "finite and not negative"),
+        ({}, {"sample_weight": np.zeros(300)}, "at least one non-zero number"),
+        ({}, {"instruments": np.zeros((300, 3))}, r"shape of X, \(300, 15\); got"),
+    ],
+)
+def test_errors_say_what_to_do(rng, settings, fit, message):
+    Phi, tau, _ = joint_equations(rng)
+    with pytest.raises(ValueError, match=message):
+        fitted(Phi, tau, **settings, fit=fit)
+
+
+def test_refuses_columns_that_do_not_divide(rng):
+    Phi, tau, _ = joint_equations(rng)
+    with pytest.raises(ValueError, match="y has 2 joints.*multiple of 2; got 15"):
+        JointTorqueRegressor().fit(wide(Phi), tau[:, :2])

@@ -1,0 +1,172 @@
+"""Robot models: what is read, what is refused, and how."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
+from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
+from sklearn_vbjfa.robot._model import (  # noqa: E402
+    is_prismatic,
+    joint_names,
+    load_model,
+    nominal_parameters,
+)
+from tests.robot._robots import random_tree  # noqa: E402
+
+ONE_JOINT = """<robot name="bench">
+  <link name="base"/>
+  <joint name="hinge" type="{kind}">
+    <parent link="base"/><child link="bar"/>
+    <origin xyz="0 0 1" rpy="0 0 0"/><axis xyz="0 1 0"/>{limit}
+  </joint>
+  <link name="bar"><inertial>
+    <origin xyz="0.1 0 0.3" rpy="0 0 0"/><mass value="2"/>
+    <inertia ixx="0.1" ixy="0.01" ixz="0.02" iyy="0.2" iyz="0" izz="0.15"/>
+  </inertial></link>
+</robot>"""
+LIMIT = '<limit lower="-1" upper="1" effort="7" velocity="3"/>'
+
+
+@pytest.fixture
+def write(tmp_path):
+    def make(text):
+        path = tmp_path / "robot.urdf"
+        path.write_text(text)
+        return path
+
+    return make
+
+
+def test_path_string_and_model_are_the_same_robot():
+    path = demo_arm_urdf()
+    models = [load_model(path), load_model(Path(path)), load_model(load_model(path))]
+    for model in models:
+        assert joint_names(model) == tuple(f"joint_{j}" for j in range(1, 7))
+        np.testing.assert_array_equal(
+            nominal_parameters(model), nominal_parameters(models[0])
+        )
+
+
+def test_nominal_parameters_are_about_the_joint(write):
+    mass, (x, y, z) = 2.0, (0.1, 0.0, 0.3)
+    # parallel axes by hand: I about the joint = I about the centre + m (c.c E - c c')
+    expected = [
+        *(mass, mass * x, mass * y, mass * z),
+        0.1 + mass * (y**2 + z**2),
+        0.01 - mass * x * y,
+        0.2 + mass * (x**2 + z**2),
+        0.02 - mass * x * z,
+        0.0 - mass * y * z,
+        0.15 + mass * (x**2 + y**2),
+    ]
+    model = load_model(write(ONE_JOINT.format(kind="revolute", limit=LIMIT)))
+    np.testing.assert_allclose(nominal_parameters(model)[0], expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("limit", ["", '<limit effort="7" velocity="3"/>'])
+def test_continuous_joint_is_one_angle(write, limit):
+    turning = load_model(write(ONE_JOINT.format(kind="continuous", limit=limit)))
+    hinged = load_model(write(ONE_JOINT.format(kind="revolute", limit=LIMIT)))
+    assert (turning.nq, turning.nv) == (1, 1)
+    assert turning.lowerPositionLimit[0] < -1e6
+    assert turning.upperPositionLimit[0] > 1e6
+    if limit:
+        assert turning.velocityLimit[0] == 3.0
+    # beyond one turn, where a (cos, sin) joint would have to wrap
+    state = [np.array([x]) for x in (7.5, -2.0, 3.0)]
+    np.testing.assert_allclose(
+        pin.rnea(turning, turning.createData(), *state),
+        pin.rnea(hinged, hinged.createData(), *state),
+        rtol=1e-14,
+    )
+
+
+def test_kinds_of_joints():
+    model = pin.Model()
+    kinds = ["RX", "PZ", "RY", "PX"]
+    for name in kinds:
+        joint = getattr(pin, f"JointModel{name}")()
+        model.addJoint(len(model.names) - 1, joint, pin.SE3.Identity(), name)
+    model.addJoint(
+        2,
+        pin.JointModelPrismaticUnaligned(np.array([0.6, 0.8, 0.0])),
+        pin.SE3.Identity(),
+        "oblique",
+    )
+    np.testing.assert_array_equal(
+        is_prismatic(load_model(model)), [False, True, False, True, True]
+    )
+
+
+@pytest.mark.parametrize(
+    ("joint", "message"),
+    [
+        ("JointModelFreeFlyer", r"floating \(JointModelFreeFlyer, nq=7, nv=6\)"),
+        ("JointModelSpherical", r"\(JointModelSpherical, nq=4, nv=3\)"),
+        ("JointModelPlanar", r"\(JointModelPlanar, nq=4, nv=3\)"),
+        ("JointModelRUBX", "nq=2, nv=1"),
+    ],
+)
+def test_refuses_joints_of_other_than_one_freedom(joint, message):
+    model, _ = random_tree(np.random.default_rng(0), 2)
+    model.addJoint(2, getattr(pin, joint)(), pin.SE3.Identity(), "floating")
+    with pytest.raises(ValueError, match=f"one degree of freedom.*{message}"):
+        load_model(model)
+    with pytest.raises(ValueError, match=r"lock what does not move with pinocchio\."):
+        RigidBodyFeatures(model).fit(np.zeros((2, 9)))
+
+
+def test_refuses_what_is_no_robot(write, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"nowhere\.urdf.*expected the path"):
+        load_model(tmp_path / "nowhere.urdf")
+    with pytest.raises(TypeError, match=r"path of a URDF file or a .*got int"):
+        load_model(3)
+    with pytest.raises(ValueError, match=r"not readable as URDF.*xacro"):
+        load_model(write("<robot><link"))
+    with pytest.raises(ValueError, match="no moving joint"):
+        load_model(write(ONE_JOINT.format(kind="fixed", limit="")))
+    with pytest.raises(ValueError, match="no moving joint"):
+        load_model(pin.Model())
+
+
+def test_fitted_features_keep_their_robot():
+    rng = np.random.default_rng(3)
+    model, _ = random_tree(rng, 3)
+    states = rng.normal(size=(5, 9))
+    features = RigidBodyFeatures(model).fit(states)
+    before = features.transform(states)
+    model.jointPlacements[2] = pin.SE3.Random()
+    np.testing.assert_array_equal(features.transform(states), before)
+
+
+def test_without_pinocchio_one_line_says_how_to_get_it():
+    code = (
+        "import sys\n"
+        "class Block:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name.split('.')[0] == 'pinocchio':\n"
+        "            raise ImportError('blocked')\n"
+        "sys.meta_path.insert(0, Block())\n"
+        "import sklearn_vbjfa as s\n"
+        "assert 'pinocchio' not in sys.modules\n"
+        "s.StateEstimator(0.1, cutoff=1.0).fit([[0.0]] * 9)\n"
+        "for make in (s.RigidBodyFeatures, s.RobotIdentifier):\n"
+        "    try:\n"
+        "        make('robot.urdf').fit([[0.0]] * 9, [[0.0]] * 9)\n"
+        "    except ImportError as error:\n"
+        "        print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    message = (
+        "Robot models need Pinocchio, which is not installed: "
+        'pip install "sklearn-vbjfa[robot]"'
+    )
+    assert done.stdout.splitlines() == [message, message]

@@ -1,0 +1,323 @@
+"""States from positions: exact, without lag, each recording on its own."""
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa import StateEstimator
+
+DT = 0.005
+
+
+def wave(t, frequency, phase=0.3):
+    """Sine with its first two derivatives, (n, 3)."""
+    w = 2 * np.pi * frequency
+    s, c = np.sin(w * t + phase), np.cos(w * t + phase)
+    return np.column_stack([s, w * c, -(w**2) * s])
+
+
+@pytest.fixture
+def noisy_wave():
+    """Make slow sines in several joints under white noise."""
+
+    def make(n, noise, seed=0):
+        t = np.arange(n) * DT
+        joints = [wave(t, f, f) for f in np.linspace(0.2, 0.6, len(noise))]
+        truth = np.stack(joints, axis=2).reshape(n, -1)  # [q | v | a]
+        rng = np.random.default_rng(seed)
+        q = truth[:, : len(noise)] + noise * rng.normal(size=(n, len(noise)))
+        return q, truth
+
+    return make
+
+
+# -- exactness
+
+
+@pytest.mark.parametrize("cutoff", [2.0, 10.0, 40.0])
+def test_parabolas_are_exact_up_to_the_ends(cutoff):
+    # The third derivative is what costs: a parabola is free of it.
+    t = np.arange(400) * DT
+    q = np.column_stack([3 - 2 * t, 1 + t - 4 * t**2])
+    states = StateEstimator(DT, cutoff=cutoff).fit_transform(q)
+    ones = np.ones_like(t)
+    np.testing.assert_allclose(states[:, :2], q, atol=1e-9)
+    np.testing.assert_allclose(
+        states[:, 2:4], np.column_stack([-2 * ones, 1 - 8 * t]), atol=1e-7
+    )
+    # second derivatives magnify rounding by 1 / h^2
+    np.testing.assert_allclose(states[:, 4:], [[0.0, -8.0]] * 400, atol=1e-5)
+
+
+def test_interpolation_keeps_samples_and_quintics():
+    t = np.arange(400) * DT
+    polynomial = np.polynomial.Polynomial([1, -2, 3, 1, -1, 0.5])
+    states = StateEstimator(DT, cutoff=None).fit_transform(polynomial(t)[:, None])
+    np.testing.assert_allclose(states[:, 0], polynomial(t), atol=1e-12)
+    inside = slice(40, -40)
+    for k in (1, 2):
+        np.testing.assert_allclose(
+            states[inside, k], polynomial.deriv(k)(t[inside]), atol=1e-7
+        )
+
+
+def test_interpolated_line_has_no_acceleration_at_its_ends():
+    t = np.arange(1000) * DT
+    states = StateEstimator(DT, cutoff=None).fit_transform(t[:, None])
+    # 1e-11 of the range over h^2: rounding that the weak penalty lets through
+    np.testing.assert_allclose(states[:, 2], 0.0, atol=1e-2)
+    np.testing.assert_allclose(states[:, 1], 1.0, atol=1e-4)
+
+
+@pytest.mark.parametrize(("frequency", "cutoff"), [(0.5, 5.0), (3.0, 5.0), (5.0, 5.0)])
+def test_sines_pass_with_the_stated_gain_and_no_phase(frequency, cutoff):
+    t = np.arange(4000) * DT
+    truth = wave(t, frequency)
+    states = StateEstimator(DT, cutoff=cutoff).fit_transform(truth[:, :1])
+    inside = slice(400, -400)
+    w = 2 * np.pi * frequency
+    basis = np.column_stack([np.sin(w * t + 0.3), np.cos(w * t + 0.3)])[inside]
+    amplitude = np.linalg.lstsq(basis, states[inside], rcond=None)[0]
+    gain = 1 / (1 + (frequency / cutoff) ** 6)
+    # 1e-4: the knots, ten per period of the cut-off, damp a little themselves. The
+    # penalty is one on differences, not derivatives, which is worth some 6 % of it.
+    atol = 1e-4 + 0.1 * gain * (1 - gain)
+    np.testing.assert_allclose(
+        amplitude / [1, w, w**2], [[gain, 0, -gain], [0, gain, 0]], atol=atol
+    )
+    # nothing of the other phase: no lag
+    np.testing.assert_allclose(amplitude[[1, 0, 1], range(3)], 0, atol=1e-9 * w**2)
+
+
+def test_backwards_in_time_is_the_same_motion_backwards(noisy_wave):
+    # 1500 intervals are a whole number of knots, seen from either end
+    q, _ = noisy_wave(1501, np.array([1e-3]))
+    estimator = StateEstimator(DT, cutoff=8.0).fit(q)
+    forth = estimator.transform(q)
+    back = estimator.transform(q[::-1])[::-1] * [1, -1, 1]
+    scale = np.abs(forth).max(axis=0)
+    np.testing.assert_allclose(back / scale, forth / scale, atol=1e-8)
+
+
+def test_noisy_motion_has_no_lag():
+    t = np.arange(8000) * DT
+    truth = wave(t, 2.0)
+    noise = 1e-3 * np.random.default_rng(0).normal(size=t.size)
+    states = StateEstimator(DT).fit_transform(truth[:, :1] + noise[:, None])
+    rates = np.column_stack([truth[:, 1:], -((4 * np.pi) ** 2) * truth[:, 1]])
+    inside = slice(400, -400)
+    # a lag L changes a signal x by -L x': the error's share along x' is the lag
+    error, rate = (states - truth)[inside], rates[inside]
+    lag = -np.sum(error * rate, axis=0) / np.sum(rate**2, axis=0)
+    # 1e-3 of noise in 7200 samples, and the peak of a cross-correlation
+    assert np.all(np.abs(lag) < 0.02 * DT)
+    for k in range(3):
+        x, y = states[inside, k], truth[inside, k]
+        lags = range(-20, 21)
+        products = [x[20 + i : x.size - 20 + i] @ y[20:-20] for i in lags]
+        assert lags[int(np.argmax(products))] == 0
+
+
+# -- recordings
+
+
+def test_a_jump_between_recordings_leaves_no_trace(noisy_wave):
+    q, _ = noisy_wave(1200, np.array([1e-3, 1e-4]))
+    groups = np.repeat(["a", "b", "c"], [500, 300, 400])
+    jumped = q + np.repeat([0.0, 1e3, -50.0], [500, 300, 400])[:, None]
+    estimator = StateEstimator(DT, cutoff=6.0).fit(jumped, groups=groups)
+    states = estimator.transform(jumped, groups=groups)
+    for label in "abc":
+        alone = estimator.transform(jumped[groups == label])
+        np.testing.assert_array_equal(states[groups == label], alone)
+    even, odd = estimator.split_transform(jumped, groups=groups)
+    for label in "abc":
+        halves = estimator.split_transform(jumped[groups == label])
+        np.testing.assert_array_equal(even[groups == label], halves[0])
+        np.testing.assert_array_equal(odd[groups == label], halves[1])
+
+
+def test_a_jump_between_recordings_changes_no_choice(noisy_wave):
+    q, _ = noisy_wave(3000, np.array([1e-3]))
+    groups = np.repeat([4, 2], 1500)
+    plain = StateEstimator(DT).fit(q, groups=groups)
+    jumped = StateEstimator(DT).fit(q + 10.0 * (groups == 2)[:, None], groups=groups)
+    np.testing.assert_allclose(jumped.cutoff_, plain.cutoff_, rtol=1e-12)
+    # 10 in double precision is 1e-15, squared over the noise's 1e-6
+    np.testing.assert_allclose(
+        jumped.noise_variance_, plain.noise_variance_, rtol=1e-6
+    )
+    assert jumped.bandwidth_ == plain.bandwidth_
+    # and across a jump that no label tells of, it would
+    blind = StateEstimator(DT).fit(q + 10.0 * (groups == 2)[:, None])
+    assert blind.noise_variance_ > 2 * plain.noise_variance_
+
+
+def test_a_label_that_returns_is_another_recording(noisy_wave):
+    q, _ = noisy_wave(900, np.array([1e-3]))
+    back, other = np.repeat([0, 1, 0], 300), np.repeat([0, 1, 2], 300)
+    estimator = StateEstimator(DT, cutoff=6.0).fit(q)
+    np.testing.assert_array_equal(
+        estimator.transform(q, groups=back), estimator.transform(q, groups=other)
+    )
+
+
+def test_fit_transform_passes_the_groups_on(noisy_wave):
+    q, _ = noisy_wave(600, np.array([1e-3]))
+    groups = np.repeat([0, 1], 300)
+    q = q + groups[:, None]
+    once = StateEstimator(DT, cutoff=9.0).fit_transform(q, groups=groups)
+    twice = StateEstimator(DT, cutoff=9.0).fit(q, groups=groups)
+    np.testing.assert_array_equal(once, twice.transform(q, groups=groups))
+
+
+# -- what is measured
+
+
+def test_noise_variance(noisy_wave):
+    noise = np.array([1e-4, 1e-3, 1e-2])
+    q, _ = noisy_wave(20_000, noise)
+    estimator = StateEstimator(DT).fit(q)
+    # A median of 8000 tapered ordinates: its relative deviation is about 2.5 %.
+    np.testing.assert_allclose(estimator.noise_variance_, noise**2, rtol=0.12)
+
+
+def test_bandwidth_is_that_of_the_motion(noisy_wave):
+    t = np.arange(8000) * DT
+    q = wave(t, 0.2)[:, :1] + 1e-4 * np.random.default_rng(1).normal(size=(8000, 1))
+    q = np.hstack([q, wave(t, 2.0)[:, :1], np.full((8000, 1), 0.7)])
+    estimator = StateEstimator(DT).fit(q)
+    # the taper widens a line by two bins of 1 / 40 Hz
+    np.testing.assert_allclose(estimator.bandwidth_[:2], [0.2, 2.0], atol=0.06)
+    assert estimator.bandwidth_[2] == 0.0
+
+
+def test_automatic_cutoff_is_nearly_the_best(noisy_wave):
+    q, truth = noisy_wave(4000, np.array([1e-3]))
+
+    def error(cutoff):
+        states = StateEstimator(DT, cutoff=cutoff).fit_transform(q)
+        return np.mean((states - truth)[200:-200, 2] ** 2)
+
+    best = min(error(c) for c in np.geomspace(0.3, 30, 20))
+    # A slow sine in noise has a flat optimum, and C_p estimates the risk from one
+    # realisation: twice the least root mean square is near, others are far away.
+    assert error("auto") < 4 * best
+    assert error("auto") < 0.01 * error(10.0)
+    assert error("auto") < 0.01 * error(0.2)
+
+
+def test_a_joint_that_rests_stays_at_rest():
+    t = np.arange(300) * DT
+    q = np.column_stack([np.sin(t), np.full(300, 0.37)])
+    estimator = StateEstimator(DT).fit(q)
+    states = estimator.transform(q)
+    assert estimator.cutoff_[1] == np.inf
+    assert estimator.noise_variance_[1] == 0.0
+    np.testing.assert_allclose(
+        states[:, [1, 3, 5]], [[0.37, 0.0, 0.0]] * 300, atol=1e-15
+    )
+
+
+def test_halves_agree_with_the_truth_and_share_no_noise(noisy_wave):
+    noise = np.array([1e-3])
+    q, truth = noisy_wave(40_000, noise)
+    estimator = StateEstimator(DT, cutoff=5.0).fit(q)
+    inside = slice(400, -400)
+    errors = [(h - truth)[inside] for h in estimator.split_transform(q)]
+    whole = (estimator.transform(q) - truth)[inside]
+    for k in range(3):
+        first, second = errors[0][:, k], errors[1][:, k]
+        # Some 2 * 5 Hz * 200 s independent values: a deviation of 0.022.
+        assert abs(np.corrcoef(first, second)[0, 1]) < 0.1
+        # half as many samples, twice the variance; 0.1 is three deviations of a ratio
+        for half in (first, second):
+            assert half.var() / whole[:, k].var() == pytest.approx(2.0, rel=0.2)
+    # while the estimate from all samples has its noise in common with each half
+    assert np.corrcoef(errors[0][:, 1], whole[:, 1])[0, 1] > 0.5
+
+
+@pytest.mark.parametrize("factor", [1e6, 1e-6])
+def test_units_of_length_and_of_time(noisy_wave, factor):
+    q, _ = noisy_wave(1000, np.array([1e-3, 1e-2]))
+    plain = StateEstimator(DT).fit(q)
+    states = plain.transform(q)
+    longer = StateEstimator(DT).fit(factor * q)
+    np.testing.assert_allclose(longer.cutoff_, plain.cutoff_, rtol=1e-12)
+    np.testing.assert_allclose(
+        longer.noise_variance_, factor**2 * plain.noise_variance_, rtol=1e-9
+    )
+    np.testing.assert_allclose(
+        longer.transform(factor * q), factor * states, rtol=1e-8, atol=1e-8 * factor
+    )
+    slower = StateEstimator(factor * DT).fit(q)
+    np.testing.assert_allclose(slower.cutoff_, plain.cutoff_ / factor, rtol=1e-9)
+    unit = np.repeat([1, factor, factor**2], 2)
+    np.testing.assert_allclose(slower.transform(q) * unit, states, rtol=1e-6, atol=1e-7)
+
+
+def test_cutoff_of_each_joint(noisy_wave):
+    q, _ = noisy_wave(500, np.array([1e-3, 1e-3]))
+    both = StateEstimator(DT, cutoff=[3.0, None]).fit(q)
+    np.testing.assert_array_equal(both.cutoff_, [3.0, np.inf])
+    states = both.transform(q)
+    for j, cutoff in enumerate([3.0, None]):
+        alone = StateEstimator(DT, cutoff=cutoff).fit_transform(q[:, [j]])
+        np.testing.assert_array_equal(states[:, j::2], alone)
+
+
+def test_names():
+    estimator = StateEstimator(DT, cutoff=1.0).fit(np.zeros((20, 2)))
+    assert list(estimator.get_feature_names_out()) == [
+        *("q_0", "q_1", "v_0", "v_1", "a_0", "a_1"),
+    ]
+    assert list(estimator.get_feature_names_out(["hip", "knee"]))[2:4] == [
+        *("v_hip", "v_knee"),
+    ]
+
+
+# -- errors
+
+
+@pytest.mark.parametrize("dt", [0, -0.01, np.nan, np.inf, None, "fast"])
+def test_refuses_a_wrong_period(dt):
+    with pytest.raises(ValueError, match="dt must be the sample period.*positive and"):
+        StateEstimator(dt).fit(np.zeros((30, 1)))
+
+
+@pytest.mark.parametrize(
+    ("cutoff", "message"),
+    [
+        (100.0, r"below the Nyquist frequency 100 Hz of dt=0\.005 s; got 100 Hz"),
+        (-1.0, "positive frequency in Hz, 'auto', or None.*got -1"),
+        (np.nan, "positive frequency"),
+        ("high", "cutoff must be 'auto', a frequency in Hz, or None; got 'high'"),
+        ([1.0, 2.0, 3.0], r"one for each of the 2 joints; got .* shape \(3,\)"),
+        ([1.0, "x"], "positive frequency"),
+    ],
+)
+def test_refuses_a_wrong_cutoff(cutoff, message):
+    with pytest.raises(ValueError, match=message):
+        StateEstimator(DT, cutoff=cutoff).fit(np.zeros((30, 2)))
+
+
+def test_refuses_what_is_too_short():
+    rng = np.random.default_rng(0)
+    q = rng.normal(size=(30, 1))
+    with pytest.raises(ValueError, match=r"at least 16 samples; the longest has 15"):
+        StateEstimator(DT).fit(q[:15])
+    estimator = StateEstimator(DT, cutoff=5.0).fit(q)
+    groups = np.repeat([0, 1], [23, 7])
+    with pytest.raises(ValueError, match="at least 8 samples.* at row 23 has 7"):
+        estimator.transform(q, groups=groups)
+    with pytest.raises(ValueError, match="at least 16 samples.* at row 23 has 7"):
+        estimator.split_transform(q, groups=groups)
+
+
+def test_refuses_wrong_labels_and_values():
+    q = np.zeros((30, 1))
+    with pytest.raises(ValueError, match=r"one label per row, shape \(30,\); got .*29"):
+        StateEstimator(DT, cutoff=5.0).fit(q, groups=np.zeros(29))
+    for bad in (np.nan, np.inf):
+        q[3] = bad
+        with pytest.raises(ValueError, match="NaN|infinity"):
+            StateEstimator(DT).fit(q)

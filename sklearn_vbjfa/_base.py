@@ -250,7 +250,8 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         self.coef_cov_ = np.zeros((d, d))
         self.coef_cov_[~data.active, ~data.active] = np.inf
         self.coef_cov_[np.ix_(data.active, data.active)] = cov * np.outer(unit, unit)
-        self.coef_std_ = np.sqrt(np.diagonal(self.coef_cov_))
+        # Without noise a variance is zero to rounding, on either side.
+        self.coef_std_ = np.sqrt(np.maximum(np.diagonal(self.coef_cov_), 0.0))
         self.intercept_ = float(data.y_offset - data.x_offset @ self.coef_)
         self.intercept_noisy_ = float(data.y_offset - data.x_offset @ self.coef_noisy_)
         self._x_offset = data.x_offset

@@ -16,7 +16,7 @@ RELEVANT_DEVIATIONS = 2.0
 # the largest fraction that is believed whatever they permit. The second moments only
 # bound the noise from above; see `noise_fraction`.
 NOISE_OF_BOUND = 0.9
-LARGEST_FRACTION = 0.25
+LARGEST_FRACTION = 0.3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,14 +38,14 @@ class CorrelatedFit:
 def noise_fraction(R, r):
     """Input-noise fraction, from the correlations of inputs (d, d) and output (d,).
 
-    If inputs and output all have the same fraction of noise in their variances, no
-    fraction can exceed the smallest eigenvalue of their joint correlation matrix: the
-    covariance without noise must stay positive semidefinite. Strongly correlated
-    latent inputs make the bound nearly sharp; for weakly correlated ones it says
-    little, hence the cap.
+    Without noise in the inputs' covariance R and in the output what is left must be
+    positive semidefinite; even with an output that is all signal, no common fraction
+    can exceed the smallest eigenvalue of R - r r', the covariance of the inputs given
+    the output. Strongly correlated latent inputs make the bound nearly sharp; for
+    weakly correlated ones it says little, hence the cap.
     """
-    joint = np.block([[R, r[:, None]], [r[None, :], np.ones((1, 1))]])
-    smallest = linalg.eigvalsh(joint, subset_by_index=[0, 0])[0]
+    given_output = R - np.outer(r, r)
+    smallest = linalg.eigvalsh(given_output, subset_by_index=[0, 0])[0]
     return float(min(LARGEST_FRACTION, NOISE_OF_BOUND * max(smallest, 0.0)))
 
 

@@ -129,12 +129,13 @@ class VBJFARegressor(BaseJointFactorRegressor):
     only bound the noise from above. So the split comes from `input_noise` if given,
     else from a prior, which is documented and free of units:
 
-    - Correlated latents: all relevant inputs have the same fraction of noise,
-      0.9 of the smallest eigenvalue of the joint correlation matrix of relevant
-      inputs and output (no fraction can exceed that eigenvalue), at most 0.25. If the
-      output depends on the inputs almost without noise, so are the inputs taken to
-      be; with exact but weakly correlated inputs and a very noisy output, the
-      coefficients come out too large by a third at most: give ``input_noise=0``.
+    - Correlated latents: all relevant inputs have the same fraction of noise in their
+      variances, 0.9 of the smallest eigenvalue of the correlation matrix of the
+      relevant inputs given the output (no common fraction can exceed it), at most
+      0.3. Strongly correlated inputs make that bound nearly sharp, and so does an
+      output that depends on them almost without noise. Exact, weakly correlated
+      inputs with a very noisy output get coefficients that are too large, by a factor
+      of 1 / (1 - 0.3) at most: give ``input_noise=0`` if you know that they are exact.
     - Independent latents with ``prior="noise"``: an inverse-gamma on each psi_x with
       its mode at 0.2 of the input's variance and the weight of 0.1 of the samples.
     - ``prior="paper"``: the starting point and the shared alpha_m, under which both

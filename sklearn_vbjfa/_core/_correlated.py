@@ -242,6 +242,7 @@ def solve_correlated(
     alpha_rate = np.full(d, shape)
     s2 = max(yy / n, eps)
     cached = []
+    before = None  # the state of the last bound in `history`
 
     def root_of(S_tt):
         # With exact inputs S_tt is S throughout: one decomposition serves all.

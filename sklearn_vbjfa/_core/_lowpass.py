@@ -34,6 +34,15 @@ class Lowpass:
         """Samples that are lost at each end."""
         return self.taps.size // 2
 
+    @property
+    def efficiency(self):
+        """Independent samples per output, for white noise at the input.
+
+        Outputs closer than the filter is long share noise; for the sum of many of
+        them, times a slow signal, they count for this share of their number.
+        """
+        return float(self.step * (self.taps @ self.taps)) if self.half else 1.0
+
     def centres(self, n):
         """Indices of the samples at which outputs stand, for a recording of n."""
         return np.arange(self.half, n - self.half, self.step)

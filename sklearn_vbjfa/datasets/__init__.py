@@ -21,8 +21,10 @@ from sklearn_vbjfa.datasets._robots import (
     load_demo_recording,
     make_robot_recording,
 )
+from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
 
 __all__ = [
+    "NoisyRegression",
     "Recording",
     "SimulatedRecording",
     "fetch_bam_xl330",
@@ -36,5 +38,6 @@ __all__ = [
     "fetch_tiago",
     "fetch_ur5",
     "load_demo_recording",
+    "make_noisy_regression",
     "make_robot_recording",
 ]

@@ -103,9 +103,10 @@ def _motion(model, n, dt, frequency, n_harmonics, rng):
     q, v, a = (np.zeros((n, nv)) for _ in range(3))
     for j in range(nv):
         low, high = model.lowerPositionLimit[j], model.upperPositionLimit[j]
-        wide = not np.isfinite(high - low) or high - low > 2 * _DEFAULT_RANGE
-        reach = _DEFAULT_RANGE if wide else 0.5 * (high - low)
-        centre = 0.0 if wide else 0.5 * (high + low)
+        # Halved first: Pinocchio's "no limit" is the largest number there is.
+        reach, centre = 0.5 * high - 0.5 * low, 0.5 * high + 0.5 * low
+        if not reach <= _DEFAULT_RANGE:
+            reach, centre = _DEFAULT_RANGE, 0.0
         speed = model.velocityLimit[j]
         if not 0 < speed < 1e3:
             speed = _DEFAULT_SPEED

@@ -108,7 +108,7 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
         The fitted identifier of the first method.
     """
     base = clone(identifier).fit(train[0], train[1], groups=train[2])
-    train_pieces = _pieces(base, *train)
+    train_pieces = _pieces(base, *train, measure_noise=True)
     test_pieces = _pieces(base, *test)
     chosen = methods(len(base.parameter_names_))
     if names is not None:
@@ -161,6 +161,7 @@ _PREPARED = (
     "state_estimator_",
     "cutoff_",
     "standstill_",
+    "torque_noise_",
 )
 
 
@@ -171,10 +172,11 @@ def _prepare(base, X, y, groups):
     return parts, weight, lowpass
 
 
-def _pieces(base, X, y, groups):
+def _pieces(base, X, y, groups, *, measure_noise=False):
     parts, weight, lowpass = _prepare(base, X, y, groups)
     states = base._states(X, groups)
-    return list(base._filtered(states, y, weight, parts, lowpass))
+    halves = base._halves(X, groups) if measure_noise else None
+    return list(base._filtered(states, y, weight, parts, lowpass, halves))
 
 
 def _split_pieces(base, X, y, groups):

@@ -14,6 +14,37 @@ from sklearn_vbjfa.robot._model import (
 )
 
 
+# Root mean square below which an entry of the regressor matrix is the rounding of a
+# zero, relative to the largest of its unit in the same torque.
+_ROUNDING = 1e-12
+# Random states that tell which entries are zero whatever the motion.
+_N_PROBES = 32
+
+
+def rounding_entries(power):
+    """Return which entries of the regressor matrices are the rounding of a zero.
+
+    Where a torque does not depend on a parameter the recursive algorithm leaves some
+    1e-16, which a regression in standardised columns would take for information. In
+    one torque all masses (first moments, inertias) have one unit and can be compared.
+
+    Parameters
+    ----------
+    power : ndarray of shape (nv, nv, k)
+        Mean or summed squares: torque, body, parameter (k >= 10).
+
+    Returns
+    -------
+    ndarray of shape (nv, nv, k), bool
+        Rounding; never a friction column.
+    """
+    rounding = np.zeros(power.shape, dtype=bool)
+    for kind in (slice(0, 1), slice(1, 4), slice(4, 10)):
+        largest = power[:, :, kind].max(axis=(1, 2), keepdims=True)
+        rounding[:, :, kind] = power[:, :, kind] <= _ROUNDING**2 * largest
+    return rounding
+
+
 class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     """Joint-torque regressor matrix of a robot, one row per sample.
 
@@ -113,7 +144,16 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             units += [_friction.unit(column, prismatic) for column in self._friction]
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
+        self._zeros = self._find_zeros()
         return self
+
+    def _find_zeros(self):
+        """Entries that are zero in every motion, ndarray of shape (nv, nv, 10)."""
+        nv = self.n_joints_
+        self._zeros = np.zeros((nv, nv, 10), dtype=bool)
+        states = np.random.default_rng(0).normal(size=(_N_PROBES, 3 * nv))
+        Phi = self._compute(states).reshape(_N_PROBES, nv, nv, -1)[..., :10]
+        return rounding_entries(np.mean(Phi**2, axis=0))
 
     def _check_width(self, X):
         nv = self.n_joints_
@@ -157,6 +197,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         for i in range(n):
             regressor = pin.computeJointTorqueRegressor(model, data, q[i], v[i], a[i])
             Phi[i, :, :, :10] = regressor.reshape(nv, nv, 10)
+        Phi[..., :10][:, self._zeros] = 0.0
         diagonal = np.arange(nv)
         Phi[:, diagonal, diagonal, 10:] = _friction.columns(self._friction, q, v, a)
         return Phi.reshape(n, nv, self.n_parameters_)

@@ -12,12 +12,14 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
 from sklearn_vbjfa.robot import _friction
 from sklearn_vbjfa.robot._anchor import consistent_anchor
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._features import RigidBodyFeatures, rounding_entries
 from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_groups
+from sklearn_vbjfa.robot._joint_statistics import residual_squares
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor, filter_weight
 from sklearn_vbjfa.robot._model import joint_names
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 from sklearn_vbjfa.robot._states import StateEstimator
+from sklearn_vbjfa.robot._torque_noise import torque_noise
 from sklearn_vbjfa.robot._urdf import write_urdf
 
 # Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of
@@ -30,9 +32,6 @@ _SHORTEST_CUTOFF_PERIODS = 36.0
 _STANDSTILL_SHARE = 0.02
 # Rows of the feature matrix that are in memory at once.
 _CHUNK_BYTES = 64 << 20
-# Root mean square below which an entry of the regressor matrix is the rounding of a
-# zero, relative to the largest of its unit in the same torque.
-_ROUNDING = 1e-12
 # Directions of parameter space that the data determine less than this, relative to
 # the best determined one in scaled columns, count as not identifiable.
 _IDENTIFIABLE = 1e-9
@@ -76,6 +75,11 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
     block_noise : bool, default=False
         Whether stretches of time in which the model fails count less, see
         `JointTorqueRegressor`.
+    input_noise : "auto" or None, default="auto"
+        ``"auto"``: where positions are given, the noise of the regressors is measured
+        by making them from the even and from the odd samples separately, whose white
+        encoder noise is independent, and a regressor that takes a noise covariance
+        (the default one) corrects for it. None takes the regressors as exact.
 
     Attributes
     ----------
@@ -96,6 +100,18 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
     min_eigenvalues_ : ndarray of shape (nv,)
         Smallest eigenvalue of each body's pseudo-inertia matrix in units of the
         body's mass and length scale; positive for a physically consistent body.
+    noise_floor_ : ndarray of shape (nv,)
+        Standard deviation of `residuals` to expect from noise alone, if the model
+        lacked nothing [N m or N]: input noise through the parameters, and the white
+        noise of the torque sensors, measured above the band of the fit.
+    torque_noise_ : ndarray of shape (nv,)
+        The torque sensors' part of it [N m or N]; nan where nothing lies above the
+        band.
+    input_noise_torque_ : ndarray of shape (nv,)
+        The input noise's part of it [N m or N].
+    output_noise_ : ndarray of shape (nv,)
+        Standard deviation of what input noise does not explain of the residual of the
+        fit [N m or N]; above `torque_noise_` by what the model lacks.
     cutoff_ : float
         Cut-off of the low-pass in use [Hz]; infinity without.
     standstill_ : ndarray of shape (nv,)
@@ -138,6 +154,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         standstill="auto",
         joint_weights="auto",
         block_noise=False,
+        input_noise="auto",
     ):
         self.model = model
         self.dt = dt
@@ -149,6 +166,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.standstill = standstill
         self.joint_weights = joint_weights
         self.block_noise = block_noise
+        self.input_noise = input_noise
 
     def __sklearn_tags__(self):
         """Tags of a regressor with several outputs."""
@@ -193,7 +211,24 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         self._check_length(parts, lowpass)
-        return self._fit_equations(self._filtered(states, y, weight, parts, lowpass))
+        self.torque_noise_ = torque_noise(
+            [y[part] for part in parts], self.dt, self.cutoff_
+        )
+        halves = self._halves(X, groups)
+        return self._fit_equations(
+            self._filtered(states, y, weight, parts, lowpass, halves)
+        )
+
+    def _halves(self, X, groups):
+        """States from the even and from the odd samples, where the noise is asked."""
+        if self.input_noise not in ("auto", None):
+            raise ValueError(
+                "input_noise must be 'auto' (measured from the recording) or None "
+                f"(taken as zero); got {self.input_noise!r}."
+            )
+        if self.input_noise is None or self.state_estimator_ is None:
+            return None
+        return self.state_estimator_.split_transform(X, groups=groups)
 
     def _fit_equations(self, pieces):
         """Estimate from filtered (index, Phi, tau, weight), which may be a stream."""
@@ -367,20 +402,19 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
     def _rounding_columns(self, stats):
         """Return which entries (nv, p) of the regressor matrices are rounding alone.
 
-        Where a torque does not depend on a parameter the recursive algorithm leaves
-        some 1e-16 instead of zero, which a regression in standardised columns would
-        blow up. In one torque all masses (first moments, inertias) have one unit.
+        The features leave out what is zero in every motion; where a joint does not
+        move in this recording there is more.
         """
         nv = self._nv
         power = np.diagonal(stats.G, axis1=1, axis2=2).reshape(nv, nv, -1)
-        rounding = np.zeros(power.shape, dtype=bool)
-        for kind in (slice(0, 1), slice(1, 4), slice(4, 10)):
-            largest = power[:, :, kind].max(axis=(1, 2), keepdims=True)
-            rounding[:, :, kind] = power[:, :, kind] <= _ROUNDING**2 * largest
-        return rounding.reshape(nv, -1)
+        return rounding_entries(power).reshape(nv, -1)
 
-    def _filtered(self, states, y, weight, parts, lowpass):
-        """Yield (index, Phi, tau, weight) behind the low-pass, piece by piece."""
+    def _filtered(self, states, y, weight, parts, lowpass, halves=None):
+        """Yield (index, Phi, tau, weight) behind the low-pass, piece by piece.
+
+        With states from the `halves` of the samples also None (instruments) and the
+        difference of their regressor matrices.
+        """
         nv, p = self._nv, self.features_.n_parameters_
         moving = np.abs(states[:, nv : 2 * nv]) > self.standstill_
         weight = weight * moving
@@ -395,12 +429,16 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
                 start = part.start + chosen[0] - lowpass.half
                 stop = part.start + chosen[-1] + lowpass.half + 1
                 piece = slice(start, stop)
-                yield (
+                equations = (
                     part.start + chosen,
                     lowpass(self.features_._compute(states[piece])),
                     lowpass(y[piece]),
                     filter_weight(lowpass, weight[piece]),
                 )
+                if halves is not None:
+                    even, odd = (self.features_._compute(h[piece]) for h in halves)
+                    equations += (None, lowpass(even - odd))
+                yield equations
 
     def _constrain(self):
         """Project, and derive what the data determine."""
@@ -415,6 +453,20 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             theta = self._project(theta, metric, per_joint)
         self.theta_ = theta
         self.min_eigenvalues_ = _min_eigenvalues(theta, per_joint)
+        self._split_residual()
+
+    def _split_residual(self):
+        """Split the residual into what input noise explains and the rest."""
+        stats = self.estimator_.statistics_
+        n = np.where(stats.n > 0, stats.n, np.nan)
+        theta = self.theta_
+        through = np.zeros(self._nv)
+        if stats.noise is not None:
+            through = np.einsum("i,jik,k->j", theta, stats.noise, theta) / n
+        self.input_noise_torque_ = np.sqrt(through)
+        rest = residual_squares(stats, theta) / n - through
+        self.output_noise_ = np.sqrt(np.maximum(rest, 0.0))
+        self.noise_floor_ = np.sqrt(self.torque_noise_**2 + through)
 
     def _project(self, theta, metric, per_joint):
         if isinstance(self.projector, str) and self.projector != "default":
@@ -529,7 +581,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         )
 
     def _residuals_of(self, pieces):
-        found = [(i, tau, Phi @ self.theta_, w) for i, Phi, tau, w in pieces]
+        found = [(i, tau, Phi @ self.theta_, w) for i, Phi, tau, w, *_ in pieces]
         index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
         return TorqueResiduals(
             index=index, torque=torque, predicted=predicted, weight=weight

@@ -24,6 +24,8 @@ class JointStatistics:
         sum of w phi tau.
     yy : ndarray of shape (nv,)
         sum of w tau^2.
+    noise : ndarray of shape (nv, p, p) or None
+        What of G is input noise, where it was measured.
     """
 
     n: np.ndarray
@@ -31,6 +33,7 @@ class JointStatistics:
     G: np.ndarray
     g: np.ndarray
     yy: np.ndarray
+    noise: np.ndarray | None = None
 
     def __add__(self, other):
         """Merge the statistics of disjoint rows."""
@@ -40,10 +43,11 @@ class JointStatistics:
             G=self.G + other.G,
             g=self.g + other.g,
             yy=self.yy + other.yy,
+            noise=None if self.noise is None else self.noise + other.noise,
         )
 
 
-def joint_statistics(Phi, tau, weight):
+def joint_statistics(Phi, tau, weight, difference=None):
     """Accumulate rows.
 
     Parameters
@@ -54,26 +58,37 @@ def joint_statistics(Phi, tau, weight):
         Torques.
     weight : ndarray of shape (n, nv)
         Weights, zero to leave a row out.
+    difference : ndarray of shape (n, nv, p), default=None
+        Difference of two regressor matrices from separate halves of the samples. Its
+        noise is that of both halves, that of their mean a quarter of its square.
     """
     _, nv, p = Phi.shape
-    G, g = np.empty((nv, p, p)), np.empty((nv, p))
+    g = np.empty((nv, p))
     root = np.sqrt(weight)
     for j in range(nv):
-        rows = Phi[:, j] * root[:, j, None]
-        # A joint's torque does not depend on bodies below it in the tree: most
-        # columns of its rows are structurally zero.
-        used = np.flatnonzero(rows.any(axis=0))
-        block = rows[:, used]
-        G[j] = 0.0
-        G[j][np.ix_(used, used)] = block.T @ block
-        g[j] = rows.T @ (tau[:, j] * root[:, j])
+        g[j] = (Phi[:, j] * root[:, j, None]).T @ (tau[:, j] * root[:, j])
     return JointStatistics(
         n=weight.sum(axis=0),
         n_rows=(weight > 0).sum(axis=0),
-        G=G,
+        G=_gram(Phi, root),
         g=g,
         yy=np.einsum("nj,nj->j", weight, tau**2),
+        noise=None if difference is None else 0.25 * _gram(difference, root),
     )
+
+
+def _gram(Phi, root):
+    """sum of root^2 phi phi' over the rows of each joint."""
+    _, nv, p = Phi.shape
+    G = np.zeros((nv, p, p))
+    for j in range(nv):
+        rows = Phi[:, j]
+        # A joint's torque does not depend on bodies below it in the tree: most
+        # columns of its rows are structurally zero.
+        used = np.flatnonzero(rows.any(axis=0))
+        block = rows[:, used] * root[:, j, None]
+        G[j][np.ix_(used, used)] = block.T @ block
+    return G
 
 
 def _least_squares(G, g):
@@ -126,7 +141,7 @@ def noise_weights(stats, max_iter=30, tol=1e-6):
 _STUDENT_FREEDOM = 4.0
 
 
-def block_precisions(pieces, blocks, independent, max_iter=20, tol=1e-3):
+def block_precisions(pieces, blocks, max_iter=20, tol=1e-3):
     """Relative precision of each joint's noise in each block of time.
 
     The residual of a joint is Gaussian with a precision of its own in every block,
@@ -140,8 +155,6 @@ def block_precisions(pieces, blocks, independent, max_iter=20, tol=1e-3):
         Equations (n, nv, p), (n, nv), (n, nv).
     blocks : list of ndarray of shape (n,)
         Number of the block of each row, over all pieces.
-    independent : float
-        Independent samples per row; less than one for filtered rows.
 
     Returns
     -------
@@ -164,7 +177,7 @@ def block_precisions(pieces, blocks, independent, max_iter=20, tol=1e-3):
             for (Phi, tau, w), b in zip(pieces, blocks)
         )
         scaled = squares * weight
-        new = (nu + independent * count) / (nu + independent * scaled)
+        new = (nu + count) / (nu + scaled)
         new = np.where(count > 0, new, 1.0)
         change = np.abs(new / factor - 1).max()
         factor = new
@@ -187,6 +200,14 @@ def _sum_statistics(pieces, blocks, factor):
         stats = replace(stats, n=weight.sum(axis=0))
         total = stats if total is None else total + stats
     return total
+
+
+def combined_noise(stats, weight):
+    """Input-noise covariance per weighted row of all joints together, or None."""
+    if stats.noise is None:
+        return None
+    total = stats.n[weight > 0].sum()
+    return np.einsum("j,jik->ik", weight, stats.noise) / total
 
 
 def combine(stats, weight):

@@ -13,6 +13,7 @@ from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_group
 from sklearn_vbjfa.robot._joint_statistics import (
     block_precisions,
     combine,
+    combined_noise,
     joint_statistics,
     noise_weights,
 )
@@ -38,7 +39,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         `sklearn.cross_decomposition.PLSRegression`; a pipeline of scaler and
         regressor will do. It is fitted without intercept (an offset is a column of
         its own), to columns and torques of unit mean square. None is
-        ``VBJFARegressor(latent="correlated", input_noise=0.0)``: Bayesian regression with automatic
+        ``VBJFARegressor(latent="correlated")``: Bayesian regression with automatic
         relevance determination.
     projector : PhysicalProjector, default=None
         Transformer of parameter vectors; None does not project. Where its `metric` is
@@ -80,7 +81,10 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     regressor_, projector_ : estimator
         The fitted regressor and projector (None without).
     metric_ : ndarray of shape (p, p)
-        Weighted Gram matrix of the equations.
+        Weighted Gram matrix of the equations, without the input noise's share where
+        that was measured.
+    input_noise_ : ndarray of shape (p, p) or None
+        Covariance of the input noise in a weighted equation, where it was measured.
     lowpass_ : Lowpass
         The filter.
     n_features_in_ : int
@@ -217,7 +221,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self._rows = []
         regressor = self.regressor
         if regressor is None:
-            regressor = VBJFARegressor(latent="correlated", input_noise=0.0)
+            regressor = VBJFARegressor(latent="correlated")
         self.regressor_ = clone(regressor)
         self._from_statistics = isinstance(self.regressor_, BaseJointFactorRegressor)
         if self.cutoff is None:
@@ -228,24 +232,27 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
             self.lowpass_ = _lowpass.design(dt, cutoff, self.decimation)
         return self.lowpass_
 
-    def _accumulate(self, Phi, tau, weight, instruments=None):
+    def _accumulate(self, Phi, tau, weight, instruments=None, difference=None):
         """Take in filtered rows (n, nv, p), (n, nv), (n, nv)."""
         if Phi.shape[0] == 0:
             return
-        stats = joint_statistics(Phi, tau, weight)
+        stats = joint_statistics(Phi, tau, weight, difference)
         self._stats = stats if self._stats is None else self._stats + stats
         if self.block_noise or not self._from_statistics:
-            self._rows.append((Phi, tau, weight, instruments))
+            self._rows.append((Phi, tau, weight, instruments, difference))
 
     def _forget(self, entries):
         """Set entries (nv, p) of all regressor matrices to zero."""
         for rows in self._rows:
             rows[0][:, entries] = 0.0
         keep = ~entries
+        both = keep[:, :, None] * keep[:, None, :]
+        noise = self._stats.noise
         self._stats = replace(
             self._stats,
-            G=self._stats.G * keep[:, :, None] * keep[:, None, :],
+            G=self._stats.G * both,
             g=self._stats.g * keep,
+            noise=None if noise is None else noise * both,
         )
 
     def _finish(self):
@@ -264,7 +271,10 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self.joint_weights_ = self._resolve_weights(stats)
         self.n_rows_ = stats.n_rows
         total = combine(stats, self.joint_weights_)
+        self.input_noise_ = combined_noise(stats, self.joint_weights_)
         self.metric_ = total.S_xx
+        if self.input_noise_ is not None:
+            self.metric_ = _denoised(total, self.input_noise_)
         if self._from_statistics:
             theta, std = self._fit_from_statistics(total)
         else:
@@ -277,27 +287,21 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         return self
 
     def _weight_blocks(self):
-        """Re-weight the rows by the precision of their blocks; return the statistics.
-
-        Four rows per period of the cut-off are twice what the band can carry.
-        """
+        """Re-weight the rows by the precision of their blocks; return the statistics."""
         blocks, first = [], 0
         for Phi, *_ in self._rows:
             block = first + np.arange(Phi.shape[0]) // _BLOCK_ROWS
             first = int(block[-1]) + 1
             blocks.append(block)
-        filtered = self.lowpass_.half > 0
         pieces = [row[:3] for row in self._rows]
-        self.block_factors_ = block_precisions(
-            pieces, blocks, independent=0.5 if filtered else 1.0
-        )
+        self.block_factors_ = block_precisions(pieces, blocks)
         self._rows = [
-            (Phi, tau, w * factor, Z)
-            for (Phi, tau, w, Z), factor in zip(self._rows, self.block_factors_)
+            (Phi, tau, w * factor, *others)
+            for (Phi, tau, w, *others), factor in zip(self._rows, self.block_factors_)
         ]
         total = None
-        for (Phi, tau, weight, _), (_, _, plain) in zip(self._rows, pieces):
-            stats = joint_statistics(Phi, tau, weight)
+        for (Phi, tau, weight, _, difference), (_, _, plain) in zip(self._rows, pieces):
+            stats = joint_statistics(Phi, tau, weight, difference)
             # The factors re-weight the samples; their number stays what it is.
             stats = replace(stats, n=plain.sum(axis=0))
             total = stats if total is None else total + stats
@@ -324,6 +328,13 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
 
     def _fit_from_statistics(self, total):
         self.regressor_.set_params(fit_intercept=False)
+        measured = self.input_noise_
+        takes_covariance = getattr(self.regressor_, "latent", None) == "correlated"
+        if takes_covariance and self.regressor_.input_noise is None:
+            # What was measured, or else nothing: rigid-body regressors are far too
+            # correlated for an assumed noise.
+            noise = 0.0 if measured is None else measured
+            self.regressor_.set_params(input_noise=noise)
         self.regressor_._validate_params()
         self.regressor_._fit_statistics(total)
         return self.regressor_.coef_.copy(), self.regressor_.coef_std_.copy()
@@ -348,7 +359,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         y_scale = np.sqrt(total.S_yy / n) or 1.0
         A = self._stacked(0, scale)
         b = self._stacked(1, None) / y_scale
-        weight = np.concatenate([w[w > 0] for _, _, w, _ in self._rows])
+        weight = np.concatenate([rows[2][rows[2] > 0] for rows in self._rows])
         fit_params = {}
         if not np.all(weight == weight[0]):
             # Weights go into the rows: not every regressor takes sample_weight.
@@ -416,13 +427,26 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         return tau[:, 0] if self._one_output else tau
 
 
+def _denoised(total, noise):
+    """Gram matrix without the input noise's share (X_t' X_t of eq. 35), projected.
+
+    Directions in which the noise exceeds the signal keep nothing.
+    """
+    scale = np.sqrt(np.diagonal(total.S_xx))
+    unit = np.where(scale > 0, scale, 1.0)
+    signal = (total.S_xx - total.n_samples * noise) / np.outer(unit, unit)
+    values, vectors = np.linalg.eigh(0.5 * (signal + signal.T))
+    clean = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return clean * np.outer(unit, unit)
+
+
 def _mirror(rows):
     """Each row followed by its negative: pairs stay together in any block split."""
     return np.stack([rows, -rows], axis=1).reshape(-1, *rows.shape[1:])
 
 
 def filter_weight(lowpass, weight):
-    """Weights of filtered rows: the average, zero where less than half counts."""
+    """Weights of filtered rows: independent samples, zero where less than half counts."""
     average = lowpass.average(weight)
     full = lowpass.average((weight > 0).astype(float))
-    return np.where(full >= _MASK_SHARE, average, 0.0)
+    return np.where(full >= _MASK_SHARE, lowpass.efficiency * average, 0.0)

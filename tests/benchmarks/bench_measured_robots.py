@@ -141,7 +141,7 @@ def measure(name, data_home, names=None):
     )
     split = protocol.describe(recording)
     paragraphs = [
-        rst_title(name),
+        rst_title(name, "~"),
         f"{recording}. {split[0].upper()}{split[1:]}. Filter: {filtered}; "
         f"standstill at or below {', '.join(f'{v:.2g}' for v in base.standstill_)} "
         f"rad/s or m/s masked. Friction: {', '.join(protocol.friction)}. Joints: "
@@ -188,17 +188,14 @@ def _bootstrap(base, identifier, train, test):
         for joint, d, a, b in zip(base.joint_names_, difference, low, high)
     ]
     headers = ["ours minus WLS [points]", "difference", "5 %", "95 %"]
-    return [
-        rst_table(rows, headers),
+    note = (
         f"Intervals of 90 %: bootstrap over {n_blocks} blocks of {_BLOCK:.0f} s of the "
-        f"filtered residuals in which the robot moves, {_RESAMPLES} resamples, seed "
-        f"{_SEED}"
-        + (
-            "."
-            if n_blocks >= _FEWEST_BLOCKS
-            else "; none for fewer than five blocks of motion."
-        ),
-    ]
+        f"filtered residuals, {_RESAMPLES} resamples, seed {_SEED}."
+        if n_blocks >= _FEWEST_BLOCKS
+        else f"No intervals: the robot moves in only {n_blocks} of the blocks of "
+        f"{_BLOCK:.0f} s."
+    )
+    return [rst_table(rows, headers), note]
 
 
 def _coupling(base, train, test):

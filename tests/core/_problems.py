@@ -21,7 +21,7 @@ def make_data(seed, n_features, n_samples=25, noise=0.4):
 
 
 def as_gram(X, y):
-    """Moments of the rows as they are, neither centred nor scaled."""
+    """Take moments of the rows as they are, neither centred nor scaled."""
     S = X.T @ X
     return GramMoments(
         n=float(len(y)), S=S, xy=X.T @ y, yy=float(y @ y), xx=np.diagonal(S).copy()
@@ -29,7 +29,7 @@ def as_gram(X, y):
 
 
 def as_rows(X, y):
-    """The same moments, held as the rows."""
+    """Hold the same moments as the rows."""
     return DataMoments(
         n=float(len(y)), X=X, xy=X.T @ y, yy=float(y @ y), xx=(X**2).sum(axis=0)
     )
@@ -53,7 +53,7 @@ def make_state(seed, n_features, *, ard=True, coupled=True):
 
 
 def make_prior(model, n_samples, n_features):
-    """Prior of a model by name: "jfa", "paper" or "noise"."""
+    """Return the prior of a model by name: "jfa", "paper" or "noise"."""
     if model == "jfa":
         return Prior()
     if model == "paper":
@@ -69,7 +69,7 @@ def make_prior(model, n_samples, n_features):
 
 
 def as_jfa_params(state):
-    """The state as the reference's point estimates."""
+    """Turn the state into the reference's point estimates."""
     return ref.JFAParams(
         w_z=state.w_z_mean,
         w_x=state.w_x_mean,
@@ -80,7 +80,7 @@ def as_jfa_params(state):
 
 
 def as_vb_params(state):
-    """The state as the reference's posteriors."""
+    """Turn the state into the reference's posteriors."""
     return ref.VBParams(
         w_z_mean=state.w_z_mean,
         w_z_var=state.w_z_var,

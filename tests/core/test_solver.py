@@ -31,7 +31,7 @@ class FailingMoments:
         self.xy, self.yy = moments.xy, moments.yy
 
     def dot(self, v):
-        """S_xx v, or three times as much."""
+        """Return S_xx v, or three times as much."""
         self.left -= 1
         return self.moments.dot(v) * (1.0 if self.left >= 0 else 3.0)
 
@@ -57,18 +57,20 @@ def test_acceleration_ends_where_the_plain_iteration_does(model):
     moments, _, _ = make_standardised(1, 4)
     prior = _problems.make_prior(model, 200, 4)
     state = _solver.start(moments, prior, np.full(4, 0.3))
-    options = {"max_iter": 200_000, "tol": 1e-13}
+    if model != "jfa":
+        # Where the bound would creep for ever, as psi_y goes to zero.
+        state = replace(state, psi_y=1e-9)
+    options = {"max_iter": 5000, "tol": 1e-12}
     plain = _solver.solve(moments, state, prior, accelerate=False, **options)
     fast = _solver.solve(moments, state, prior, accelerate=True, **options)
     assert plain.status == fast.status == "converged"
-    # The plain steps end short of the optimum: 1e-13 n per step over the steps that
-    # they would still need, for which n_iter stands in.
-    slack = 1e-13 * 200 * plain.n_iter
-    assert fast.history[-1] >= plain.history[-1] - slack
+    # The plain steps end short of the optimum: 1e-12 n per step over as many steps
+    # as it had taken, at a linear rate.
+    assert fast.history[-1] >= plain.history[-1] - 1e-12 * 200 * plain.n_iter
+    # A gain of 1e-12 per sample and step, of a quadratic in the coefficients.
     assert_allclose(
         _predict.coefficients_noisy(fast.state),
         _predict.coefficients_noisy(plain.state),
-        rtol=1e-3,
         atol=1e-5,
     )
     assert fast.n_iter < plain.n_iter

@@ -113,6 +113,23 @@ def test_layout_is_joints_outermost():
             )
 
 
+def test_what_a_torque_does_not_depend_on_is_exactly_zero():
+    # Not 1e-16: a regression in standardised columns would take that for information.
+    rng = np.random.default_rng(6)
+    states = rng.normal(size=(200, 18))
+    Phi = RigidBodyFeatures(demo_arm_urdf(), friction=()).fit_transform(states)
+    size = np.abs(Phi.reshape(200, 6, 6, 10)).max(axis=0)
+    for j in range(6):
+        for k in range(j):
+            np.testing.assert_array_equal(size[j, k], 0.0)  # a body below the joint
+    # The first axis is vertical: nothing of its body but I_zz is felt.
+    np.testing.assert_array_equal(size[:, 0, :9], 0.0)
+    assert size[0, 0, 9] > 1
+    # the second turns about y at a distance: its m c_y is not felt by itself
+    assert size[1, 1, 2] == 0.0
+    assert size[size > 0].min() > 1e-6
+
+
 def test_names_and_units():
     model = pin.Model()
     model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")

@@ -143,9 +143,7 @@ def test_a_jump_between_recordings_changes_no_choice(noisy_wave):
     jumped = StateEstimator(DT).fit(q + 10.0 * (groups == 2)[:, None], groups=groups)
     np.testing.assert_allclose(jumped.cutoff_, plain.cutoff_, rtol=1e-12)
     # 10 in double precision is 1e-15, squared over the noise's 1e-6
-    np.testing.assert_allclose(
-        jumped.noise_variance_, plain.noise_variance_, rtol=1e-6
-    )
+    np.testing.assert_allclose(jumped.noise_variance_, plain.noise_variance_, rtol=1e-6)
     assert jumped.bandwidth_ == plain.bandwidth_
     # and across a jump that no label tells of, it would
     blind = StateEstimator(DT).fit(q + 10.0 * (groups == 2)[:, None])

@@ -1,0 +1,99 @@
+"""
+======================================
+Choose the regressor by blocks of time
+======================================
+
+`RigidBodyFeatures` and `JointTorqueRegressor` are steps of a scikit-learn pipeline, so
+`GridSearchCV` can swap the regressor. Folds are blocks of time: samples that follow one
+another are alike, and shuffled folds would let a model see its own test data.
+"""
+
+# %%
+# States
+# ------
+# They are estimated once. The pipeline begins behind them.
+
+from sklearn.cross_decomposition import PLSRegression
+from sklearn.linear_model import LassoCV
+from sklearn.model_selection import GridSearchCV, KFold
+from sklearn.pipeline import Pipeline
+
+from sklearn_vbjfa import (
+    JointTorqueRegressor,
+    RigidBodyFeatures,
+    StateEstimator,
+    VBJFARegressor,
+)
+from sklearn_vbjfa.datasets import make_robot_recording
+
+recording = make_robot_recording(
+    duration=8.0, dt=0.01, n_recordings=2, torque_noise=0.1, random_state=0
+)
+states = StateEstimator(dt=recording.dt).fit_transform(
+    recording.q, groups=recording.groups
+)
+fitted, tested = recording.groups == 0, recording.groups == 1
+
+# %%
+# Search
+# ------
+# LASSO chooses its own penalty, on blocks of time too. PLS is a grid of its own.
+
+pipeline = Pipeline(
+    [
+        (
+            "features",
+            RigidBodyFeatures(recording.urdf, friction=("viscous", "coulomb")),
+        ),
+        ("torque", JointTorqueRegressor()),
+    ]
+)
+grid = [
+    {"torque__regressor": [VBJFARegressor(latent="correlated")]},
+    {"torque__regressor": [LassoCV(cv=KFold(4), alphas=20, eps=1e-4, max_iter=5000)]},
+    {
+        "torque__regressor": [PLSRegression(scale=False)],
+        "torque__regressor__n_components": [10, 20, 30],
+    },
+]
+search = GridSearchCV(
+    pipeline, grid, cv=KFold(4), scoring="neg_root_mean_squared_error"
+)
+search.fit(states[fitted], recording.tau[fitted])
+
+# %%
+# Result
+# ------
+# Root mean square of the torque residual [N m], mean of the joints: on the blocks of
+# the first motion, and on the second motion, which the search has not seen.
+
+labels = []
+for parameters in search.cv_results_["params"]:
+    label = type(parameters["torque__regressor"]).__name__
+    components = parameters.get("torque__regressor__n_components")
+    labels.append(label if components is None else f"{label}({components})")
+validated = -search.cv_results_["mean_test_score"]
+for label, error in zip(labels, validated):
+    print(f"{label:22s} {error:.3f} N m")
+print(f"chosen: {labels[search.best_index_]}")
+held_out = -search.score(states[tested], recording.tau[tested])
+print(f"second motion: {held_out:.3f} N m")
+
+# %%
+# The floor is the torque's own noise.
+
+floor = recording.torque_noise.mean()
+print(f"standard deviation of the torque noise: {floor:.3f} N m")
+
+# %%
+# The same as a figure
+# --------------------
+
+import matplotlib.pyplot as plt
+
+figure, axes = plt.subplots(layout="constrained")
+axes.barh(labels, validated)
+axes.axvline(floor, color="black", linestyle="--", label="torque noise")
+axes.set_xlabel("error on blocks of time [N m]")
+axes.legend()
+plt.show()

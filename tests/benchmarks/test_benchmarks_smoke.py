@@ -1,0 +1,150 @@
+"""Every benchmark runs at small size and says what its numbers mean."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import _report
+import numpy as np
+import pytest
+
+HERE = Path(__file__).resolve().parent
+
+
+def residuals(scale, index, tau):
+    """Residuals of a given size, with the interface of TorqueResiduals."""
+    from sklearn_vbjfa.robot._residuals import TorqueResiduals
+
+    return TorqueResiduals(
+        index=index,
+        torque=tau,
+        predicted=tau - scale * np.cos(7.0 * np.arange(index.size))[:, None],
+        weight=np.ones(tau.shape),
+    )
+
+
+@pytest.mark.parametrize("name", ["measured_robots", "projection", "speed"])
+def test_scripts_start_on_their_own(name):
+    script = HERE / f"bench_{name}.py"
+    answer = subprocess.run(
+        [sys.executable, str(script), "--help"],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=HERE.parent,
+    )
+    assert "--write" in answer.stdout
+
+
+def test_measured_robots_on_the_demo():
+    pytest.importorskip("pinocchio")
+    import bench_measured_robots as bench
+
+    paragraphs, summary = bench.measure("demo", None, [bench.OURS, "WLS", "VB"])
+    text = "\n\n".join(paragraphs)
+    assert "VB + projection, block_noise=True" in text
+    assert "Smallest pseudo-inertia eigenvalue" in text
+    # Nothing but 5 % of torque noise is unexplained there.
+    assert float(summary[1]) < 5.0
+
+
+def test_bootstrap_finds_a_difference_and_its_interval():
+    pytest.importorskip("pinocchio")
+    import bench_measured_robots as bench
+
+    rng = np.random.default_rng(0)
+    n, dt = 4000, 0.01
+    index = np.arange(0, n, 4)
+    tau = rng.normal(size=(index.size, 1))
+    part = (None, None, np.repeat([0, 1], n // 2))
+    ours, other = residuals(0.1, index, tau), residuals(0.2, index, tau)
+    difference, low, high, n_blocks = bench.block_bootstrap(ours, other, part, dt)
+    assert n_blocks == 40
+    expected = -0.1 * np.sqrt(0.5) / tau.std()
+    np.testing.assert_allclose(difference, expected, rtol=0.01)
+    assert low <= difference <= high
+    assert high < 0
+
+
+def test_bootstrap_gives_no_interval_for_one_block():
+    pytest.importorskip("pinocchio")
+    import bench_measured_robots as bench
+
+    index = np.arange(50)
+    tau = np.sin(index)[:, None]
+    part = (None, None, np.zeros(50, dtype=int))
+    *_, high, n_blocks = bench.block_bootstrap(
+        residuals(0.1, index, tau), residuals(0.2, index, tau), part, 0.01
+    )
+    assert n_blocks == 1
+    assert np.isnan(high).all()
+
+
+def test_coupling_columns_find_a_coupled_friction():
+    pytest.importorskip("pinocchio")
+    import _coupling
+
+    from sklearn_vbjfa import RobotIdentifier
+    from sklearn_vbjfa.datasets import make_robot_recording
+
+    friction = ("viscous", "coulomb")
+    recording = make_robot_recording(
+        duration=10.0,
+        n_recordings=2,
+        encoder_noise=0.0,
+        torque_noise=1e-3,
+        friction=friction,
+        random_state=0,
+    )
+    v = recording.states[:, 6:12]
+    size = 3.0 * recording.tau[:, 4].std()
+    coupled = size * np.sign(v[:, 4] + v[:, 5])
+    tau = recording.tau.copy()
+    tau[:, 4:] += coupled[:, None]
+    parts = []
+    for label in (0, 1):
+        rows = recording.groups == label
+        parts.append((recording.q[rows], tau[rows], recording.groups[rows]))
+    identifier = RobotIdentifier(
+        recording.robot_model(), dt=recording.dt, friction=friction, cutoff=10.0
+    )
+    identifier.fit(*parts[0][:2])
+    joints, values = _coupling.study(identifier, *parts)
+    errors = {name: 100 * error[_coupling.FIFTH] for name, error in joints.items()}
+    zero, first, hindsight, with_columns = errors.values()
+    assert zero >= 99.9
+    assert with_columns < 0.25 * first
+    assert hindsight <= first
+    assert values["friction on v5 + v6, mean size [N m]"] == pytest.approx(
+        size, rel=0.1
+    )
+
+
+def test_projection_at_small_size():
+    pytest.importorskip("cvxopt")
+    import bench_projection as bench
+
+    row = bench.measure(1, n_problems=2)
+    assert abs(row[4]) < 1e-6
+    assert "cvxopt" in bench.report(sizes=(1,), n_problems=1)
+
+
+def test_speed_at_small_size():
+    import bench_speed as bench
+
+    text = bench.report(n_samples=400, n_features=30, rounds=1)
+    for name in bench.models():
+        assert name in text
+
+
+def test_tables_are_written_where_the_guide_looks(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(_report, "TABLES", tmp_path)
+    _report.publish("speed", "text", write=False)
+    assert not list(tmp_path.iterdir())
+    _report.publish("speed", "text", write=True)
+    written = (tmp_path / "speed.rst").read_text()
+    assert written.startswith("text\n\nMade by ``python tests/benchmarks/bench_speed")
+    assert "numpy" in written
+    assert written in capsys.readouterr().out
+    guide = (_report.ROOT / "docs" / "benchmarks.rst").read_text()
+    assert "tables/speed.rst" in guide

@@ -1,0 +1,202 @@
+"""Sufficient statistics: any split, any weight, any unit, any offset."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sklearn_vbjfa._core import _stats
+
+
+def make_rows(seed, n_samples=300, n_features=4, offset=3.0):
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(n_samples, n_features)) @ rng.normal(size=(n_features,) * 2)
+    X += offset * rng.normal(size=n_features)
+    y = X @ rng.normal(size=n_features) + rng.normal(size=n_samples)
+    return X, y, rng.uniform(0.1, 3.0, n_samples)
+
+
+def assert_same(first, second, rtol=1e-12, *, rows=True):
+    """Equal up to rounding; scatter entries in units of their diagonal."""
+    if rows:
+        assert first.n_rows == second.n_rows
+    assert_allclose(first.n_samples, second.n_samples, rtol=rtol)
+    x_unit = np.sqrt(np.diagonal(second.S_xx))
+    y_unit = np.sqrt(second.S_yy)
+    root = np.sqrt(second.n_samples)
+    shift = (first.x_mean - second.x_mean) * root / x_unit
+    assert_allclose(shift, 0.0, atol=rtol * root)
+    assert abs(first.y_mean - second.y_mean) * root <= rtol * root * y_unit
+    difference = (first.S_xx - second.S_xx) / np.outer(x_unit, x_unit)
+    assert_allclose(difference, 0.0, atol=rtol)
+    assert_allclose((first.S_xy - second.S_xy) / (x_unit * y_unit), 0.0, atol=rtol)
+    assert_allclose(first.S_yy, second.S_yy, rtol=rtol)
+
+
+@pytest.mark.parametrize("weighted", [True, False])
+def test_equal_to_numpy(weighted):
+    X, y, weight = make_rows(0)
+    w = weight if weighted else None
+    stats = _stats.from_data(X, y, w)
+    joint = np.column_stack([X, y])
+    mean = np.average(joint, axis=0, weights=w)
+    scatter = np.cov(joint, rowvar=False, aweights=w, ddof=0) * stats.n_samples
+    assert stats.n_rows == 300
+    assert_allclose(stats.n_samples, weight.sum() if weighted else 300.0, rtol=1e-14)
+    assert_allclose(stats.x_mean, mean[:-1], rtol=1e-13)
+    assert_allclose(stats.y_mean, mean[-1], rtol=1e-13)
+    scale = np.abs(scatter).max()
+    assert_allclose(stats.S_xx, scatter[:-1, :-1], atol=1e-13 * scale)
+    assert_allclose(stats.S_xy, scatter[:-1, -1], atol=1e-13 * scale)
+    assert_allclose(stats.S_yy, scatter[-1, -1], rtol=1e-13)
+    assert_array_equal(stats.S_xx, stats.S_xx.T)
+
+
+def test_about_zero_gives_the_raw_moments():
+    X, y, weight = make_rows(1)
+    S, xy, yy = _stats.from_data(X, y, weight).about(centred=False)
+    assert_allclose(S, X.T @ (weight[:, None] * X), rtol=1e-12)
+    assert_allclose(xy, X.T @ (weight * y), rtol=1e-12)
+    assert_allclose(yy, weight @ y**2, rtol=1e-12)
+
+
+@pytest.mark.parametrize("weighted", [True, False])
+def test_blocks_equal_the_whole(monkeypatch, weighted):
+    X, y, weight = make_rows(2, 1000)
+    w = weight if weighted else None
+    whole = _stats.from_data(X, y, w)
+    monkeypatch.setattr(_stats, "_BLOCK_BYTES", 1)  # the smallest block, 256 rows
+    assert_same(_stats.from_data(X, y, w), whole)
+
+
+@settings(max_examples=25, derandomize=True, deadline=None)
+@given(
+    seed=st.integers(0, 2**20),
+    cuts=st.lists(st.integers(1, 99), min_size=1, max_size=6, unique=True),
+    order=st.randoms(use_true_random=False),
+    weighted=st.booleans(),
+)
+def test_merge_in_any_chunks_and_order(seed, cuts, order, weighted):
+    X, y, weight = make_rows(seed, 100)
+    w = weight if weighted else None
+    bounds = [0, *sorted(cuts), 100]
+    pieces = [
+        _stats.from_data(X[a:b], y[a:b], None if w is None else w[a:b])
+        for a, b in zip(bounds, bounds[1:])
+    ]
+    order.shuffle(pieces)
+    total = None
+    for piece in pieces:
+        total = _stats.merge(total, piece)
+    assert_same(total, _stats.from_data(X, y, w))
+
+
+@settings(max_examples=15, derandomize=True, deadline=None)
+@given(seed=st.integers(0, 2**20), n_samples=st.integers(3, 40))
+def test_weight_is_repetition(seed, n_samples):
+    X, y, _ = make_rows(seed, n_samples)
+    count = np.random.default_rng(seed).integers(0, 4, n_samples)
+    count[:2] = 1, 3
+    weighted = _stats.from_data(X, y, count.astype(float))
+    repeated = _stats.from_data(np.repeat(X, count, axis=0), np.repeat(y, count))
+    assert_same(weighted, repeated, rows=False)
+    assert weighted.n_rows == np.count_nonzero(count)
+
+
+@pytest.mark.parametrize("split", [1, 7])
+def test_large_offset_costs_only_its_rounding(split):
+    # Integers keep every number exact: any difference is the accumulation's.
+    rng = np.random.default_rng(3)
+    X = rng.integers(-1000, 1000, (500, 3)).astype(float)
+    y = rng.integers(-1000, 1000, 500).astype(float)
+    near = _stats.from_data(X, y)
+    far = None
+    for rows in np.array_split(np.arange(500), split):
+        far = _stats.merge(far, _stats.from_data(X[rows] + 1e11, y[rows] + 1e11))
+    # The mean is rounded by 1e11 eps = 2e-5, against a spread of 600, and enters the
+    # scatter by its square; raw second moments would have lost all their digits.
+    assert_allclose(far.x_mean - 1e11, near.x_mean, atol=1e-4)
+    unit = np.sqrt(np.diagonal(near.S_xx))
+    difference = (far.S_xx - near.S_xx) / np.outer(unit, unit)
+    assert_allclose(difference, 0.0, atol=1e-7)
+    assert_allclose((far.S_xy - near.S_xy) / (unit * np.sqrt(near.S_yy)), 0, atol=1e-7)
+
+
+@pytest.mark.parametrize("weighted", [True, False])
+@pytest.mark.parametrize("centred", [True, False])
+@pytest.mark.parametrize("shape", [(200, 5), (6, 9)])
+def test_rows_and_scatter_standardise_alike(shape, centred, weighted):
+    X, y, weight = make_rows(4, *shape)
+    X[:, 1] = 0.1  # constant; not when moments are about zero
+    w = weight if weighted else None
+    gram = _stats.standardise(_stats.from_data(X, y, w), centred=centred)
+    rows = _stats.standardise_data(X, y, w, centred=centred)
+    assert_array_equal(gram.active, rows.active)
+    assert_array_equal(gram.active, (np.arange(shape[1]) != 1) | (not centred))
+    for name in ("x_scale", "y_scale", "x_offset", "y_offset"):
+        ours, theirs = getattr(gram, name), getattr(rows, name)
+        assert_allclose(ours, theirs, rtol=1e-12, err_msg=name)
+    for name in ("n", "xx", "yy"):
+        ours, theirs = getattr(gram.moments, name), getattr(rows.moments, name)
+        assert_allclose(ours, theirs, rtol=1e-12, err_msg=name)
+    n = gram.moments.n
+    assert_allclose(gram.moments.xx, n, rtol=1e-12)
+    assert_allclose(gram.moments.yy, n, rtol=1e-12)
+    assert_allclose(gram.moments.xy, rows.moments.xy, atol=1e-11 * n)
+    v = np.linspace(-1.0, 2.0, gram.moments.xx.size)
+    assert_allclose(gram.moments.dot(v), rows.moments.dot(v), atol=1e-11 * n)
+
+
+@pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
+def test_standardised_moments_have_no_unit(unit):
+    X, y, weight = make_rows(5)
+    plain = _stats.standardise(_stats.from_data(X, y, weight), centred=True)
+    scaled = _stats.standardise(
+        _stats.from_data(unit * X, y / unit, weight), centred=True
+    )
+    n = plain.moments.n
+    assert_allclose(scaled.moments.S, plain.moments.S, atol=1e-12 * n)
+    assert_allclose(scaled.moments.xy, plain.moments.xy, atol=1e-12 * n)
+    assert_allclose(scaled.x_scale, unit * plain.x_scale, rtol=1e-12)
+    assert_allclose(scaled.y_scale, plain.y_scale / unit, rtol=1e-12)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, 1 / 3, -1e12 / 3, 1e-9])
+@pytest.mark.parametrize("weighted", [True, False])
+def test_constant_columns_are_not_active(value, weighted):
+    X, y, weight = make_rows(6, 20_000)
+    X[:, 2] = value
+    w = weight if weighted else None
+    for data in (
+        _stats.standardise(_stats.from_data(X, y, w), centred=True),
+        _stats.standardise_data(X, y, w, centred=True),
+    ):
+        assert_array_equal(data.active, [True, True, False, True])
+        assert_array_equal(data.expand([1.0, 2.0, 3.0]), [1.0, 2.0, 0.0, 3.0])
+        expected = [1.0, 2.0, np.inf, 3.0]
+        assert_array_equal(data.expand([1.0, 2.0, 3.0], fill=np.inf), expected)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, 1 / 3, -1e12 / 3])
+def test_constant_output_has_the_scale_zero(value):
+    X, _, weight = make_rows(7, 20_000)
+    y = np.full(20_000, value)
+    total = None
+    for rows in np.array_split(np.arange(20_000), 13):
+        total = _stats.merge(total, _stats.from_data(X[rows], y[rows], weight[rows]))
+    for data in (
+        _stats.standardise(total, centred=True),
+        _stats.standardise(_stats.from_data(X, y, weight), centred=True),
+        _stats.standardise_data(X, y, weight, centred=True),
+    ):
+        assert data.y_scale == 0.0
+        assert np.isfinite(data.moments.xy).all()
+
+
+def test_small_spread_on_a_large_offset_is_data():
+    rng = np.random.default_rng(8)
+    X = 1e8 + rng.normal(size=(500, 2))
+    data = _stats.standardise(_stats.from_data(X, X[:, 0]), centred=True)
+    assert data.active.all()
+    assert_allclose(data.x_scale, X.std(axis=0), rtol=1e-6)

@@ -1,0 +1,97 @@
+"""Measured robots: known parameters, possible bodies, held-out errors."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.datasets._protocols import protocols  # noqa: E402
+
+SETS = [name for name in protocols() if name != "demo"]
+
+
+@pytest.fixture
+def evaluate(measured_data_home):
+    """Identify a set by its protocol; return the robot and its held-out error."""
+
+    def run(name, **settings):
+        protocol = protocols()[name]
+        recording = protocol.load(
+            data_home=measured_data_home, download_if_missing=False, **protocol.options
+        )
+        train, test = protocol.split(recording)
+        assert not set(train) & set(test)
+        robot = RobotIdentifier(
+            recording.robot_model(),
+            dt=recording.dt,
+            friction=protocol.friction,
+            cutoff=protocol.cutoff,
+            standstill=protocol.standstill,
+            **settings,
+        )
+        robot.fit(recording.q[train], recording.tau[train], recording.groups[train])
+        found = robot.residuals(
+            recording.q[test], recording.tau[test], groups=recording.groups[test]
+        )
+        return SimpleNamespace(robot=robot, error=found.normalised_error())
+
+    return run
+
+
+def test_mass_of_the_positioning_system(evaluate):
+    # 95.1 kg is the benchmark's own value (least squares with known filters).
+    emps = evaluate("emps")
+    assert emps.robot.parameter_names_[0] == "slide:m"
+    assert emps.robot.theta_[0] == pytest.approx(95.1, rel=0.01)
+    viscous, coulomb, _ = emps.robot.theta_[10:13]
+    assert viscous > 0
+    assert coulomb > 0
+    # reached today: 4.4 %
+    assert emps.error[0] <= 0.052
+    # one sliding mass: its centre and its inertia are not felt
+    names = np.array(emps.robot.parameter_names_)
+    assert list(names[emps.robot.identifiable_]) == [
+        "slide:m",
+        "slide:viscous",
+        "slide:coulomb",
+        "slide:offset",
+    ]
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_every_robot_becomes_possible_at_little_cost(evaluate, name):
+    ours, plain = evaluate(name), evaluate(name, projector=None)
+    assert np.all(ours.robot.min_eigenvalues_ > 0)
+    bodies = ours.robot.theta_.reshape(ours.robot.min_eigenvalues_.size, -1)
+    friction = ours.robot.features_.parameter_names_[10 : bodies.shape[1]]
+    for k, column in enumerate(friction):
+        if not column.endswith("offset"):
+            assert np.all(bodies[:, 10 + k] >= 0), column
+    # The error that consistency adds, in shares of the error that was there: reached
+    # today at most 3.8 % (Panda); on KR300, LBR and UR5 consistency lowers the error.
+    assert np.nanmean(ours.error) < 1.05 * np.nanmean(plain.error)
+    for estimate in (ours, plain):
+        assert np.isfinite(estimate.robot.theta_).all()
+        # no parameter that is rounding blown up
+        assert np.abs(estimate.robot.theta_unconstrained_).max() < 1e6
+
+
+def test_held_out_errors_of_the_ur5(evaluate):
+    # The figures that a least-squares fit of the same recordings is known for, in % of
+    # each torque's deviation. Reached today: 9.2 8.5 10.1 17.7 14.9 18.0, that is,
+    # better on all joints but the third, which is 1.6 % worse. The bound is 3 % above
+    # the figures: it guards what is reached and claims no more.
+    known = np.array([10.5, 9.2, 9.9, 19.8, 15.1, 18.3])
+    error = 100 * evaluate("ur5").error
+    np.testing.assert_array_less(error, 1.03 * known)
+
+
+def test_consistency_rescues_what_the_motion_does_not_excite(evaluate):
+    # The KR300 is fitted to one motion and tested on another: unconstrained, the
+    # directions that the first hardly excites take the second to absurd torques.
+    ours, plain = evaluate("kuka_kr300"), evaluate("kuka_kr300", projector=None)
+    assert np.all(ours.error < 0.25)
+    assert plain.error[0] > 0.5

@@ -1,0 +1,155 @@
+"""The chain out of scikit-learn's own parts: pipelines and searches."""
+
+import numpy as np
+import pytest
+from sklearn.cross_decomposition import PLSRegression
+from sklearn.linear_model import LassoCV, LinearRegression
+from sklearn.model_selection import GridSearchCV, GroupKFold, KFold, cross_val_score
+from sklearn.pipeline import Pipeline
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import (  # noqa: E402
+    JointTorqueRegressor,
+    PhysicalProjector,
+    RigidBodyFeatures,
+    RobotIdentifier,
+    StateEstimator,
+    VBJFARegressor,
+)
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+
+FRICTION = ("viscous", "coulomb")
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return make_robot_recording(
+        duration=10.0, dt=0.02, frequency=1.0, n_recordings=2, random_state=5
+    )
+
+
+def pipeline(recording, **settings):
+    return Pipeline(
+        [
+            ("features", RigidBodyFeatures(recording.urdf, friction=FRICTION)),
+            ("identify", JointTorqueRegressor(**settings)),
+        ]
+    )
+
+
+def test_search_swaps_the_regressor(recording):
+    X, y = recording.states, recording.tau
+    blocks = np.arange(X.shape[0]) // 100  # stretches of 2 s
+    candidates = [
+        VBJFARegressor(latent="correlated"),
+        LassoCV(cv=KFold(3), alphas=10, tol=1e-3, max_iter=5000),
+        PLSRegression(n_components=30, scale=False),
+        PLSRegression(n_components=1, scale=False),
+    ]
+    search = GridSearchCV(
+        pipeline(recording), {"identify__regressor": candidates}, cv=GroupKFold(4)
+    )
+    search.fit(X, y, groups=blocks)
+    scores = search.cv_results_["mean_test_score"]
+    assert np.all(np.isfinite(scores))
+    # 5 % of torque noise leaves an R^2 of 1 - 0.05^2; one component cannot do it
+    assert scores[0] > 0.995
+    assert scores[2] > 0.98
+    assert scores[3] < 0.9
+    assert search.best_params_["identify__regressor"] is candidates[0]
+    # every fold was really fitted with that regressor, and tested on whole blocks
+    best = search.best_estimator_["identify"]
+    assert isinstance(best.regressor_, VBJFARegressor)
+    train = np.isin(blocks, np.unique(blocks)[:8])
+    refitted = pipeline(recording, regressor=candidates[0]).fit(X[train], y[train])
+    assert refitted.score(X[~train], y[~train]) == pytest.approx(scores[0], abs=0.003)
+
+
+def test_groups_reach_the_filter_through_a_search(recording):
+    chain = pipeline(recording, regressor=LinearRegression(), dt=0.02, cutoff=6.0)
+    labels = np.arange(recording.q.shape[0]) // 250
+    X, y = recording.states, recording.tau
+    fit = {"identify__groups": labels}
+    scores = cross_val_score(
+        chain, X, y, groups=labels, cv=GroupKFold(4), params=fit, error_score="raise"
+    )
+    for score, (train, test) in zip(scores, GroupKFold(4).split(X, y, labels)):
+        alone = pipeline(recording, regressor=LinearRegression(), dt=0.02, cutoff=6.0)
+        alone.fit(X[train], y[train], identify__groups=labels[train])
+        assert alone.score(X[test], y[test]) == pytest.approx(score, rel=1e-9)
+        blind = pipeline(recording, regressor=LinearRegression(), dt=0.02, cutoff=6.0)
+        blind.fit(X[train], y[train])
+        assert blind["identify"].n_rows_.sum() > alone["identify"].n_rows_.sum()
+
+
+def test_from_positions_to_a_possible_robot(recording):
+    friction = [12 * j + 10 + k for j in range(6) for k in range(2)]
+    chain = Pipeline(
+        [
+            ("states", StateEstimator(recording.dt)),
+            ("features", RigidBodyFeatures(recording.urdf, friction=FRICTION)),
+            (
+                "identify",
+                JointTorqueRegressor(
+                    projector=PhysicalProjector(
+                        parameters_per_joint=12, nonnegative=friction
+                    ),
+                    dt=recording.dt,
+                    cutoff=5.0,
+                ),
+            ),
+        ]
+    )
+    groups = recording.groups
+    chain.fit(
+        recording.q,
+        recording.tau,
+        states__groups=groups,
+        identify__groups=groups,
+    )
+    theta = chain["identify"].theta_.reshape(6, 12)
+    assert np.all(theta[:, 10:] >= 0)
+    projector = chain["identify"].projector_
+    (report,) = projector.projections(theta.reshape(1, -1))
+    assert np.all(report.min_eigenvalues > 0)
+    test = make_robot_recording(
+        duration=8.0,
+        dt=0.02,
+        inertial=recording.inertial,
+        friction=recording.friction,
+        random_state=6,
+    )
+    error = chain.predict(test.q) - test.tau_clean
+    # positions of 1e-4 rad at 50 Hz, Coulomb friction at the wrong sample
+    assert np.all(np.mean(error**2, axis=0) < 0.02 * test.tau_clean.var(axis=0))
+
+
+def test_the_identifier_is_the_same_chain(recording):
+    groups = recording.groups
+    robot = RobotIdentifier(
+        recording.urdf,
+        dt=recording.dt,
+        friction=FRICTION,
+        projector=None,
+        cutoff=5.0,
+        standstill=None,
+        regressor=LinearRegression(),
+    ).fit(recording.q, recording.tau, groups=groups)
+    states = StateEstimator(recording.dt).fit_transform(recording.q, groups=groups)
+    chain = pipeline(
+        recording, regressor=LinearRegression(), dt=recording.dt, cutoff=5.0
+    ).fit(states, recording.tau, identify__groups=groups)
+    Phi = chain[:-1].transform(states[:40])
+    np.testing.assert_allclose(
+        chain["identify"].predict(Phi), robot.predict(states[:40]), rtol=1e-7, atol=1e-7
+    )
+    np.testing.assert_array_equal(chain["identify"].n_rows_, robot.estimator_.n_rows_)
+
+
+def test_names_travel_through_the_pipeline(recording):
+    chain = pipeline(recording).fit(recording.states[:200], recording.tau[:200])
+    names = chain[:-1].get_feature_names_out()
+    assert len(names) == 6 * 72
+    assert names[0] == "tau_joint_1/joint_1:m"
+    assert names[-1] == "tau_joint_6/joint_6:coulomb"

@@ -1,0 +1,169 @@
+"""The identified robot as URDF: what is read back is what was written."""
+
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.physical import is_consistent  # noqa: E402
+from sklearn_vbjfa.robot._model import load_model, nominal_parameters  # noqa: E402
+from sklearn_vbjfa.robot._urdf import write_urdf  # noqa: E402
+from tests.robot._robots import random_body  # noqa: E402
+
+TREE = """<?xml version="1.0"?>
+<robot name="tree">
+  <link name="base"><inertial><mass value="50"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <joint name="stand" type="fixed"><parent link="base"/><child link="column"/></joint>
+  <link name="column"><inertial><mass value="20"/>
+    <inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <joint name="right" type="continuous"><parent link="column"/><child link="arm"/>
+    <origin xyz="0.1 0 0.2" rpy="0.3 0.2 0.1"/><axis xyz="0 1 0"/></joint>
+  <link name="arm"><visual><geometry><box size="1 1 1"/></geometry></visual></link>
+  <joint name="flange" type="fixed"><parent link="arm"/><child link="plate"/>
+    <origin xyz="0 0 0.3" rpy="0.5 0 0"/></joint>
+  <link name="plate"><inertial><origin xyz="0 0.1 0"/><mass value="1"/>
+    <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+  <joint name="grip" type="fixed"><parent link="plate"/><child link="hand"/></joint>
+  <link name="hand"><inertial><mass value="2"/>
+    <inertia ixx="0.1" ixy="0" ixz="0" iyy="0.1" iyz="0" izz="0.1"/></inertial></link>
+  <joint name="left" type="prismatic"><parent link="plate"/><child link="slide"/>
+    <origin xyz="0 0.1 0"/><axis xyz="1 0 0"/>
+    <limit lower="-1" upper="1" effort="9" velocity="2"/>
+    <dynamics damping="77" friction="88"/></joint>
+  <link name="slide"/>
+</robot>
+"""
+
+
+@pytest.fixture
+def tree(tmp_path):
+    path = tmp_path / "tree.urdf"
+    path.write_text(TREE)
+    return path
+
+
+def test_round_trip_of_an_identified_arm(identified, tmp_path):
+    path = tmp_path / "identified.urdf"
+    identified.to_urdf(path)
+    # read by Pinocchio alone: the file is any program's
+    bodies = np.array(
+        [
+            b.toDynamicParameters()
+            for b in pin.buildModelFromUrdf(str(path)).inertias[1:]
+        ]
+    )
+    expected = identified.theta_.reshape(6, 12)[:, :10]
+    # About the centre of mass and back: rounding of m c^2.
+    np.testing.assert_allclose(bodies, expected, rtol=1e-10, atol=1e-12)
+    # On the boundary of the set (margin 1e-8) the text keeps what the arithmetic had.
+    for body in bodies:
+        assert is_consistent(body, margin=-1e-12)
+    root = ElementTree.parse(path).getroot()
+    for j, joint in enumerate(root.findall("joint")[:6]):
+        dynamics = joint.find("dynamics")
+        assert float(dynamics.get("damping")) == identified.theta_[12 * j + 10]
+        assert float(dynamics.get("friction")) == identified.theta_[12 * j + 11]
+    # The tool is one body with the flange and keeps no inertia of its own.
+    links = {link.get("name"): link for link in root.findall("link")}
+    assert links["tool"].find("inertial") is None
+    assert links["flange"].find("inertial") is not None
+    assert len(root.findall("joint")) == 7
+    assert {"base", "tool"} < set(links)
+
+
+def test_written_robot_predicts_what_was_identified(identified, new_motion, tmp_path):
+    path = tmp_path / "identified.urdf"
+    identified.to_urdf(path)
+    model = load_model(path)
+    data = model.createData()
+    theta = identified.theta_.reshape(6, 12)
+    for row in new_motion.states[::100]:
+        q, v, a = row.reshape(3, 6)
+        friction = theta[:, 10] * v + theta[:, 11] * np.sign(v)
+        expected = identified.predict(row[None])[0]
+        np.testing.assert_allclose(
+            pin.rnea(model, data, q, v, a) + friction, expected, rtol=1e-8, atol=1e-8
+        )
+
+
+def test_links_fixed_to_a_link_are_merged_with_it(tree, tmp_path):
+    rng = np.random.default_rng(0)
+    bodies = np.array([random_body(rng), random_body(rng)])
+    friction = np.array([[0.5, 0.25, -3.0], [4.0, 8.0, 1.0]])
+    target = tmp_path / "out.urdf"
+    model = load_model(tree)
+    assert tuple(model.names)[1:] == ("right", "left")
+    names = ("viscous", "coulomb", "offset")
+    write_urdf(tree, target, model, np.hstack([bodies, friction]), names)
+    again = load_model(target)
+    np.testing.assert_allclose(nominal_parameters(again), bodies, rtol=1e-10)
+    root = ElementTree.parse(target).getroot()
+    links = {link.get("name"): link for link in root.findall("link")}
+    has = {name for name, link in links.items() if link.find("inertial") is not None}
+    # what stands still keeps its own; plate and hand went into the arm
+    assert has == {"base", "column", "arm", "slide"}
+    assert links["arm"].find("visual") is not None
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    for name, row in zip(("right", "left"), friction):
+        assert len(joints[name].findall("dynamics")) == 1
+        dynamics = joints[name].find("dynamics")
+        assert float(dynamics.get("damping")) == row[0]
+        assert float(dynamics.get("friction")) == row[1]
+    assert joints["right"].get("type") == "continuous"
+    assert joints["left"].find("limit").get("effort") == "9"
+    assert joints["flange"].find("dynamics") is None
+    assert tree.read_text() == TREE  # the source is left alone
+
+
+def test_writing_over_the_source(identified, simulated, tmp_path):
+    path = tmp_path / "robot.urdf"
+    with open(simulated.urdf, encoding="utf-8") as file:
+        path.write_text(file.read())
+    robot = RobotIdentifier(path, dt=simulated.dt)
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    robot.to_urdf(path)
+    np.testing.assert_allclose(
+        nominal_parameters(load_model(path)),
+        robot.theta_.reshape(6, 11)[:, :10],
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    assert [p.name for p in tmp_path.iterdir()] == ["robot.urdf"]
+
+
+def test_a_model_has_no_urdf(simulated, tmp_path):
+    robot = RobotIdentifier(load_model(simulated.urdf), dt=simulated.dt)
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    with pytest.raises(ValueError, match="needs the URDF .* give its path as `model`"):
+        robot.to_urdf(tmp_path / "out.urdf")
+    assert not list(tmp_path.iterdir())
+
+
+def test_impossible_bodies_are_not_written(simulated, tmp_path):
+    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, projector=None)
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    with pytest.raises(
+        ValueError, match='joint_1.*not physically.*projector="default"'
+    ):
+        robot.to_urdf(tmp_path / "out.urdf")
+    assert not list(tmp_path.iterdir())
+
+
+def test_nothing_is_left_where_writing_fails(identified, tmp_path):
+    with pytest.raises(FileNotFoundError):
+        identified.to_urdf(tmp_path / "no folder" / "out.urdf")
+    assert not list(tmp_path.iterdir())
+
+
+def test_refuses_a_description_without_the_joints(tree, simulated, tmp_path):
+    rows = np.array([random_body(np.random.default_rng(k)) for k in range(6)])
+    model = load_model(simulated.urdf)
+    with pytest.raises(ValueError, match="no joint named joint_1, joint_2"):
+        write_urdf(tree, tmp_path / "out.urdf", model, rows, ())
+    rows[3, 0] = -1.0
+    with pytest.raises(ValueError, match='mass -1: only .* Use projector="default"'):
+        write_urdf(simulated.urdf, tmp_path / "out.urdf", model, rows, ())

@@ -2,6 +2,7 @@
 
 from sklearn_vbjfa._instrumental_variables import InstrumentalVariables
 from sklearn_vbjfa._jfa import JFARegressor
+from sklearn_vbjfa._locally_weighted import LocallyWeightedRegressor
 from sklearn_vbjfa._stepwise import StepwiseRegressor
 from sklearn_vbjfa._total_least_squares import TotalLeastSquares
 from sklearn_vbjfa._vbjfa import VBJFARegressor
@@ -16,6 +17,7 @@ __all__ = [
     "InstrumentalVariables",
     "JFARegressor",
     "JointTorqueRegressor",
+    "LocallyWeightedRegressor",
     "PhysicalProjector",
     "RigidBodyFeatures",
     "RobotIdentifier",

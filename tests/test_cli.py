@@ -175,16 +175,12 @@ def test_the_demo_is_the_same_every_time(demo, capsys):
 
 def test_measured_set_from_a_folder(measured_data_home, capsys, methods):
     # one joint: all methods in a few seconds
-    code = main(
-        ["identify", "--data", "emps", "--data-home", str(measured_data_home)]
-    )
+    code = main(["identify", "--data", "emps", "--data-home", str(measured_data_home)])
     captured = capsys.readouterr()
     assert code == 0
     rows = rows_of(captured.out, methods)
     assert rows["VB + projection"][0] <= 5.2
     # the same recording, the same settings: the same text
-    again = main(
-        ["identify", "--data", "emps", "--data-home", str(measured_data_home)]
-    )
+    again = main(["identify", "--data", "emps", "--data-home", str(measured_data_home)])
     assert again == 0
     assert capsys.readouterr().out == captured.out

@@ -1,5 +1,6 @@
 """The guide, the README and the code say the same, and their examples run."""
 
+import importlib.metadata
 import re
 import textwrap
 from collections import Counter
@@ -98,6 +99,13 @@ def test_ci_runs_the_test_command_of_the_readme():
     install, command = SETUP[1].split(" && ")
     assert command in lines
     assert install.replace("install", "install -q") in lines
+
+
+def test_every_dependency_is_explained():
+    text = read(DOCS / "dependencies.rst")
+    for requirement in importlib.metadata.requires("sklearn-vbjfa"):
+        name = re.match(r"[\w.-]+", requirement).group()
+        assert re.search(rf"^(\w+ +)?{re.escape(name)} ", text, flags=re.M), name
 
 
 def test_errata_name_existing_tests():

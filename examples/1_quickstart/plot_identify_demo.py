@@ -14,6 +14,7 @@ encoder noise of 1e-4 rad, torque noise of 5 %.
 # Two motions of 20 s each. The first is fitted, the second is not looked at before the
 # end. The robot description holds inertias that are some 30 % off.
 
+import matplotlib.pyplot as plt
 import numpy as np
 
 from sklearn_vbjfa import RobotIdentifier
@@ -83,8 +84,6 @@ print(robot.min_eigenvalues_)
 # %%
 # Torques of the second joint
 # ---------------------------
-
-import matplotlib.pyplot as plt
 
 time = residuals.index * recording.dt
 figure, axes = plt.subplots(2, 1, sharex=True, layout="constrained")

@@ -180,12 +180,18 @@ def white_noise_variance(frequency, power, noise_gain):
     return float(np.median(power[upper] / noise_gain[upper]) / np.log(2))
 
 
+# A periodogram ordinate counts as signal above this multiple of the noise. Ordinates of
+# noise are exponential: of all its power 0.3 % lies beyond, and 1 % where the level of
+# the noise is estimated a fifth too low, as it is in recordings of some seconds.
+_STANDS_OUT = 8.0
+
+
 def choose_cutoff(frequency, power, noise_gain, dt):
     """Cut-off that minimises the estimated error of the second derivative.
 
     For the gain G the expected squared error at a frequency is (1 - G)^2 times the
     signal's power plus G^2 times the noise's; the signal's power is the measured one
-    minus the noise's (Mallows' C_p, an unbiased estimate of the risk).
+    minus the noise's (Mallows' C_p), where it stands out of the noise.
 
     Returns
     -------
@@ -196,21 +202,28 @@ def choose_cutoff(frequency, power, noise_gain, dt):
     """
     variance = white_noise_variance(frequency, power, noise_gain)
     noise = variance * noise_gain
+    # The noise of an acceleration grows as the fourth power of the frequency: where
+    # nothing but noise is, a tenth of it taken for signal would outweigh the motion.
+    signal = np.where(power > _STANDS_OUT * noise, power - noise, 0.0)
     candidates = np.geomspace(max(frequency[0], 1e-3 / dt), 1.0 / (3 * dt), 120)
     risks = np.empty(candidates.size)
     for i, cutoff in enumerate(candidates):
         G = gain(frequency, dt, cutoff)
-        risks[i] = np.sum((1 - G) ** 2 * (power - noise) + G**2 * noise)
+        risks[i] = np.sum((1 - G) ** 2 * signal + G**2 * noise)
     return float(candidates[np.argmin(risks)]), variance
 
 
-def velocity_bandwidth(frequency, power, noise_gain, variance, share=0.99):
-    """Frequency [Hz] below which `share` of the power of the velocity lies."""
-    excess = (power - variance * noise_gain) / frequency**2
-    # The noise that was subtracted leaves its own scatter; what lies within five
-    # deviations of it (the deviation of a periodogram is its mean) is no signal.
-    excess = np.where(power > 5 * variance * noise_gain, excess, 0.0)
+def velocity_bandwidth(frequency, power, noise_gain, variance, cutoff, share=0.99):
+    """Frequency [Hz] below which `share` of the power of the velocity lies.
+
+    Only what stands out of the noise counts (five times its expected power), and only
+    up to twice the `cutoff` of least error: far above it there are so many ordinates
+    that some of the noise's own stand out.
+    """
+    noise = variance * noise_gain
+    signal = (power > 5 * noise) & (frequency <= 2 * cutoff)
+    excess = np.where(signal, power - noise, 0.0) / frequency**2
     cumulative = np.cumsum(excess)
     if not cumulative[-1] > 0:
-        return float(frequency[-1])
+        return float(min(cutoff, frequency[-1]))
     return float(frequency[np.argmax(cumulative >= share * cumulative[-1])])

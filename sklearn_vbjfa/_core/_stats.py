@@ -60,27 +60,39 @@ class SufficientStatistics:
         )
 
 
-def _block_statistics(X, y, weight):
-    n = float(X.shape[0]) if weight is None else float(weight.sum())
+def _centre(X, y, weight):
+    """Return n, the means, and the rows about them times the root of their weights.
+
+    Taking the first row off before the means makes a constant column exactly zero; the
+    running sum of a million equal numbers is some 1e6 eps off.
+    """
+    X_shift, y_shift = X - X[0], (y - y[0]).astype(float, copy=False)
     if weight is None:
-        x_mean, y_mean = X.mean(axis=0), float(y.mean())
-        Xc, yc = X - x_mean, y - y_mean
-        Xw, yw = Xc, yc
+        n = float(X.shape[0])
+        x_mean, y_mean = X_shift.mean(axis=0), float(y_shift.mean())
     else:
-        x_mean, y_mean = weight @ X / n, float(weight @ y / n)
-        Xc, yc = X - x_mean, y - y_mean
+        n = float(weight.sum())
+        x_mean, y_mean = weight @ X_shift / n, float(weight @ y_shift / n)
+    X_shift -= x_mean
+    y_shift -= y_mean
+    if weight is not None:
         # The square root on both factors keeps the product symmetric (syrk).
         root = np.sqrt(weight)
-        Xc, yc = Xc * root[:, None], yc * root
-        Xw, yw = Xc, yc
+        X_shift *= root[:, None]
+        y_shift *= root
+    return n, X[0] + x_mean, float(y[0] + y_mean), X_shift, y_shift
+
+
+def _block_statistics(X, y, weight):
+    n, x_mean, y_mean, Xc, yc = _centre(X, y, weight)
     return SufficientStatistics(
         n_rows=X.shape[0],
         n_samples=n,
         x_mean=x_mean,
         y_mean=y_mean,
-        S_xx=Xc.T @ Xw,
-        S_xy=Xc.T @ yw,
-        S_yy=float(yc @ yw),
+        S_xx=Xc.T @ Xc,
+        S_xy=Xc.T @ yc,
+        S_yy=float(yc @ yc),
     )
 
 
@@ -106,12 +118,16 @@ def merge(first, second):
     )
 
 
+def _drop_weightless(X, y, weight):
+    if weight is None or (keep := weight > 0).all():
+        return X, y, weight
+    return X[keep], y[keep], weight[keep]
+
+
 def from_data(X, y, weight=None):
     """Accumulate the statistics of X (n, d), y (n,) in one pass, block by block."""
-    if weight is not None:
-        keep = weight > 0
-        if not keep.all():
-            X, y, weight = X[keep], y[keep], weight[keep]
+    y = np.asarray(y, dtype=float)
+    X, y, weight = _drop_weightless(X, y, weight)
     step = max(256, _BLOCK_BYTES // (8 * max(1, X.shape[1])))
     total = None
     for start in range(0, X.shape[0], step):
@@ -229,12 +245,15 @@ def standardise(stats, *, centred):
 
 def standardise_data(X, y, weight=None, *, centred):
     """Like `standardise`, holding the (weighted, centred, scaled) rows themselves."""
-    w = np.ones(X.shape[0]) if weight is None else weight
-    n = float(w.sum())
-    x_mean = w @ X / n if centred else np.zeros(X.shape[1])
-    y_mean = float(w @ y / n) if centred else 0.0
-    root = np.sqrt(w)
-    Xc, yc = (X - x_mean) * root[:, None], (y - y_mean) * root
+    y = np.asarray(y, dtype=float)
+    X, y, weight = _drop_weightless(X, y, weight)
+    if centred:
+        n, x_mean, y_mean, Xc, yc = _centre(X, y, weight)
+    else:
+        w = np.ones(X.shape[0]) if weight is None else weight
+        n, x_mean, y_mean = float(w.sum()), np.zeros(X.shape[1]), 0.0
+        root = np.sqrt(w)
+        Xc, yc = X * root[:, None], y * root
     spread, active = _scales(np.einsum("ij,ij->j", Xc, Xc), x_mean, n)
     x_scale = spread[active]
     y_scale = float(np.sqrt(yc @ yc / n))

@@ -246,6 +246,12 @@ def _inverse_dynamics(nominal, inertial, q, v, a):
 
 def _draw_friction(friction, rigid, v, a, rng):
     """Coefficients that take some per cent of each joint's torque."""
+    known = ("viscous", "coulomb", "offset", "rotor_inertia")
+    unknown = set(friction) - set(known)
+    if unknown:
+        raise ValueError(
+            f"Unknown friction {sorted(unknown)}; expected some of {sorted(known)}."
+        )
     if isinstance(friction, dict):
         return {
             name: np.broadcast_to(np.asarray(value, dtype=float), rigid.shape[1:])
@@ -258,11 +264,6 @@ def _draw_friction(friction, rigid, v, a, rng):
         "offset": 0.05 * size,
         "rotor_inertia": 0.15 * size / a.std(axis=0),
     }
-    unknown = set(friction) - set(share)
-    if unknown:
-        raise ValueError(
-            f"Unknown friction {sorted(unknown)}; expected some of {sorted(share)}."
-        )
     return {
         name: share[name] * rng.uniform(0.5, 1.5, size=size.shape) for name in friction
     }

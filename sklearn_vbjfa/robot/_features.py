@@ -13,7 +13,6 @@ from sklearn_vbjfa.robot._model import (
     load_model,
 )
 
-
 # Root mean square below which an entry of the regressor matrix is the rounding of a
 # zero, relative to the largest of its unit in the same torque.
 _ROUNDING = 1e-12

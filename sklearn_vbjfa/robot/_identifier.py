@@ -30,6 +30,10 @@ _SHORTEST_CUTOFF_PERIODS = 36.0
 # Below this share of a joint's (99.5th percentile of) speed it counts as standing
 # still: its friction may then take any value inside the band of stiction.
 _STANDSTILL_SHARE = 0.02
+# The state cut-off of least acceleration error, times this: what smoothing takes from
+# the motion biases the parameters however long the recording, while noise averages
+# out and is corrected for.
+_LIGHTER_SMOOTHING = 1.5
 # Rows of the feature matrix that are in memory at once.
 _CHUNK_BYTES = 64 << 20
 # Directions of parameter space that the data determine less than this, relative to
@@ -65,7 +69,8 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         power of the velocity lies, the fastest joint), as in Gautier's practice;
         without positions (states given) nothing is filtered. None filters nothing.
     state_cutoff : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Cut-off [Hz] of `StateEstimator`.
+        Cut-off [Hz] of `StateEstimator`. ``"auto"``: 1.5 times the one of least
+        acceleration error; smoothing bias does not average out, noise does.
     standstill : "auto", float, array-like of shape (nv,) or None, default="auto"
         Speed [rad/s or m/s] at or below which a joint's equations are left out.
         ``"auto"``: 2 % of the 99.5th percentile of its speed in the recordings of the
@@ -275,10 +280,16 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         if X.shape[1] == 3 * self._nv and X.shape[1] != self._nv:
             self.state_estimator_ = None
             return X
-        self.state_estimator_ = StateEstimator(
-            check_dt(self.dt), cutoff=self.state_cutoff
-        )
-        return self.state_estimator_.fit_transform(X, groups=groups)
+        dt = check_dt(self.dt)
+        estimator = StateEstimator(dt, cutoff=self.state_cutoff).fit(X, groups=groups)
+        if isinstance(self.state_cutoff, str):
+            lighter = np.minimum(_LIGHTER_SMOOTHING * estimator.cutoff_, 1 / (3 * dt))
+            lighter = np.where(np.isfinite(estimator.cutoff_), lighter, np.inf)
+            estimator = StateEstimator(
+                dt, cutoff=[c if np.isfinite(c) else None for c in lighter]
+            ).fit(X, groups=groups)
+        self.state_estimator_ = estimator
+        return estimator.transform(X, groups=groups)
 
     def _states(self, X, groups, *, in_band=False):
         """States of a query; `in_band` smooths to the band that was identified."""
@@ -463,6 +474,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         through = np.zeros(self._nv)
         if stats.noise is not None:
             through = np.einsum("i,jik,k->j", theta, stats.noise, theta) / n
+            through = np.maximum(through, 0.0)  # rounding
         self.input_noise_torque_ = np.sqrt(through)
         rest = residual_squares(stats, theta) / n - through
         self.output_noise_ = np.sqrt(np.maximum(rest, 0.0))

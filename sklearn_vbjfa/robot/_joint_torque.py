@@ -437,7 +437,8 @@ def _denoised(total, noise):
     signal = (total.S_xx - total.n_samples * noise) / np.outer(unit, unit)
     values, vectors = np.linalg.eigh(0.5 * (signal + signal.T))
     clean = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return clean * np.outer(unit, unit)
+    # by the scale and not the unit: a column of zeros stays one to the last bit
+    return clean * np.outer(scale, scale)
 
 
 def _mirror(rows):

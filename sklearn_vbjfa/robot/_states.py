@@ -136,7 +136,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         cutoff, variance = _smoothing.choose_cutoff(frequency, power, noise_gain, dt)
         self.noise_variance_[j] = variance
         self.bandwidth_[j] = _smoothing.velocity_bandwidth(
-            frequency, power, noise_gain, variance
+            frequency, power, noise_gain, variance, cutoff
         )
         return cutoff
 

@@ -43,8 +43,13 @@ def models():
         "LinearRegression (scikit-learn)": LinearRegression(),
         "ARDRegression (scikit-learn)": ARDRegression(),
         "VBJFARegressor()": VBJFARegressor(),
-        'VBJFARegressor(prior="paper")': VBJFARegressor(prior="paper"),
-        'VBJFARegressor(latent="correlated")': VBJFARegressor(latent="correlated"),
+        'VBJFARegressor(latent="correlated", input_noise=0.0)': VBJFARegressor(
+            latent="correlated", input_noise=0.0
+        ),
+        'VBJFARegressor(latent="independent")': VBJFARegressor(latent="independent"),
+        'VBJFARegressor(latent="independent", prior="paper")': VBJFARegressor(
+            latent="independent", prior="paper"
+        ),
         "JFARegressor()": JFARegressor(),
     }
 

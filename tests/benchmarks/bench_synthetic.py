@@ -5,10 +5,10 @@ runs with its defaults. Seeds are 0 .. trials - 1 in every cell; errors are norm
 mean squared errors on 2,000 noiseless test samples, averaged over the trials.
 """
 
-import argparse
 import warnings
 
 import numpy as np
+from _report import parser, publish
 from sklearn.cross_decomposition import PLSRegression
 from sklearn.linear_model import ARDRegression, LassoCV, LinearRegression
 from sklearn.model_selection import GridSearchCV
@@ -148,22 +148,20 @@ def tables(errors, relevance):
 
 def main():
     """Run the study from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=10)
-    parser.add_argument("--write", action="store_true", help="write docs/tables")
-    arguments = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--trials", type=int, default=10)
+    arguments = arguments.parse_args()
     errors, relevance = run(arguments.trials)
     error_table, relevance_table = tables(errors, relevance)
-    print(error_table, "\n")
-    print(relevance_table)
-    if arguments.write:
-        from _tables import write_table
-
-        note = (
-            f"{arguments.trials} trials, seeds 0 to {arguments.trials - 1}, N = 1000."
-        )
-        write_table("synthetic_errors", error_table, note)
-        write_table("synthetic_relevance", relevance_table, note)
+    note = (
+        f"{arguments.trials} trials, seeds 0 to {arguments.trials - 1}, 1,000 training "
+        "samples, 100 inputs. Mean normalised squared error on noiseless test data:"
+    )
+    publish(
+        "synthetic",
+        f"{note}\n\n{error_table}\n\nRelevant inputs found:\n\n{relevance_table}",
+        write=arguments.write,
+    )
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The bound: its value, its climb, and its gradient where the iteration stands still."""
+"""The bound: its value, its climb, and its gradient at a fixed point."""
 
 from dataclasses import replace
 

@@ -1,5 +1,7 @@
 """Sufficient statistics: any split, any weight, any unit, any offset."""
 
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -83,7 +85,7 @@ def test_merge_in_any_chunks_and_order(seed, cuts, order, weighted):
     bounds = [0, *sorted(cuts), 100]
     pieces = [
         _stats.from_data(X[a:b], y[a:b], None if w is None else w[a:b])
-        for a, b in zip(bounds, bounds[1:])
+        for a, b in itertools.pairwise(bounds)
     ]
     order.shuffle(pieces)
     total = None

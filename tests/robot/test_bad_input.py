@@ -8,9 +8,9 @@ from sklearn.linear_model import LinearRegression
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.datasets._robots import demo_arm_urdf
 
 
 @pytest.fixture(scope="module")
@@ -57,6 +57,7 @@ def changed(values, where, value):
         ("standstill", [0.1, 0.2], "one non-negative speed or 6 of them"),
         ("standstill", 99.0, "Every sample is masked as standstill; lower"),
         ("joint_weights", "even", "joint_weights must be 'auto', None or an array"),
+        ("input_noise", "some", "input_noise must be 'auto' .* or None .*got 'some'"),
         ("projector", "convex", "projector must be 'default', a PhysicalProjector or"),
         ("friction", ("sticky",), r"Unknown friction column\(s\).*expected some of"),
     ],
@@ -68,9 +69,9 @@ def test_wrong_settings(recording, setting, value, message):
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_values_that_are_not_finite(recording, value):
-    with pytest.raises(ValueError, match="X contains (NaN|infinity)"):
+    with pytest.raises(ValueError, match=r"X contains (NaN|infinity)"):
         identify(recording, q=changed(recording.q, (7, 2), value))
-    with pytest.raises(ValueError, match="y contains (NaN|infinity)"):
+    with pytest.raises(ValueError, match=r"y contains (NaN|infinity)"):
         identify(recording, tau=changed(recording.tau, (7, 2), value))
 
 
@@ -96,13 +97,13 @@ def test_wrong_shapes(recording):
 
 def test_wrong_queries(recording):
     robot = identify(recording)
-    with pytest.raises(ValueError, match="X must have 6 columns .* or 18 .*got 7"):
+    with pytest.raises(ValueError, match=r"X must have 6 columns .* or 18 .*got 7"):
         robot.predict(np.zeros((20, 7)))
     with pytest.raises(ValueError, match=r"y must have 6 column\(s\).*got 2"):
         robot.residuals(recording.q, recording.tau[:, :2])
     with pytest.raises(ValueError, match="NaN"):
         robot.predict(np.full((20, 18), np.nan))
-    with pytest.raises(ValueError, match="is .* samples long and the longest.*has 30"):
+    with pytest.raises(ValueError, match=r"is .* samples long and the longest.*has 30"):
         robot.residuals(recording.q[:30], recording.tau[:30])
 
 
@@ -134,20 +135,21 @@ def test_a_still_joint_may_have_a_dead_torque_channel(recording):
 def test_a_dead_torque_channel(recording):
     tau = changed(recording.tau, (slice(None), [1, 4]), 3.0)
     with pytest.raises(
-        ValueError, match="torque of joint_2, joint_5 is constant while .*Check the rec"
+        ValueError,
+        match=r"torque of joint_2, joint_5 is constant while .*Check the rec",
     ):
         identify(recording, tau=tau)
 
 
 def test_no_motion_at_all(recording):
-    with pytest.raises(ValueError, match="No joint moves.*Check the position columns"):
+    with pytest.raises(ValueError, match=r"No joint moves.*Check the position columns"):
         identify(recording, q=np.ones_like(recording.q))
 
 
 def test_too_few_equations(recording):
     states = recording.states[:10]
     with pytest.raises(
-        ValueError, match="60 equations .* fewer than the 66 parameters; record for"
+        ValueError, match=r"60 equations .* fewer than the 66 parameters; record for"
     ):
         identify(recording, q=states, tau=recording.tau[:10], standstill=None)
 

@@ -6,12 +6,12 @@ from sklearn.linear_model import LinearRegression
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa._stepwise import StepwiseRegressor  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.robot import _comparison  # noqa: E402
-from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods  # noqa: E402
-from tests.robot._robots import swing  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa._stepwise import StepwiseRegressor
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.robot import _comparison
+from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
+from tests.robot._robots import swing
 
 
 @pytest.fixture(scope="module")

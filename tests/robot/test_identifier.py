@@ -369,6 +369,56 @@ def test_residuals_are_filtered_torques_against_filtered_predictions(
     assert found.normalised_error()[3] == pytest.approx(rms / np.sqrt(spread))
 
 
+@pytest.mark.parametrize("encoder_noise", [1e-4, 1e-3])
+def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
+    recording = make_robot_recording(
+        duration=16.0,
+        dt=0.01,
+        frequency=1.0,
+        n_recordings=2,
+        encoder_noise=encoder_noise,
+        random_state=1,
+    )
+    robot = identify(recording)
+    taps = robot.estimator_.lowpass_.taps
+    # The quietest quarter of 16 bands of a spectrum, each of some 100 ordinates.
+    np.testing.assert_allclose(
+        robot.torque_noise_,
+        recording.torque_noise * np.sqrt(taps @ taps),
+        rtol=0.15,
+    )
+    found = robot.residuals(recording.q, recording.tau, groups=recording.groups)
+    # Coulomb friction at reversals is not in the floor, parameters fitted to it are.
+    np.testing.assert_allclose(found.rms() / robot.noise_floor_, 1.0, atol=0.2)
+    # the same without the inputs' share, which is that of the encoders alone
+    exact = identify(recording, input_noise=None)
+    np.testing.assert_array_equal(exact.input_noise_torque_, 0.0)
+    np.testing.assert_allclose(exact.noise_floor_, exact.torque_noise_, rtol=1e-12)
+    assert np.all(robot.noise_floor_ > exact.noise_floor_)
+    np.testing.assert_allclose(
+        robot.noise_floor_**2,
+        robot.torque_noise_**2 + robot.input_noise_torque_**2,
+        rtol=1e-12,
+    )
+
+
+def test_input_noise_grows_with_that_of_the_encoders():
+    shares = []
+    for encoder_noise in (3e-4, 3e-3):
+        recording = make_robot_recording(
+            duration=16.0,
+            dt=0.01,
+            encoder_noise=encoder_noise,
+            torque_noise=0.01,
+            random_state=2,
+        )
+        # the same smoothing, so that ten times the noise is ten times the share
+        robot = identify(recording, state_cutoff=4.0, cutoff=5.0)
+        shares.append(robot.input_noise_torque_)
+    # halves of one recording: 1600 samples, 2 * 4 Hz * 16 s of them independent
+    np.testing.assert_allclose(shares[1] / shares[0], 10.0, rtol=0.3)
+
+
 def test_residuals_never_cross_a_border(identified, simulated):
     found = identified.residuals(simulated.q, simulated.tau, groups=simulated.groups)
     half, border = identified.estimator_.lowpass_.half, simulated.q.shape[0] // 2

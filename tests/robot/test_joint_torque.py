@@ -201,7 +201,7 @@ def test_vb_from_second_moments_is_vb_on_the_rows(rng):
     Phi, tau, _ = joint_equations(rng, noise=NOISE)
     model = fitted(Phi, tau, VBJFARegressor(latent="correlated"))
     root = np.sqrt(model.joint_weights_)
-    direct = VBJFARegressor(latent="correlated", fit_intercept=False)
+    direct = VBJFARegressor(latent="correlated", input_noise=0.0, fit_intercept=False)
     direct.fit((Phi * root[:, None]).reshape(-1, 5), (tau * root).ravel())
     np.testing.assert_allclose(model.theta_, direct.coef_, rtol=1e-6)
 
@@ -464,7 +464,7 @@ def test_block_noise_behind_the_filter_and_across_recordings(rng):
 
 
 def test_one_output_keeps_one_dimension(rng):
-    Phi, tau, theta = joint_equations(rng, nv=1)
+    Phi, tau, _ = joint_equations(rng, nv=1)
     flat = JointTorqueRegressor(LinearRegression()).fit(wide(Phi), tau[:, 0])
     assert flat.predict(wide(Phi)).shape == (300,)
     column = JointTorqueRegressor(LinearRegression()).fit(wide(Phi), tau)
@@ -502,5 +502,5 @@ def test_errors_say_what_to_do(rng, settings, fit, message):
 
 def test_refuses_columns_that_do_not_divide(rng):
     Phi, tau, _ = joint_equations(rng)
-    with pytest.raises(ValueError, match="y has 2 joints.*multiple of 2; got 15"):
+    with pytest.raises(ValueError, match=r"y has 2 joints.*multiple of 2; got 15"):
         JointTorqueRegressor().fit(wide(Phi), tau[:, :2])

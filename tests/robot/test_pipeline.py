@@ -9,7 +9,7 @@ from sklearn.pipeline import Pipeline
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import (  # noqa: E402
+from sklearn_vbjfa import (
     JointTorqueRegressor,
     PhysicalProjector,
     RigidBodyFeatures,
@@ -17,7 +17,7 @@ from sklearn_vbjfa import (  # noqa: E402
     StateEstimator,
     VBJFARegressor,
 )
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording
 
 FRICTION = ("viscous", "coulomb")
 
@@ -133,10 +133,13 @@ def test_the_identifier_is_the_same_chain(recording):
         friction=FRICTION,
         projector=None,
         cutoff=5.0,
+        state_cutoff=6.0,
         standstill=None,
         regressor=LinearRegression(),
     ).fit(recording.q, recording.tau, groups=groups)
-    states = StateEstimator(recording.dt).fit_transform(recording.q, groups=groups)
+    states = StateEstimator(recording.dt, cutoff=6.0).fit_transform(
+        recording.q, groups=groups
+    )
     chain = pipeline(
         recording, regressor=LinearRegression(), dt=recording.dt, cutoff=5.0
     ).fit(states, recording.tau, identify__groups=groups)

@@ -278,7 +278,7 @@ def test_names():
 
 @pytest.mark.parametrize("dt", [0, -0.01, np.nan, np.inf, None, "fast"])
 def test_refuses_a_wrong_period(dt):
-    with pytest.raises(ValueError, match="dt must be the sample period.*positive and"):
+    with pytest.raises(ValueError, match=r"dt must be the sample period.*positive and"):
         StateEstimator(dt).fit(np.zeros((30, 1)))
 
 
@@ -305,9 +305,9 @@ def test_refuses_what_is_too_short():
         StateEstimator(DT).fit(q[:15])
     estimator = StateEstimator(DT, cutoff=5.0).fit(q)
     groups = np.repeat([0, 1], [23, 7])
-    with pytest.raises(ValueError, match="at least 8 samples.* at row 23 has 7"):
+    with pytest.raises(ValueError, match=r"at least 8 samples.* at row 23 has 7"):
         estimator.transform(q, groups=groups)
-    with pytest.raises(ValueError, match="at least 16 samples.* at row 23 has 7"):
+    with pytest.raises(ValueError, match=r"at least 16 samples.* at row 23 has 7"):
         estimator.split_transform(q, groups=groups)
 
 
@@ -317,5 +317,5 @@ def test_refuses_wrong_labels_and_values():
         StateEstimator(DT, cutoff=5.0).fit(q, groups=np.zeros(29))
     for bad in (np.nan, np.inf):
         q[3] = bad
-        with pytest.raises(ValueError, match="NaN|infinity"):
+        with pytest.raises(ValueError, match=r"NaN|infinity"):
             StateEstimator(DT).fit(q)

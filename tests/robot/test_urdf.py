@@ -138,7 +138,7 @@ def test_writing_over_the_source(identified, simulated, tmp_path):
 def test_a_model_has_no_urdf(simulated, tmp_path):
     robot = RobotIdentifier(load_model(simulated.urdf), dt=simulated.dt)
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
-    with pytest.raises(ValueError, match="needs the URDF .* give its path as `model`"):
+    with pytest.raises(ValueError, match=r"needs the URDF .* give its path as `model`"):
         robot.to_urdf(tmp_path / "out.urdf")
     assert not list(tmp_path.iterdir())
 
@@ -147,7 +147,7 @@ def test_impossible_bodies_are_not_written(simulated, tmp_path):
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, projector=None)
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     with pytest.raises(
-        ValueError, match='joint_1.*not physically.*projector="default"'
+        ValueError, match=r'joint_1.*not physically.*projector="default"'
     ):
         robot.to_urdf(tmp_path / "out.urdf")
     assert not list(tmp_path.iterdir())
@@ -165,5 +165,5 @@ def test_refuses_a_description_without_the_joints(tree, simulated, tmp_path):
     with pytest.raises(ValueError, match="no joint named joint_1, joint_2"):
         write_urdf(tree, tmp_path / "out.urdf", model, rows, ())
     rows[3, 0] = -1.0
-    with pytest.raises(ValueError, match='mass -1: only .* Use projector="default"'):
+    with pytest.raises(ValueError, match=r'mass -1: only .* Use projector="default"'):
         write_urdf(simulated.urdf, tmp_path / "out.urdf", model, rows, ())

@@ -1,0 +1,48 @@
+"""Regression problems with noise in the inputs, and how two fits are compared."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+
+def make_regression(seed, n_samples=300, n_features=4, noise=0.4, output_noise=0.3):
+    """Return X, y and the coefficients of independent latent inputs."""
+    rng = np.random.default_rng(seed)
+    t = rng.normal(size=(n_samples, n_features))
+    sign = rng.choice([-1, 1], n_features)
+    coef = sign * rng.uniform(0.5, 2.0, n_features)
+    X = t + noise * rng.normal(size=t.shape)
+    return X, t @ coef + output_noise * rng.normal(size=n_samples), coef
+
+
+def least_squares(X, y):
+    """Coefficients of ordinary least squares with an intercept."""
+    return np.linalg.lstsq(X - X.mean(axis=0), y - y.mean(), rcond=None)[0]
+
+
+def assert_same_fit(model, other, *, x_unit=1.0, y_unit=1.0, rtol=1e-6):
+    """Assert that `model`, fitted in units of x_unit and y_unit, is `other`.
+
+    `x_unit` (scalar or one for each feature) and `y_unit` are what the columns of
+    `model` were multiplied by.
+    """
+    x_unit = np.broadcast_to(x_unit, other.coef_.shape)
+    ratio = y_unit / x_unit
+    finite = np.isfinite(other.coef_std_)
+    scale = np.abs(other.coef_noisy_).max() + 1e-300
+    for name, unit in (
+        ("coef_", ratio),
+        ("coef_noisy_", ratio),
+        ("coef_std_", np.abs(ratio)),
+    ):
+        ours, theirs = getattr(model, name) / unit, getattr(other, name)
+        np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
+        assert_allclose(ours[finite], theirs[finite], rtol=rtol, atol=rtol * scale)
+    y_scale = np.sqrt(other._noisy_query_noise) + abs(other.intercept_)
+    shift = (model.intercept_ / y_unit - other.intercept_) / y_scale
+    assert abs(shift) < rtol
+    noise = model.input_noise_
+    unit = x_unit**2 if noise.ndim == 1 else np.outer(x_unit, x_unit)
+    assert_allclose(noise / unit, other.input_noise_, rtol=rtol, atol=1e-12)
+    assert_allclose(model.output_noise_ / y_unit**2, other.output_noise_, rtol=rtol)
+    if hasattr(other, "relevant_"):
+        np.testing.assert_array_equal(model.relevant_, other.relevant_)

@@ -1,0 +1,123 @@
+"""The zero-phase low-pass: its frequency response, edges, chunks and decimation."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sklearn_vbjfa._core import _lowpass
+
+# Sample period and cut-off from a tenth to a third of the Nyquist frequency.
+DESIGNS = [(0.01, 5.0), (0.002, 20.0), (1e-3, 150.0), (1.0, 0.05)]
+
+
+def response(filt, frequency, dt):
+    """Amplitude at frequencies; real, because the taps are symmetric."""
+    k = np.arange(-filt.half, filt.half + 1)
+    return np.cos(2 * np.pi * np.outer(frequency, k) * dt) @ filt.taps
+
+
+@pytest.mark.parametrize(("dt", "cutoff"), DESIGNS)
+def test_frequency_response(dt, cutoff):
+    filt = _lowpass.design(dt, cutoff)
+    assert_allclose(response(filt, [0.0], dt), 1.0, rtol=1e-14)
+    # Half amplitude within 5 %, everything 1.5 times above it below -55 dB.
+    low, high = response(filt, np.array([0.95, 1.05]) * cutoff, dt)
+    assert low > 0.5 > high
+    stop = response(filt, np.linspace(1.5 * cutoff, 0.5 / dt, 2000), dt)
+    assert 20 * np.log10(np.abs(stop).max()) < -55
+    # The transition band is as wide on the other side.
+    passed = response(filt, np.linspace(0.0, 0.5 * cutoff, 500), dt)
+    assert_allclose(passed, 1.0, atol=2e-3)
+
+
+@pytest.mark.parametrize(("dt", "cutoff"), DESIGNS)
+def test_zero_phase(dt, cutoff):
+    filt = _lowpass.design(dt, cutoff, step=1)
+    assert_array_equal(filt.taps, filt.taps[::-1])
+    impulse = np.zeros(4 * filt.half + 1)
+    impulse[2 * filt.half] = 1.0
+    centres = filt.centres(impulse.size)
+    answer = filt(impulse)
+    assert_allclose(answer, filt.taps, atol=1e-15)
+    assert centres[np.argmax(answer)] == 2 * filt.half
+
+
+@pytest.mark.parametrize("step", [1, 2, 3, 7])
+@pytest.mark.parametrize("n", [61, 100, 101])
+def test_decimation_picks_the_centres(n, step):
+    rng = np.random.default_rng(n)
+    x = rng.normal(size=(n, 2, 3))
+    every = _lowpass.design(0.01, 12.0, step=1)
+    some = _lowpass.design(0.01, 12.0, step=step)
+    assert 2 * every.half < n
+    centres = some.centres(n)
+    assert centres[0] == some.half
+    assert_array_equal(np.diff(centres), step)
+    assert centres[-1] <= n - 1 - some.half < centres[-1] + step
+    result = some(x)
+    assert result.shape == (centres.size, 2, 3)
+    assert_allclose(result, every(x)[centres - every.half], rtol=0, atol=1e-15)
+    # and each is the plain weighted sum around its centre
+    for row, centre in zip(result, centres):
+        around = x[centre - some.half : centre + some.half + 1]
+        expected = np.einsum("k,kij->ij", some.taps, around)
+        assert_allclose(row, expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("step", [1, 4])
+@pytest.mark.parametrize("n_chunks", [2, 5])
+def test_chunks_equal_the_whole(n_chunks, step):
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(400, 3))
+    filt = _lowpass.design(0.01, 10.0, step=step)
+    whole = filt(x)
+    outputs = np.array_split(np.arange(len(whole)), n_chunks)
+    pieces = []
+    for at in outputs:
+        first, last = at[0] * step, at[-1] * step + 2 * filt.half
+        pieces.append(filt(x[first : last + 1]))
+    assert [len(piece) for piece in pieces] == [at.size for at in outputs]
+    assert_allclose(np.concatenate(pieces), whole, rtol=0, atol=1e-14)
+
+
+def test_too_short_a_recording_gives_no_output():
+    filt = _lowpass.design(0.01, 5.0)
+    assert filt(np.ones((2 * filt.half, 3))).shape == (0, 3)
+    assert filt.centres(2 * filt.half).size == 0
+    assert_allclose(filt(np.ones((2 * filt.half + 1, 3))), np.ones((1, 3)), rtol=1e-14)
+
+
+@pytest.mark.parametrize("cutoff", [np.inf, 50.0, 200.0])
+def test_nothing_is_filtered_at_or_above_the_nyquist_frequency(cutoff):
+    x = np.random.default_rng(1).normal(size=(20, 2))
+    assert_array_equal(_lowpass.design(0.01, cutoff)(x), x)
+    assert_array_equal(_lowpass.design(0.01, cutoff, step=3)(x), x[::3])
+
+
+@pytest.mark.parametrize(("dt", "cutoff"), DESIGNS)
+def test_default_decimation_keeps_four_samples_per_period(dt, cutoff):
+    filt = _lowpass.design(dt, cutoff)
+    assert filt.step * dt <= 0.25 / cutoff * (1 + 1e-12)
+    assert (filt.step + 1) * dt > 0.25 / cutoff
+
+
+def test_average_of_weights():
+    filt = _lowpass.design(0.01, 8.0)
+    rng = np.random.default_rng(2)
+    weight = (rng.uniform(size=(500, 2)) < 0.5).astype(float)
+    average = filt.average(weight)
+    assert average.shape == (filt.centres(500).size, 2)
+    # Negative taps must not make weights negative or above one; rounding may.
+    assert average.min() >= -1e-15
+    assert average.max() <= 1 + 1e-15
+    assert_allclose(filt.average(np.ones((500, 1))), 1.0, rtol=1e-14)
+    weight = np.ones(500)
+    weight[200] = 0.0
+    touched = np.abs(filt.centres(500) - 200) < filt.half
+    assert_array_equal(filt.average(weight) < 1 - 1e-12, touched)
+
+
+def test_linear_motion_passes_unchanged():
+    x = np.linspace(-2.0, 3.0, 200)
+    filt = _lowpass.design(0.01, 10.0)
+    assert_allclose(filt(x), x[filt.centres(200)], atol=1e-13)

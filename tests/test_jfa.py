@@ -1,0 +1,309 @@
+"""JFA regression: limits, invariances, attributes and messages."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.stats import multivariate_normal
+from sklearn.exceptions import ConvergenceWarning
+
+from sklearn_vbjfa import JFARegressor
+from tests._regressions import assert_same_fit, least_squares, make_regression
+from tests.reference import paper_jfa as ref
+
+
+def params_of(model):
+    """Fitted point estimates as the reference's parameters."""
+    return ref.JFAParams(
+        w_z=model.w_z_mean_,
+        w_x=model.w_x_mean_,
+        psi_y=model.psi_y_,
+        psi_z=model.psi_z_,
+        psi_x=model.input_noise_,
+    )
+
+
+def test_history_ends_at_the_likelihood_in_the_users_units():
+    X, y, _ = make_regression(0)
+    X = X * [0.1, 1.0, 5.0, 2.0] + 7.0
+    model = JFARegressor(tol=1e-12).fit(X, y)
+    expected = ref.jfa_loglik(params_of(model), X - X.mean(axis=0), y - y.mean())
+    assert_allclose(model.elbo_history_[-1], expected, rtol=1e-9)
+
+
+def test_coefficients_follow_from_the_loadings():
+    X, y, _ = make_regression(1)
+    model = JFARegressor().fit(X, y)
+    params = params_of(model)
+    noisy = ref.beta_noise_closed(params.w_z, params.w_x, params.psi_x)
+    assert_allclose(model.coef_noisy_, noisy, rtol=1e-12)
+    assert_allclose(model.coef_, ref.beta_true_closed(params.w_z, params.w_x))
+    assert_allclose(model.output_noise_, params.psi_y + params.psi_z.sum())
+
+
+@pytest.mark.parametrize("initial", [0.05, 0.3, 0.8])
+def test_noisy_coefficients_are_least_squares_at_convergence(initial):
+    X, y, _ = make_regression(2, 500)
+    model = JFARegressor(initial_input_noise=initial, tol=1e-13).fit(X, y)
+    # A gain of 1e-13 per sample is left, whose root is 3e-7.
+    assert_allclose(model.coef_noisy_, least_squares(X, y), rtol=1e-5)
+
+
+def test_exact_inputs_give_least_squares():
+    X, y, _ = make_regression(3)
+    model = JFARegressor(input_noise=0, tol=1e-13).fit(X, y)
+    ols = least_squares(X, y)
+    assert_allclose(model.coef_, ols, rtol=1e-5)
+    assert_allclose(model.coef_noisy_, ols, rtol=1e-5)
+    residual = y - y.mean() - (X - X.mean(axis=0)) @ ols
+    assert_allclose(model.output_noise_, np.mean(residual**2), rtol=1e-6)
+
+
+def test_known_noise_recovers_the_coefficients():
+    X, y, coef = make_regression(4, 20_000, noise=0.5)
+    model = JFARegressor(input_noise=np.full(4, 0.25), tol=1e-10).fit(X, y)
+    # Noise of y given x has a variance of 0.2 |coef|^2 + 0.09, less than 1.5: a
+    # deviation of sqrt(1.5 / 20000) * 1.25 = 0.011, of which four.
+    assert_allclose(model.coef_, coef, atol=0.045)
+    assert np.abs(model.coef_noisy_ - coef).max() > 0.1
+    assert_allclose(model.coef_noisy_, coef / 1.25, atol=0.04)
+
+
+def test_covariance_is_the_curvature_of_the_likelihood():
+    X, y, _ = make_regression(5, 60, 3)
+    model = JFARegressor(input_noise=0.2).fit(X, y)
+    X, y, params = X - X.mean(axis=0), y - y.mean(), params_of(model)
+    variance = params.w_x**2 + params.psi_x
+    s = params.psi_y + np.sum(params.psi_z + params.w_z**2 * params.psi_x / variance)
+
+    def loglik(shift):
+        # c moves, Var[y | x] stays: what w_z adds to it is taken from psi_y.
+        w_z = params.w_z + shift * variance / params.w_x
+        own = np.sum(params.psi_z + w_z**2 * params.psi_x / variance)
+        moved = ref.JFAParams(
+            w_z=w_z,
+            w_x=params.w_x,
+            psi_y=s - own,
+            psi_z=params.psi_z,
+            psi_x=params.psi_x,
+        )
+        return np.sum(
+            multivariate_normal.logpdf(
+                np.column_stack([X, y]), cov=ref.joint_covariance(moved)[6:, 6:]
+            )
+        )
+
+    step = 1e-3
+    eye = step * np.eye(3)
+    curvature = np.empty((3, 3))
+    for i in range(3):
+        for j in range(3):
+            curvature[i, j] = (
+                loglik(eye[i] + eye[j])
+                - loglik(eye[i] - eye[j])
+                - loglik(eye[j] - eye[i])
+                + loglik(-eye[i] - eye[j])
+            ) / (4 * step**2)
+    lift = variance / params.w_x**2  # coef_ = c * lift
+    expected = np.linalg.inv(-curvature) * np.outer(lift, lift)
+    # The log-likelihood is quadratic in c; rounding 1e-13 / step^2 remains.
+    assert_allclose(model.coef_cov_, expected, rtol=1e-5, atol=1e-9)
+    assert_allclose(model.coef_std_, np.sqrt(np.diagonal(expected)), rtol=1e-5)
+
+
+@settings(max_examples=8, derandomize=True, deadline=None)
+@given(
+    seed=st.integers(0, 2**20),
+    x_power=st.integers(-6, 6),
+    y_power=st.integers(-6, 6),
+    order=st.permutations(range(4)),
+    flips=st.lists(st.sampled_from([-1.0, 1.0]), min_size=4, max_size=4),
+)
+def test_units_signs_and_order(seed, x_power, y_power, order, flips):
+    X, y, _ = make_regression(seed, 80)
+    order, x_unit = np.array(order), np.array(flips)
+    x_unit[seed % 4] *= 10.0**x_power
+    y_unit = -(10.0**y_power)
+    plain = JFARegressor(tol=1e-9).fit(X, y)
+    rows = np.random.default_rng(seed).permutation(80)
+    model = JFARegressor(tol=1e-9).fit((X * x_unit)[rows][:, order], y[rows] * y_unit)
+    for name in ("coef_", "coef_noisy_", "coef_std_", "input_noise_"):
+        back = np.empty(4)
+        back[order] = getattr(model, name)
+        setattr(model, name, back)
+    assert_same_fit(model, plain, x_unit=x_unit, y_unit=y_unit)
+
+
+def test_history_in_other_units_is_shifted_by_their_logarithm():
+    X, y, _ = make_regression(6)
+    plain = JFARegressor().fit(X, y).elbo_history_[-1]
+    scaled = JFARegressor().fit(X * [10.0, 1.0, 1.0, 1.0], y / 100).elbo_history_[-1]
+    # a density in a unit ten times smaller is ten times smaller
+    assert_allclose(scaled, plain + 300 * (np.log(100) - np.log(10)), rtol=1e-9)
+
+
+@pytest.mark.parametrize("chunks", [2, 7])
+def test_chunks_in_any_order_equal_the_whole(chunks):
+    X, y, _ = make_regression(7, 100)
+    weight = np.random.default_rng(7).uniform(0.5, 2.0, 100)
+    whole = JFARegressor(tol=1e-9).fit(X, y, sample_weight=weight)
+    model = JFARegressor(tol=1e-9)
+    for rows in reversed(np.array_split(np.arange(100), chunks)):
+        model.partial_fit(X[rows], y[rows], sample_weight=weight[rows])
+    assert_same_fit(model, whole)
+
+
+def test_weights_are_repetitions():
+    X, y, _ = make_regression(8, 60)
+    count = np.random.default_rng(8).integers(0, 3, 60)
+    weighted = JFARegressor(tol=1e-9).fit(X, y, sample_weight=count.astype(float))
+    rows = np.repeat(np.arange(60), count)
+    assert_same_fit(weighted, JFARegressor(tol=1e-9).fit(X[rows], y[rows]))
+
+
+def test_large_offset():
+    X, y, _ = make_regression(9)
+    centred = JFARegressor().fit(X, y)
+    model = JFARegressor().fit(X + 1e8, y - 1e3)
+    # Columns of spread 1 at 1e8 are themselves rounded to 1.5e-8.
+    assert_allclose(model.coef_, centred.coef_, rtol=1e-6)
+    assert_allclose(model.coef_noisy_, centred.coef_noisy_, rtol=1e-6)
+    assert_allclose(model.predict(X + 1e8), centred.predict(X) - 1e3, atol=1e-5)
+
+
+def test_without_intercept_moments_are_about_zero():
+    X, y, _ = make_regression(10)
+    model = JFARegressor(fit_intercept=False, input_noise=0, tol=1e-13).fit(X + 1, y)
+    assert model.intercept_ == model.intercept_noisy_ == 0.0
+    expected = np.linalg.lstsq(X + 1, y, rcond=None)[0]
+    assert_allclose(model.coef_, expected, rtol=1e-4)
+
+
+def test_queries_and_their_deviations():
+    X, y, _ = make_regression(11, 5000)
+    model = JFARegressor(input_noise=np.full(4, 0.16), tol=1e-10).fit(X, y)
+    mean, std = model.predict(X, return_std=True)
+    assert_allclose(mean, X @ model.coef_ + model.intercept_)
+    # 5000 samples for four coefficients: 1e-3 of the noise, at three deviations 1e-2,
+    # and twice as much again in the noise's own share.
+    assert_allclose(std**2, model.output_noise_, rtol=0.1)
+    assert (std**2 > model.output_noise_).all()
+    model.set_params(query="noisy")
+    mean, std = model.predict(X, return_std=True)
+    assert_allclose(mean, X @ model.coef_noisy_ + model.intercept_noisy_)
+    # The deviation of the training residuals, to the square root of 2 / 5000.
+    assert_allclose(std.mean(), np.std(y - mean), rtol=0.01)
+
+
+def test_constant_column_is_left_out():
+    X, y, _ = make_regression(12)
+    without = JFARegressor().fit(X, y)
+    model = JFARegressor().fit(np.insert(X, 2, 0.1, axis=1), y)
+    assert model.coef_[2] == model.coef_noisy_[2] == 0.0
+    assert np.isinf(model.coef_std_[2])
+    kept = [0, 1, 3, 4]
+    assert_allclose(model.coef_[kept], without.coef_, rtol=1e-9)
+    assert_allclose(model.coef_std_[kept], without.coef_std_, rtol=1e-9)
+    Xq = np.insert(X[:2], 2, [0.1, 0.2], axis=1)
+    _, std = model.predict(Xq, return_std=True)
+    assert np.isfinite(std[0])
+    assert np.isinf(std[1])
+
+
+def test_duplicate_columns_stay_finite():
+    X, y, _ = make_regression(13)
+    model = JFARegressor().fit(np.column_stack([X, X[:, 0]]), y)
+    assert np.isfinite(model.coef_).all()
+    assert_allclose(model.coef_[0], model.coef_[4], rtol=1e-9)
+    assert_array_equal(np.isinf(model.coef_std_), [True, False, False, False, True])
+    # The copies share what the column alone would have.
+    shared = model.coef_noisy_[0] + model.coef_noisy_[4]
+    assert_allclose(shared, least_squares(X, y)[0], rtol=0.01)
+
+
+@pytest.mark.parametrize("value", [0.0, 0.1, -1e9 / 3])
+def test_constant_output_is_the_intercept(value):
+    X, _, _ = make_regression(14)
+    model = JFARegressor().fit(X, np.full(300, value))
+    assert_array_equal(model.coef_, np.zeros(4))
+    assert_allclose(model.predict(X), value, rtol=1e-14)
+    assert model.output_noise_ == 0.0
+    assert model.converged_
+
+
+def test_more_features_than_samples_keeps_rows_and_no_statistics():
+    X, y, _ = make_regression(15, 10, 15)
+    model = JFARegressor(input_noise=0.2).fit(X, y)
+    assert model.statistics_ is None
+    assert np.isfinite(model.coef_).all()
+    through_statistics = JFARegressor(input_noise=0.2).partial_fit(X, y)
+    assert_allclose(model.coef_noisy_, through_statistics.coef_noisy_, atol=1e-6)
+    with pytest.raises(ValueError, match=r"fewer samples than features.*partial_fit"):
+        model.partial_fit(X, y)
+
+
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        (np.nan, r"must be finite, got NaN or infinity"),
+        ([0.1, np.inf, 0.1, 0.1], r"must be finite"),
+        (1.0, r"fraction of each input's variance in \[0, 1\), got 1;"),
+        (-0.1, r"in \[0, 1\), got -0\.1"),
+        ([0.1, 0.1, -0.5, 0.1], r"must not be negative, got -0\.5 for feature 2"),
+        ([0.1, 0.1], r"shape \(4,\) or a covariance of shape \(4, 4\).*shape \(2,\)"),
+        (np.eye(4) + np.eye(4, k=1), r"must be symmetric, got 1 at \(0, 1\) and 0"),
+        (np.eye(4) - 2 * (np.eye(4, k=1) + np.eye(4, k=-1)), r"positive semidefinite"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), r"positive semidefinite"),
+        (np.eye(4) + 0.1, r'covariances between inputs needs latent="correlated"'),
+    ],
+)
+def test_bad_input_noise(noise, message):
+    X, y, _ = make_regression(16)
+    with pytest.raises(ValueError, match=message):
+        JFARegressor(input_noise=noise).fit(X, y)
+
+
+def test_diagonal_covariance_is_its_variances():
+    X, y, _ = make_regression(17)
+    noise = np.array([0.1, 0.05, 0.2, 0.15])
+    first = JFARegressor(input_noise=noise).fit(X, y)
+    second = JFARegressor(input_noise=np.diag(noise)).fit(X, y)
+    assert_array_equal(first.coef_, second.coef_)
+    assert_allclose(first.input_noise_, noise, rtol=1e-12)
+
+
+def test_noise_beyond_the_variance_is_named():
+    X, y, _ = make_regression(18)
+    noise = np.array([0.1, 5.0, 0.1, 5.0])
+    with pytest.warns(UserWarning, match=r"whole variance of 2 input\(s\) \(1, 3\)"):
+        model = JFARegressor(input_noise=noise).fit(X, y)
+    assert_array_equal(model.coef_ == 0, [False, True, False, True])
+    assert np.isfinite(model.coef_noisy_).all()
+
+
+def test_too_few_iterations_are_reported():
+    X, y, _ = make_regression(19)
+    with pytest.warns(ConvergenceWarning, match=r"max_iter=3 iterations with a gain"):
+        model = JFARegressor(max_iter=3, tol=0).fit(X, y)
+    assert not model.converged_
+    assert model.n_iter_ == 3
+
+
+def test_heywood_case_is_named():
+    # Started almost exact, and exact: the inputs' noise is not above its floor.
+    X, y, _ = make_regression(20, noise=0.0)
+    with pytest.warns(UserWarning, match=r"input\(s\) \(0, 1, 2, 3\) went to zero"):
+        model = JFARegressor(initial_input_noise=1e-16).fit(X, y)
+    assert_array_equal(model.heywood_, [True] * 4)
+
+
+def test_default_fit_is_silent():
+    X, y, _ = make_regression(21)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model = JFARegressor().fit(X, y)
+    assert model.converged_
+    assert len(model.elbo_history_) <= model.n_iter_

@@ -1,0 +1,89 @@
+"""Locally weighted regression."""
+
+import numpy as np
+import pytest
+from sklearn.linear_model import LinearRegression
+from sklearn.utils.estimator_checks import parametrize_with_checks
+
+from sklearn_vbjfa import LocallyWeightedRegressor, VBJFARegressor
+
+
+def make_curve(seed, n=3000, noise=0.15):
+    """Smooth function of two inputs with noise in inputs and output."""
+    rng = np.random.default_rng(seed)
+
+    def function(t):
+        return np.sin(1.5 * t[:, 0]) + 0.5 * t[:, 1] ** 2
+
+    t = rng.uniform(-2, 2, size=(n, 2))
+    X = t + noise * rng.normal(size=t.shape)
+    y = function(t) + 0.1 * rng.normal(size=n)
+    t_test = rng.uniform(-1.8, 1.8, size=(1000, 2))
+    return X, y, t_test, function(t_test)
+
+
+@parametrize_with_checks([LocallyWeightedRegressor(n_models=3)])
+def test_estimator(estimator, check):
+    check(estimator)
+
+
+def test_beats_a_global_fit_on_a_curve():
+    X, y, X_test, y_test = make_curve(0)
+    local = LocallyWeightedRegressor(n_models=25).fit(X, y)
+    whole = VBJFARegressor().fit(X, y)
+
+    def error(model):
+        return np.mean((model.predict(X_test) - y_test) ** 2) / y_test.var()
+
+    # The curve is far from linear: the global fit leaves most of it.
+    assert error(whole) > 0.4
+    assert error(local) < 0.25 * error(whole)
+
+
+def test_one_model_is_the_global_regressor():
+    X, y, X_test, _ = make_curve(1, n=300)
+    local = LocallyWeightedRegressor(LinearRegression(), n_models=1)
+    whole = LinearRegression().fit(X, y)
+    # Weights of 1 - 1e-12 at the most: the width is a million deviations.
+    np.testing.assert_allclose(
+        local.fit(X, y).predict(X_test), whole.predict(X_test), rtol=1e-6
+    )
+
+
+def test_a_linear_function_is_reproduced_everywhere():
+    rng = np.random.default_rng(2)
+    X = rng.normal(size=(500, 3))
+    y = X @ [1.0, -2.0, 3.0] + 4.0
+    model = LocallyWeightedRegressor(LinearRegression()).fit(X, y)
+    far = 50 * rng.normal(size=(20, 3))
+    np.testing.assert_allclose(
+        model.predict(far), far @ [1.0, -2.0, 3.0] + 4.0, rtol=1e-8
+    )
+
+
+def clusters(seed):
+    """Inputs in four well separated heaps: k-means has one solution."""
+    rng = np.random.default_rng(seed)
+    centre = np.array([[0, 0], [10, 0], [0, 10], [10, 10]])[rng.integers(4, size=400)]
+    X = centre + rng.normal(size=(400, 2))
+    return X, np.sin(X[:, 0]) + 0.3 * X[:, 1]
+
+
+@pytest.mark.parametrize("scale", [1e-6, 1e6])
+def test_units_do_not_matter(scale):
+    X, y = clusters(3)
+    unit = np.array([scale, 1.0])
+    model = LocallyWeightedRegressor(LinearRegression(), n_models=4)
+    plain = model.fit(X, y).predict(X)
+    scaled = model.fit(X * unit, y).predict(X * unit)
+    np.testing.assert_allclose(scaled, plain, rtol=1e-6)
+
+
+def test_weight_two_is_the_row_twice():
+    X, y = clusters(4)
+    weight = np.ones(400)
+    weight[:100] = 2.0
+    model = LocallyWeightedRegressor(LinearRegression(), n_models=4)
+    weighted = model.fit(X, y, sample_weight=weight).predict(X)
+    twice = model.fit(np.vstack([X, X[:100]]), np.r_[y, y[:100]]).predict(X)
+    np.testing.assert_allclose(weighted, twice, rtol=1e-8)

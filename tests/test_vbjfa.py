@@ -1,0 +1,335 @@
+"""VB-JFA regression: its three models, their limits, invariances and messages."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.utils._param_validation import InvalidParameterError
+
+from sklearn_vbjfa import VBJFARegressor
+from tests._regressions import assert_same_fit, least_squares, make_regression
+from tests.reference import paper_jfa as ref
+
+
+def make_model(kind, **params):
+    """Return the estimator of a model by name."""
+    if kind == "correlated":
+        options = {"latent": "correlated", "selection": False, "input_noise": 0.1}
+    elif kind == "auto":
+        options = {}
+    else:
+        options = {"latent": "independent", "prior": kind}
+    return VBJFARegressor(**{"tol": 1e-8, **options, **params})
+
+
+MODELS = ["paper", "noise", "correlated", "auto"]
+INDEPENDENT = ["paper", "noise"]
+
+
+def test_paper_model_ends_at_a_step_of_the_paper():
+    X, y, _ = make_regression(0, 50, 3)
+    X, y = X - X.mean(axis=0), y - y.mean()
+    X, y = X / X.std(axis=0), y / y.std()
+    model = make_model("paper", tol=1e-9).fit(X, y)
+    shape = np.full(3, 1e-6 + 1.0)
+    params = ref.VBParams(
+        w_z_mean=model.w_z_mean_,
+        w_z_var=model.w_z_var_,
+        w_x_mean=model.w_x_mean_,
+        w_x_var=model.w_x_var_,
+        alpha_shape=shape,
+        alpha_rate=shape / model.alpha_,
+        psi_y=model.psi_y_,
+        psi_z=model.psi_z_,
+        psi_x=model.input_noise_,
+    )
+    # The literal bound of the fitted posterior is the last of the history, and a
+    # literal iteration moves nothing by more than the gain of 1e-9 per sample allows.
+    assert_allclose(
+        model.elbo_history_[-1], ref.elbo(params, X, y, 1e-6, 1e-6), rtol=1e-7
+    )
+    step = ref.vb_step(params, X, y, 1e-6, 1e-6)
+    assert_allclose(step.w_z_mean, model.w_z_mean_, rtol=1e-3)
+    assert_allclose(step.w_x_mean, model.w_x_mean_, rtol=1e-3)
+    assert_allclose(step.psi_x, model.input_noise_, rtol=1e-3)
+    literal = ref.beta_true_eq29(
+        model.w_z_mean_, model.w_x_mean_, model.psi_y_, model.psi_z_
+    )
+    assert_allclose(model.coef_, literal, rtol=1e-6)
+
+
+@pytest.mark.parametrize("kind", INDEPENDENT)
+def test_noisy_coefficients_tend_to_least_squares(kind):
+    X, y, _ = make_regression(1, 20_000)
+    model = make_model(kind).fit(X, y)
+    # ARD takes a share of 1 / n of each coefficient, and the stop leaves 1e-4.
+    assert_allclose(model.coef_noisy_, least_squares(X, y), rtol=1e-3)
+
+
+@pytest.mark.parametrize("kind", ["paper", "noise", "correlated"])
+def test_known_noise_recovers_the_coefficients(kind):
+    X, y, coef = make_regression(2, 20_000, noise=0.5)
+    model = make_model(kind, input_noise=np.full(4, 0.25)).fit(X, y)
+    # As for JFA: a deviation of at most 0.011, of which four.
+    assert_allclose(model.coef_, coef, atol=0.045)
+    assert_allclose(model.coef_noisy_, coef / 1.25, atol=0.04)
+    assert_allclose(np.diagonal(np.atleast_2d(model.input_noise_)).max(), 0.25)
+    assert model.relevant_.all()
+
+
+def test_known_noise_covariance_of_correlated_inputs():
+    rng = np.random.default_rng(3)
+    mix, root = rng.normal(size=(2, 3, 3))
+    n, coef = 50_000, np.array([1.0, -2.0, 0.5])
+    t = rng.normal(size=(n, 3)) @ (mix + 2 * np.eye(3))
+    X = t + 0.4 * rng.normal(size=t.shape) @ root
+    y = t @ coef + 0.3 * rng.normal(size=n)
+    psi = 0.16 * root.T @ root
+    model = make_model("correlated", input_noise=psi).fit(X * [1, 100, 1] + 5, y)
+    corrected = np.linalg.solve(np.cov(X.T, ddof=0) - psi, np.cov(X.T, y)[:3, 3])
+    unit = np.array([1, 100, 1])
+    # The variational answer is that of the moments up to the prior, 1 / n.
+    assert_allclose(model.coef_ * unit, corrected, rtol=2e-3)
+    # Within four of its own deviations of the truth, which least squares is not.
+    deviation = np.abs(model.coef_ * unit - coef) / (model.coef_std_ * unit)
+    assert deviation.max() < 4
+    off = np.abs(least_squares(X, y) - coef) / (model.coef_std_ * unit)
+    assert off.max() > 10
+
+
+def test_zero_noise_is_ard_regression():
+    X, y, _ = make_regression(4, 100, 5)
+    y = y - X[:, 0] * least_squares(X, y)[0]
+    model = VBJFARegressor(latent="correlated", input_noise=0, tol=1e-14)
+    model.fit(X, y)
+    # A literal variational ARD regression on standardised data.
+    A, b = X - X.mean(axis=0), y - y.mean()
+    x_unit, y_unit = A.std(axis=0), b.std()
+    A, b, s2, alpha = A / x_unit, b / y_unit, 1.0, np.ones(5)
+    for _ in range(3000):
+        cov = np.linalg.inv(A.T @ A / s2 + np.diag(alpha))
+        mean = cov @ A.T @ b / s2
+        square = mean**2 + np.diagonal(cov)
+        alpha = (1e-6 + 0.5) / (1e-6 + 0.5 * square)
+        s2 = (np.sum((b - A @ mean) ** 2) + np.trace(A.T @ A @ cov)) / 100
+    # In units of the largest: what ARD switches off creeps to zero.
+    scale = np.abs(mean).max()
+    assert_allclose(model.coef_ * x_unit / y_unit, mean, atol=1e-6 * scale)
+    std = np.sqrt(np.diagonal(cov))
+    kept = np.arange(5) > 0
+    assert_allclose((model.coef_std_ * x_unit / y_unit)[kept], std[kept], rtol=1e-6)
+    assert_allclose(model.output_noise_ / y_unit**2, s2, rtol=1e-6)
+    assert_allclose((model.alpha_ * y_unit**2)[kept], alpha[kept], rtol=1e-6)
+    assert_array_equal(model.relevant_, kept)
+    assert_array_equal(model.input_noise_, np.zeros((5, 5)))
+
+
+@pytest.mark.parametrize("kind", INDEPENDENT)
+def test_covariance_is_that_of_a_bayesian_regression(kind):
+    X, y, coef = make_regression(5, 200, 4)
+    y = y - coef[0] * X[:, 0]  # the first input is left with its noise alone
+    model = make_model(kind).fit(X, y)
+    A = X - X.mean(axis=0)
+    variance = model.w_x_mean_**2 + model.input_noise_
+    # With z and t integrated out y | x ~ N(A (w_x / V * w_z), s); w_z has the prior
+    # precision alpha, and coef_ is w_z / w_x.
+    s = model._noisy_query_noise
+    jacobian = A * (model.w_x_mean_ / variance)
+    cov = np.linalg.inv(jacobian.T @ jacobian / s + np.diag(model.alpha_))
+    kept = model.relevant_
+    expected = cov / np.outer(model.w_x_mean_, model.w_x_mean_)
+    assert kept[1:].all()
+    # An input's covariance with the first one is left out of the comparison: that
+    # input is switched off, and keeps the scale of the noisy coefficient.
+    both = np.ix_(kept, kept)
+    assert_allclose(
+        model.coef_cov_[both], expected[both], atol=1e-6 * expected[both].max()
+    )
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_irrelevant_inputs_are_switched_off(kind):
+    rng = np.random.default_rng(6)
+    X, y, _ = make_regression(6, 2000, 3)
+    model = make_model(kind).fit(np.column_stack([X, rng.normal(size=(2000, 1))]), y)
+    # One input in twenty passes two deviations; this one does not.
+    assert_array_equal(model.relevant_, [True, True, True, False])
+    if kind != "correlated":
+        assert model.coef_[3] == 0.0
+    assert abs(model.coef_[3]) < 0.1 * np.abs(model.coef_[:3]).min()
+
+
+@settings(max_examples=6, derandomize=True, deadline=None)
+@given(
+    seed=st.integers(0, 2**20),
+    x_power=st.integers(-6, 6),
+    y_power=st.integers(-6, 6),
+    order=st.permutations(range(4)),
+    flips=st.lists(st.sampled_from([-1.0, 1.0]), min_size=4, max_size=4),
+)
+@pytest.mark.parametrize("kind", MODELS)
+def test_units_signs_and_order(kind, seed, x_power, y_power, order, flips):
+    X, y, _ = make_regression(seed, 80)
+    order, x_unit = np.array(order), np.array(flips)
+    x_unit[seed % 4] *= 10.0**x_power
+    y_unit = -(10.0**y_power)
+    plain = make_model(kind).fit(X, y)
+    rows = np.random.default_rng(seed).permutation(80)
+    model = make_model(kind).fit((X * x_unit)[rows][:, order], y[rows] * y_unit)
+    for name in ("coef_", "coef_noisy_", "coef_std_", "relevant_"):
+        value = getattr(model, name)
+        setattr(model, name, value[np.argsort(order)])
+    noise, back = model.input_noise_, np.argsort(order)
+    model.input_noise_ = noise[back] if noise.ndim == 1 else noise[np.ix_(back, back)]
+    assert_same_fit(model, plain, x_unit=x_unit, y_unit=y_unit, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_history_counts_the_units_of_what_it_is_a_density_of(kind):
+    X, y, _ = make_regression(7, 100)
+    plain = make_model(kind).fit(X, y).elbo_history_[-1]
+    scaled_X = make_model(kind).fit(X * [10, 1, 1, 1], y).elbo_history_[-1]
+    scaled_y = make_model(kind).fit(X, 10 * y).elbo_history_[-1]
+    joint = kind in INDEPENDENT
+    shift = 100 * np.log(10)
+    assert_allclose(scaled_X, plain - shift * joint, rtol=1e-8)
+    assert_allclose(scaled_y, plain - shift, rtol=1e-8)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_history_never_falls(kind):
+    X, y, _ = make_regression(8, 60, 6)
+    model = make_model(kind).fit(X, y)
+    history = model.elbo_history_
+    assert np.diff(history).min() >= -1e-10 * np.abs(history).max()
+    assert model.converged_
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_chunks_weights_and_rows_twice(kind):
+    X, y, _ = make_regression(9, 90)
+    count = np.random.default_rng(9).integers(0, 3, 90)
+    rows = np.repeat(np.arange(90), count)
+    repeated = make_model(kind).fit(X[rows], y[rows])
+    weight = count.astype(float)
+    weighted = make_model(kind).fit(X, y, sample_weight=weight)
+    assert_same_fit(weighted, repeated, rtol=1e-5)
+    chunked = make_model(kind)
+    for part in reversed(np.array_split(np.arange(90), 4)):
+        chunked.partial_fit(X[part], y[part], sample_weight=weight[part])
+    assert_same_fit(chunked, repeated, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_large_offset(kind):
+    X, y, _ = make_regression(10)
+    centred = make_model(kind).fit(X, y)
+    model = make_model(kind).fit(X + 1e8, y - 1e3)
+    # Columns of spread 1 at 1e8 are themselves rounded to 1.5e-8.
+    assert_allclose(model.coef_, centred.coef_, rtol=1e-5, atol=1e-7)
+    assert_allclose(model.coef_noisy_, centred.coef_noisy_, rtol=1e-5, atol=1e-7)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_constant_column(kind):
+    X, y, _ = make_regression(11)
+    without = make_model(kind).fit(X, y)
+    model = make_model(kind).fit(np.insert(X, 1, 0.1, axis=1), y)
+    kept = [0, 2, 3, 4]
+    assert model.coef_[1] == model.coef_noisy_[1] == 0.0
+    assert np.isinf(model.coef_std_[1])
+    assert np.isinf(model.alpha_[1])
+    assert not model.relevant_[1]
+    assert_allclose(model.coef_[kept], without.coef_, rtol=1e-6)
+    assert np.isfinite(model.coef_std_[kept]).all()
+    assert np.isfinite(model.input_noise_).all()
+    _, std = model.predict(np.insert(X, 1, 0.1, axis=1), return_std=True)
+    assert np.isfinite(std).all()
+
+
+@pytest.mark.parametrize("kind", MODELS)
+def test_duplicate_columns_stay_finite(kind):
+    X, y, _ = make_regression(12)
+    alone = make_model(kind).fit(X, y)
+    model = make_model(kind).fit(np.column_stack([X, X[:, 0]]), y)
+    assert np.isfinite(model.coef_).all()
+    assert np.isfinite(model.coef_std_).all()
+    assert_allclose(model.coef_[0], model.coef_[4], rtol=1e-3)
+    shared = model.coef_noisy_[0] + model.coef_noisy_[4]
+    assert_allclose(shared, alone.coef_noisy_[0], rtol=0.1)
+
+
+@pytest.mark.parametrize("kind", MODELS)
+@pytest.mark.parametrize("value", [0.0, -1e9 / 3])
+def test_constant_output_is_the_intercept(kind, value):
+    X, _, _ = make_regression(13)
+    model = make_model(kind).fit(X, np.full(300, value))
+    assert_array_equal(model.coef_, np.zeros(4))
+    assert_allclose(model.predict(X), value, rtol=1e-14)
+    assert not model.relevant_.any()
+    assert model.output_noise_ == 0.0
+
+
+@pytest.mark.parametrize("kind", INDEPENDENT)
+def test_rows_and_statistics_give_the_same_fit(kind):
+    X, y, _ = make_regression(14, 12, 18)
+    rows = make_model(kind).fit(X, y)
+    gram = make_model(kind).partial_fit(X, y)
+    assert rows.statistics_ is None
+    # Two ways to round, through some hundred iterations.
+    scale = np.abs(gram.coef_noisy_).max()
+    assert_allclose(rows.coef_noisy_, gram.coef_noisy_, atol=1e-4 * scale)
+    assert_allclose(rows.coef_std_, gram.coef_std_, rtol=1e-3)
+    with pytest.raises(ValueError, match=r"fewer samples than features.*partial_fit"):
+        rows.partial_fit(X, y)
+
+
+def test_noise_that_leaves_no_signal_is_named():
+    X, y, _ = make_regression(15)
+    noise = np.array([0.1, 5.0, 0.1, 0.1])
+    for kind in ("noise", "correlated"):
+        with pytest.warns(UserWarning, match=r"whole variance of 1 input\(s\) \(1\)"):
+            model = make_model(kind, input_noise=noise).fit(X, y)
+        # Nothing of the signal is in that column.
+        assert abs(model.coef_[1]) < 0.02
+        assert model.coef_[1] == 0.0 or kind == "correlated"
+        assert np.isfinite(model.coef_).all()
+
+
+def test_covariance_needs_correlated_latents():
+    X, y, _ = make_regression(16)
+    psi = 0.1 * np.eye(4) + 0.01
+    with pytest.raises(ValueError, match=r'needs latent="correlated"'):
+        make_model("noise", input_noise=psi).fit(X, y)
+    assert_allclose(
+        make_model("correlated", input_noise=psi).fit(X, y).input_noise_, psi
+    )
+
+
+@pytest.mark.parametrize("kind", ["paper", "correlated"])
+def test_too_few_iterations_are_reported(kind):
+    X, y, _ = make_regression(17)
+    with pytest.warns(ConvergenceWarning, match=r"after max_iter=2 iterations"):
+        model = make_model(kind, max_iter=2, tol=0).fit(X, y)
+    assert not model.converged_
+
+
+@pytest.mark.parametrize(
+    "params",
+    [
+        {"prior": "none"},
+        {"latent": "full"},
+        {"selection": "some"},
+        {"ard_rate": 0.0},
+        {"initial_input_noise": 1.0},
+        {"max_iter": 0},
+        {"query": "clean"},
+    ],
+)
+def test_invalid_parameters(params):
+    X, y, _ = make_regression(18)
+    (name,) = params
+    with pytest.raises(InvalidParameterError, match=f"The '{name}' parameter"):
+        VBJFARegressor(**params).fit(X, y)

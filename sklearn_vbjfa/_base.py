@@ -12,6 +12,10 @@ from sklearn_vbjfa._independent import fit_independent
 from sklearn_vbjfa._sklearn_compat import check_sample_weight
 
 
+# Up to this many features the scatter matrix is cheap, however few the rows are.
+_GRAM_FEATURES = 256
+
+
 def resolve_input_noise(input_noise, n_features):
     """Validate the user's input noise; return None, a fraction, (d,) or (d, d).
 
@@ -96,7 +100,8 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         weight = None
         if sample_weight is not None:
             weight = check_sample_weight(sample_weight, X)
-        if X.shape[1] > X.shape[0] and self._accepts_data_moments():
+        wide = X.shape[1] > max(X.shape[0], _GRAM_FEATURES)
+        if wide and self._accepts_data_moments():
             # Fewer rows than columns: the rows themselves are the smaller form.
             self.statistics_ = None
             return self._fit(

@@ -244,15 +244,20 @@ class VBJFARegressor(BaseJointFactorRegressor):
             return self.latent
         # With hardly more samples than inputs the smallest eigenvalues, on which the
         # correlated model rests, are those of chance.
-        enough = data.moments.n > SAMPLES_PER_INPUT * data.x_scale.size
+        enough = self._enough_samples(data)
         gram = isinstance(data.moments, GramMoments)
         return "correlated" if enough and gram else "independent"
 
-    def _resolve_selection(self, noise):
+    @staticmethod
+    def _enough_samples(data):
+        return data.moments.n > SAMPLES_PER_INPUT * data.x_scale.size
+
+    def _resolve_selection(self, noise, data):
         if not isinstance(self.selection, str):
             return bool(self.selection)
         if noise is None:
-            return True
+            # Without, every input is a combination of the others: ARD regression.
+            return self._enough_samples(data)
         # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
         return np.ndim(noise) < 2 and bool(np.any(noise))
 
@@ -266,7 +271,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
             data,
             noise,
             self._feature_labels(),
-            select=self._resolve_selection(noise),
+            select=self._resolve_selection(noise, data),
             settings={
                 "ard_shape": self.ard_shape,
                 "ard_rate": self.ard_rate,

@@ -138,21 +138,26 @@ def _from_coordinates(vector, like):
     )
 
 
-def _extrapolate(before, between, after, longest):
+# Longest extrapolation. Longer ones save iterations, but multiply the rounding of the
+# sums by their square each time: the same data in another order would end elsewhere.
+_LONGEST_STEP = 4.0
+
+
+def _extrapolate(before, between, after):
     """SQUAREM step (S3 of Varadhan and Roland, 2008) from three successive states.
 
-    Returns the state and the step length; None where the iteration stands still.
+    Returns None where the iteration stands still.
     """
     x0, x1, x2 = (_coordinates(state) for state in (before, between, after))
     r = x1 - x0
     v = x2 - x1 - r
     size = np.linalg.norm(v)
     if size == 0:
-        return None, 1.0
-    length = min(max(np.linalg.norm(r) / size, 1.0), longest)
+        return None
+    length = min(max(np.linalg.norm(r) / size, 1.0), _LONGEST_STEP)
     if length == 1.0:
-        return None, 1.0
-    return _from_coordinates(x0 + 2 * length * r + length**2 * v, after), length
+        return None
+    return _from_coordinates(x0 + 2 * length * r + length**2 * v, after)
 
 
 def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
@@ -171,7 +176,7 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
         )
     history = []
     status, fall = "max_iter", 0.0
-    longest, used = 4.0, 0
+    used = 0
     before = state  # the state of the last bound in `history`
     recent = [state]  # since the last extrapolation
     cycle_start = -np.inf
@@ -199,7 +204,7 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
             status = "converged"
             break
         cycle_start = value
-        trial, length = _extrapolate(*recent, longest)
+        trial = _extrapolate(*recent)
         recent = [state]
         if trial is None or used >= max_iter:
             continue
@@ -209,10 +214,6 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
             history.append(trial_value)
             before, state = trial, trial_next
             recent = [state]
-            if length == longest:
-                longest *= 4.0
-        else:
-            longest = max(longest / 2.0, 2.0)
     floor = 2 * VARIANCE_FLOOR
     fixed = prior.psi_x_fixed is not None
     at_floor = {

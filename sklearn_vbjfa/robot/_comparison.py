@@ -52,8 +52,11 @@ def methods(n_parameters):
         "TLS": {"regressor": TotalLeastSquares(), **plain},
         "IV": {"regressor": InstrumentalVariables(), **plain},
         "JFA": {"regressor": JFARegressor(), **plain},
-        "VB-JFA": {"regressor": VBJFARegressor(), **plain},
-        "VB-JFA, paper": {"regressor": VBJFARegressor(prior="paper"), **plain},
+        "VB-JFA": {"regressor": VBJFARegressor(latent="independent"), **plain},
+        "VB-JFA, paper": {
+            "regressor": VBJFARegressor(latent="independent", prior="paper"),
+            **plain,
+        },
     }
 
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import multivariate_normal
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa import JFARegressor
+from sklearn_vbjfa import JFARegressor, _base
 from tests._regressions import assert_same_fit, least_squares, make_regression
 from tests.reference import paper_jfa as ref
 
@@ -234,13 +234,14 @@ def test_constant_output_is_the_intercept(value):
     assert model.converged_
 
 
-def test_more_features_than_samples_keeps_rows_and_no_statistics():
+def test_more_features_than_samples_keeps_rows_and_no_statistics(monkeypatch):
+    monkeypatch.setattr(_base, "_GRAM_FEATURES", 0)
     X, y, _ = make_regression(15, 10, 15)
     model = JFARegressor(input_noise=0.2).fit(X, y)
     assert model.statistics_ is None
     assert np.isfinite(model.coef_).all()
     through_statistics = JFARegressor(input_noise=0.2).partial_fit(X, y)
-    assert_allclose(model.coef_noisy_, through_statistics.coef_noisy_, atol=1e-6)
+    assert_allclose(model.coef_noisy_, through_statistics.coef_noisy_, atol=1e-4)
     with pytest.raises(ValueError, match=r"fewer samples than features.*partial_fit"):
         model.partial_fit(X, y)
 

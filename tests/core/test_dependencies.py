@@ -1,0 +1,80 @@
+"""Which inputs generate exactly dependent ones."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from sklearn_vbjfa._core._dependencies import find_dependencies
+
+
+def correlation(X):
+    return np.corrcoef(X, rowvar=False)
+
+
+def made(seed, n_generators=6, n_made=12, n_free=3):
+    """Generators, convex combinations of them and unrelated columns, shuffled."""
+    rng = np.random.default_rng(seed)
+    t = rng.normal(size=(500, n_generators)) @ rng.normal(
+        size=(n_generators, n_generators)
+    )
+    weights = rng.dirichlet(np.ones(n_generators), size=n_made)
+    X = np.hstack([t, t @ weights.T, rng.normal(size=(500, n_free))])
+    order = rng.permutation(X.shape[1])
+    free = np.arange(n_generators + n_made, X.shape[1])
+    wanted = np.concatenate([np.arange(n_generators), free])
+    return X[:, order], np.sort(np.flatnonzero(np.isin(order, wanted)))
+
+
+def test_independent_columns_are_all_generators():
+    rng = np.random.default_rng(0)
+    found = find_dependencies(correlation(rng.normal(size=(100, 5))))
+    assert found.rule == "full rank"
+    assert_array_equal(found.basis, np.arange(5))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_generators_of_convex_combinations_are_found(seed):
+    X, wanted = made(seed)
+    found = find_dependencies(correlation(X))
+    assert found.rule == "rays"
+    assert_array_equal(found.basis, wanted)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_units_do_not_matter(seed):
+    X, wanted = made(seed)
+    scale = 10.0 ** np.random.default_rng(seed).uniform(-6, 6, size=X.shape[1])
+    assert_array_equal(find_dependencies(correlation(X * scale)).basis, wanted)
+
+
+def test_without_a_cone_the_largest_volume_is_taken():
+    rng = np.random.default_rng(1)
+    t = rng.normal(size=(400, 3))
+    # Signs of both kinds: more extreme rays than dimensions.
+    X = np.hstack([t, t @ rng.normal(size=(3, 6))])
+    R = correlation(X)
+    found = find_dependencies(R)
+    assert found.rule == "volume"
+    assert found.basis.size == 3
+
+    def volume(columns):
+        return np.linalg.det(R[np.ix_(columns, columns)])
+
+    # No exchange of one column for another enlarges the volume.
+    best = volume(found.basis)
+    for i in range(3):
+        for j in np.setdiff1d(np.arange(9), found.basis):
+            other = found.basis.copy()
+            other[i] = j
+            assert volume(other) <= best * (1 + 1e-5)
+
+
+def test_copies_belong_together():
+    rng = np.random.default_rng(2)
+    t = rng.normal(size=(300, 3))
+    X = np.column_stack([t[:, 0], t[:, 1], -2 * t[:, 0], t[:, 2], 5 * t[:, 0]])
+    found = find_dependencies(correlation(X))
+    assert found.basis.size == 3
+    together = [group for group in found.copies if group.size > 1]
+    assert len(together) == 1
+    assert_array_equal(together[0], [0, 2, 4])

@@ -33,7 +33,9 @@ _STANDSTILL_SHARE = 0.02
 # The state cut-off of least acceleration error, times this: what smoothing takes from
 # the motion biases the parameters however long the recording, while noise averages
 # out and is corrected for.
-_LIGHTER_SMOOTHING = 1.5
+_LIGHTER_SMOOTHING = 1.25
+# Periods of the state cut-off at both ends in which the smoother sees one side only.
+_EDGE_PERIODS = 1.0
 # Rows of the feature matrix that are in memory at once.
 _CHUNK_BYTES = 64 << 20
 # Directions of parameter space that the data determine less than this, relative to
@@ -69,7 +71,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         power of the velocity lies, the fastest joint), as in Gautier's practice;
         without positions (states given) nothing is filtered. None filters nothing.
     state_cutoff : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Cut-off [Hz] of `StateEstimator`. ``"auto"``: 1.5 times the one of least
+        Cut-off [Hz] of `StateEstimator`. ``"auto"``: 1.25 times the one of least
         acceleration error; smoothing bias does not average out, noise does.
     standstill : "auto", float, array-like of shape (nv,) or None, default="auto"
         Speed [rad/s or m/s] at or below which a joint's equations are left out.
@@ -428,7 +430,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         """
         nv, p = self._nv, self.features_.n_parameters_
         moving = np.abs(states[:, nv : 2 * nv]) > self.standstill_
-        weight = weight * moving
+        weight = weight * moving * self._away_from_ends(parts, y.shape[0])[:, None]
         per_row = 8 * nv * p
         for part in parts:
             n = part.stop - part.start
@@ -450,6 +452,22 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
                     even, odd = (self.features_._compute(h[piece]) for h in halves)
                     equations += (None, lowpass(even - odd))
                 yield equations
+
+    def _away_from_ends(self, parts, n):
+        """Rows whose states rest on samples on both sides, ndarray (n,) of bool."""
+        inside = np.ones(n, dtype=bool)
+        if self.state_estimator_ is None:
+            return inside
+        slowest = self.state_estimator_.cutoff_.min()
+        if not np.isfinite(slowest):
+            return inside
+        for part in parts:
+            # At most a tenth of a short recording.
+            length = part.stop - part.start
+            edge = min(int(_EDGE_PERIODS / (slowest * self.dt)), length // 20)
+            inside[part.start : part.start + edge] = False
+            inside[part.stop - edge : part.stop] = False
+        return inside
 
     def _constrain(self):
         """Project, and derive what the data determine."""

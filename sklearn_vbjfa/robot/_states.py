@@ -14,9 +14,9 @@ _MIN_SAMPLES = 8
 class StateEstimator(TransformerMixin, BaseEstimator):
     """Velocities and accelerations from joint positions, without phase.
 
-    Each joint's positions are smoothed by a quintic spline with a penalty on the third
+    Each joint's positions are smoothed by a quintic spline with a penalty on the fifth
     derivative, whose derivatives are exact. Inside the recording this is a symmetric
-    low-pass, 1 / (1 + (f / cutoff)^6); at the ends the motion goes on by its own
+    low-pass, 1 / (1 + (f / cutoff)^10); at the ends the motion goes on by its own
     polynomial.
 
     Parameters

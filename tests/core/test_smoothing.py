@@ -20,7 +20,7 @@ def make_motion(seed, dt, duration=20.0, highest=2.0):
     return np.sin(angle) @ size, -np.sin(angle) @ (size * w**2)
 
 
-@pytest.mark.parametrize("n", [3, 4, 7, 50, 501])
+@pytest.mark.parametrize("n", [20, 50, 501])
 @pytest.mark.parametrize(("dt", "cutoff"), RATES)
 def test_constant_acceleration_is_kept_to_the_ends(dt, cutoff, n):
     # The null space of the penalty. The unit is the whole recording.
@@ -29,7 +29,7 @@ def test_constant_acceleration_is_kept_to_the_ends(dt, cutoff, n):
     x, v, a = smoothed = _smoothing.smooth(0.5 - 2.0 * u + 3.0 * u**2, dt, cutoff)
     assert smoothed.shape == (3, n)
     assert_allclose(x, 0.5 - 2.0 * u + 3.0 * u**2, atol=1e-9)
-    assert_allclose(v * length, -2.0 + 6.0 * u, atol=1e-8)
+    assert_allclose(v * length, -2.0 + 6.0 * u, atol=1e-7)
     # Rounding of the samples, 1e-16, times the square of n at the most.
     assert_allclose(a * length**2, 6.0, atol=1e-6)
 
@@ -73,14 +73,15 @@ def test_gain_in_mid_recording(dt, cutoff, share):
         assert_allclose(-a / w**2, expected, rtol=0.06)
 
 
-def test_gain_falls_as_the_sixth_power():
+def test_gain_falls_by_twice_the_order_of_the_penalty():
+    order = _smoothing._ORDER
     f = np.array([1e-3, 2.5, 5.0, 10.0])
     gain = _smoothing.gain(f, 1e-4, 5.0)
-    # Ten knots to a period of the cut-off, five to that of twice it: differences in
-    # place of derivatives bend the gain there by a quarter.
     assert_allclose(gain[[0, 2]], [1.0, 0.5], rtol=1e-12)
-    assert_allclose(1 - gain[1], 1 / (1 + 2.0**6), rtol=0.1)
-    assert_allclose(gain[3], 1 / (1 + 2.0**6), rtol=0.3)
+    # Ten knots to a period of the cut-off, five to that of twice it: differences in
+    # place of derivatives bend the slopes by up to a tenth.
+    power = np.log2((1 - gain[1]) / gain[1]), np.log2((1 - gain[3]) / gain[3])
+    assert_allclose(power, [-2 * order, 2 * order], rtol=0.1)
 
 
 @pytest.mark.parametrize(("dt", "frequency"), [(0.01, 1.0), (0.002, 3.0)])
@@ -143,19 +144,34 @@ def choose(x, dt):
     return _smoothing.choose_cutoff(*_smoothing.acceleration_spectra([x], dt), dt)
 
 
+@pytest.mark.parametrize(("n_segments", "rtol"), [(1, 0.05), (2, 0.05), (16, 0.06)])
+def test_white_noise_variance_is_unbiased(n_segments, rtol):
+    # Twenty repetitions of 2000 samples: a deviation of 8 % / sqrt(20) and less, of
+    # which two; many segments cost the 4 % that blocks of few ordinates allow for.
+    estimates = []
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        segments = [3e-4 * rng.normal(size=2000) for _ in range(n_segments)]
+        spectra = _smoothing.acceleration_spectra(segments, 0.01)
+        estimates.append(_smoothing.white_noise_variance(*spectra))
+    assert_allclose(np.mean(estimates) / 9e-8, 1.0, rtol=rtol)
+
+
 @pytest.mark.parametrize("dt", [0.01, 0.002])
 @pytest.mark.parametrize("noise", [1e-4, 1e-3])
 @pytest.mark.parametrize("n_segments", [1, 4])
-def test_white_noise_variance(noise, dt, n_segments):
+def test_white_noise_variance_under_a_motion(noise, dt, n_segments):
     rng = np.random.default_rng(2)
     segments = []
     for k in range(n_segments):
         x, _ = make_motion(k, dt)
-        segments.append(x + noise * rng.normal(size=x.size))
+        vibration = 5 * noise * np.sin(0.8 * np.pi * np.arange(x.size))
+        segments.append(x + vibration + noise * rng.normal(size=x.size))
     spectra = _smoothing.acceleration_spectra(segments, dt)
-    # The median of 500 ordinates and more deviates by 6 % at the most.
     variance = _smoothing.white_noise_variance(*spectra)
-    assert_allclose(variance / noise**2, 1.0, atol=0.15 if n_segments == 1 else 0.35)
+    # Two deviations of one recording of 20 s; a line in the upper half, with thirteen
+    # times the power of the noise, does not count.
+    assert_allclose(variance / noise**2, 1.0, atol=0.16)
 
 
 @pytest.mark.parametrize("dt", [0.01, 0.002])
@@ -204,10 +220,16 @@ def test_bandwidth_of_the_velocity():
     noisy = x + 1e-4 * np.random.default_rng(4).normal(size=t.size)
     frequency, power, noise_gain = _smoothing.acceleration_spectra([noisy], dt)
     variance = _smoothing.white_noise_variance(frequency, power, noise_gain)
+    cutoff, _ = choose(noisy, dt)
     args = frequency, power, noise_gain, variance
     # The velocities are 1 and 0.6: the slow sine has 74 % of the power.
-    assert_allclose(_smoothing.velocity_bandwidth(*args), 3.0, atol=0.1)
-    assert_allclose(_smoothing.velocity_bandwidth(*args, share=0.7), 1.0, atol=0.1)
+    width = _smoothing.velocity_bandwidth
+    assert_allclose(width(*args, cutoff), 3.0, atol=0.1)
+    assert_allclose(width(*args, cutoff, share=0.7), 1.0, atol=0.1)
+    # What lies beyond twice the cut-off is not asked for.
+    assert_allclose(width(*args, 1.2), 1.0, atol=0.1)
+    # Nothing stands out of a noise a million times larger: the cut-off itself.
+    assert width(frequency, power, noise_gain, 1e12 * variance, cutoff) == cutoff
 
 
 def test_too_short_a_recording_for_a_choice():

@@ -164,20 +164,32 @@ def test_coordinates_give_the_state_back():
     assert_array_equal(again.w_z_var, np.zeros(4))
 
 
-def test_extrapolation_finds_the_limit_of_a_geometric_sequence():
+def make_sequence(rate):
+    """Three states that approach a fourth one, each by the factor `rate`."""
     limit = _problems.make_state(9, 3)
-    far = _problems.make_state(10, 3)
-    limit = replace(limit, alpha_shape=far.alpha_shape)
-    end, direction = (_solver._coordinates(s) for s in (limit, far))
+    far = replace(_problems.make_state(10, 3), alpha_shape=limit.alpha_shape)
+    end, start = (_solver._coordinates(state) for state in (limit, far))
     sequence = [
-        _solver._from_coordinates(end + 0.9**k * (direction - end), limit)
+        _solver._from_coordinates(end + rate**k * (start - end), limit)
         for k in range(3)
     ]
-    # One rate for all coordinates: the step 1 / (1 - rate) is exact.
-    found, length = _solver._extrapolate(*sequence, 100.0)
-    assert_allclose(length, 10.0, rtol=1e-9)
-    assert_allclose(found.w_z_mean, limit.w_z_mean, rtol=1e-9)
-    assert_allclose(found.psi_x, limit.psi_x, rtol=1e-9)
-    _, length = _solver._extrapolate(*sequence, 4.0)
-    assert length == 4.0
-    assert _solver._extrapolate(limit, limit, limit, 4.0)[0] is None
+    return sequence, limit
+
+
+def test_extrapolation_finds_the_limit_of_a_geometric_sequence():
+    # One rate for all coordinates: the step 1 / (1 - rate) = 2.5 is exact.
+    sequence, limit = make_sequence(0.6)
+    found = _solver._extrapolate(*sequence)
+    for name in ("w_z_mean", "w_z_var", "w_x_mean", "alpha_rate", "psi_z", "psi_x"):
+        assert_allclose(getattr(found, name), getattr(limit, name), rtol=1e-9)
+    assert_allclose(found.psi_y, limit.psi_y, rtol=1e-9)
+
+
+def test_extrapolation_has_a_longest_step():
+    # The exact step would be 10; with 4 a coordinate goes (1 + 4 (rate - 1))^2 = 0.36
+    # of the way that is left.
+    sequence, limit = make_sequence(0.9)
+    found = _solver._coordinates(_solver._extrapolate(*sequence))
+    start, end = _solver._coordinates(sequence[0]), _solver._coordinates(limit)
+    assert_allclose(found - end, 0.36 * (start - end), atol=1e-9)
+    assert _solver._extrapolate(limit, limit, limit) is None

@@ -77,7 +77,7 @@ def test_sines_pass_with_the_stated_gain_and_no_phase(frequency, cutoff):
     w = 2 * np.pi * frequency
     basis = np.column_stack([np.sin(w * t + 0.3), np.cos(w * t + 0.3)])[inside]
     amplitude = np.linalg.lstsq(basis, states[inside], rcond=None)[0]
-    gain = 1 / (1 + (frequency / cutoff) ** 6)
+    gain = 1 / (1 + (frequency / cutoff) ** 10)
     # 1e-4: the knots, ten per period of the cut-off, damp a little themselves. The
     # penalty is one on differences, not derivatives, which is worth some 6 % of it.
     atol = 1e-4 + 0.1 * gain * (1 - gain)

@@ -11,7 +11,6 @@ from sklearn_vbjfa._core import _stats
 from sklearn_vbjfa._independent import fit_independent
 from sklearn_vbjfa._sklearn_compat import check_sample_weight
 
-
 # Up to this many features the scatter matrix is cheap, however few the rows are.
 _GRAM_FEATURES = 256
 
@@ -203,7 +202,7 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         )
 
     def _fit_constant(self, data):
-        """y or all inputs are constant: the intercept is all there is."""
+        """Y or all inputs are constant: the intercept is all there is."""
         d = data.active.shape[0]
         zero = np.zeros(data.x_scale.size)
         cov = np.zeros((zero.size, zero.size))

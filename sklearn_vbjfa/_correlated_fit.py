@@ -1,4 +1,4 @@
-"""Fitting of the correlated-latent model: dependencies, relevance, noise, regression."""
+"""Fitting of the correlated-latent model: dependencies, relevance, noise."""
 
 import warnings
 from dataclasses import dataclass
@@ -74,12 +74,15 @@ def fit_correlated(data, noise, labels, *, select, settings):
         _warn_excess(m.S / m.n, psi, data, labels)
     if not select:
         psi = np.zeros((d, d)) if psi is None else psi
-        solution = _correlated.solve_correlated(
-            m.S, m.xy, m.yy, m.n, psi, **settings
-        )
+        solution = _correlated.solve_correlated(m.S, m.xy, m.yy, m.n, psi, **settings)
         cov = _correlated.posterior_covariance(m.S, m.n, psi, solution)
         return _result(
-            data, solution, cov, psi, np.arange(d), [np.array([j]) for j in range(d)],
+            data,
+            solution,
+            cov,
+            psi,
+            np.arange(d),
+            [np.array([j]) for j in range(d)],
             "all inputs",
         )
     R, r = m.S / m.n, m.xy / m.n
@@ -95,9 +98,7 @@ def fit_correlated(data, noise, labels, *, select, settings):
     solution = _correlated.solve_correlated(
         m.S[np.ix_(at, at)], m.xy[at], m.yy, m.n, psi_kept, common=True, **settings
     )
-    cov = _correlated.posterior_covariance(
-        m.S[np.ix_(at, at)], m.n, psi_kept, solution
-    )
+    cov = _correlated.posterior_covariance(m.S[np.ix_(at, at)], m.n, psi_kept, solution)
     copies = [found.copies[k] for k in np.flatnonzero(kept)]
     result = _result(data, solution, cov, psi, at, copies, found.rule)
     # An input that was switched off keeps the deviation of the test that did it; one
@@ -121,7 +122,9 @@ def _warn_excess(R, psi, data, labels):
     """Name the columns whose noise alone exceeds what was measured."""
     over = np.flatnonzero(np.diagonal(psi) > np.diagonal(R) * (1 + 1e-9))
     if over.size:
-        shown = ", ".join(str(labels[i]) for i in np.flatnonzero(data.active)[over][:10])
+        shown = ", ".join(
+            str(labels[i]) for i in np.flatnonzero(data.active)[over][:10]
+        )
         warnings.warn(
             f"input_noise exceeds the whole variance of {over.size} input(s) "
             f"({shown}): no signal is left in them. Check the units of input_noise "
@@ -132,7 +135,7 @@ def _warn_excess(R, psi, data, labels):
 
 
 def _relevant_inputs(m, basis, settings):
-    """Inputs that help to predict y from noisy inputs: ARD regression, 2 deviations.
+    """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations.
 
     Asked of the noisy inputs on purpose: an input that has nothing to do with y has a
     zero coefficient there too, and the test has not lost power to the correction.

@@ -22,9 +22,7 @@ def make_curve(seed, n=3000, noise=0.15):
     return X, y, t_test, function(t_test)
 
 
-@parametrize_with_checks(
-    [LocallyWeightedRegressor(LinearRegression(), n_models=3)]
-)
+@parametrize_with_checks([LocallyWeightedRegressor(LinearRegression(), n_models=3)])
 def test_estimator(estimator, check):
     check(estimator)
 
@@ -64,7 +62,7 @@ def test_a_linear_function_is_reproduced_everywhere():
 
 
 def clusters(seed):
-    """Inputs in four well separated heaps: k-means has one solution."""
+    """Draw inputs in four well separated heaps: k-means has one solution."""
     rng = np.random.default_rng(seed)
     centre = np.array([[0, 0], [10, 0], [0, 10], [10, 10]])[rng.integers(4, size=400)]
     X = centre + rng.normal(size=(400, 2))

@@ -14,7 +14,7 @@ _LOG_2PI = float(np.log(2 * np.pi))
 
 
 def data_bound(moments, hidden):
-    """Expected log-likelihood plus the entropy of q(Z, T)."""
+    """Return the expected log-likelihood plus the entropy of q(Z, T)."""
     n = moments.n
     x_part = n * (_LOG_2PI + np.log(hidden.x_var) + np.log(hidden.t_precision))
     x_part = x_part + moments.xx / hidden.x_var

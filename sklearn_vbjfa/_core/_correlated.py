@@ -307,7 +307,8 @@ def posterior_covariance(S, n, psi, solution):
     For known psi the corrected estimate has the asymptotic covariance (Fuller 1987,
     eq. 2.2.23, normal errors)
 
-        (v G^-1 + G^-1 (v psi + psi beta beta' psi) G^-1) / n,  v = psi_y + beta'psi beta,
+        (v G^-1 + G^-1 (v psi + psi beta beta' psi) G^-1) / n,
+        v = psi_y + beta' psi beta,
 
     G being the covariance of the latent inputs, here with the prior's share added.
     With psi = 0 it is the posterior covariance of Bayesian regression. The
@@ -322,7 +323,9 @@ def posterior_covariance(S, n, psi, solution):
     root = 1.0 / prior
     A = solution.latent.Sigma_t * np.outer(root, root)
     A[np.diag_indices_from(A)] += 1.0
-    half = linalg.solve_triangular(linalg.cholesky(A, lower=True), np.diag(root), lower=True)
+    half = linalg.solve_triangular(
+        linalg.cholesky(A, lower=True), np.diag(root), lower=True
+    )
     G_inv = half.T @ half
     psi_beta = psi @ beta
     middle = v * psi + np.outer(psi_beta, psi_beta)

@@ -44,7 +44,7 @@ class Lowpass:
         return float(self.step * (self.taps @ self.taps)) if self.half else 1.0
 
     def centres(self, n):
-        """Indices of the samples at which outputs stand, for a recording of n."""
+        """Return the samples at which outputs stand, for a recording of n."""
         return np.arange(self.half, n - self.half, self.step)
 
     def __call__(self, x):

@@ -27,7 +27,7 @@ _KNOTS_PER_PERIOD = 10
 
 
 def knot_step(dt, cutoff):
-    """Samples per knot for a cut-off frequency [Hz]."""
+    """Return the samples per knot for a cut-off frequency [Hz]."""
     return max(1, int(1.0 / (dt * cutoff * _KNOTS_PER_PERIOD)))
 
 

@@ -15,7 +15,6 @@ import numpy as np
 
 from sklearn_vbjfa._core._state import HiddenExpectations
 
-
 # Smallest variance, as a share of the variance of its own (standardised) column, that
 # the sums can resolve in floating point. A noise estimate that falls to it is a
 # Heywood case; the solver reports which.
@@ -84,7 +83,7 @@ def expect_hidden(moments, state):
 
 
 def update_loadings(state, hidden, prior):
-    """Loadings: maximum likelihood for JFA, Gaussian posteriors for VB-JFA."""
+    """Update the loadings: points for JFA, Gaussian posteriors for VB-JFA."""
     S_tt = hidden.S_tt
     if not prior.ard:
         return replace(state, w_z_mean=hidden.S_zt / S_tt, w_x_mean=hidden.S_xt / S_tt)

@@ -80,9 +80,7 @@ class Protocol:
         if self.test:
             return f"fitted: {', '.join(self.train)}; held out: {', '.join(self.test)}"
         names = ", ".join(self.train or recording.group_names)
-        return (
-            f"first {100 * self.share:.0f} % of {names} fitted, the rest held out"
-        )
+        return f"first {100 * self.share:.0f} % of {names} fitted, the rest held out"
 
 
 def protocols():
@@ -117,8 +115,6 @@ def protocols():
         ),
         "bam_xl330": Protocol(load=fetch_bam_xl330, cutoff=12.0, standstill=0.05),
         "kuka_lbr_med7": Protocol(load=fetch_kuka_lbr_med7, cutoff=4.0),
-        "dfki_double_pendulum": Protocol(
-            load=fetch_dfki_double_pendulum, cutoff=12.0
-        ),
+        "dfki_double_pendulum": Protocol(load=fetch_dfki_double_pendulum, cutoff=12.0),
         "tiago": Protocol(load=fetch_tiago, cutoff=5.0),
     }

@@ -43,7 +43,7 @@ class SimulatedRecording(Recording):
     torque_noise: np.ndarray
 
     def theta(self, friction):
-        """True parameter vector for a choice of friction columns.
+        """Return the true parameter vector for a choice of friction columns.
 
         Parameters
         ----------
@@ -97,7 +97,7 @@ def _true_inertias(model, perturbation, rng):
 
 
 def _motion(model, n, dt, frequency, n_harmonics, rng):
-    """Sums of sines in all joints, inside the limits, with exact derivatives."""
+    """Draw sums of sines in all joints, inside the limits, with exact derivatives."""
     nv = model.nv
     t = np.arange(n) * dt
     q, v, a = (np.zeros((n, nv)) for _ in range(3))
@@ -118,7 +118,9 @@ def _motion(model, n, dt, frequency, n_harmonics, rng):
         phase = rng.uniform(0, 2 * np.pi, size=n_harmonics)
         s, c = np.sin(np.outer(t, w) + phase), np.cos(np.outer(t, w) + phase)
         largest = np.abs(s @ size).max(), np.abs(c @ (size * w)).max()
-        size *= min(_RANGE_SHARE * reach / largest[0], _RANGE_SHARE * speed / largest[1])
+        size *= min(
+            _RANGE_SHARE * reach / largest[0], _RANGE_SHARE * speed / largest[1]
+        )
         q[:, j] = centre + s @ size
         v[:, j] = c @ (size * w)
         a[:, j] = -s @ (size * w**2)
@@ -188,10 +190,9 @@ def make_robot_recording(
     rng = check_random_state(random_state)
     urdf = demo_arm_urdf() if model is None else model
     nominal = _load(urdf)
-    nv = nominal.nv
     if inertial is None:
         inertial = _true_inertias(nominal, perturbation, rng)
-    n = int(round(duration / dt))
+    n = round(duration / dt)
     if n < 16:
         raise ValueError(
             f"duration={duration} s at dt={dt} s are {n} samples; expected at least 16."
@@ -239,9 +240,7 @@ def _inverse_dynamics(nominal, inertial, q, v, a):
     for i, body in enumerate(inertial):
         model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(body)
     data = model.createData()
-    return np.array(
-        [pin.rnea(model, data, *row) for row in zip(q, v, a)]
-    )
+    return np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
 
 
 def _draw_friction(friction, rigid, v, a, rng):
@@ -283,7 +282,7 @@ def _friction_torque(coefficients, q, v, a):
 
 
 def load_demo_recording():
-    """Recording of a made-up six-axis arm that the package brings along.
+    """Simulate the recording of a made-up six-axis arm that comes with the package.
 
     Simulated on the spot, always the same: two motions of 20 s up to 1 Hz at 200 Hz,
     encoder noise of 1e-4 rad, torque noise of 5 %, viscous and Coulomb friction,

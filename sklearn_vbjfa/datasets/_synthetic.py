@@ -118,7 +118,9 @@ def make_noisy_regression(
     X_test = np.hstack(
         [t_test, t_test @ weights.T, rng.normal(size=(n_test, n_irrelevant))]
     )
-    made = np.vstack([np.eye(n_relevant), weights, np.zeros((n_irrelevant, n_relevant))])
+    made = np.vstack(
+        [np.eye(n_relevant), weights, np.zeros((n_irrelevant, n_relevant))]
+    )
     full = made @ np.diag(noise) @ made.T
     kind = np.repeat([0, 1, 2], [n_relevant, n_redundant, n_irrelevant])
     return NoisyRegression(

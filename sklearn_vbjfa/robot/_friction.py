@@ -38,7 +38,7 @@ def columns(names, q, v, a):
 
 
 def unit(name, prismatic):
-    """Unit of the coefficient."""
+    """Return the unit of the coefficient."""
     return _COLUMNS[name][2 if prismatic else 1]
 
 

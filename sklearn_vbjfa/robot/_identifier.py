@@ -1,46 +1,42 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
 import os
-import warnings
 
 import numpy as np
-from scipy import linalg
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
 from sklearn_vbjfa.robot import _friction
-from sklearn_vbjfa.robot._anchor import consistent_anchor
+from sklearn_vbjfa.robot._consistency import (
+    fit_projector,
+    identifiable,
+    min_eigenvalues,
+)
+from sklearn_vbjfa.robot._equations import away_from_ends, filtered_equations
 from sklearn_vbjfa.robot._features import RigidBodyFeatures, rounding_entries
-from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_groups
+from sklearn_vbjfa.robot._groups import check_dt, contiguous_groups
 from sklearn_vbjfa.robot._joint_statistics import residual_squares
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor, filter_weight
+from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._model import joint_names
+from sklearn_vbjfa.robot._recording_checks import (
+    check_channels,
+    check_count,
+    check_length,
+    resolve_cutoff,
+    resolve_standstill,
+)
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 from sklearn_vbjfa.robot._states import StateEstimator
 from sklearn_vbjfa.robot._torque_noise import torque_noise
 from sklearn_vbjfa.robot._urdf import write_urdf
 
-# Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of
-# the motion, high enough for the friction at reversals, low enough for what shakes.
-_CUTOFF_PER_BANDWIDTH = 5.0
-# ... but its length must stay a small part of the shortest recording.
-_SHORTEST_CUTOFF_PERIODS = 36.0
-# Below this share of a joint's (99.5th percentile of) speed it counts as standing
-# still: its friction may then take any value inside the band of stiction.
-_STANDSTILL_SHARE = 0.02
 # The state cut-off of least acceleration error, times this: what smoothing takes from
 # the motion biases the parameters however long the recording, while noise averages
 # out and is corrected for.
 _LIGHTER_SMOOTHING = 1.25
-# Periods of the state cut-off at both ends in which the smoother sees one side only.
-_EDGE_PERIODS = 1.0
 # Rows of the feature matrix that are in memory at once.
 _CHUNK_BYTES = 64 << 20
-# Directions of parameter space that the data determine less than this, relative to
-# the best determined one in scaled columns, count as not identifiable.
-_IDENTIFIABLE = 1e-9
 
 
 class RobotIdentifier(RegressorMixin, BaseEstimator):
@@ -212,12 +208,16 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         X, y = self._validate(X, y)
         parts = contiguous_groups(groups, X.shape[0])
         states = self._fit_states(X, groups)
-        self._check_channels(states, y)
-        self.cutoff_ = self._resolve_cutoff(parts)
-        self.standstill_ = self._resolve_standstill(states)
+        check_channels(self.joint_names_, states[:, : self._nv], y)
+        self.cutoff_ = resolve_cutoff(
+            self.cutoff, parts, self.dt, self.state_estimator_
+        )
+        self.standstill_ = resolve_standstill(
+            self.standstill, states[:, self._nv : 2 * self._nv]
+        )
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
-        self._check_length(parts, lowpass)
+        check_length(parts, lowpass, self.cutoff_)
         self.torque_noise_ = torque_noise(
             [y[part] for part in parts], self.dt, self.cutoff_
         )
@@ -249,8 +249,13 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.estimator_._begin()
         for _, *equations in pieces:
             self.estimator_._accumulate(*equations)
-        self._check_count(self.estimator_._stats)
-        self.estimator_._forget(self._rounding_columns(self.estimator_._stats))
+        stats = self.estimator_._stats
+        check_count(stats, self.standstill_, len(self.parameter_names_))
+        # The features leave out what is zero in every motion; where a joint does not
+        # move in this recording there is more.
+        power = np.diagonal(stats.G, axis1=1, axis2=2)
+        rounding = rounding_entries(power.reshape(self._nv, self._nv, -1))
+        self.estimator_._forget(rounding.reshape(self._nv, -1))
         self.estimator_._finish()
         self._constrain()
         return self
@@ -309,179 +314,37 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             estimator.fit(X, groups=groups)
         return estimator.transform(X, groups=groups)
 
-    def _check_channels(self, states, y):
-        """Refuse dead torque channels, name joints that do not move."""
-        nv, names = self._nv, self.joint_names_
-        still = [names[j] for j in range(nv) if not np.ptp(states[:, j]) > 0]
-        if len(still) == nv:
-            raise ValueError(
-                "No joint moves in this recording; expected a motion that excites the "
-                "joints to be identified. Check the position columns."
-            )
-        dead = [
-            names[j]
-            for j in range(nv)
-            if not np.ptp(y[:, j]) > 0 and names[j] not in still
-        ]
-        if dead:
-            raise ValueError(
-                f"The torque of {', '.join(dead)} is constant while the joint moves: "
-                "a channel without information cannot be fitted. Check the recording, "
-                "or lock the joint in the model with pinocchio.buildReducedModel."
-            )
-        if still:
-            warnings.warn(
-                f"{', '.join(still)} never move(s) in this recording: the torque there "
-                "is left out (stiction may have any value), friction is not "
-                "identifiable, and inertial parameters only as far as other joints "
-                "feel them.",
-                UserWarning,
-                stacklevel=3,
-            )
-
-    def _resolve_cutoff(self, parts):
-        if isinstance(self.cutoff, str):
-            if self.cutoff != "auto":
-                raise ValueError(
-                    f"cutoff must be 'auto', a frequency in Hz, or None; got "
-                    f"{self.cutoff!r}."
-                )
-            if self.state_estimator_ is None:
-                return np.inf
-            bandwidth = self.state_estimator_.bandwidth_.max()
-            length = max(part.stop - part.start for part in parts) * self.dt
-            cutoff = max(
-                _CUTOFF_PER_BANDWIDTH * bandwidth, _SHORTEST_CUTOFF_PERIODS / length
-            )
-            return float(cutoff) if cutoff < 0.4 / self.dt else np.inf
-        if self.cutoff is None:
-            return np.inf
-        return check_cutoff(self.cutoff, check_dt(self.dt), "cutoff")
-
-    def _resolve_standstill(self, states):
-        nv = self._nv
-        if self.standstill is None:
-            return np.full(nv, -1.0)
-        if isinstance(self.standstill, str):
-            if self.standstill != "auto":
-                raise ValueError(
-                    "standstill must be 'auto', a speed, or None; got "
-                    f"{self.standstill!r}."
-                )
-            speed = np.abs(states[:, nv : 2 * nv])
-            return _STANDSTILL_SHARE * np.quantile(speed, 0.995, axis=0)
-        value = np.asarray(self.standstill, dtype=float)
-        if value.shape not in {(), (nv,)} or not (value >= 0).all():
-            raise ValueError(
-                f"standstill must be one non-negative speed or {nv} of them; got "
-                f"{self.standstill!r}."
-            )
-        return np.broadcast_to(value, (nv,)).copy()
-
-    def _check_length(self, parts, lowpass):
-        need = 2 * lowpass.half + 1
-        short = [p for p in parts if p.stop - p.start < need]
-        if len(short) == len(parts):
-            longest = max(p.stop - p.start for p in parts)
-            raise ValueError(
-                f"The low-pass at {self.cutoff_:.4g} Hz is {need} samples long and "
-                f"the longest recording has {longest}; give a longer recording or a "
-                "higher cutoff (None for no low-pass)."
-            )
-        if short:
-            rows = ", ".join(str(p.start) for p in short[:5])
-            warnings.warn(
-                f"{len(short)} of {len(parts)} recordings (from row {rows}) are "
-                f"shorter than the low-pass filter ({need} samples) and are left out.",
-                UserWarning,
-                stacklevel=3,
-            )
-
-    def _check_count(self, stats):
-        if stats is None or not stats.n.any():
-            raise ValueError(
-                "Every sample is masked as standstill; lower `standstill` (now "
-                f"{np.array2string(self.standstill_, precision=3)}) or pass None."
-            )
-        count, p = int(stats.n_rows.sum()), len(self.parameter_names_)
-        if count < p:
-            raise ValueError(
-                f"{count} equations (joints times filtered, moving samples) are fewer "
-                f"than the {p} parameters; record for longer, or raise `cutoff`."
-            )
-
     # -- computation -----------------------------------------------------------
 
-    def _rounding_columns(self, stats):
-        """Return which entries (nv, p) of the regressor matrices are rounding alone.
-
-        The features leave out what is zero in every motion; where a joint does not
-        move in this recording there is more.
-        """
-        nv = self._nv
-        power = np.diagonal(stats.G, axis1=1, axis2=2).reshape(nv, nv, -1)
-        return rounding_entries(power).reshape(nv, -1)
-
     def _filtered(self, states, y, weight, parts, lowpass, halves=None):
-        """Yield (index, Phi, tau, weight) behind the low-pass, piece by piece.
-
-        With states from the `halves` of the samples also None (instruments) and the
-        difference of their regressor matrices.
-        """
-        nv, p = self._nv, self.features_.n_parameters_
-        moving = np.abs(states[:, nv : 2 * nv]) > self.standstill_
-        weight = weight * moving * self._away_from_ends(parts, y.shape[0])[:, None]
-        per_row = 8 * nv * p
-        for part in parts:
-            n = part.stop - part.start
-            centres = lowpass.centres(n)
-            rows = max(_CHUNK_BYTES // per_row, 4 * lowpass.half, lowpass.step)
-            count = max(1, rows // lowpass.step)
-            for first in range(0, centres.size, count):
-                chosen = centres[first : first + count]
-                start = part.start + chosen[0] - lowpass.half
-                stop = part.start + chosen[-1] + lowpass.half + 1
-                piece = slice(start, stop)
-                equations = (
-                    part.start + chosen,
-                    lowpass(self.features_._compute(states[piece])),
-                    lowpass(y[piece]),
-                    filter_weight(lowpass, weight[piece]),
-                )
-                if halves is not None:
-                    even, odd = (self.features_._compute(h[piece]) for h in halves)
-                    equations += (None, lowpass(even - odd))
-                yield equations
-
-    def _away_from_ends(self, parts, n):
-        """Rows whose states rest on samples on both sides, ndarray (n,) of bool."""
-        inside = np.ones(n, dtype=bool)
-        if self.state_estimator_ is None:
-            return inside
-        slowest = self.state_estimator_.cutoff_.min()
-        if not np.isfinite(slowest):
-            return inside
-        for part in parts:
-            # At most a tenth of a short recording.
-            length = part.stop - part.start
-            edge = min(int(_EDGE_PERIODS / (slowest * self.dt)), length // 20)
-            inside[part.start : part.start + edge] = False
-            inside[part.stop - edge : part.stop] = False
-        return inside
+        """Yield the equations of what moves, see `filtered_equations`."""
+        speed = np.abs(states[:, self._nv : 2 * self._nv])
+        inside = away_from_ends(parts, y.shape[0], self.state_estimator_)
+        weight = weight * (speed > self.standstill_) * inside[:, None]
+        return filtered_equations(
+            self.features_, states, y, weight, parts, lowpass, halves, _CHUNK_BYTES
+        )
 
     def _constrain(self):
         """Project, and derive what the data determine."""
         self.theta_unconstrained_ = self.estimator_.theta_unconstrained_
         self.theta_std_ = self.estimator_.theta_std_
         metric = self.estimator_.metric_
-        self.identifiable_ = _identifiable(metric)
+        self.identifiable_ = identifiable(metric)
         per_joint = self.features_.n_parameters_ // self._nv
-        self.projection_ = None
+        self.projector_ = None
         theta = self.theta_unconstrained_
         if self.projector is not None:
-            theta = self._project(theta, metric, per_joint)
+            self.projector_ = fit_projector(
+                self.projector,
+                self.features_._model,
+                theta,
+                metric,
+                _friction.check_names(self.friction),
+            )
+            theta = self.projector_.transform(theta[None])[0]
         self.theta_ = theta
-        self.min_eigenvalues_ = _min_eigenvalues(theta, per_joint)
+        self.min_eigenvalues_ = min_eigenvalues(theta, per_joint)
         self._split_residual()
 
     def _split_residual(self):
@@ -497,42 +360,6 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         rest = residual_squares(stats, theta) / n - through
         self.output_noise_ = np.sqrt(np.maximum(rest, 0.0))
         self.noise_floor_ = np.sqrt(self.torque_noise_**2 + through)
-
-    def _project(self, theta, metric, per_joint):
-        if isinstance(self.projector, str) and self.projector != "default":
-            raise ValueError(
-                "projector must be 'default', a PhysicalProjector or None; got "
-                f"{self.projector!r}."
-            )
-        default = isinstance(self.projector, str)
-        projector = PhysicalProjector() if default else clone(self.projector)
-        names = _friction.check_names(self.friction)
-        nonnegative = [
-            j * per_joint + 10 + k
-            for j in range(self._nv)
-            for k, name in enumerate(names)
-            if _friction.nonnegative(name)
-        ]
-        settings = {
-            "metric": metric,
-            "parameters_per_joint": per_joint,
-            "nonnegative": nonnegative,
-            "anchor": consistent_anchor(
-                self.features_._model, theta, metric, per_joint
-            ),
-        }
-        unset = {"metric": None, "parameters_per_joint": "auto", "anchor": None}
-        unset["nonnegative"] = "auto"
-        given = projector.get_params()
-        projector.set_params(
-            **{
-                key: value
-                for key, value in settings.items()
-                if key in given and (default or _is_unset(given[key], unset[key]))
-            }
-        )
-        self.projector_ = projector.fit(theta[None])
-        return self.projector_.transform(theta[None])[0]
 
     def predict(self, X, groups=None):
         """Predict the joint torques.
@@ -605,7 +432,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         parts = contiguous_groups(groups, X.shape[0])
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
-        self._check_length(parts, lowpass)
+        check_length(parts, lowpass, self.cutoff_)
         return self._residuals_of(
             self._filtered(self._states(X, groups), y, weight, parts, lowpass)
         )
@@ -654,28 +481,3 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             self.theta_.reshape(self._nv, -1),
             _friction.check_names(self.friction),
         )
-
-
-def _is_unset(value, unset):
-    return value is None if unset is None else isinstance(value, str) and value == unset
-
-
-def _identifiable(metric):
-    """Parameters whose unit vector lies in the span that the data determine."""
-    scale = np.sqrt(np.diagonal(metric))
-    moved = scale > 0
-    result = np.zeros(scale.size, dtype=bool)
-    if not moved.any():
-        return result
-    unit = scale[moved]
-    values, vectors = linalg.eigh(metric[np.ix_(moved, moved)] / np.outer(unit, unit))
-    null = vectors[:, values < _IDENTIFIABLE * values[-1]]
-    result[moved] = (null**2).sum(axis=1) < 1e-6
-    return result
-
-
-def _min_eigenvalues(theta, per_joint):
-    """Smallest pseudo-inertia eigenvalue of each body, in the bodies' own scales."""
-    bodies = theta.reshape(-1, per_joint)[:, :10]
-    mass, length = body_scales(bodies)
-    return min_eigenvalue(bodies, mass_scale=mass, length_scale=length)

@@ -78,7 +78,7 @@ def joint_statistics(Phi, tau, weight, difference=None):
 
 
 def _gram(Phi, root):
-    """sum of root^2 phi phi' over the rows of each joint."""
+    """Sum of root^2 phi phi' over the rows of each joint."""
     _, nv, p = Phi.shape
     G = np.zeros((nv, p, p))
     for j in range(nv):

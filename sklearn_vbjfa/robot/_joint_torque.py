@@ -287,7 +287,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         return self
 
     def _weight_blocks(self):
-        """Re-weight the rows by the precision of their blocks; return the statistics."""
+        """Weight the rows by the precision of their blocks; return statistics."""
         blocks, first = [], 0
         for Phi, *_ in self._rows:
             block = first + np.arange(Phi.shape[0]) // _BLOCK_ROWS
@@ -447,7 +447,7 @@ def _mirror(rows):
 
 
 def filter_weight(lowpass, weight):
-    """Weights of filtered rows: independent samples, zero where less than half counts."""
+    """Count filtered rows as independent samples; zero where too little counts."""
     average = lowpass.average(weight)
     full = lowpass.average((weight > 0).astype(float))
     return np.where(full >= _MASK_SHARE, lowpass.efficiency * average, 0.0)

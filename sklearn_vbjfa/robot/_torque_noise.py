@@ -10,7 +10,7 @@ _BANDS = 16
 
 
 def torque_noise(segments, dt, cutoff):
-    """Standard deviation that white torque noise leaves behind the low-pass.
+    """Measure the white torque noise that passes the low-pass.
 
     Parameters
     ----------

@@ -103,7 +103,7 @@ def run_condition(urdf, *, frequency, rate, encoder_noise, seed, duration=40.0):
     truth = recording.theta(FRICTION)
     known = plain.identifiable_
     z = (plain.theta_unconstrained_ - truth)[known] / plain.theta_std_[known]
-    gain = np.sqrt(np.sum(plain.estimator_.lowpass_.taps ** 2))
+    gain = np.sqrt(np.sum(plain.estimator_.lowpass_.taps**2))
     return {
         "ours": _nmse(ours.predict(new.states), new.tau),
         "unprojected": _nmse(plain.predict(new.states), new.tau),

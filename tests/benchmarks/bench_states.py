@@ -1,7 +1,7 @@
 """Accelerations from noisy positions: a few well-kept ways, and the one in use.
 
-Run ``python tests/benchmarks/bench_states.py [--write]``. One joint, four sines up to the
-stated frequency, 20 s; the root mean square error of the acceleration over its standard
+Run ``python tests/benchmarks/bench_states.py [--write]``. One joint, four sines up to
+the stated frequency, 20 s; the root mean square error of the acceleration over its standard
 deviation, median of five seeds, one second left out at both ends. "auto" methods see
 the noisy positions alone; for the others an oracle picks the cut-off or window that is
 best against the truth.

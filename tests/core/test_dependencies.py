@@ -12,7 +12,7 @@ def correlation(X):
 
 
 def made(seed, n_generators=6, n_made=12, n_free=3):
-    """Generators, convex combinations of them and unrelated columns, shuffled."""
+    """Draw generators, convex combinations of them and unrelated columns, shuffled."""
     rng = np.random.default_rng(seed)
     t = rng.normal(size=(500, n_generators)) @ rng.normal(
         size=(n_generators, n_generators)

@@ -1,0 +1,129 @@
+"""What a recording must hold, and what is read off it before a fit."""
+
+import warnings
+
+import numpy as np
+
+from sklearn_vbjfa.robot._groups import check_cutoff, check_dt
+
+# Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of
+# the motion, high enough for the friction at reversals, low enough for what shakes.
+CUTOFF_PER_BANDWIDTH = 5.0
+# ... but its length must stay a small part of the longest recording.
+SHORTEST_CUTOFF_PERIODS = 36.0
+# Below this share of a joint's (99.5th percentile of) speed it counts as standing
+# still: its friction may then take any value inside the band of stiction.
+STANDSTILL_SHARE = 0.02
+
+
+def check_channels(names, positions, torques):
+    """Refuse dead torque channels, name joints that do not move.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    positions, torques : ndarray of shape (n, nv)
+        Recording.
+    """
+    moves = np.ptp(positions, axis=0) > 0
+    if not moves.any():
+        raise ValueError(
+            "No joint moves in this recording; expected a motion that excites the "
+            "joints to be identified. Check the position columns."
+        )
+    flat = ~(np.ptp(torques, axis=0) > 0)
+    dead = [name for name, bad in zip(names, flat & moves) if bad]
+    if dead:
+        raise ValueError(
+            f"The torque of {', '.join(dead)} is constant while the joint moves: "
+            "a channel without information cannot be fitted. Check the recording, "
+            "or lock the joint in the model with pinocchio.buildReducedModel."
+        )
+    still = [name for name, moving in zip(names, moves) if not moving]
+    if still:
+        warnings.warn(
+            f"{', '.join(still)} never move(s) in this recording: the torque there "
+            "is left out (stiction may have any value), friction is not "
+            "identifiable, and inertial parameters only as far as other joints "
+            "feel them.",
+            UserWarning,
+            stacklevel=3,
+        )
+
+
+def resolve_cutoff(cutoff, parts, dt, state_estimator):
+    """Return the cut-off of the low-pass [Hz], infinity for none."""
+    if not isinstance(cutoff, str):
+        if cutoff is None:
+            return np.inf
+        return check_cutoff(cutoff, check_dt(dt), "cutoff")
+    if cutoff != "auto":
+        raise ValueError(
+            f"cutoff must be 'auto', a frequency in Hz, or None; got {cutoff!r}."
+        )
+    if state_estimator is None:
+        return np.inf
+    length = max(part.stop - part.start for part in parts) * dt
+    frequency = max(
+        CUTOFF_PER_BANDWIDTH * state_estimator.bandwidth_.max(),
+        SHORTEST_CUTOFF_PERIODS / length,
+    )
+    return float(frequency) if frequency < 0.4 / dt else np.inf
+
+
+def resolve_standstill(standstill, velocities):
+    """Return the speeds (nv,) at or below which a joint counts as standing still."""
+    nv = velocities.shape[1]
+    if standstill is None:
+        return np.full(nv, -1.0)
+    if isinstance(standstill, str):
+        if standstill != "auto":
+            raise ValueError(
+                f"standstill must be 'auto', a speed, or None; got {standstill!r}."
+            )
+        return STANDSTILL_SHARE * np.quantile(np.abs(velocities), 0.995, axis=0)
+    value = np.asarray(standstill, dtype=float)
+    if value.shape not in {(), (nv,)} or not (value >= 0).all():
+        raise ValueError(
+            f"standstill must be one non-negative speed or {nv} of them; got "
+            f"{standstill!r}."
+        )
+    return np.broadcast_to(value, (nv,)).copy()
+
+
+def check_length(parts, lowpass, cutoff):
+    """Refuse recordings that are all shorter than the filter, name some that are."""
+    need = 2 * lowpass.half + 1
+    short = [p for p in parts if p.stop - p.start < need]
+    if len(short) == len(parts):
+        longest = max(p.stop - p.start for p in parts)
+        raise ValueError(
+            f"The low-pass at {cutoff:.4g} Hz is {need} samples long and "
+            f"the longest recording has {longest}; give a longer recording or a "
+            "higher cutoff (None for no low-pass)."
+        )
+    if short:
+        rows = ", ".join(str(p.start) for p in short[:5])
+        warnings.warn(
+            f"{len(short)} of {len(parts)} recordings (from row {rows}) are "
+            f"shorter than the low-pass filter ({need} samples) and are left out.",
+            UserWarning,
+            stacklevel=3,
+        )
+
+
+def check_count(stats, standstill, n_parameters):
+    """Refuse to fit when everything is masked, or less is left than parameters."""
+    if stats is None or not stats.n.any():
+        raise ValueError(
+            "Every sample is masked as standstill; lower `standstill` (now "
+            f"{np.array2string(standstill, precision=3)}) or pass None."
+        )
+    count = int(stats.n_rows.sum())
+    if count < n_parameters:
+        raise ValueError(
+            f"{count} equations (joints times filtered, moving samples) are fewer "
+            f"than the {n_parameters} parameters; record for longer, or raise "
+            "`cutoff`."
+        )

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 import pytest
+from threadpoolctl import threadpool_limits
 
 
 @pytest.fixture(scope="session")
@@ -22,3 +23,8 @@ def measured_data_home() -> Path:
     if not beside.is_dir():
         pytest.skip("no measured sets; name their folder in SKLEARN_VBJFA_DATA")
     return beside
+
+
+# Each worker has a processor to itself: threads of the linear algebra would only get
+# in each other's way.
+_ONE_THREAD = threadpool_limits(limits=1)

@@ -1,10 +1,10 @@
 """Accelerations from noisy positions: a few well-kept ways, and the one in use.
 
 Run ``python tests/benchmarks/bench_states.py [--write]``. One joint, four sines up to
-the stated frequency, 20 s; the root mean square error of the acceleration over its standard
-deviation, median of five seeds, one second left out at both ends. "auto" methods see
-the noisy positions alone; for the others an oracle picks the cut-off or window that is
-best against the truth.
+the stated frequency, 20 s; the root mean square error of the acceleration over its
+standard deviation, median of three seeds, one second left out at both ends. "auto"
+methods see the noisy positions alone; for the others an oracle picks the cut-off or
+window that is best against the truth.
 """
 
 import itertools
@@ -140,7 +140,7 @@ def error_of(method, needs_oracle, t, q, a, frequency):
     return float(np.nanmin(errors))
 
 
-def run(conditions, seeds=5):
+def run(conditions, seeds=3):
     """Return a list of (condition, method -> median error)."""
     results = []
     for rate, frequency, noise in conditions:

@@ -95,7 +95,7 @@ class InstrumentalVariables(RegressorMixin, BaseEstimator):
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_vbjfa._instrumental_variables import InstrumentalVariables
+    >>> from sklearn_vbjfa import InstrumentalVariables
     >>> rng = np.random.default_rng(0)
     >>> xi = rng.normal(size=(5000, 1))
     >>> y = 2.0 * xi[:, 0] + 0.1 * rng.normal(size=5000)

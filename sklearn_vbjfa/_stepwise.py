@@ -124,7 +124,7 @@ class StepwiseRegressor(RegressorMixin, BaseEstimator):
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_vbjfa._stepwise import StepwiseRegressor
+    >>> from sklearn_vbjfa import StepwiseRegressor
     >>> rng = np.random.default_rng(0)
     >>> X = rng.normal(size=(100, 4))
     >>> y = 3.0 * X[:, 2] - X[:, 0] + 0.1 * rng.normal(size=100)

@@ -113,7 +113,7 @@ class TotalLeastSquares(RegressorMixin, BaseEstimator):
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_vbjfa._total_least_squares import TotalLeastSquares
+    >>> from sklearn_vbjfa import TotalLeastSquares
     >>> rng = np.random.default_rng(0)
     >>> xi = rng.normal(size=(5000, 2))
     >>> y = xi @ [2.0, -1.0] + 0.5 * rng.normal(size=5000)

@@ -32,7 +32,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
     latent : {"auto", "independent", "correlated"}, default="auto"
         ``"independent"``: the paper's model, one hidden input of its own for each
         observed input. ``"correlated"``: the hidden inputs share a full covariance.
-        ``"auto"``: correlated with more than two samples per input, else independent.
+        ``"auto"``: correlated with more than two samples per input, else (and with
+        ``prior="paper"``) independent.
     selection : "auto" or bool, default="auto"
         Correlated latents only. Whether inputs that are exact combinations of others
         are reduced to those that generate them, only relevant inputs are fitted, and
@@ -109,7 +110,9 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Posterior means and variances of the loadings (eqs. 8-11); independent
         latents only.
     psi_y_, psi_z_ : float, ndarray of shape (n_features,)
-        The parts of `output_noise_` (eqs. 14, 15); independent latents only.
+        The parts of `output_noise_` (eqs. 14, 15); independent latents only. The
+        variational posterior moves all noise from psi_y to psi_z little by little:
+        only their sum means something.
     statistics_ : SufficientStatistics or None
         Count, means and scatter; None when there were fewer samples than features.
     n_features_in_ : int
@@ -242,6 +245,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
     def _resolve_latent(self, data):
         if self.latent != "auto":
             return self.latent
+        if self.prior == "paper":
+            return "independent"
         # With hardly more samples than inputs the smallest eigenvalues, on which the
         # correlated model rests, are those of chance.
         enough = self._enough_samples(data)

@@ -1,6 +1,6 @@
 """Simulated robot recordings, with the truth beside them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import resources
 
 import numpy as np
@@ -41,6 +41,13 @@ class SimulatedRecording(Recording):
     friction: dict = field(default_factory=dict)
     encoder_noise: float
     torque_noise: np.ndarray
+
+    def select(self, *names_or_labels):
+        """Keep some of the recordings, with their truth; see `Recording.select`."""
+        kept = super().select(*names_or_labels)
+        labels = [self.group_names.index(name) for name in kept.group_names]
+        rows = np.isin(self.groups, labels)
+        return replace(kept, states=self.states[rows], tau_clean=self.tau_clean[rows])
 
     def theta(self, friction):
         """Return the true parameter vector for a choice of friction columns.
@@ -299,8 +306,6 @@ def load_demo_recording():
     >>> load_demo_recording()
     Recording 'demo': 8000 samples, 6 joints, dt = 0.005 s, 2 recordings
     """
-    from dataclasses import replace
-
     recording = make_robot_recording(
         duration=20.0,
         dt=0.005,

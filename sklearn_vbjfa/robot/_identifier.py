@@ -287,6 +287,11 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         if X.shape[1] == 3 * self._nv and X.shape[1] != self._nv:
             self.state_estimator_ = None
             return X
+        self.state_estimator_ = self._new_state_estimator(X, groups)
+        return self.state_estimator_.transform(X, groups=groups)
+
+    def _new_state_estimator(self, X, groups):
+        """Fit a state estimator; an automatic cut-off is raised a little."""
         dt = check_dt(self.dt)
         estimator = StateEstimator(dt, cutoff=self.state_cutoff).fit(X, groups=groups)
         if isinstance(self.state_cutoff, str):
@@ -295,8 +300,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             estimator = StateEstimator(
                 dt, cutoff=[c if np.isfinite(c) else None for c in lighter]
             ).fit(X, groups=groups)
-        self.state_estimator_ = estimator
-        return estimator.transform(X, groups=groups)
+        return estimator
 
     def _states(self, X, groups, *, in_band=False):
         """States of a query; `in_band` smooths to the band that was identified."""
@@ -304,8 +308,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             return X
         estimator = self.state_estimator_
         if estimator is None:
-            estimator = StateEstimator(check_dt(self.dt), cutoff=self.state_cutoff)
-            estimator.fit(X, groups=groups)
+            estimator = self._new_state_estimator(X, groups)
         if in_band:
             cutoffs = np.minimum(estimator.cutoff_, self.cutoff_)
             estimator = clone(estimator).set_params(

@@ -106,6 +106,8 @@ def write_urdf(source, target, model, parameters, friction):
     try:
         with os.fdopen(handle, "wb") as file:
             tree.write(file, encoding="utf-8", xml_declaration=True)
+        # A temporary file is private; the description is as readable as its source.
+        os.chmod(temporary, Path(source).stat().st_mode & 0o666)
         os.replace(temporary, target)
     except BaseException:
         os.unlink(temporary)

@@ -207,3 +207,11 @@ def test_protocols_name_recordings_that_exist(measured_data_home):
         )
         assert set(protocol.train + protocol.test) <= set(recording.group_names)
         assert 0 < protocol.split(recording)[0].size < recording.n_samples
+
+
+def test_selection_keeps_the_truth_of_what_is_kept():
+    recording = make_robot_recording(duration=2.0, n_recordings=2, random_state=0)
+    second = recording.select("motion_2")
+    rows = recording.groups == 1
+    np.testing.assert_array_equal(second.states, recording.states[rows])
+    np.testing.assert_array_equal(second.tau_clean, recording.tau_clean[rows])

@@ -36,14 +36,25 @@ def away_from_ends(parts, n, state_estimator):
 
 
 def filtered_equations(
-    features, states, torques, weight, parts, lowpass, halves, chunk_bytes
+    features,
+    states,
+    torques,
+    weight,
+    parts,
+    lowpass,
+    halves,
+    *,
+    average,
+    chunk_bytes,
 ):
     """Yield (index, Phi, tau, weight) behind the low-pass, piece by piece.
 
     With states from the `halves` of the samples also None (instruments) and the
-    difference of their regressor matrices. A piece of the regressor takes about
-    `chunk_bytes`; pieces overlap by the filter's length, so that their size does not
-    matter.
+    difference of their regressor matrices. With `average` the matrices are the mean of
+    the two halves': what a quarter of the squared difference says of their noise is
+    then exact, the rest being the product of one half with the other. A piece of the
+    regressor takes about `chunk_bytes`; pieces overlap by the filter's length, so that
+    their size does not matter.
     """
     per_row = 8 * features.n_joints_ * features.n_parameters_
     for part in parts:
@@ -56,13 +67,18 @@ def filtered_equations(
             start = part.start + chosen[0] - lowpass.half
             stop = part.start + chosen[-1] + lowpass.half + 1
             piece = slice(start, stop)
+            if halves is not None:
+                even, odd = (features._compute(half[piece]) for half in halves)
+            if halves is not None and average:
+                Phi = 0.5 * (even + odd)
+            else:
+                Phi = features._compute(states[piece])
             equations = (
                 part.start + chosen,
-                lowpass(features._compute(states[piece])),
+                lowpass(Phi),
                 lowpass(torques[piece]),
                 filter_weight(lowpass, weight[piece]),
             )
             if halves is not None:
-                even, odd = (features._compute(half[piece]) for half in halves)
                 equations += (None, lowpass(even - odd))
             yield equations

@@ -237,6 +237,13 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             return None
         return self.state_estimator_.split_transform(X, groups=groups)
 
+    def _corrects_noise(self):
+        """Whether the regressor takes a measured covariance of the input noise."""
+        return self.regressor is None or (
+            getattr(self.regressor, "latent", None) == "correlated"
+            and self.regressor.input_noise is None
+        )
+
     def _fit_equations(self, pieces):
         """Estimate from filtered (index, Phi, tau, weight), which may be a stream."""
         self.estimator_ = JointTorqueRegressor(
@@ -325,7 +332,15 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         inside = away_from_ends(parts, y.shape[0], self.state_estimator_)
         weight = weight * (speed > self.standstill_) * inside[:, None]
         return filtered_equations(
-            self.features_, states, y, weight, parts, lowpass, halves, _CHUNK_BYTES
+            self.features_,
+            states,
+            y,
+            weight,
+            parts,
+            lowpass,
+            halves,
+            average=self._corrects_noise(),
+            chunk_bytes=_CHUNK_BYTES,
         )
 
     def _constrain(self):

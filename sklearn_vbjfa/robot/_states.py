@@ -195,7 +195,6 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         X = validate_data(self, X, dtype=np.float64, reset=False)
         n, nv = X.shape
         halves = np.empty((2, n, 3, nv))
-        # Each half is sampled at half the rate; its own cut-off must fit below.
         highest = 1.0 / (6 * self.dt)
         for part in contiguous_groups(groups, n):
             length = part.stop - part.start

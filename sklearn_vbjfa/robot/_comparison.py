@@ -111,7 +111,8 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
         The fitted identifier of the first method.
     """
     base = clone(identifier).fit(train[0], train[1], groups=train[2])
-    train_pieces = _pieces(base, *train, measure_noise=True)
+    train_pieces = _pieces(base, *train)
+    measured_pieces = _pieces(base, *train, measure_noise=True)
     test_pieces = _pieces(base, *test)
     chosen = methods(len(base.parameter_names_))
     if names is not None:
@@ -123,7 +124,7 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
         model = clone(identifier).set_params(**settings)
         for attribute in _PREPARED:
             setattr(model, attribute, getattr(base, attribute))
-        pieces = train_pieces
+        pieces = measured_pieces if model._corrects_noise() else train_pieces
         if name == "IV":
             pieces = _split_pieces(base, *train)
         try:

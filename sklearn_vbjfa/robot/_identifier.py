@@ -410,9 +410,6 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
     def _validate_query(self, X):
         # Positions and states are both welcome, whichever the fit got.
         X = check_array(X, dtype=np.float64)
-        return self._check_query_width(X)
-
-    def _check_query_width(self, X):
         if X.shape[1] not in {self._nv, 3 * self._nv}:
             raise ValueError(
                 f"X must have {self._nv} columns of positions or {3 * self._nv} of "

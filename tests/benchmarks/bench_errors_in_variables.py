@@ -115,7 +115,8 @@ def run_condition(encoder_noise, cutoff, *, duration=50.0, names=None):
     )
     part = (recording.q, recording.tau, recording.groups)
     base = shared.fit(*part)
-    pieces = _pieces(base, *part, measure_noise=True)
+    pieces = _pieces(base, *part)
+    measured = _pieces(base, *part, measure_noise=True)
     results = {}
     for name, settings in methods().items():
         if names is not None and name not in names:
@@ -123,7 +124,9 @@ def run_condition(encoder_noise, cutoff, *, duration=50.0, names=None):
         model = RobotIdentifier(**{**shared.get_params(), **settings})
         for attribute in _PREPARED:
             setattr(model, attribute, getattr(base, attribute))
-        rows = _split_pieces(base, *part) if name.startswith("IV") else pieces
+        rows = measured if model._corrects_noise() else pieces
+        if name.startswith("IV"):
+            rows = _split_pieces(base, *part)
         start = time.perf_counter()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

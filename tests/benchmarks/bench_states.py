@@ -2,7 +2,7 @@
 
 Run ``python tests/benchmarks/bench_states.py [--write]``. One joint, four sines up to
 the stated frequency, 20 s; the root mean square error of the acceleration over its
-standard deviation, median of three seeds, one second left out at both ends. "auto"
+standard deviation, mean of two seeds, one second left out at both ends. "auto"
 methods see the noisy positions alone; for the others an oracle picks the cut-off or
 window that is best against the truth.
 """
@@ -140,7 +140,7 @@ def error_of(method, needs_oracle, t, q, a, frequency):
     return float(np.nanmin(errors))
 
 
-def run(conditions, seeds=3):
+def run(conditions, seeds=2):
     """Return a list of (condition, method -> median error)."""
     results = []
     for rate, frequency, noise in conditions:
@@ -163,9 +163,8 @@ def run(conditions, seeds=3):
 def main():
     """Run the comparison from the command line."""
     arguments = parser(__doc__).parse_args()
-    conditions = list(
-        itertools.product((100.0, 500.0), (0.7, 4.0), (0.0, 1e-4, 1e-3, 3e-3))
-    )
+    conditions = list(itertools.product((100.0,), (0.7, 4.0), (0.0, 1e-4, 1e-3, 3e-3)))
+    conditions += list(itertools.product((500.0,), (0.7, 4.0), (1e-3,)))
     results = run(conditions)
     rows = [
         [f"{r:.0f}", f, f"{n:.0e}", *(f"{figures[m]:.2e}" for m in METHODS)]

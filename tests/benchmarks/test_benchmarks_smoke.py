@@ -23,7 +23,18 @@ def residuals(scale, index, tau):
     )
 
 
-@pytest.mark.parametrize("name", ["measured_robots", "projection", "speed"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "errors_in_variables",
+        "measured_robots",
+        "projection",
+        "simulated_arms",
+        "speed",
+        "states",
+        "synthetic",
+    ],
+)
 def test_scripts_start_on_their_own(name):
     script = HERE / f"bench_{name}.py"
     answer = subprocess.run(
@@ -157,3 +168,53 @@ def test_tables_are_written_where_the_guide_looks(tmp_path, monkeypatch, capsys)
     assert written in capsys.readouterr().out
     guide = (_report.ROOT / "docs" / "benchmarks.rst").read_text()
     assert "tables/speed.rst" in guide
+
+
+def test_synthetic_study_at_small_size():
+    import bench_synthetic as bench
+
+    errors, relevance = bench.run(
+        1, cells=[(5.0, 30)], with_rivals=False, n_samples=400
+    )
+    cell = errors[(5.0, 30)]
+    assert cell["oracle"][0] < cell["VB-JFA"][0] < 0.2
+    assert relevance[(5.0, 30)]["VB-JFA"].shape == (1, 2)
+
+
+def test_simulated_arms_at_small_size():
+    pytest.importorskip("pinocchio")
+    import bench_simulated_arms as bench
+
+    results = bench.run(bench.grid(small=True), duration=10.0)
+    table, summary = bench.tables(results)
+    assert results[0][1]["ours"] < 3 * results[0][1]["oracle"]
+    assert "ours / oracle: median" in summary
+    assert "best LS" in table
+
+
+def test_measured_noise_beats_least_squares_on_noisy_regressors():
+    pytest.importorskip("pinocchio")
+    import bench_errors_in_variables as bench
+
+    results = bench.run_condition(
+        1e-3, 10.0, duration=15.0, names=["VB, noise measured", "least squares"]
+    )
+    assert results["VB, noise measured"][0] < 0.5 * results["least squares"][0]
+
+
+def test_state_estimator_beats_differences_with_the_best_cutoff():
+    import bench_states as bench
+
+    methods = ("penalised quintic spline, auto", "Butterworth + differences, oracle")
+    errors = [
+        np.mean(
+            [
+                bench.error_of(
+                    *bench.METHODS[name], *bench.motion(100.0, 4.0, 1e-3, seed), 4.0
+                )
+                for seed in range(2)
+            ]
+        )
+        for name in methods
+    ]
+    assert errors[0] < 0.6 * errors[1]

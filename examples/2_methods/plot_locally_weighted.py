@@ -1,4 +1,5 @@
 """
+=====================================================
 A curve from noisy inputs: local models around VB-JFA
 =====================================================
 
@@ -18,11 +19,15 @@ def surface(t):
     return np.sin(1.5 * t[:, 0]) + 0.5 * t[:, 1] ** 2
 
 
+# %%
+# Noise in both inputs and in the output.
 rng = np.random.default_rng(0)
 t = rng.uniform(-2, 2, size=(3000, 2))
 X = t + 0.15 * rng.normal(size=t.shape)
 y = surface(t) + 0.1 * rng.normal(size=3000)
 
+# %%
+# One linear model for all, and 25 local ones of two kinds.
 models = {
     "global VB-JFA": VBJFARegressor(),
     "25 local least-squares models": LocallyWeightedRegressor(
@@ -30,6 +35,8 @@ models = {
     ),
     "25 local VB-JFA models": LocallyWeightedRegressor(n_models=25),
 }
+# %%
+# A cut through the surface, and the error on 2,000 noiseless points.
 line = np.column_stack([np.linspace(-1.8, 1.8, 200), np.full(200, 0.5)])
 grid = rng.uniform(-1.8, 1.8, size=(2000, 2))
 

@@ -157,6 +157,9 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
 # What the preparation of a fit leaves behind, apart from the estimation itself.
 _PREPARED = (
     "features_",
+    "effects_",
+    "_active_effects",
+    "_load_theta",
     "_nv",
     "joint_names_",
     "parameter_names_",

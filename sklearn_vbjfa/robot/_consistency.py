@@ -78,8 +78,48 @@ def identifiable(metric):
     return result
 
 
-def min_eigenvalues(theta, per_joint):
-    """Smallest pseudo-inertia eigenvalue of each body, in the bodies' own scales."""
-    bodies = theta.reshape(-1, per_joint)[:, :10]
-    mass, length = body_scales(bodies)
-    return min_eigenvalue(bodies, mass_scale=mass, length_scale=length)
+def project_beside(projector, model, theta, metric, friction):
+    """Project the bodies while the effects' coefficients, which come last, follow.
+
+    The distance (eq. 35) is minimised over the effects as well: for given bodies
+    their best coefficients are linear in the bodies' change, which leaves the Schur
+    complement of the metric.
+
+    Returns
+    -------
+    projector : PhysicalProjector
+        Fitted projector of the bodies' parameters.
+    theta : ndarray of shape (p,)
+        Projected parameters.
+    """
+    p = model.nv * (10 + len(friction))
+    if theta.size == p:
+        fitted = fit_projector(projector, model, theta, metric, friction)
+        return fitted, fitted.transform(theta[None])[0]
+    rigid = theta[:p]
+    follow = _pseudo_solve(metric[p:, p:], metric[p:, :p])
+    schur = metric[:p, :p] - metric[:p, p:] @ follow
+    fitted = fit_projector(projector, model, rigid, 0.5 * (schur + schur.T), friction)
+    projected = fitted.transform(rigid[None])[0]
+    effects = theta[p:] - follow @ (projected - rigid)
+    return fitted, np.concatenate([projected, effects])
+
+
+def _pseudo_solve(A, B):
+    """Minimum-norm A^-1 B for a Gram matrix A, in columns of unit length."""
+    scale = np.sqrt(np.diagonal(A))
+    unit = np.where(scale > 0, scale, 1.0)
+    inverse = linalg.pinvh(A / np.outer(unit, unit))
+    return inverse @ (B / unit[:, None]) / unit[:, None]
+
+
+def min_eigenvalues(bodies):
+    """Smallest pseudo-inertia eigenvalue of each body, in the bodies' own scales.
+
+    Parameters
+    ----------
+    bodies : ndarray of shape (nv, k)
+        Inertial parameters of each body in the first ten columns.
+    """
+    mass, length = body_scales(bodies[:, :10])
+    return min_eigenvalue(bodies[:, :10], mass_scale=mass, length_scale=length)

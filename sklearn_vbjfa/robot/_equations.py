@@ -36,43 +36,51 @@ def away_from_ends(parts, n, state_estimator):
 
 
 def filtered_equations(
-    features,
-    states,
+    rows,
     torques,
     weight,
     parts,
     lowpass,
     halves,
     *,
-    average,
     chunk_bytes,
 ):
     """Yield (index, Phi, tau, weight) behind the low-pass, piece by piece.
 
-    With states from the `halves` of the samples also None (instruments) and the
-    difference of their regressor matrices. With `average` the matrices are the mean of
-    the two halves': what a quarter of the squared difference says of their noise is
-    then exact, the rest being the product of one half with the other. A piece of the
-    regressor takes about `chunk_bytes`; pieces overlap by the filter's length, so that
-    their size does not matter.
+    Parameters
+    ----------
+    rows : RegressorRows or None
+        Regressor matrices; None takes the mean of the two halves': what a quarter of
+        the squared difference says of their noise is then exact, the rest being the
+        product of one half with the other.
+    torques, weight : ndarray of shape (n, nv)
+        Measured torques and what they count.
+    parts : list of slice
+        Recordings.
+    lowpass : Lowpass
+        What regressors and torques pass.
+    halves : tuple of RegressorRows or None
+        Regressor matrices from the even and from the odd samples; with them None
+        (instruments) and the difference of the two are yielded as well.
+    chunk_bytes : int
+        Size of a piece of the regressor; pieces overlap by the filter's length, so
+        that their size does not matter.
     """
-    per_row = 8 * features.n_joints_ * features.n_parameters_
+    one = rows if rows is not None else halves[0]
+    per_row = 8 * one.n_joints * one.n_parameters
     for part in parts:
         n = part.stop - part.start
         centres = lowpass.centres(n)
-        rows = max(chunk_bytes // per_row, 4 * lowpass.half, lowpass.step)
-        count = max(1, rows // lowpass.step)
+        length = max(chunk_bytes // per_row, 4 * lowpass.half, lowpass.step)
+        count = max(1, length // lowpass.step)
         for first in range(0, centres.size, count):
             chosen = centres[first : first + count]
             start = part.start + chosen[0] - lowpass.half
             stop = part.start + chosen[-1] + lowpass.half + 1
             piece = slice(start, stop)
             if halves is not None:
-                even, odd = (features._compute(half[piece]) for half in halves)
-            if halves is not None and average:
-                Phi = 0.5 * (even + odd)
-            else:
-                Phi = features._compute(states[piece])
+                even, odd = (half(piece) for half in halves)
+            Phi = 0.5 * (even + odd) if rows is None else rows(piece)
             equations = (
                 part.start + chosen,
                 lowpass(Phi),

@@ -1,7 +1,5 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
-import os
-
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
@@ -9,34 +7,41 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.robot import _friction
 from sklearn_vbjfa.robot._consistency import (
-    fit_projector,
     identifiable,
     min_eigenvalues,
+    project_beside,
+)
+from sklearn_vbjfa.robot._effect_columns import (
+    RegressorRows,
+    check_effects,
+    effect_names,
+    make_motion,
+    needs_load,
 )
 from sklearn_vbjfa.robot._equations import away_from_ends, filtered_equations
 from sklearn_vbjfa.robot._features import RigidBodyFeatures, rounding_entries
 from sklearn_vbjfa.robot._groups import check_dt, contiguous_groups
-from sklearn_vbjfa.robot._joint_statistics import residual_squares
+from sklearn_vbjfa.robot._joint_statistics import split_residual
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._model import joint_names
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_count,
     check_length,
+    check_widths,
     resolve_cutoff,
     resolve_standstill,
 )
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
-from sklearn_vbjfa.robot._states import StateEstimator
+from sklearn_vbjfa.robot._states import fit_states
 from sklearn_vbjfa.robot._torque_noise import torque_noise
-from sklearn_vbjfa.robot._urdf import write_urdf
+from sklearn_vbjfa.robot._urdf import write_identified
 
-# The state cut-off of least acceleration error, times this: what smoothing takes from
-# the motion biases the parameters however long the recording, while noise averages
-# out and is corrected for.
-_LIGHTER_SMOOTHING = 1.25
 # Rows of the feature matrix that are in memory at once.
 _CHUNK_BYTES = 64 << 20
+# Fits until the load in the effects' columns agrees with the parameters: the load is
+# mostly gravity and inertia, which a first fit without those effects knows well.
+_LOAD_PASSES = 3
 
 
 class RobotIdentifier(RegressorMixin, BaseEstimator):
@@ -56,6 +61,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
     friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"}, \
             default=("viscous",)
         Further columns of each joint.
+    effects : tuple of Effect, default=()
+        Effects beside the rigid bodies and their friction, each on one joint; see
+        `sklearn_vbjfa.effects`. `EffectDiscovery` finds out which.
     regressor : estimator, default=None
         Linear regressor, see `JointTorqueRegressor`; None is
         ``VBJFARegressor(latent="correlated", input_noise=0.0)``.
@@ -87,13 +95,16 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
     Attributes
     ----------
     theta_ : ndarray of shape (p,)
-        Parameters, physically consistent if projected. Directions that the data do not
-        determine are completed from the model's inertias, scaled to the data.
+        Parameters, physically consistent if projected, the effects' coefficients
+        last. Directions that the data do not determine are completed from the model's
+        inertias, scaled to the data.
     theta_unconstrained_ : ndarray of shape (p,)
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
         Posterior standard deviations of `theta_unconstrained_`, for independent
         residuals; nan where the regressor does not tell.
+    effects_ : tuple of Effect
+        Effects in use.
     parameter_names_, parameter_units_ : tuple of str
         Names ("joint_1:m") and units of the parameters.
     identifiable_ : ndarray of shape (p,), bool
@@ -150,6 +161,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         *,
         dt=None,
         friction=("viscous",),
+        effects=(),
         regressor=None,
         projector="default",
         cutoff="auto",
@@ -162,6 +174,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.model = model
         self.dt = dt
         self.friction = friction
+        self.effects = effects
         self.regressor = regressor
         self.projector = projector
         self.cutoff = cutoff
@@ -203,8 +216,10 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.features_ = RigidBodyFeatures(self.model, friction=self.friction)._load()
         self._nv = self.features_.n_joints_
         self.joint_names_ = joint_names(self.features_._model)
-        self.parameter_names_ = self.features_.parameter_names_
-        self.parameter_units_ = self.features_.parameter_units_
+        self.effects_ = check_effects(self.effects, self._nv)
+        names, units = effect_names(self.effects_, self.features_._model)
+        self.parameter_names_ = self.features_.parameter_names_ + names
+        self.parameter_units_ = self.features_.parameter_units_ + units
         X, y = self._validate(X, y)
         parts = contiguous_groups(groups, X.shape[0])
         states = self._fit_states(X, groups)
@@ -222,9 +237,22 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             [y[part] for part in parts], self.dt, self.cutoff_
         )
         halves = self._halves(X, groups)
-        return self._fit_equations(
-            self._filtered(states, y, weight, parts, lowpass, halves)
-        )
+        self._load_theta = None
+        for effects in self._passes():
+            if needs_load(effects):
+                self._load_theta = self.theta_[: self.features_.n_parameters_]
+            self._active_effects = effects
+            self._fit_equations(
+                self._filtered(states, y, weight, parts, lowpass, halves)
+            )
+        return self
+
+    def _passes(self):
+        """Effects of each fit: what asks for the load comes after a fit without."""
+        if not needs_load(self.effects_):
+            return [self.effects_]
+        plain = tuple(e for e in self.effects_ if "load" not in e.needs)
+        return [plain] + (_LOAD_PASSES - 1) * [self.effects_]
 
     def _halves(self, X, groups):
         """States from the even and from the odd samples, where the noise is asked."""
@@ -257,12 +285,16 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         for _, *equations in pieces:
             self.estimator_._accumulate(*equations)
         stats = self.estimator_._stats
-        check_count(stats, self.standstill_, len(self.parameter_names_))
+        n_rigid, n_all = self.features_.n_parameters_, stats.g.shape[1]
+        check_count(stats, self.standstill_, n_all)
         # The features leave out what is zero in every motion; where a joint does not
         # move in this recording there is more.
-        power = np.diagonal(stats.G, axis1=1, axis2=2)
-        rounding = rounding_entries(power.reshape(self._nv, self._nv, -1))
-        self.estimator_._forget(rounding.reshape(self._nv, -1))
+        power = np.diagonal(stats.G, axis1=1, axis2=2)[:, :n_rigid]
+        rounding = np.zeros((self._nv, n_all), dtype=bool)
+        rounding[:, :n_rigid] = rounding_entries(
+            power.reshape(self._nv, self._nv, -1)
+        ).reshape(self._nv, -1)
+        self.estimator_._forget(rounding)
         self.estimator_._finish()
         self._constrain()
         return self
@@ -270,24 +302,11 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
     # -- input -----------------------------------------------------------------
 
     def _validate(self, X, y):
-        nv = self._nv
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
         )
         y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
-        if X.shape[1] not in {nv, 3 * nv}:
-            raise ValueError(
-                f"The robot has {nv} joint(s) ({', '.join(self.joint_names_)}), so X "
-                f"must have {nv} columns of positions or {3 * nv} of states "
-                f"[q | v | a]; got {X.shape[1]}. Leave out channels of locked joints, "
-                "or lock joints that were not recorded with "
-                "pinocchio.buildReducedModel."
-            )
-        if y.shape[1] != nv:
-            raise ValueError(
-                f"The robot has {nv} joint(s) ({', '.join(self.joint_names_)}), so y "
-                f"must have {nv} column(s) of torques; got {y.shape[1]}."
-            )
+        check_widths(self.joint_names_, X, y)
         return X, y
 
     def _fit_states(self, X, groups):
@@ -298,16 +317,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         return self.state_estimator_.transform(X, groups=groups)
 
     def _new_state_estimator(self, X, groups):
-        """Fit a state estimator; an automatic cut-off is raised a little."""
-        dt = check_dt(self.dt)
-        estimator = StateEstimator(dt, cutoff=self.state_cutoff).fit(X, groups=groups)
-        if isinstance(self.state_cutoff, str):
-            lighter = np.minimum(_LIGHTER_SMOOTHING * estimator.cutoff_, 1 / (3 * dt))
-            lighter = np.where(np.isfinite(estimator.cutoff_), lighter, np.inf)
-            estimator = StateEstimator(
-                dt, cutoff=[c if np.isfinite(c) else None for c in lighter]
-            ).fit(X, groups=groups)
-        return estimator
+        return fit_states(check_dt(self.dt), self.state_cutoff, X, groups)
 
     def _states(self, X, groups, *, in_band=False):
         """States of a query; `in_band` smooths to the band that was identified."""
@@ -331,17 +341,31 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         speed = np.abs(states[:, self._nv : 2 * self._nv])
         inside = away_from_ends(parts, y.shape[0], self.state_estimator_)
         weight = weight * (speed > self.standstill_) * inside[:, None]
+        average = halves is not None and self._corrects_noise()
         return filtered_equations(
-            self.features_,
-            states,
+            None if average else self._rows(states, parts),
             y,
             weight,
             parts,
             lowpass,
-            halves,
-            average=self._corrects_noise(),
+            None if halves is None else [self._rows(half, parts) for half in halves],
             chunk_bytes=_CHUNK_BYTES,
         )
+
+    def _rows(self, states, parts):
+        """Regressor matrices of states, with the effects' columns."""
+        if not self._active_effects:
+            return RegressorRows(self.features_, states)
+        motion = self._motion(states, parts)
+        return RegressorRows(self.features_, states, self._active_effects, motion)
+
+    def _motion(self, states, parts):
+        """Signals that the effects are made from."""
+        t = None
+        if self.dt is not None:
+            t = np.concatenate([np.arange(p.stop - p.start) for p in parts]) * self.dt
+        theta, cutoff = self._load_theta, self.cutoff_
+        return make_motion(self.features_, states, t, parts, theta, cutoff)
 
     def _constrain(self):
         """Project, and derive what the data determine."""
@@ -349,35 +373,30 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.theta_std_ = self.estimator_.theta_std_
         metric = self.estimator_.metric_
         self.identifiable_ = identifiable(metric)
-        per_joint = self.features_.n_parameters_ // self._nv
+        self.theta_ = self.theta_unconstrained_
         self.projector_ = None
-        theta = self.theta_unconstrained_
         if self.projector is not None:
-            self.projector_ = fit_projector(
+            self.projector_, self.theta_ = project_beside(
                 self.projector,
                 self.features_._model,
-                theta,
+                self.theta_unconstrained_,
                 metric,
                 _friction.check_names(self.friction),
             )
-            theta = self.projector_.transform(theta[None])[0]
-        self.theta_ = theta
-        self.min_eigenvalues_ = min_eigenvalues(theta, per_joint)
+        self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self._split_residual()
+
+    def _bodies(self):
+        """Parameters of the features, (nv, 10 + number of friction columns)."""
+        return self.theta_[: self.features_.n_parameters_].reshape(self._nv, -1)
 
     def _split_residual(self):
         """Split the residual into what input noise explains and the rest."""
         stats = self.estimator_.statistics_
-        n = np.where(stats.n > 0, stats.n, np.nan)
-        theta = self.theta_
-        through = np.zeros(self._nv)
-        if stats.noise is not None:
-            through = np.einsum("i,jik,k->j", theta, stats.noise, theta) / n
-            through = np.maximum(through, 0.0)  # rounding
-        self.input_noise_torque_ = np.sqrt(through)
-        rest = residual_squares(stats, theta) / n - through
-        self.output_noise_ = np.sqrt(np.maximum(rest, 0.0))
-        self.noise_floor_ = np.sqrt(self.torque_noise_**2 + through)
+        self.input_noise_torque_, self.output_noise_ = split_residual(
+            stats, self.theta_
+        )
+        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
 
     def predict(self, X, groups=None):
         """Predict the joint torques.
@@ -399,22 +418,19 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         X = self._validate_query(X)
         states = self._states(X, groups, in_band=True)
-        rows = max(1, _CHUNK_BYTES // (8 * self._nv * self.theta_.size))
+        rows = self._rows(states, contiguous_groups(groups, X.shape[0]))
+        count = max(1, _CHUNK_BYTES // (8 * self._nv * self.theta_.size))
         return np.concatenate(
             [
-                self.features_._compute(states[i : i + rows]) @ self.theta_
-                for i in range(0, states.shape[0], rows)
+                rows(slice(i, i + count)) @ self.theta_
+                for i in range(0, states.shape[0], count)
             ]
         )
 
     def _validate_query(self, X):
         # Positions and states are both welcome, whichever the fit got.
         X = check_array(X, dtype=np.float64)
-        if X.shape[1] not in {self._nv, 3 * self._nv}:
-            raise ValueError(
-                f"X must have {self._nv} columns of positions or {3 * self._nv} of "
-                f"states; got {X.shape[1]}."
-            )
+        check_widths(self.joint_names_, X)
         return X
 
     def residuals(self, X, y, groups=None, sample_weight=None):
@@ -440,10 +456,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         X = self._validate_query(X)
         y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
-        if y.shape[1] != self._nv:
-            raise ValueError(
-                f"y must have {self._nv} column(s) of torques; got {y.shape[1]}."
-            )
+        check_widths(self.joint_names_, X, y)
         parts = contiguous_groups(groups, X.shape[0])
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
@@ -474,25 +487,11 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             the parameters are not physically consistent.
         """
         check_is_fitted(self)
-        if not isinstance(self.model, (str, os.PathLike)):
-            raise ValueError(
-                "to_urdf needs the URDF that the robot came from: give its path as "
-                "`model` (a pinocchio.Model does not keep the links' shapes)."
-            )
-        if (self.min_eigenvalues_ <= 0).any():
-            bad = [
-                name
-                for name, low in zip(self.joint_names_, self.min_eigenvalues_)
-                if low <= 0
-            ]
-            raise ValueError(
-                f"The bodies of {', '.join(bad)} are not physically consistent, and a "
-                'URDF must be: identify with projector="default".'
-            )
-        write_urdf(
+        write_identified(
             self.model,
             path,
             self.features_._model,
-            self.theta_.reshape(self._nv, -1),
+            self._bodies(),
             _friction.check_names(self.friction),
+            self.min_eigenvalues_,
         )

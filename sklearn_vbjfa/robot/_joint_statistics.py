@@ -109,6 +109,24 @@ def residual_squares(stats, theta):
     return np.maximum(squares, 1e-13 * stats.yy)
 
 
+def split_residual(stats, theta):
+    """Split each joint's residual into what input noise explains and the rest.
+
+    Returns
+    -------
+    through, rest : ndarray of shape (nv,)
+        Standard deviations of the input noise through the parameters, and of what it
+        leaves; nan for the rest of a joint without rows.
+    """
+    n = np.where(stats.n > 0, stats.n, np.nan)
+    through = np.zeros(n.size)
+    if stats.noise is not None:
+        through = np.einsum("i,jik,k->j", theta, stats.noise, theta) / n
+        through = np.maximum(through, 0.0)  # rounding
+    rest = residual_squares(stats, theta) / n - through
+    return np.sqrt(through), np.sqrt(np.maximum(rest, 0.0))
+
+
 def noise_weights(stats, max_iter=30, tol=1e-6):
     """Inverse residual variance of each joint by iterated weighted least squares.
 

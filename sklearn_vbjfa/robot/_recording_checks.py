@@ -16,6 +16,22 @@ SHORTEST_CUTOFF_PERIODS = 36.0
 STANDSTILL_SHARE = 0.02
 
 
+def check_widths(names, X, y=None):
+    """Refuse positions, states or torques of another number of joints."""
+    nv = len(names)
+    robot = f"The robot has {nv} joint(s) ({', '.join(names)}), so "
+    if X.shape[1] not in {nv, 3 * nv}:
+        raise ValueError(
+            f"{robot}X must have {nv} columns of positions or {3 * nv} of states "
+            f"[q | v | a]; got {X.shape[1]}. Leave out channels of locked joints, or "
+            "lock joints that were not recorded with pinocchio.buildReducedModel."
+        )
+    if y is not None and y.shape[1] != nv:
+        raise ValueError(
+            f"{robot}y must have {nv} column(s) of torques; got {y.shape[1]}."
+        )
+
+
 def check_channels(names, positions, torques):
     """Refuse dead torque channels, name joints that do not move.
 

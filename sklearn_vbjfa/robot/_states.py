@@ -9,6 +9,10 @@ from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_group
 
 # Shortest recording that the spline can be fitted to.
 _MIN_SAMPLES = 8
+# The state cut-off of least acceleration error, times this: what smoothing takes from
+# the motion biases the parameters however long the recording, while noise averages
+# out and is corrected for.
+_LIGHTER_SMOOTHING = 1.25
 
 
 class StateEstimator(TransformerMixin, BaseEstimator):
@@ -257,3 +261,16 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             [f"{kind}_{name}" for kind in "qva" for name in input_features],
             dtype=object,
         )
+
+
+def fit_states(dt, cutoff, X, groups):
+    """Fit a state estimator for identification; its own choice is raised a little."""
+    estimator = StateEstimator(dt, cutoff=cutoff).fit(X, groups=groups)
+    if not isinstance(cutoff, str):
+        return estimator
+    lighter = np.minimum(_LIGHTER_SMOOTHING * estimator.cutoff_, 1 / (3 * dt))
+    chosen = [
+        lower if np.isfinite(own) else None
+        for lower, own in zip(lighter, estimator.cutoff_)
+    ]
+    return StateEstimator(dt, cutoff=chosen).fit(X, groups=groups)

@@ -112,3 +112,36 @@ def write_urdf(source, target, model, parameters, friction):
     except BaseException:
         os.unlink(temporary)
         raise
+
+
+def write_identified(source, path, model, bodies, friction, min_eigenvalues):
+    """Write a URDF with identified bodies, or say why there can be none.
+
+    Parameters
+    ----------
+    source : str, os.PathLike or other
+        Robot description that the robot came from.
+    path : str or os.PathLike
+        File to write.
+    model : pinocchio.Model
+        Robot.
+    bodies : ndarray of shape (nv, 10 + len(friction))
+        Parameters.
+    friction : tuple of str
+        Names of the friction columns.
+    min_eigenvalues : ndarray of shape (nv,)
+        Consistency of the bodies.
+    """
+    if not isinstance(source, (str, os.PathLike)):
+        raise ValueError(
+            "to_urdf needs the URDF that the robot came from: give its path as "
+            "`model` (a pinocchio.Model does not keep the links' shapes)."
+        )
+    if (min_eigenvalues <= 0).any():
+        names = joint_names(model)
+        bad = [name for name, low in zip(names, min_eigenvalues) if low <= 0]
+        raise ValueError(
+            f"The bodies of {', '.join(bad)} are not physically consistent, and a "
+            'URDF must be: identify with projector="default".'
+        )
+    write_urdf(source, path, model, bodies, friction)

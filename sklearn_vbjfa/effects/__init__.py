@@ -1,0 +1,41 @@
+"""Effects that a rigid-body model may lack, each a small transformer."""
+
+from sklearn_vbjfa.effects._base import Effect, Motion
+from sklearn_vbjfa.effects._drive import Coupling, Delay, Elastic, RotorInertia
+from sklearn_vbjfa.effects._friction import (
+    AsymmetricFriction,
+    Coulomb,
+    LoadFriction,
+    Stribeck,
+    Viscous,
+    ViscousQuadratic,
+)
+from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
+from sklearn_vbjfa.effects._library import available, resolve
+from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
+from sklearn_vbjfa.effects._time import Drift, Payload
+
+__all__ = [
+    "AsymmetricFriction",
+    "Backlash",
+    "Coulomb",
+    "Counterbalance",
+    "Coupling",
+    "Delay",
+    "Drift",
+    "Effect",
+    "Elastic",
+    "LoadFriction",
+    "Motion",
+    "Offset",
+    "Payload",
+    "Presliding",
+    "Ripple",
+    "RotorInertia",
+    "Spring",
+    "Stribeck",
+    "Viscous",
+    "ViscousQuadratic",
+    "available",
+    "resolve",
+]

@@ -1,0 +1,329 @@
+"""What an effect is: columns of a joint's torque, computed from the motion."""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from sklearn.base import BaseEstimator, TransformerMixin
+from sklearn.utils.validation import check_array
+
+# Speeds are scaled by this quantile of a joint's speed: its fastest, without outliers.
+_FAST = 0.995
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Signals of one or several recordings, all at the full sample rate.
+
+    Attributes
+    ----------
+    q, v, a : ndarray of shape (n, nv)
+        Positions [rad or m], velocities, accelerations.
+    t : ndarray of shape (n,) or None
+        Time [s], rising within each recording.
+    load : ndarray of shape (n, nv) or None
+        Torques of the rigid bodies alone, without friction [N m or N].
+    torque : ndarray of shape (n, nv) or None
+        Torques of the whole model [N m or N].
+    parts : tuple of slice
+        Recordings; nothing is remembered across their borders.
+    prismatic : ndarray of shape (nv,), bool
+        Which joints slide.
+    rigid : callable or None
+        (q, v, a) -> torques (n, nv) of the rigid bodies.
+    last_body : callable or None
+        () -> regressor of the last body's inertial parameters, (n, nv, 10).
+    bandwidth : float
+        Highest frequency [Hz] that will be looked at.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    t: np.ndarray | None = None
+    load: np.ndarray | None = None
+    torque: np.ndarray | None = None
+    parts: tuple = ()
+    prismatic: np.ndarray | None = None
+    rigid: Callable | None = None
+    last_body: Callable | None = None
+    bandwidth: float = np.inf
+    _speeds: dict = field(default_factory=dict, repr=False)
+
+    def __post_init__(self):
+        if not self.parts:
+            object.__setattr__(self, "parts", (slice(0, self.q.shape[0]),))
+        if self.prismatic is None:
+            object.__setattr__(self, "prismatic", np.zeros(self.q.shape[1], bool))
+
+    @property
+    def n_joints(self):
+        """Number of joints."""
+        return self.q.shape[1]
+
+    def speed(self, joint):
+        """Fastest speed of a joint, outliers aside [rad/s or m/s]."""
+        if joint not in self._speeds:
+            self._speeds[joint] = float(np.quantile(np.abs(self.v[:, joint]), _FAST))
+        return self._speeds[joint]
+
+    def range(self, joint):
+        """Range of a joint's positions [rad or m]."""
+        return float(np.ptp(self.q[:, joint]))
+
+    def duration(self):
+        """Return the length of all recordings together [s]."""
+        return float(sum(np.ptp(self.t[part]) for part in self.parts))
+
+    def clock(self):
+        """Time since the start of the first recording, recordings joined [s]."""
+        out = np.empty(self.q.shape[0])
+        start = 0.0
+        for part in self.parts:
+            stamps = self.t[part]
+            out[part] = start + stamps - stamps[0]
+            start = out[part][-1] + (stamps[1] - stamps[0] if stamps.size > 1 else 0)
+        return out
+
+    def derivative(self, signal):
+        """Differentiate columns (n, ...) in time, recording by recording."""
+        out = np.zeros_like(signal)
+        for part in self.parts:
+            if part.stop - part.start > 2:
+                out[part] = np.gradient(signal[part], self.t[part], axis=0)
+        return out
+
+
+class Effect(TransformerMixin, BaseEstimator):
+    """Something that adds torque to a joint, linear in its coefficients.
+
+    A class of its own is all that a new effect needs: `name`, the coefficients'
+    `coefficients` and `units`, `columns`, and `shapes` if there is anything to search.
+    Instances go into ``EffectDiscovery(effects=[...])`` and
+    ``RobotIdentifier(effects=[...])`` like those of the library.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint that the effect acts on, from zero.
+
+    Attributes
+    ----------
+    name : str
+        Name, the same for all joints.
+    coefficients : tuple of str
+        Symbols of the linear coefficients, one for each column.
+    units : tuple of (str, str)
+        Their units, for a revolute and for a prismatic joint.
+    contains : tuple of str
+        Plainer effects that this one must beat: it is judged beside them.
+    needs : tuple of {"time", "load"}
+        Signals besides the states.
+    continuous : tuple of str
+        Shape parameters that take any value between those of `shapes`.
+    visible : str
+        What a recording must hold for the effect to show.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa.effects import Effect
+    >>> class Cubic(Effect):
+    ...     '''Cubic spring, tau = k3 q^3.'''
+    ...     name = "cubic"
+    ...     coefficients = ("k3",)
+    ...     units = (("N m/rad^3", "N/m^3"),)
+    ...     def columns(self, motion):
+    ...         return motion.q[:, [self.joint]] ** 3
+    >>> Cubic(joint=1).fit_transform(np.array([[0.0, 2.0, 0, 0, 0, 0]]))
+    array([[8.]])
+    """
+
+    name = ""
+    coefficients = ()
+    units = ()
+    contains = ()
+    needs = ()
+    continuous = ()
+    visible = "the joint moves"
+    # True for an effect that acts on all joints: columns of shape (n, nv, k).
+    whole_robot = False
+
+    def __init__(self, joint=0):
+        self.joint = joint
+
+    # -- what a new effect says ---------------------------------------------------
+
+    def columns(self, motion):
+        """Compute the columns.
+
+        Parameters
+        ----------
+        motion : Motion
+            Signals.
+
+        Returns
+        -------
+        ndarray of shape (n, k)
+            One column for each coefficient; (n, nv, k) for a `whole_robot` effect.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define columns(motion).")
+
+    def shapes(self, motion):
+        """Shape parameters to search, a list of dicts for `set_params`."""
+        return [{}]
+
+    def applies(self, motion):
+        """Say why the effect cannot be looked for, or return an empty string."""
+        for need in self.needs:
+            if need == "time" and motion.t is None:
+                return "needs time stamps"
+            if need == "load" and motion.load is None:
+                return "needs the load, the torque of the rigid bodies"
+        return ""
+
+    def parameters(self, coef):
+        """Return what an engineer calls the coefficients, symbol -> value."""
+        return dict(zip(self.coefficients, map(float, coef)))
+
+    def parameter_units(self, prismatic=False):
+        """Units of `parameters` and of the shape parameters, symbol -> unit."""
+        kind = int(bool(prismatic))
+        return {s: u[kind] for s, u in zip(self.coefficients, self.units)}
+
+    # -- derived ------------------------------------------------------------------
+
+    @property
+    def complexity(self):
+        """Number of coefficients and searched shape parameters."""
+        return len(self.coefficients) + len(self.continuous)
+
+    def shape(self):
+        """Shape parameters in use."""
+        parameters = self.get_params(deep=False)
+        parameters.pop("joint")
+        return parameters
+
+    def key(self):
+        """Tell two uses of the effect apart: all but the continuous parameters."""
+        fixed = {k: v for k, v in self.shape().items() if k not in self.continuous}
+        return (self.name, self.joint, tuple(sorted(fixed.items())))
+
+    def fit(self, X, y=None):
+        """Check the states.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, 3 * nv)
+            States [q | v | a].
+        y : None
+            Ignored.
+
+        Returns
+        -------
+        self : object
+            Fitted transformer.
+        """
+        self._motion(X)
+        self.n_features_in_ = np.shape(X)[1]
+        return self
+
+    def transform(self, X, *, t=None, load=None, groups=None):
+        """Compute the effect's columns.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, 3 * nv)
+            States [q | v | a].
+        t : array-like of shape (n_samples,), default=None
+            Time [s]; needed by effects that change with time.
+        load : array-like of shape (n_samples, nv), default=None
+            Torques of the rigid bodies [N m or N]; needed by effects of the load.
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, k)
+            Columns, one for each coefficient.
+
+        Raises
+        ------
+        ValueError
+            If a signal that the effect needs is missing.
+        """
+        motion = self._motion(X, t, load, groups)
+        reason = self.applies(motion)
+        if reason:
+            raise ValueError(f"{self.name} on joint {self.joint + 1}: {reason}.")
+        return self.columns(motion)
+
+    def _motion(self, X, t=None, load=None, groups=None):
+        X = check_array(X, dtype=np.float64)
+        nv = X.shape[1] // 3
+        if X.shape[1] % 3:
+            raise ValueError(
+                f"X must hold states [q | v | a], three columns a joint; got "
+                f"{X.shape[1]} columns."
+            )
+        if not 0 <= self.joint < nv:
+            raise ValueError(
+                f"joint must be one of 0 to {nv - 1}, for {nv} joints; got "
+                f"{self.joint!r}."
+            )
+        if t is not None:
+            t = check_array(t, ensure_2d=False, dtype=np.float64)
+            if t.shape != X.shape[:1]:
+                raise ValueError(
+                    f"t must hold one time per row, shape {X.shape[:1]}; got {t.shape}."
+                )
+        if load is not None:
+            load = check_array(load, dtype=np.float64)
+            if load.shape != (X.shape[0], nv):
+                raise ValueError(
+                    f"load must have shape {(X.shape[0], nv)}; got {load.shape}."
+                )
+        return Motion(
+            q=X[:, :nv],
+            v=X[:, nv : 2 * nv],
+            a=X[:, 2 * nv :],
+            t=t,
+            load=load,
+            parts=_parts(groups, X.shape[0]),
+        )
+
+    def get_feature_names_out(self, input_features=None):
+        """Names of the columns, such as "joint 2:coulomb:Fc".
+
+        Parameters
+        ----------
+        input_features : None
+            Ignored.
+
+        Returns
+        -------
+        ndarray of str
+            Names.
+        """
+        return np.array(
+            [f"joint {self.joint + 1}:{self.name}:{c}" for c in self.coefficients],
+            dtype=object,
+        )
+
+
+def _parts(groups, n):
+    if groups is None:
+        return (slice(0, n),)
+    labels = np.asarray(groups)
+    if labels.shape != (n,):
+        raise ValueError(
+            f"groups must hold one label per row, shape ({n},); got {labels.shape}."
+        )
+    edges = np.r_[0, np.flatnonzero(labels[1:] != labels[:-1]) + 1, n]
+    return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
+
+
+def sign(v, smoothing=0.0):
+    """Sign of the velocity, tanh(v / smoothing) where a speed is given."""
+    return np.tanh(v / smoothing) if smoothing > 0 else np.sign(v)

@@ -1,0 +1,248 @@
+"""Effects of the drive: its inertia, its gears, its elasticity, its electronics."""
+
+import numpy as np
+
+from sklearn_vbjfa.effects._base import Effect
+
+# Delays to try [s].
+_DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
+# Compliance of the finite difference: deflections of this share of the positions'
+# spread, small enough to be linear and large enough for the rounding.
+_DEFLECTION = 1e-4
+
+
+class RotorInertia(Effect):
+    """Inertia of the motor's rotor seen from the joint, tau = Ir a.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+
+    Notes
+    -----
+    On the first joints of an arm it lies in the span of the links' inertias.
+
+    References
+    ----------
+    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
+       Butterworth-Heinemann, 2004, chapter 9.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import RotorInertia
+    >>> RotorInertia().fit_transform([[0.1, -2.0, 5.0]])
+    array([[5.]])
+    """
+
+    name = "rotor_inertia"
+    coefficients = ("Ir",)
+    units = (("kg m^2", "kg"),)
+    visible = "acceleration in poses with different link inertia"
+
+    def columns(self, motion):
+        """Acceleration; see `Effect.columns`."""
+        return motion.a[:, [self.joint]]
+
+
+class Coupling(Effect):
+    """Friction and inertia of another joint's motion.
+
+    tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity, or
+    the sum or difference of both: drives in series through a differential or coupled
+    wrist [1]_.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint whose torque is felt, from zero.
+    other : int, default=1
+        Joint that moves.
+    of : {"other", "sum", "difference"}, default="other"
+        Which motion rubs: the other joint's own, or that of both together.
+
+    References
+    ----------
+    .. [1] M. Gautier, A. Janot, P.-O. Vandanjon, "A new closed-loop output error
+       method for parameter identification of robot dynamics", IEEE Trans. Control
+       Systems Technology 21(2), 2013 (wrist of the Staubli TX40).
+       :doi:`10.1109/TCST.2012.2185697`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Coupling
+    >>> Coupling(joint=0, other=1).fit_transform([[0.0, 0, 3.0, -2.0, 0.0, 5.0]])
+    array([[-2., -1.,  5.]])
+    """
+
+    name = "coupling"
+    coefficients = ("Fvm", "Fcm", "Iam")
+    units = (
+        ("N m s/rad", "N s/m"),
+        ("N m", "N"),
+        ("kg m^2", "kg"),
+    )
+    contains = ("coulomb", "viscous")
+    visible = "the other joint reverses while this one moves"
+
+    def __init__(self, joint=0, other=1, of="other"):
+        super().__init__(joint)
+        self.other = other
+        self.of = of
+
+    def applies(self, motion):
+        """There must be another joint; see `Effect.applies`."""
+        if motion.n_joints < 2:
+            return "there is only one joint"
+        return super().applies(motion)
+
+    def columns(self, motion):
+        """Speed, its sign, acceleration; see `Effect.columns`."""
+        factor = {"other": 0.0, "sum": 1.0, "difference": -1.0}
+        if self.of not in factor:
+            raise ValueError(f"of must be one of {list(factor)}; got {self.of!r}.")
+        j, k = [self.joint], [self.other]
+        w = motion.v[:, k] + factor[self.of] * motion.v[:, j]
+        dw = motion.a[:, k] + factor[self.of] * motion.a[:, j]
+        return np.hstack([w, np.sign(w), dw])
+
+    def shapes(self, motion):
+        """All other joints, alone and together with this one."""
+        return [
+            {"other": other, "of": of}
+            for other in range(motion.n_joints)
+            for of in ("other", "sum", "difference")
+            if other != self.joint
+            and (
+                of == "other" or motion.prismatic[other] == motion.prismatic[self.joint]
+            )
+        ]
+
+
+class Elastic(Effect):
+    """Elastic joint seen from the motor, with the compliance 1/k as coefficient.
+
+    Positions are measured at the motor and the link lags by tau / k, so that to first
+    order the torque changes by 1/k times the derivative of the rigid-body torques
+    along -(tau, dtau/dt, d2tau/dt2): mostly the second derivative of the joint torque
+    times the link's inertia [1]_.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Elastic joint, from zero; all joints feel it.
+
+    References
+    ----------
+    .. [1] M. W. Spong, "Modeling and control of elastic joint robots", J. Dyn. Sys.,
+       Meas., Control 109(4), 1987. :doi:`10.1115/1.3143860`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Elastic
+    >>> Elastic(joint=2).parameters([0.001])
+    {'k': 1000.0}
+    """
+
+    name = "elastic"
+    coefficients = ("compliance",)
+    units = (("rad/(N m)", "m/N"),)
+    needs = ("load", "time")
+    visible = "motion near a tenth of the elastic mode's frequency and above"
+    whole_robot = True
+
+    def applies(self, motion):
+        """Ask for the rigid-body dynamics; see `Effect.applies`."""
+        reason = super().applies(motion)
+        if not reason and motion.rigid is None:
+            return "needs the rigid-body dynamics"
+        return reason
+
+    def columns(self, motion):
+        """Differentiate all torques by the compliance; see `Effect.columns`."""
+        j = self.joint
+        torque = motion.load[:, j]
+        rate = motion.derivative(torque)
+        curve = motion.derivative(rate)
+        size = max(np.abs(torque).max(), np.finfo(float).tiny)
+        compliance = _DEFLECTION * max(motion.range(j), 1e-9) / size
+        moved = []
+        for side in (-0.5, 0.5):
+            states = [motion.q.copy(), motion.v.copy(), motion.a.copy()]
+            for state, lag in zip(states, (torque, rate, curve)):
+                state[:, j] -= side * compliance * lag
+            moved.append(motion.rigid(*states))
+        return ((moved[1] - moved[0]) / compliance)[:, :, None]
+
+    def parameters(self, coef):
+        """Stiffness; see `Effect.parameters`."""
+        compliance = float(coef[0])
+        return {"k": 1 / compliance if compliance else np.inf}
+
+    def parameter_units(self, prismatic=False):
+        """Units; see `Effect.parameter_units`."""
+        return {"k": "N/m" if prismatic else "N m/rad"}
+
+
+class Delay(Effect):
+    """The torque signal lags behind the positions.
+
+    The column is (tau(t - delay) - tau(t)) / delay, the model's torque shifted, so
+    that its coefficient is the delay [s] again: to first order -dtau/dt.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    delay : float, default=0.001
+        Shift [s]; negative if the positions lag.
+
+    References
+    ----------
+    .. [1] L. Ljung, "System Identification: Theory for the User", Prentice Hall, 1999,
+       section 10.3 (delays).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa.effects import Delay
+    >>> t = np.arange(5.0)
+    >>> states = np.zeros((5, 3))
+    >>> Delay(delay=1.0).fit(states).transform(states, t=t, load=t[:, None]).ravel()
+    array([ 0., -1., -1., -1., -1.])
+    """
+
+    name = "delay"
+    coefficients = ("delay_estimate",)
+    units = (("s", "s"),)
+    needs = ("load", "time")
+    continuous = ("delay",)
+    visible = "fast changes of the torque"
+
+    def __init__(self, joint=0, delay=0.001):
+        super().__init__(joint)
+        self.delay = delay
+
+    def columns(self, motion):
+        """Shifted torque less the torque itself; see `Effect.columns`."""
+        torque = (motion.load if motion.torque is None else motion.torque)[
+            :, self.joint
+        ]
+        out = np.empty_like(torque)
+        for part in motion.parts:
+            t = motion.t[part]
+            lagged = np.interp(t - self.delay, t, torque[part])
+            out[part] = (lagged - torque[part]) / self.delay
+        return out[:, None]
+
+    def shapes(self, motion):
+        """Delays up to 30 ms, of either signal."""
+        return [{"delay": way * d} for d in _DELAYS for way in (1, -1)]
+
+    def parameters(self, coef):
+        """Delay, the coefficient; see `Effect.parameters`."""
+        return {"delay": float(coef[0])}
+
+    def parameter_units(self, prismatic=False):
+        """Units; see `Effect.parameter_units`."""
+        return {"delay": "s"}

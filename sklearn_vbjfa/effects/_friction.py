@@ -1,0 +1,274 @@
+"""Friction that depends on velocity and load."""
+
+import numpy as np
+
+from sklearn_vbjfa.effects._base import Effect, sign
+
+_TORQUE = ("N m", "N")
+_VISCOUS = ("N m s/rad", "N s/m")
+# Smoothing and Stribeck speeds to try, as shares of the joint's fastest speed.
+_SMOOTHINGS = (0.0, 0.02, 0.05, 0.1, 0.2)
+_STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6)
+
+
+class _Smoothed(Effect):
+    """Dry friction, with a sign that may be smoothed."""
+
+    continuous = ("smoothing",)
+
+    def __init__(self, joint=0, smoothing=0.0):
+        super().__init__(joint)
+        self.smoothing = smoothing
+
+    def shapes(self, motion):
+        fast = motion.speed(self.joint)
+        return [{"smoothing": s * fast} for s in _SMOOTHINGS]
+
+    def parameter_units(self, prismatic=False):
+        units = super().parameter_units(prismatic)
+        return units | {"smoothing": "m/s" if prismatic else "rad/s"}
+
+    def _sign(self, motion):
+        return sign(motion.v[:, [self.joint]], self.smoothing)
+
+
+class Viscous(Effect):
+    """Viscous friction, tau = Fv v.
+
+    Part of the model of [1]_, the eleventh parameter of each joint there.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+
+    References
+    ----------
+    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
+       with input and output noise", Neural Networks 24(1), 2011.
+       :doi:`10.1016/j.neunet.2010.08.011`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Viscous
+    >>> Viscous().fit_transform([[0.1, 2.0, 0.0]])
+    array([[2.]])
+    """
+
+    name = "viscous"
+    coefficients = ("Fv",)
+    units = (_VISCOUS,)
+    visible = "motion at several speeds"
+
+    def columns(self, motion):
+        """Velocity; see `Effect.columns`."""
+        return motion.v[:, [self.joint]]
+
+
+class Coulomb(_Smoothed):
+    """Coulomb friction, tau = Fc sign(v), or Fc tanh(v / smoothing).
+
+    Equation of [1]_; the smoothed sign stands for the rounded characteristic of
+    lubricated gears.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    smoothing : float, default=0.0
+        Speed [rad/s or m/s] over which the sign turns; zero is the sign itself.
+
+    References
+    ----------
+    .. [1] B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, "A survey of models,
+       analysis tools and compensation methods for the control of machines with
+       friction", Automatica 30(7), 1994. :doi:`10.1016/0005-1098(94)90209-7`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Coulomb
+    >>> Coulomb().fit_transform([[0.1, -2.0, 0.0]])
+    array([[-1.]])
+    """
+
+    name = "coulomb"
+    coefficients = ("Fc",)
+    units = (_TORQUE,)
+    visible = "the joint reverses"
+
+    def columns(self, motion):
+        """Sign of the velocity; see `Effect.columns`."""
+        return self._sign(motion)
+
+
+class AsymmetricFriction(Effect):
+    """Friction that differs between the directions of motion.
+
+    tau = dFc abs(sign(v)) + dFv abs(v): half the difference between the Coulomb and
+    viscous coefficients for v > 0 and for v < 0, beside the symmetric `Coulomb` and
+    `Viscous` halves. Without dFv it equals an `Offset`.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+
+    Notes
+    -----
+    Usual in screw drives and where gravity loads the gear flanks, see [1]_.
+
+    References
+    ----------
+    .. [1] A. Janot, M. Gautier, M. Brunot, "Data set and reference models of EMPS",
+       Nonlinear System Identification Benchmarks, 2019.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import AsymmetricFriction
+    >>> AsymmetricFriction().fit_transform([[0.1, -2.0, 0.0]])
+    array([[1., 2.]])
+    """
+
+    name = "asymmetric_friction"
+    coefficients = ("dFc", "dFv")
+    units = (_TORQUE, _VISCOUS)
+    contains = ("coulomb", "viscous")
+    visible = "both directions of motion, at several speeds"
+
+    def columns(self, motion):
+        """Even functions of the velocity; see `Effect.columns`."""
+        v = motion.v[:, [self.joint]]
+        return np.hstack([np.abs(np.sign(v)), np.abs(v)])
+
+
+class Stribeck(Effect):
+    """Stribeck friction, tau = Fs exp(-abs(v / vs)^k) sign(v).
+
+    What friction has at low speed above its Coulomb level, section 2 of [1]_.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    vs : float, default=0.1
+        Stribeck speed [rad/s or m/s].
+    k : {1, 2}, default=1
+        Exponent.
+
+    References
+    ----------
+    .. [1] B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, "A survey of models,
+       analysis tools and compensation methods for the control of machines with
+       friction", Automatica 30(7), 1994. :doi:`10.1016/0005-1098(94)90209-7`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Stribeck
+    >>> Stribeck(vs=1.0).fit_transform([[0.1, -1.0, 0.0]]).round(3)
+    array([[-0.368]])
+    """
+
+    name = "stribeck"
+    coefficients = ("Fs",)
+    units = (_TORQUE,)
+    contains = ("coulomb", "viscous")
+    continuous = ("vs",)
+    visible = "slow motion without standing still, and fast motion"
+
+    def __init__(self, joint=0, vs=0.1, k=1):
+        super().__init__(joint)
+        self.vs = vs
+        self.k = k
+
+    def columns(self, motion):
+        """Friction of unit size at low speed; see `Effect.columns`."""
+        v = motion.v[:, [self.joint]]
+        return np.exp(-(np.abs(v / self.vs) ** self.k)) * np.sign(v)
+
+    def shapes(self, motion):
+        """Speeds up to two thirds of the fastest, both exponents."""
+        fast = motion.speed(self.joint)
+        return [{"vs": s * fast, "k": k} for k in (1, 2) for s in _STRIBECK]
+
+    def key(self):
+        """Both exponents are one use of the effect."""
+        return (self.name, self.joint, ())
+
+    def parameter_units(self, prismatic=False):
+        """Units; see `Effect.parameter_units`."""
+        units = super().parameter_units(prismatic)
+        return units | {"vs": "m/s" if prismatic else "rad/s", "k": ""}
+
+
+class ViscousQuadratic(Effect):
+    """Quadratic viscous friction, tau = F2 v abs(v).
+
+    Drag of fans and fluids; its negative, friction that grows less than in proportion
+    to speed, as in lubricated gears [1]_.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+
+    References
+    ----------
+    .. [1] A. Carvalho Bittencourt, S. Gunnarsson, "Static friction in a robot joint:
+       modeling and identification of load and temperature effects", J. Dyn. Sys.,
+       Meas., Control 134(5), 2012. :doi:`10.1115/1.4006589`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import ViscousQuadratic
+    >>> ViscousQuadratic().fit_transform([[0.1, -2.0, 0.0]])
+    array([[-4.]])
+    """
+
+    name = "viscous_quadratic"
+    coefficients = ("F2",)
+    units = (("N m s^2/rad^2", "N s^2/m^2"),)
+    contains = ("viscous", "coulomb")
+    visible = "slow and fast motion"
+
+    def columns(self, motion):
+        """Signed square of the velocity; see `Effect.columns`."""
+        v = motion.v[:, [self.joint]]
+        return v * np.abs(v)
+
+
+class LoadFriction(_Smoothed):
+    """Friction in proportion to the load, tau = mu abs(tau_load) sign(v).
+
+    Gears and bearings press harder under load; section 3 of [1]_. The load is the
+    torque of the rigid bodies of the model.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    smoothing : float, default=0.0
+        Speed [rad/s or m/s] over which the sign turns; zero is the sign itself.
+
+    References
+    ----------
+    .. [1] P. Hamon, M. Gautier, P. Garrec, "Dynamic identification of robots with a
+       dry friction model depending on load and velocity", IROS, 2010.
+       :doi:`10.1109/IROS.2010.5649189`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import LoadFriction
+    >>> LoadFriction().fit([[0, 1.0, 0]]).transform([[0, 1.0, 0]], load=[[-3.0]])
+    array([[3.]])
+    """
+
+    name = "load_friction"
+    coefficients = ("mu",)
+    units = (("", ""),)
+    contains = ("coulomb", "viscous")
+    needs = ("load",)
+    visible = "reversals under different loads"
+
+    def columns(self, motion):
+        """Load against the motion; see `Effect.columns`."""
+        return np.abs(motion.load[:, [self.joint]]) * self._sign(motion)

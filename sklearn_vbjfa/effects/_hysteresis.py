@@ -1,0 +1,160 @@
+"""Effects with a memory of where the joint came from."""
+
+import itertools
+
+import numpy as np
+
+from sklearn_vbjfa.effects._base import Effect
+
+# Displacements to try, as shares of the joint's range.
+_DISPLACEMENTS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
+
+
+def _turning_points(q):
+    """Find the samples at which a position turns, with both ends."""
+    step = np.diff(q)
+    moving = np.flatnonzero(step)
+    if moving.size == 0:
+        return np.array([0, q.size - 1])
+    way = np.sign(step[moving])
+    turns = moving[1:][way[1:] != way[:-1]]
+    return np.unique(np.r_[0, turns, q.size - 1])
+
+
+def dahl(q, displacement):
+    """Dahl's hysteresis of unit size, dz = (sign(dq) - z) abs(dq) / displacement.
+
+    Solved exactly from turning point to turning point; starts at rest, z = 0.
+    """
+    z = np.zeros_like(q)
+    turns = _turning_points(q)
+    for a, b in itertools.pairwise(turns):
+        way = np.sign(q[b] - q[a])
+        travelled = np.abs(q[a : b + 1] - q[a])
+        z[a : b + 1] = way + (z[a] - way) * np.exp(-travelled / displacement)
+    return z
+
+
+def play(q, width):
+    """Play operator: what follows q at a distance of at most half the width."""
+    out = np.empty_like(q)
+    half = 0.5 * width
+    turns = _turning_points(q)
+    out[0] = q[0]
+    for a, b in itertools.pairwise(turns):
+        if q[b] >= q[a]:
+            out[a : b + 1] = np.maximum(out[a], q[a : b + 1] - half)
+        else:
+            out[a : b + 1] = np.minimum(out[a], q[a : b + 1] + half)
+    return out
+
+
+class Presliding(Effect):
+    """Presliding friction after a reversal, tau = Fp z(q) with Dahl's hysteresis.
+
+    dz/dt = (v - abs(v) z) / displacement [1]_: before it slides a contact yields like
+    a spring, so that friction builds up over a displacement and not at once. LuGre
+    and Maxwell slip models describe the same.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    displacement : float, default=0.01
+        Displacement [rad or m] over which friction builds up to 63 %.
+
+    References
+    ----------
+    .. [1] P. R. Dahl, "A solid friction model", Aerospace Corporation TOR-0158, 1968;
+       C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, "A new model for
+       control of systems with friction", IEEE Trans. Automatic Control 40(3), 1995.
+       :doi:`10.1109/9.376053`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Presliding
+    >>> states = [[0.0, 1, 0], [0.01, 1, 0], [0.1, 1, 0]]
+    >>> Presliding(displacement=0.01).fit_transform(states).ravel().round(2)
+    array([0.  , 0.63, 1.  ])
+    """
+
+    name = "presliding"
+    coefficients = ("Fp",)
+    units = (("N m", "N"),)
+    contains = ("coulomb", "viscous")
+    continuous = ("displacement",)
+    visible = "many reversals"
+
+    def __init__(self, joint=0, displacement=0.01):
+        super().__init__(joint)
+        self.displacement = displacement
+
+    def columns(self, motion):
+        """Hysteresis of unit size; see `Effect.columns`."""
+        q = motion.q[:, self.joint]
+        z = [dahl(q[part], self.displacement) for part in motion.parts]
+        return np.concatenate(z)[:, None]
+
+    def shapes(self, motion):
+        """Displacements up to an eighth of the range."""
+        reach = motion.range(self.joint)
+        return [{"displacement": s * reach} for s in _DISPLACEMENTS]
+
+    def parameter_units(self, prismatic=False):
+        """Units; see `Effect.parameter_units`."""
+        unit = {"displacement": "m" if prismatic else "rad"}
+        return super().parameter_units(prismatic) | unit
+
+
+class Backlash(Effect):
+    """Play in series with a spring, tau = k play(q; width) + c.
+
+    The play operator follows the position at a distance of at most half the width
+    and rests while the gap is crossed [1]_.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    width : float, default=0.01
+        Width of the gap [rad or m].
+
+    References
+    ----------
+    .. [1] M. Brokate, J. Sprekels, "Hysteresis and Phase Transitions", Springer, 1996.
+       :doi:`10.1007/978-1-4612-4048-8`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Backlash
+    >>> states = [[0.0, 1, 0], [0.01, 1, 0], [0.1, 1, 0], [0.09, -1, 0]]
+    >>> Backlash(width=0.04).fit_transform(states)[:, 0]
+    array([0.  , 0.  , 0.08, 0.08])
+    """
+
+    name = "backlash"
+    coefficients = ("k", "c")
+    units = (("N m/rad", "N/m"), ("N m", "N"))
+    contains = ("spring", "coulomb")
+    continuous = ("width",)
+    visible = "many reversals, at several positions"
+
+    def __init__(self, joint=0, width=0.01):
+        super().__init__(joint)
+        self.width = width
+
+    def columns(self, motion):
+        """Play of the position, and one; see `Effect.columns`."""
+        q = motion.q[:, self.joint]
+        p = np.concatenate([play(q[part], self.width) for part in motion.parts])
+        return np.column_stack([p, np.ones_like(p)])
+
+    def shapes(self, motion):
+        """Widths up to a quarter of the range."""
+        reach = motion.range(self.joint)
+        return [{"width": 2 * s * reach} for s in _DISPLACEMENTS]
+
+    def parameter_units(self, prismatic=False):
+        """Units; see `Effect.parameter_units`."""
+        unit = {"width": "m" if prismatic else "rad"}
+        return super().parameter_units(prismatic) | unit

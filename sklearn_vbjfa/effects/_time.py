@@ -1,0 +1,150 @@
+"""Effects that change with time."""
+
+import numpy as np
+
+from sklearn_vbjfa.effects._base import Effect
+
+# Time constants to try, as shares of the recording's length.
+_CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0)
+# Number of instants to try.
+_INSTANTS = 24
+
+
+class Drift(Effect):
+    """Friction or offset that changes while the robot warms up.
+
+    tau = D exp(-t / T) times 1, sign(v) or v: the grease gets thinner, the strain
+    gauge warmer [1]_. What remains when warm is left to `Offset`, `Coulomb` and
+    `Viscous`.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    of : {"coulomb", "offset", "viscous"}, default="coulomb"
+        What drifts.
+    time_constant : float, default=100.0
+        T [s], counted from the start of the first recording.
+
+    References
+    ----------
+    .. [1] A. Carvalho Bittencourt, S. Gunnarsson, "Static friction in a robot joint:
+       modeling and identification of load and temperature effects", J. Dyn. Sys.,
+       Meas., Control 134(5), 2012. :doi:`10.1115/1.4006589`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Drift
+    >>> drift = Drift(of="offset", time_constant=1.0).fit([[0, 0, 0]])
+    >>> drift.transform([[0, 0, 0], [0, 0, 0]], t=[0.0, 1.0]).ravel().round(3)
+    array([1.   , 0.368])
+    """
+
+    name = "drift"
+    coefficients = ("D",)
+    units = (("N m", "N"),)
+    contains = ("offset", "coulomb", "viscous")
+    needs = ("time",)
+    continuous = ("time_constant",)
+    visible = "the same motion early and late"
+
+    def __init__(self, joint=0, of="coulomb", time_constant=100.0):
+        super().__init__(joint)
+        self.of = of
+        self.time_constant = time_constant
+
+    def columns(self, motion):
+        """Decaying torque; see `Effect.columns`."""
+        signals = {
+            "coulomb": np.sign(motion.v[:, self.joint]),
+            "offset": np.ones(motion.v.shape[0]),
+            "viscous": motion.v[:, self.joint],
+        }
+        if self.of not in signals:
+            raise ValueError(f"of must be one of {list(signals)}; got {self.of!r}.")
+        decay = np.exp(-motion.clock() / self.time_constant)
+        return (signals[self.of] * decay)[:, None]
+
+    def shapes(self, motion):
+        """Time constants from a tenth to three times the recording."""
+        length = motion.duration()
+        return [
+            {"of": of, "time_constant": s * length}
+            for of in ("coulomb", "offset", "viscous")
+            for s in _CONSTANTS
+        ]
+
+    def parameter_units(self, prismatic=False):
+        """Units; see `Effect.parameter_units`."""
+        unit = "N" if prismatic else "N m"
+        if self.of == "viscous":
+            unit = "N s/m" if prismatic else "N m s/rad"
+        return {"D": unit, "time_constant": "s"}
+
+
+class Payload(Effect):
+    """The last body's mass and first moments change at an instant.
+
+    tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz) for t > instant, with the columns of
+    the last body's regressor: something was picked up, put down or lost [1]_.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Last joint, from zero; all joints feel it.
+    instant : float, default=0.0
+        Time of the change [s] since the start of the first recording.
+
+    References
+    ----------
+    .. [1] W. Khalil, M. Gautier, P. Lemoine, "Identification of the payload inertial
+       parameters of industrial manipulators", ICRA, 2007.
+       :doi:`10.1109/ROBOT.2007.364241`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Payload
+    >>> Payload(instant=12.0).parameters([0.5, 0.0, 0.1, 0.0])["dm"]
+    0.5
+    """
+
+    name = "payload"
+    coefficients = ("dm", "dmcx", "dmcy", "dmcz")
+    units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3
+    needs = ("time",)
+    continuous = ("instant",)
+    visible = "motion against gravity before and after the change"
+    whole_robot = True
+
+    def __init__(self, joint=0, instant=0.0):
+        super().__init__(joint)
+        self.instant = instant
+
+    def applies(self, motion):
+        """Only the last joint carries a payload; see `Effect.applies`."""
+        if self.joint != motion.n_joints - 1:
+            return "only the last body carries a payload"
+        if motion.last_body is None:
+            return "needs the rigid-body dynamics"
+        return super().applies(motion)
+
+    def columns(self, motion):
+        """Regressor of the last body after the instant; see `Effect.columns`."""
+        return _stepped(motion, self.instant)
+
+    def shapes(self, motion):
+        """Instants all over the recording."""
+        clock = motion.clock()
+        shares = np.linspace(0.0, 1.0, _INSTANTS + 2)[1:-1]
+        starts = [clock[part.start] for part in motion.parts[1:]]
+        instants = sorted({*(shares * clock[-1]).tolist(), *map(float, starts)})
+        return [{"instant": s} for s in instants]
+
+    def parameter_units(self, prismatic=False):
+        """Units; see `Effect.parameter_units`."""
+        return super().parameter_units(prismatic) | {"instant": "s"}
+
+
+def _stepped(motion, instant):
+    after = motion.clock() > instant
+    return motion.last_body()[:, :, :4] * after[:, None, None]

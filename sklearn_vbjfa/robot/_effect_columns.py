@@ -1,0 +1,167 @@
+"""Regressor rows of a robot with effects beside its rigid bodies."""
+
+import numpy as np
+
+from sklearn_vbjfa.effects import Effect, Motion, resolve
+from sklearn_vbjfa.robot import _friction
+from sklearn_vbjfa.robot._model import is_prismatic, joint_names
+
+# Rows of the feature matrix that are in memory at once while loads are computed.
+_LOAD_BYTES = 64 << 20
+
+
+def check_effects(effects, nv):
+    """Return the effects as a tuple of instances, refusing what cannot be."""
+    if isinstance(effects, (str, Effect)):
+        effects = (effects,)
+    found = tuple(resolve([effect])[0] for effect in effects)
+    for effect in found:
+        if not 0 <= effect.joint < nv:
+            raise ValueError(
+                f"effects names joint {effect.joint} for {effect.name}; expected 0 to "
+                f"{nv - 1}, for {nv} joint(s)."
+            )
+    keys = [(effect.key(), tuple(sorted(effect.shape().items()))) for effect in found]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise ValueError(f"effects holds {key[0][0]} on joint {key[0][1]} twice.")
+    return found
+
+
+def needs_load(effects):
+    """Whether the columns depend on the parameters, through the load."""
+    return any("load" in effect.needs for effect in effects)
+
+
+def effect_names(effects, model):
+    """Names and units of the effects' coefficients, two tuples of str."""
+    joints, kinds = joint_names(model), is_prismatic(model)
+    names, units = [], []
+    for effect in effects:
+        kind = int(kinds[effect.joint])
+        names += [
+            f"{joints[effect.joint]}:{effect.name}:{c}" for c in effect.coefficients
+        ]
+        units += [unit[kind] for unit in effect.units]
+    return tuple(names), tuple(units)
+
+
+def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf):
+    """Signals that effects are made from.
+
+    Parameters
+    ----------
+    features : RigidBodyFeatures
+        Loaded features.
+    states : ndarray of shape (n, 3 * nv)
+        States.
+    t : ndarray of shape (n,) or None
+        Time [s].
+    parts : list of slice
+        Recordings.
+    theta : ndarray of shape (p,) or None
+        Parameters of the features, for the load; None for none.
+    bandwidth : float
+        Cut-off of the low-pass [Hz].
+    """
+    nv = features.n_joints_
+    load = torque = rigid = None
+    if theta is not None:
+        inertial = theta.reshape(nv, -1).copy()
+        inertial[:, 10:] = 0.0
+        inertial = inertial.ravel()
+        load = _torques(features, states, inertial)
+        torque = load + _torques(features, states, theta - inertial, friction=True)
+
+        def rigid(q, v, a):
+            return _torques(features, np.hstack([q, v, a]), inertial)
+
+    def last_body():
+        out = np.empty((states.shape[0], nv, 10))
+        for piece in _pieces(features, states.shape[0]):
+            Phi = features._compute(states[piece]).reshape(-1, nv, nv, _width(features))
+            out[piece] = Phi[:, :, -1, :10]
+        return out
+
+    return Motion(
+        q=states[:, :nv],
+        v=states[:, nv : 2 * nv],
+        a=states[:, 2 * nv :],
+        t=t,
+        load=load,
+        torque=torque,
+        parts=tuple(parts),
+        prismatic=np.asarray(is_prismatic(features._model), dtype=bool),
+        rigid=rigid,
+        last_body=last_body,
+        bandwidth=float(bandwidth),
+    )
+
+
+def _width(features):
+    return features.n_parameters_ // features.n_joints_
+
+
+def _pieces(features, n):
+    rows = max(1, _LOAD_BYTES // (8 * features.n_joints_ * features.n_parameters_))
+    return [slice(i, min(i + rows, n)) for i in range(0, n, rows)]
+
+
+def _torques(features, states, theta, friction=False):
+    """Torques (n, nv) of a parameter vector, piece by piece."""
+    nv = features.n_joints_
+    if friction:
+        coefficients = theta.reshape(nv, -1)[:, 10:]
+        columns = _friction.columns(features._friction, *np.split(states, 3, axis=1))
+        return np.einsum("njk,jk->nj", columns, coefficients)
+    return np.concatenate(
+        [
+            features._compute(states[piece]) @ theta
+            for piece in _pieces(features, states.shape[0])
+        ]
+        or [np.zeros((0, nv))]
+    )
+
+
+class RegressorRows:
+    """Regressor matrices of any stretch of rows, with the effects' columns appended.
+
+    The effects remember (hysteresis, time), so that their columns are made once for
+    the whole recordings; the rigid-body regressor is made where it is asked for.
+
+    Parameters
+    ----------
+    features : RigidBodyFeatures
+        Loaded features.
+    states : ndarray of shape (n, 3 * nv)
+        States.
+    effects : tuple of Effect
+        Effects.
+    motion : Motion or None
+        Their signals; None without effects.
+    """
+
+    def __init__(self, features, states, effects=(), motion=None):
+        self._features = features
+        self._states = states
+        self._columns = [(effect, effect.columns(motion)) for effect in effects]
+        extra = sum(len(effect.coefficients) for effect in effects)
+        self.n_joints = features.n_joints_
+        self.n_parameters = features.n_parameters_ + extra
+
+    def __call__(self, piece):
+        """Regressor matrices (n, nv, p) of a slice of rows."""
+        Phi = self._features._compute(self._states[piece])
+        if not self._columns:
+            return Phi
+        out = np.zeros((*Phi.shape[:2], self.n_parameters))
+        at = Phi.shape[2]
+        out[:, :, :at] = Phi
+        for effect, columns in self._columns:
+            stop = at + columns.shape[-1]
+            if effect.whole_robot:
+                out[:, :, at:stop] = columns[piece]
+            else:
+                out[:, effect.joint, at:stop] = columns[piece]
+            at = stop
+        return out

@@ -21,7 +21,7 @@ class Motion:
     q, v, a : ndarray of shape (n, nv)
         Positions [rad or m], velocities, accelerations.
     t : ndarray of shape (n,) or None
-        Time [s], rising within each recording.
+        Time [s], rising over all recordings.
     load : ndarray of shape (n, nv) or None
         Torques of the rigid bodies alone, without friction [N m or N].
     torque : ndarray of shape (n, nv) or None
@@ -73,18 +73,8 @@ class Motion:
         return float(np.ptp(self.q[:, joint]))
 
     def duration(self):
-        """Return the length of all recordings together [s]."""
-        return float(sum(np.ptp(self.t[part]) for part in self.parts))
-
-    def clock(self):
-        """Time since the start of the first recording, recordings joined [s]."""
-        out = np.empty(self.q.shape[0])
-        start = 0.0
-        for part in self.parts:
-            stamps = self.t[part]
-            out[part] = start + stamps - stamps[0]
-            start = out[part][-1] + (stamps[1] - stamps[0] if stamps.size > 1 else 0)
-        return out
+        """Return the time from the first to the last sample [s]."""
+        return float(np.ptp(self.t))
 
     def derivative(self, signal):
         """Differentiate columns (n, ...) in time, recording by recording."""

@@ -24,7 +24,7 @@ class Drift(Effect):
     of : {"coulomb", "offset", "viscous"}, default="coulomb"
         What drifts.
     time_constant : float, default=100.0
-        T [s], counted from the start of the first recording.
+        T [s] of the decay, which starts at t = 0.
 
     References
     ----------
@@ -62,7 +62,7 @@ class Drift(Effect):
         }
         if self.of not in signals:
             raise ValueError(f"of must be one of {list(signals)}; got {self.of!r}.")
-        decay = np.exp(-motion.clock() / self.time_constant)
+        decay = np.exp(-motion.t / self.time_constant)
         return (signals[self.of] * decay)[:, None]
 
     def shapes(self, motion):
@@ -93,7 +93,7 @@ class Payload(Effect):
     joint : int, default=0
         Last joint, from zero; all joints feel it.
     instant : float, default=0.0
-        Time of the change [s] since the start of the first recording.
+        Time of the change [s].
 
     References
     ----------
@@ -134,10 +134,10 @@ class Payload(Effect):
 
     def shapes(self, motion):
         """Instants all over the recording."""
-        clock = motion.clock()
-        shares = np.linspace(0.0, 1.0, _INSTANTS + 2)[1:-1]
-        starts = [clock[part.start] for part in motion.parts[1:]]
-        instants = sorted({*(shares * clock[-1]).tolist(), *map(float, starts)})
+        t = motion.t
+        shares = np.linspace(t[0], t[-1], _INSTANTS + 2)[1:-1]
+        starts = [t[part.start] for part in motion.parts[1:]]
+        instants = sorted({*map(float, shares), *map(float, starts)})
         return [{"instant": s} for s in instants]
 
     def parameter_units(self, prismatic=False):
@@ -146,5 +146,5 @@ class Payload(Effect):
 
 
 def _stepped(motion, instant):
-    after = motion.clock() > instant
+    after = motion.t > instant
     return motion.last_body()[:, :, :4] * after[:, None, None]

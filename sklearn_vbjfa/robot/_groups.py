@@ -40,6 +40,24 @@ def check_dt(dt):
     return value
 
 
+def check_clock(t, n_samples, dt):
+    """Return the time of each row [s]; counted in `dt` where none is given."""
+    if t is None:
+        return None if dt is None else np.arange(n_samples) * check_dt(dt)
+    time = np.asarray(t, dtype=float)
+    if time.shape != (n_samples,):
+        raise ValueError(
+            f"t must hold one time per row, shape ({n_samples},); got {time.shape}."
+        )
+    bad = np.flatnonzero(~(np.diff(time) > 0))
+    if bad.size:
+        raise ValueError(
+            f"t must rise from row to row, over all recordings; it does not at row "
+            f"{bad[0] + 1} ({time[bad[0]]:.6g} s, then {time[bad[0] + 1]:.6g} s)."
+        )
+    return time
+
+
 def check_cutoff(cutoff, dt, name):
     """Return a cut-off in Hz as a float; infinity for None."""
     if cutoff is None:

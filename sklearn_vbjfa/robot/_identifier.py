@@ -20,13 +20,14 @@ from sklearn_vbjfa.robot._effect_columns import (
 )
 from sklearn_vbjfa.robot._equations import away_from_ends, filtered_equations
 from sklearn_vbjfa.robot._features import RigidBodyFeatures, rounding_entries
-from sklearn_vbjfa.robot._groups import check_dt, contiguous_groups
+from sklearn_vbjfa.robot._groups import check_clock, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._joint_statistics import split_residual
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._model import joint_names
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_count,
+    check_input_noise,
     check_length,
     check_widths,
     resolve_cutoff,
@@ -191,7 +192,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         tags.target_tags.single_output = True
         return tags
 
-    def fit(self, X, y, groups=None, sample_weight=None):
+    def fit(self, X, y, groups=None, sample_weight=None, t=None):
         """Identify the robot.
 
         Parameters
@@ -207,6 +208,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
                 default=None
             Weights; zero leaves a sample (of one joint) out.
+        t : array-like of shape (n_samples,), default=None
+            Time [s], for effects that change with it: rising over all recordings,
+            and the same clock in fit and query. None counts `dt` from the first row.
 
         Returns
         -------
@@ -237,13 +241,14 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             [y[part] for part in parts], self.dt, self.cutoff_
         )
         halves = self._halves(X, groups)
+        clock = check_clock(t, X.shape[0], self.dt)
         self._load_theta = None
         for effects in self._passes():
             if needs_load(effects):
                 self._load_theta = self.theta_[: self.features_.n_parameters_]
             self._active_effects = effects
             self._fit_equations(
-                self._filtered(states, y, weight, parts, lowpass, halves)
+                self._filtered(states, y, weight, parts, lowpass, halves, t=clock)
             )
         return self
 
@@ -256,11 +261,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
 
     def _halves(self, X, groups):
         """States from the even and from the odd samples, where the noise is asked."""
-        if self.input_noise not in ("auto", None):
-            raise ValueError(
-                "input_noise must be 'auto' (measured from the recording) or None "
-                f"(taken as zero); got {self.input_noise!r}."
-            )
+        check_input_noise(self.input_noise)
         if self.input_noise is None or self.state_estimator_ is None:
             return None
         return self.state_estimator_.split_transform(X, groups=groups)
@@ -336,36 +337,29 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
 
     # -- computation -----------------------------------------------------------
 
-    def _filtered(self, states, y, weight, parts, lowpass, halves=None):
+    def _filtered(self, states, y, weight, parts, lowpass, halves=None, t=None):
         """Yield the equations of what moves, see `filtered_equations`."""
         speed = np.abs(states[:, self._nv : 2 * self._nv])
         inside = away_from_ends(parts, y.shape[0], self.state_estimator_)
         weight = weight * (speed > self.standstill_) * inside[:, None]
         average = halves is not None and self._corrects_noise()
         return filtered_equations(
-            None if average else self._rows(states, parts),
+            None if average else self._rows(states, parts, t),
             y,
             weight,
             parts,
             lowpass,
-            None if halves is None else [self._rows(half, parts) for half in halves],
+            None if halves is None else [self._rows(half, parts, t) for half in halves],
             chunk_bytes=_CHUNK_BYTES,
         )
 
-    def _rows(self, states, parts):
+    def _rows(self, states, parts, t):
         """Regressor matrices of states, with the effects' columns."""
-        if not self._active_effects:
-            return RegressorRows(self.features_, states)
-        motion = self._motion(states, parts)
-        return RegressorRows(self.features_, states, self._active_effects, motion)
-
-    def _motion(self, states, parts):
-        """Signals that the effects are made from."""
-        t = None
-        if self.dt is not None:
-            t = np.concatenate([np.arange(p.stop - p.start) for p in parts]) * self.dt
-        theta, cutoff = self._load_theta, self.cutoff_
-        return make_motion(self.features_, states, t, parts, theta, cutoff)
+        motion, effects = None, self._active_effects
+        if effects:
+            signals = states, t, parts, self._load_theta, self.cutoff_
+            motion = make_motion(self.features_, *signals)
+        return RegressorRows(self.features_, states, effects, motion)
 
     def _constrain(self):
         """Project, and derive what the data determine."""
@@ -398,7 +392,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         )
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
 
-    def predict(self, X, groups=None):
+    def predict(self, X, groups=None, t=None):
         """Predict the joint torques.
 
         Parameters
@@ -409,6 +403,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
             noiseless and are taken as they are.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
+        t : array-like of shape (n_samples,), default=None
+            Time [s], for effects that change with it: rising over all recordings,
+            and the same clock in fit and query. None counts `dt` from the first row.
 
         Returns
         -------
@@ -418,7 +415,8 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         X = self._validate_query(X)
         states = self._states(X, groups, in_band=True)
-        rows = self._rows(states, contiguous_groups(groups, X.shape[0]))
+        clock = check_clock(t, X.shape[0], self.dt)
+        rows = self._rows(states, contiguous_groups(groups, X.shape[0]), clock)
         count = max(1, _CHUNK_BYTES // (8 * self._nv * self.theta_.size))
         return np.concatenate(
             [
@@ -433,7 +431,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         check_widths(self.joint_names_, X)
         return X
 
-    def residuals(self, X, y, groups=None, sample_weight=None):
+    def residuals(self, X, y, groups=None, sample_weight=None, t=None):
         """Compare with a recording, behind the low-pass and mask of the fit.
 
         Parameters
@@ -447,6 +445,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
                 default=None
             Weights; zero leaves a sample out.
+        t : array-like of shape (n_samples,), default=None
+            Time [s], for effects that change with it: rising over all recordings,
+            and the same clock in fit and query. None counts `dt` from the first row.
 
         Returns
         -------
@@ -461,8 +462,10 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         check_length(parts, lowpass, self.cutoff_)
+        clock = check_clock(t, X.shape[0], self.dt)
+        states = self._states(X, groups)
         return self._residuals_of(
-            self._filtered(self._states(X, groups), y, weight, parts, lowpass)
+            self._filtered(states, y, weight, parts, lowpass, t=clock)
         )
 
     def _residuals_of(self, pieces):

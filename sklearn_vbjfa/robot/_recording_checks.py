@@ -32,6 +32,15 @@ def check_widths(names, X, y=None):
         )
 
 
+def check_input_noise(input_noise):
+    """Refuse what says neither to measure nor to leave the input noise."""
+    if input_noise not in ("auto", None):
+        raise ValueError(
+            "input_noise must be 'auto' (measured from the recording) or None "
+            f"(taken as zero); got {input_noise!r}."
+        )
+
+
 def check_channels(names, positions, torques):
     """Refuse dead torque channels, name joints that do not move.
 

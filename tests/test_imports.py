@@ -29,7 +29,7 @@ def layer_of(module):
         return "top"
     if parts[1] in {"_cli", "__main__"}:
         return "command line"
-    if parts[1] in {"_core", "physical", "datasets", "robot"}:
+    if parts[1] in {"_core", "physical", "effects", "datasets", "robot", "diagnosis"}:
         return parts[1]
     return "estimators"
 
@@ -92,16 +92,20 @@ ALLOWED = {
     "physical": {"_core", "physical"},
     "estimators": {"_core", "estimators"},
     "datasets": {"_core", "physical", "datasets"},
-    "robot": {"_core", "physical", "estimators", "robot"},
+    "effects": {"effects"},
+    "robot": {"_core", "physical", "estimators", "effects", "robot"},
+    "diagnosis": {"_core", "physical", "effects", "robot", "diagnosis"},
     "command line": {
         "top",
         "physical",
         "datasets",
         "estimators",
+        "effects",
         "robot",
+        "diagnosis",
         "command line",
     },
-    "top": {"physical", "estimators", "robot"},
+    "top": {"physical", "estimators", "effects", "robot", "diagnosis"},
 }
 # scikit-learn's private parts, in one file that is no estimator.
 COMPAT = "sklearn_vbjfa._sklearn_compat"

@@ -1,5 +1,9 @@
 """Robot recordings: measured sets, found on disk or downloaded."""
 
+from sklearn_vbjfa.datasets._closed_loop import (
+    ClosedLoopRecording,
+    make_closed_loop_recording,
+)
 from sklearn_vbjfa.datasets._fetch_benches import fetch_emps, fetch_tflex_1dof
 from sklearn_vbjfa.datasets._fetch_industrial import (
     fetch_kuka_kr300,
@@ -15,7 +19,9 @@ from sklearn_vbjfa.datasets._fetch_research import (
     fetch_kuka_lbr_med7,
     fetch_tiago,
 )
+from sklearn_vbjfa.datasets._paper_robots import load_arm_model, load_head_model
 from sklearn_vbjfa.datasets._recording import Recording
+from sklearn_vbjfa.datasets._recording_file import read_recording
 from sklearn_vbjfa.datasets._robots import (
     SimulatedRecording,
     load_demo_recording,
@@ -24,6 +30,7 @@ from sklearn_vbjfa.datasets._robots import (
 from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
 
 __all__ = [
+    "ClosedLoopRecording",
     "NoisyRegression",
     "Recording",
     "SimulatedRecording",
@@ -37,7 +44,11 @@ __all__ = [
     "fetch_tflex_1dof",
     "fetch_tiago",
     "fetch_ur5",
+    "load_arm_model",
     "load_demo_recording",
+    "load_head_model",
+    "make_closed_loop_recording",
     "make_noisy_regression",
     "make_robot_recording",
+    "read_recording",
 ]

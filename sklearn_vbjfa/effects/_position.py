@@ -180,7 +180,8 @@ class Ripple(Effect):
         reach = motion.range(self.joint)
         if not reach > 0:
             return []
-        longest = reach / 1.5
+        # Fewer than two periods are a bend, and no ripple.
+        longest = reach / 2.0
         shortest = reach / 60.0
         if not motion.prismatic[self.joint]:
             longest = min(longest, _LONGEST)

@@ -4,15 +4,14 @@ In scaled variables `x` (every parameter divided by its unit) the programme is
 
 .. math::
 
-    \min_x \| T x - c \| \quad \text{such that} \quad
+    \min_x \tfrac12 \| T x - c \|^2 \quad \text{such that} \quad
     M_j(x) - \varepsilon E \succeq 0 \ \text{for every body},
     \quad x_k \ge 0 \ \text{for the non-negative columns},
 
-with `T` upper triangular and nonsingular.  It is given to the solver with the norm as a
-second-order cone.  Of the three usual forms that one is the accurate one here: the
-quadratic form ``T' T`` squares a condition number that is large to begin with, and the
-least-squares form loses the scale of a small distance in the solver's absolute
-tolerance.
+with `T` upper triangular and nonsingular.  The solver gets the quadratic form ``T' T``,
+which is the smallest of the usual forms but squares a condition number that is large to
+begin with: what it returns is a start.  The refinement, which keeps the factors of all
+matrices, makes it exact, and the certificate says how exact.
 """
 
 import clarabel
@@ -30,6 +29,9 @@ _GAP_LIMIT = 1e-4
 # relative gap: the solver resolves the matrices to about 1e-9 of their size, the square
 # root of the limit times this.
 _RESOLUTION = 1e-7
+# Where the solver stops, in units of the distance: the refinement starts further back,
+# and rounding in the quadratic form allows no more than this.
+_SOLVER_TOLERANCE = 1e-8
 
 
 class ProjectionError(RuntimeError):
@@ -121,7 +123,6 @@ def _better(problem, best, candidate, status, least):
 
 def _solve_once(problem, scale, max_solver_iter):
     """One call of the solver, the distance measured in units of `scale`."""
-    n_features = problem.n_features
     bodies, kept = problem.body_columns, problem.nonnegative
     size = problem.generators.shape[-1]
     # clarabel stacks the upper triangle by columns, off-diagonal entries times sqrt(2).
@@ -129,52 +130,40 @@ def _solve_once(problem, scale, max_solver_iter):
     weight = np.where(row == column, 1.0, np.sqrt(2.0))
     triangle = (problem.generators[:, row, column] * weight).T
     n_bodies, n_entries = len(bodies), len(row)
-
-    # Unknowns: displacement from the point, then the distance.  Rows: s = b - A x.
-    blocks = [np.zeros((1 + n_features, n_features + 1))]
-    blocks[0][0, -1] = -1.0
-    blocks[0][1:, :-1] = -problem.root / scale
-    right = [np.zeros(1), -problem.shift / scale]
-    cones = [clarabel.SecondOrderConeT(1 + n_features)]
-    for columns in bodies:
-        block = np.zeros((n_entries, n_features + 1))
-        block[:, columns] = -triangle
-        blocks.append(block)
-        right.append(
-            triangle @ problem.point[columns] - problem.margin * (row == column)
-        )
-        cones.append(clarabel.PSDTriangleConeT(size))
+    # Unknown: the displacement from the point, in units of `scale`.  Rows: s = b - A x,
+    # the bodies' first, then those of the non-negative columns.
+    entry, parameter = np.nonzero(triangle)
+    first_kept = n_bodies * n_entries
+    body_rows = n_entries * np.arange(n_bodies)[:, None] + entry
+    rows = np.r_[body_rows.ravel(), first_kept + np.arange(kept.size)]
+    columns = np.r_[bodies[:, parameter].ravel(), kept]
+    values = np.r_[np.tile(-triangle[entry, parameter], n_bodies), -np.ones(kept.size)]
+    shape = first_kept + kept.size, problem.n_features
+    slack = problem.point[bodies] @ triangle.T - problem.margin * (row == column)
+    right = np.r_[slack.ravel(), problem.point[kept]] / scale
+    cones = [clarabel.PSDTriangleConeT(size)] * n_bodies
     if kept.size:
-        block = np.zeros((kept.size, n_features + 1))
-        block[np.arange(kept.size), kept] = -1.0
-        blocks.append(block)
-        right.append(problem.point[kept])
         cones.append(clarabel.NonnegativeConeT(kept.size))
 
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.max_iter = max_solver_iter
-    # Tighter than can be met: the iterations go on until rounding stops them, and the
-    # certificate, not the status, decides.
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = 1e-13
-    objective = np.zeros(n_features + 1)
-    objective[-1] = 1.0
+    settings.tol_gap_abs = settings.tol_gap_rel = _SOLVER_TOLERANCE
+    settings.tol_feas = _SOLVER_TOLERANCE
     solution = clarabel.DefaultSolver(
-        sparse.csc_matrix((n_features + 1, n_features + 1)),
-        objective,
-        sparse.csc_matrix(np.vstack(blocks)),
-        np.concatenate(right),
+        sparse.csc_matrix(np.triu(problem.root.T @ problem.root)),
+        -problem.root.T @ problem.shift / scale,
+        sparse.csc_matrix((values, (rows, columns)), shape=shape),
+        right,
         cones,
         settings,
     ).solve()
 
-    vector = problem.point + np.array(solution.x)[:-1]
-    # The multipliers belong to distance / scale; d(distance^2 / 2) is distance times
-    # d(distance).
-    z = np.array(solution.z)[1 + n_features :] * scale * problem.distance(vector)
+    vector = problem.point + scale * np.array(solution.x)
+    z = scale * np.array(solution.z)
     duals = np.zeros((n_bodies, size, size))
-    entries = z[: n_bodies * n_entries].reshape(n_bodies, n_entries) / weight
+    entries = z[:first_kept].reshape(n_bodies, n_entries) / weight
     duals[:, row, column] = entries
     duals[:, column, row] = entries
-    multipliers = z[n_bodies * n_entries :]
+    multipliers = z[first_kept:]
     return vector, duals, multipliers, int(solution.iterations), str(solution.status)

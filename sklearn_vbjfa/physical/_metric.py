@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.physical._threads import one_blas_thread
+
 # How many times longer than the visible part of a vector its hidden part may be before
 # it is taken for rounding; a plausible robot's are of one order.
 _HIDDEN_LIMIT = 100.0
@@ -67,6 +69,7 @@ class Metric:
         )
 
 
+@one_blas_thread()
 def check_metric(metric, n_features):
     """Validate a metric and take its square root.
 

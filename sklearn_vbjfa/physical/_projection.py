@@ -15,6 +15,7 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     min_eigenvalue,
     parameter_units,
 )
+from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.physical._virtual import solve_virtual
 
 SOLVERS = ("conic", "virtual")
@@ -283,6 +284,7 @@ def project(
     )
 
 
+@one_blas_thread()
 def project_vector(
     theta,
     *,

@@ -4,7 +4,10 @@ A general solver factors an indefinite, regularised system and stops at a relati
 of about 1e-7.  Directions that the metric hardly sees need more: at that gap they are
 still placed by the barrier, not by the anchor.  Here the slack matrices are
 eliminated, which leaves one positive definite system of the size of the parameter
-vector, and the gap goes down by another two to four orders of magnitude.
+vector.  Three things take the gap down to 1e-10: the system is formed from the square
+roots of its parts, so that it is symmetric and semidefinite to the last digit; its
+solutions are corrected once; and the multipliers' step is made to balance the gradient,
+which the formula for it does only in exact arithmetic.
 
 The directions are those of Helmberg, Kojima and Monteiro (doi:10.1137/0806020): with
 slack `S`, multiplier `Z` and target `m`,
@@ -16,7 +19,7 @@ slack `S`, multiplier `Z` and target `m`,
 """
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, solve_triangular
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from sklearn_vbjfa.physical._programme import lift
 
@@ -27,18 +30,15 @@ _MAX_STEPS = 40
 # Where the path is entered: least eigenvalue of the slack, in scaled units, and of the
 # multipliers, relative to the largest.
 _START = 1e-3
-# The refinement has no more to give when the target has fallen this far below the
-# squared distance.
-_LAST_TARGET = 1e-15
+# Gap, relative to the squared distance, at which the refinement ends: above the few
+# parts in 1e11 at which rounding stops it, and far below what is asked of an answer.
+_GAP_END = 1e-10
 
 
-def _largest_step(matrices, directions):
-    """Return the largest t for which matrix + t direction stays definite."""
-    if not len(matrices):
-        return np.inf
-    inverse = np.linalg.inv(np.linalg.cholesky(matrices))
-    relative = inverse @ directions @ np.swapaxes(inverse, -1, -2)
-    lowest = np.linalg.eigvalsh(relative)[:, 0].min()
+def _largest_step(inverse_factors, directions):
+    """Return the largest t for which L L' + t direction stays definite, given L^-1."""
+    relative = inverse_factors @ directions @ np.swapaxes(inverse_factors, -1, -2)
+    lowest = np.linalg.eigvalsh(relative)[:, 0].min(initial=0.0)
     return np.inf if lowest >= 0 else -1.0 / lowest
 
 
@@ -50,83 +50,106 @@ def _largest_scalar_step(values, directions):
     return float(np.min(-values[falling] / directions[falling]))
 
 
-def _factorise(problem, gram, blocks, slack, duals, weights):
+def _factorise(problem, gram, roots, bounds):
     """Return a function that solves the system for a right side.
 
-    Near the boundary the barrier's share is larger than the metric's by more than the
-    machine precision, and their sum is no longer definite in floating point.  The same
-    system as a stack of square roots, ``tr(B S^-1 B Z) = |L^-1 B R|^2`` with
-    ``S = L L'`` and ``Z = R R'``, survives that at the cost of a QR decomposition.
+    The system is ``A' A`` for the stack `A` of the bodies' roots ``L^-1 B R`` (with
+    ``S = L L'`` and ``Z = R R'``), the roots of the bounds and `T`; the right side is
+    ``A' (bodies, bounds, metric)``.  Near the boundary the barrier's share is larger
+    than the metric's by more than the machine precision, and the sum is no longer
+    definite in floating point; the triangle of a QR decomposition of `A` is used then.
+    Either way the condition number is squared, which one correction with the residual
+    of the stack makes good: the corrected seminormal equations of Bjoerck
+    (doi:10.1016/0024-3795(87)90101-7).
     """
-    bodies, kept = problem.body_columns, problem.nonnegative
+    columns, kept = problem.body_columns, problem.nonnegative
     system = gram.copy()
-    system[bodies[:, :, None], bodies[:, None, :]] += blocks
-    system[kept, kept] += weights
-    # The diagonal of a product with rounding may come out negative.
-    diagonal = np.abs(np.diag(system))
-    scale = 1.0 / np.sqrt(np.maximum(diagonal, np.finfo(float).eps * diagonal.max()))
+    system[columns[:, :, None], columns[:, None, :]] += roots @ np.swapaxes(roots, 1, 2)
+    system[kept, kept] += bounds**2
+    scale = 1.0 / np.sqrt(np.diag(system))
     try:
-        factor = cho_factor(system * scale * scale[:, None])
+        factor = cho_factor(system * scale * scale[:, None], check_finite=False)
     except LinAlgError:
-        pass
-    else:
-        return lambda right_side: scale * cho_solve(factor, scale * right_side)
-    inner = np.linalg.inv(np.linalg.cholesky(slack))[:, None] @ problem.generators
-    roots = inner @ np.linalg.cholesky(duals)[:, None]
-    n_entries = roots.shape[-1] ** 2
-    barrier = np.zeros((len(bodies) * n_entries, problem.n_features))
-    rows = np.arange(len(barrier)).reshape(len(bodies), n_entries)
-    barrier[rows[:, :, None], bodies[:, None, :]] = np.swapaxes(
-        roots.reshape(len(bodies), len(problem.generators), n_entries), 1, 2
-    )
-    bounds = np.zeros((kept.size, problem.n_features))
-    bounds[np.arange(kept.size), kept] = np.sqrt(weights)
-    stacked = np.vstack([barrier, bounds, problem.root]) * scale
-    # Large rows first: Householder's method is then stable row by row.
-    order = np.argsort(-np.linalg.norm(stacked, axis=1))
-    triangle = np.linalg.qr(stacked[order], mode="r")
+        factor = _triangle(problem, roots, bounds, scale), False
 
-    def solve(right_side):
-        half = solve_triangular(triangle, scale * right_side, trans="T")
-        return scale * solve_triangular(triangle, half)
+    def solve_once(bodies, free, metric):
+        right_side = problem.root.T @ metric
+        right_side[columns] += (roots @ bodies[:, :, None])[..., 0]
+        right_side[kept] += bounds * free
+        return scale * cho_solve(factor, scale * right_side, check_finite=False)
+
+    def solve(bodies, free, metric):
+        step = solve_once(bodies, free, metric)
+        return step + solve_once(
+            bodies - (step[columns][:, None] @ roots)[:, 0],
+            free - bounds * step[kept],
+            metric - problem.root @ step,
+        )
 
     return solve
 
 
-def _step(problem, gram, vector, duals, multipliers, mean):
+def _triangle(problem, roots, bounds, scale):
+    """Upper triangular factor of the system, from its square roots."""
+    columns, kept = problem.body_columns, problem.nonnegative
+    n_bodies, _, n_entries = roots.shape
+    barrier = np.zeros((n_bodies * n_entries, problem.n_features))
+    rows = np.arange(len(barrier)).reshape(n_bodies, n_entries)
+    barrier[rows[:, None, :], columns[:, :, None]] = roots
+    single = np.zeros((kept.size, problem.n_features))
+    single[np.arange(kept.size), kept] = bounds
+    stacked = np.vstack([barrier, single, problem.root]) * scale
+    # Large rows first: Householder's method is then stable row by row.
+    order = np.argsort(-np.linalg.norm(stacked, axis=1))
+    return np.linalg.qr(stacked[order], mode="r")
+
+
+def _step(problem, gram, vector, slack, duals, multipliers, mean):
     """One predictor-corrector step: its length and the three directions."""
     bodies, kept = problem.body_columns, problem.nonnegative
     generators = problem.generators
-    slack, free = problem.slack(vector), vector[kept]
-    # Rounding may have left the set: cholesky raises, which ends the refinement.
-    np.linalg.cholesky(slack)
-    np.linalg.cholesky(duals)
-    inverse, weights = np.linalg.inv(slack), multipliers / free
-    # [j, k]: B_k S_j^-1 and B_k Z_j.
-    left = generators[None] @ inverse[:, None]
-    right = generators[None] @ duals[:, None]
-    blocks = np.einsum("bkij,blji->bkl", left, right)
-    solve = _factorise(problem, gram, blocks, slack, duals, weights)
-    gradient = problem.root.T @ problem.residual(vector)
-    barrier = np.zeros(problem.n_features)
-    barrier[bodies] = np.einsum("bkii->bk", left)
-    barrier[kept] = 1.0 / free
+    flat = generators.reshape(len(generators), -1)
+    n_bodies, n_entries, free = len(bodies), flat.shape[1], vector[kept]
+    # S = L L' and Z = R R'; `right_inverse` below is the transpose of R^-1.  Rounding
+    # may have left the set: cholesky raises, which ends the refinement.
+    factors = np.linalg.cholesky(np.concatenate([slack, duals]))
+    inverse_factors = np.linalg.inv(factors)
+    lower, lower_inverse = factors[:n_bodies], inverse_factors[:n_bodies]
+    inverse = np.swapaxes(lower_inverse, 1, 2) @ lower_inverse
+    right = factors[n_bodies:]
+    right_inverse = np.swapaxes(inverse_factors[n_bodies:], 1, 2)
+    roots = lower_inverse[:, None] @ generators @ right[:, None]
+    bounds = np.sqrt(multipliers / free)
+    solve = _factorise(
+        problem, gram, roots.reshape(n_bodies, len(flat), n_entries), bounds
+    )
+    residual = problem.residual(vector)
+    centre = lower_inverse @ right_inverse
+    pseudo_inverse = np.linalg.solve(flat @ flat.T, flat)
 
     def symmetric(matrices):
         return 0.5 * (matrices + np.swapaxes(matrices, -1, -2))
 
     def direction(target, second_bodies, second_free):
-        right_side = target * barrier - gradient
-        right_side[bodies] -= np.einsum("kij,bij->bk", generators, second_bodies)
-        right_side[kept] -= second_free
-        step = solve(right_side)
-        change = np.einsum("kij,bk->bij", generators, step[bodies])
+        # tr(B S^-1) = <L^-1 B R, L^-1 R^-T> and <B, C> = <L^-1 B R, L' C R^-T>.
+        second = np.swapaxes(lower, 1, 2) @ second_bodies @ right_inverse
+        step = solve(
+            (target * centre - second).reshape(n_bodies, n_entries),
+            (target / free - second_free) / bounds,
+            -residual,
+        )
+        change = (step[bodies] @ flat).reshape(slack.shape)
         dual_step = target * inverse - duals - second_bodies
         dual_step = dual_step - symmetric(inverse @ change @ duals)
-        dual_free = target / free - multipliers - step[kept] * weights - second_free
+        # In exact arithmetic the multipliers now balance the gradient; the inverse of a
+        # slack near the boundary has too few digits for that.
+        gradient = problem.root.T @ (residual + problem.root @ step)
+        balanced = (duals + dual_step).reshape(n_bodies, n_entries) @ flat.T
+        lacking = gradient[bodies] - balanced
+        dual_step = dual_step + (lacking @ pseudo_inverse).reshape(slack.shape)
+        dual_free = gradient[kept] - multipliers
         reach = min(
-            _largest_step(slack, change),
-            _largest_step(duals, dual_step),
+            _largest_step(inverse_factors, np.concatenate([change, dual_step])),
             _largest_scalar_step(free, step[kept]),
             _largest_scalar_step(multipliers, dual_free),
         )
@@ -172,7 +195,6 @@ def refine(problem, vector, duals, multipliers, *, max_steps):
     kept = problem.nonnegative
     order = len(duals) * problem.generators.shape[-1] + kept.size
     gram = problem.root.T @ problem.root
-    floor = _LAST_TARGET * max(problem.distance(vector) ** 2, np.finfo(float).tiny)
     largest = max(np.abs(duals).max(initial=0.0), np.abs(multipliers).max(initial=0.0))
     if largest == 0.0:
         return vector, duals, multipliers, 0
@@ -184,12 +206,13 @@ def refine(problem, vector, duals, multipliers, *, max_steps):
 
     n_steps = 0
     for _ in range(min(max_steps, _MAX_STEPS)):
-        gap = np.sum(problem.slack(vector) * duals) + vector[kept] @ multipliers
-        if gap <= order * floor:
+        slack = problem.slack(vector)
+        gap = np.sum(slack * duals) + vector[kept] @ multipliers
+        if 2 * gap <= _GAP_END * problem.distance(vector) ** 2:
             break
         try:
             reach, *change = _step(
-                problem, gram, vector, duals, multipliers, gap / order
+                problem, gram, vector, slack, duals, multipliers, gap / order
             )
         except (LinAlgError, np.linalg.LinAlgError):
             # Rounding has reached the boundary: the last iterate stands.

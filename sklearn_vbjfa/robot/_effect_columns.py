@@ -1,5 +1,7 @@
 """Regressor rows of a robot with effects beside its rigid bodies."""
 
+import functools
+
 import numpy as np
 
 from sklearn_vbjfa.effects import Effect, Motion, resolve
@@ -8,6 +10,9 @@ from sklearn_vbjfa.robot._model import is_prismatic, joint_names
 
 # Rows of the feature matrix that are in memory at once while loads are computed.
 _LOAD_BYTES = 64 << 20
+# Fits until the load in the effects' columns agrees with the parameters: the load is
+# mostly gravity and inertia, which a first fit without those effects knows well.
+_LOAD_PASSES = 3
 
 
 def check_effects(effects, nv):
@@ -31,6 +36,14 @@ def check_effects(effects, nv):
 def needs_load(effects):
     """Whether the columns depend on the parameters, through the load."""
     return any("load" in effect.needs for effect in effects)
+
+
+def fit_passes(effects):
+    """Effects of each fit: what asks for the load comes after a fit without."""
+    if not needs_load(effects):
+        return [effects]
+    plain = tuple(e for e in effects if "load" not in e.needs)
+    return [plain] + (_LOAD_PASSES - 1) * [effects]
 
 
 def effect_names(effects, model):
@@ -76,6 +89,7 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf):
         def rigid(q, v, a):
             return _torques(features, np.hstack([q, v, a]), inertial)
 
+    @functools.cache
     def last_body():
         out = np.empty((states.shape[0], nv, 10))
         for piece in _pieces(features, states.shape[0]):

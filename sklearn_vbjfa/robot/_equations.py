@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sklearn_vbjfa.robot._features import rounding_entries
 from sklearn_vbjfa.robot._joint_torque import filter_weight
 
 # Periods of the state cut-off at both ends in which the smoother sees one side only.
@@ -90,3 +91,29 @@ def filtered_equations(
             if halves is not None:
                 equations += (None, lowpass(even - odd))
             yield equations
+
+
+def unexcited_entries(stats, n_rigid):
+    """Find what in the regressor matrices is zero but for rounding.
+
+    The features leave out what is zero in every motion; where a joint does not move
+    in this recording there is more.
+
+    Parameters
+    ----------
+    stats : JointStatistics
+        Second moments of nv joints and p parameters.
+    n_rigid : int
+        Number of parameters of the features; others are never left out.
+
+    Returns
+    -------
+    ndarray of shape (nv, p), bool
+        Entries to be taken as zero.
+    """
+    nv, n_all = stats.g.shape
+    power = np.diagonal(stats.G, axis1=1, axis2=2)[:, :n_rigid]
+    rounding = np.zeros((nv, n_all), dtype=bool)
+    rigid = rounding_entries(power.reshape(nv, nv, -1))
+    rounding[:, :n_rigid] = rigid.reshape(nv, -1)
+    return rounding

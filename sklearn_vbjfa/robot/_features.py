@@ -12,6 +12,7 @@ from sklearn_vbjfa.robot._model import (
     joint_names,
     load_model,
 )
+from sklearn_vbjfa.robot._regressor import TreeRegressor
 
 # Root mean square below which an entry of the regressor matrix is the rounding of a
 # zero, relative to the largest of its unit in the same torque.
@@ -143,16 +144,27 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             units += [_friction.unit(column, prismatic) for column in self._friction]
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
+        self._regressor = TreeRegressor(self._model)
         self._zeros = self._find_zeros()
         return self
 
     def _find_zeros(self):
         """Entries that are zero in every motion, ndarray of shape (nv, nv, 10)."""
         nv = self.n_joints_
-        self._zeros = np.zeros((nv, nv, 10), dtype=bool)
         states = np.random.default_rng(0).normal(size=(_N_PROBES, 3 * nv))
-        Phi = self._compute(states).reshape(_N_PROBES, nv, nv, -1)[..., :10]
-        return rounding_entries(np.mean(Phi**2, axis=0))
+        # Pinocchio's recursion in body frames leaves exact zeros where the torque does
+        # not depend on a parameter; in world axes they are the rounding of
+        # differences, which have no scale to be told by.
+        pin = import_pinocchio()
+        data = self._model.createData()
+        probes = np.array(
+            [
+                pin.computeJointTorqueRegressor(self._model, data, *np.split(row, 3))
+                for row in states
+            ]
+        )
+        power = np.mean(probes.reshape(_N_PROBES, nv, nv, 10) ** 2, axis=0)
+        return rounding_entries(power)
 
     def _check_width(self, X):
         nv = self.n_joints_
@@ -186,17 +198,10 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
     def _compute(self, X):
         """Return the regressor matrices as (n_samples, nv, p)."""
-        pin = import_pinocchio()
-        model, nv = self._model, self.n_joints_
-        data = model.createData()
-        n = X.shape[0]
+        nv, n = self.n_joints_, X.shape[0]
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
-        k = len(self._friction)
-        Phi = np.zeros((n, nv, nv, 10 + k))
-        for i in range(n):
-            regressor = pin.computeJointTorqueRegressor(model, data, q[i], v[i], a[i])
-            Phi[i, :, :, :10] = regressor.reshape(nv, nv, 10)
-        Phi[..., :10][:, self._zeros] = 0.0
+        Phi = np.empty((n, nv, nv, 10 + len(self._friction)))
+        self._regressor(q, v, a, out=Phi, zeros=self._zeros)
         diagonal = np.arange(nv)
         Phi[:, diagonal, diagonal, 10:] = _friction.columns(self._friction, q, v, a)
         return Phi.reshape(n, nv, self.n_parameters_)

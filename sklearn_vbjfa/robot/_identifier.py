@@ -15,34 +15,39 @@ from sklearn_vbjfa.robot._effect_columns import (
     RegressorRows,
     check_effects,
     effect_names,
+    fit_passes,
     make_motion,
     needs_load,
 )
-from sklearn_vbjfa.robot._equations import away_from_ends, filtered_equations
-from sklearn_vbjfa.robot._features import RigidBodyFeatures, rounding_entries
-from sklearn_vbjfa.robot._groups import check_clock, check_dt, contiguous_groups
+from sklearn_vbjfa.robot._equations import (
+    away_from_ends,
+    filtered_equations,
+    unexcited_entries,
+)
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._groups import check_dt, contiguous_groups
 from sklearn_vbjfa.robot._joint_statistics import split_residual
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._model import joint_names
+from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_count,
     check_input_noise,
     check_length,
+    check_time_stamps,
     check_widths,
+    resolve_clock,
     resolve_cutoff,
     resolve_standstill,
 )
-from sklearn_vbjfa.robot._residuals import TorqueResiduals
-from sklearn_vbjfa.robot._states import fit_states
+from sklearn_vbjfa.robot._residuals import collect_residuals
+from sklearn_vbjfa.robot._states import fit_states, smooth_to
 from sklearn_vbjfa.robot._torque_noise import torque_noise
 from sklearn_vbjfa.robot._urdf import write_identified
 
 # Rows of the feature matrix that are in memory at once.
 _CHUNK_BYTES = 64 << 20
-# Fits until the load in the effects' columns agrees with the parameters: the load is
-# mostly gravity and inertia, which a first fit without those effects knows well.
-_LOAD_PASSES = 3
 
 
 class RobotIdentifier(RegressorMixin, BaseEstimator):
@@ -92,6 +97,11 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         by making them from the even and from the odd samples separately, whose white
         encoder noise is independent, and a regressor that takes a noise covariance
         (the default one) corrects for it. None takes the regressors as exact.
+    period : float, default=None
+        Time [s] after which the motion repeats, from the first row of every recording
+        on: a whole number of samples, twice or more. The even and the odd periods are
+        then averaged separately. They share no noise of any colour, where even and odd
+        samples share all that is not white, and the fit is to the mean period.
 
     Attributes
     ----------
@@ -118,10 +128,11 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
     noise_floor_ : ndarray of shape (nv,)
         Standard deviation of `residuals` to expect from noise alone, if the model
         lacked nothing [N m or N]: input noise through the parameters, and the white
-        noise of the torque sensors, measured above the band of the fit.
+        noise of the torque sensors, measured above the band of the fit. With `period`
+        that of the mean period, smaller than that of a recording.
     torque_noise_ : ndarray of shape (nv,)
         The torque sensors' part of it [N m or N]; nan where nothing lies above the
-        band.
+        band. With `period` measured between periods, in the band.
     input_noise_torque_ : ndarray of shape (nv,)
         The input noise's part of it [N m or N].
     output_noise_ : ndarray of shape (nv,)
@@ -171,6 +182,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         joint_weights="auto",
         block_noise=False,
         input_noise="auto",
+        period=None,
     ):
         self.model = model
         self.dt = dt
@@ -184,6 +196,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.joint_weights = joint_weights
         self.block_noise = block_noise
         self.input_noise = input_noise
+        self.period = period
 
     def __sklearn_tags__(self):
         """Tags of a regressor with several outputs."""
@@ -209,8 +222,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
                 default=None
             Weights; zero leaves a sample (of one joint) out.
         t : array-like of shape (n_samples,), default=None
-            Time [s], for effects that change with it: rising over all recordings,
-            and the same clock in fit and query. None counts `dt` from the first row.
+            Time stamps [s], which must agree with `dt` within a recording and may
+            restart with each; but rise over all for effects that change with time.
+            None counts `dt` from the first row.
 
         Returns
         -------
@@ -225,8 +239,13 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.parameter_names_ = self.features_.parameter_names_ + names
         self.parameter_units_ = self.features_.parameter_units_ + units
         X, y = self._validate(X, y)
+        check_input_noise(self.input_noise)
         parts = contiguous_groups(groups, X.shape[0])
-        states = self._fit_states(X, groups)
+        check_time_stamps(t, self.dt, parts)
+        clock = resolve_clock(t, self.dt, parts, self.effects_)
+        weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
+        periods = measure_periods(self, X, y, groups, weight)
+        states, halves = self._fit_states(X, groups, periods)
         check_channels(self.joint_names_, states[:, : self._nv], y)
         self.cutoff_ = resolve_cutoff(
             self.cutoff, parts, self.dt, self.state_estimator_
@@ -234,34 +253,26 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.standstill_ = resolve_standstill(
             self.standstill, states[:, self._nv : 2 * self._nv]
         )
-        weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
-        check_length(parts, lowpass, self.cutoff_)
-        self.torque_noise_ = torque_noise(
-            [y[part] for part in parts], self.dt, self.cutoff_
-        )
-        halves = self._halves(X, groups)
-        clock = check_clock(t, X.shape[0], self.dt)
+        if periods is None:
+            check_length(parts, lowpass, self.cutoff_)
+            self.torque_noise_ = torque_noise(
+                [y[part] for part in parts], self.dt, self.cutoff_
+            )
+            equations = states, y, weight, parts, lowpass, halves, clock
+        else:
+            self.torque_noise_ = periods.filtered_torque_noise(lowpass)
+            equations = periods.equations(states, lowpass, halves)
         self._load_theta = None
-        for effects in self._passes():
+        for effects in fit_passes(self.effects_):
             if needs_load(effects):
                 self._load_theta = self.theta_[: self.features_.n_parameters_]
             self._active_effects = effects
-            self._fit_equations(
-                self._filtered(states, y, weight, parts, lowpass, halves, t=clock)
-            )
+            self._fit_equations(self._filtered(*equations, ends=periods is None))
         return self
-
-    def _passes(self):
-        """Effects of each fit: what asks for the load comes after a fit without."""
-        if not needs_load(self.effects_):
-            return [self.effects_]
-        plain = tuple(e for e in self.effects_ if "load" not in e.needs)
-        return [plain] + (_LOAD_PASSES - 1) * [self.effects_]
 
     def _halves(self, X, groups):
         """States from the even and from the odd samples, where the noise is asked."""
-        check_input_noise(self.input_noise)
         if self.input_noise is None or self.state_estimator_ is None:
             return None
         return self.state_estimator_.split_transform(X, groups=groups)
@@ -286,16 +297,8 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         for _, *equations in pieces:
             self.estimator_._accumulate(*equations)
         stats = self.estimator_._stats
-        n_rigid, n_all = self.features_.n_parameters_, stats.g.shape[1]
-        check_count(stats, self.standstill_, n_all)
-        # The features leave out what is zero in every motion; where a joint does not
-        # move in this recording there is more.
-        power = np.diagonal(stats.G, axis1=1, axis2=2)[:, :n_rigid]
-        rounding = np.zeros((self._nv, n_all), dtype=bool)
-        rounding[:, :n_rigid] = rounding_entries(
-            power.reshape(self._nv, self._nv, -1)
-        ).reshape(self._nv, -1)
-        self.estimator_._forget(rounding)
+        check_count(stats, self.standstill_, stats.g.shape[1])
+        self.estimator_._forget(unexcited_entries(stats, self.features_.n_parameters_))
         self.estimator_._finish()
         self._constrain()
         return self
@@ -310,12 +313,21 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         check_widths(self.joint_names_, X, y)
         return X, y
 
-    def _fit_states(self, X, groups):
-        if X.shape[1] == 3 * self._nv and X.shape[1] != self._nv:
-            self.state_estimator_ = None
-            return X
-        self.state_estimator_ = self._new_state_estimator(X, groups)
-        return self.state_estimator_.transform(X, groups=groups)
+    def _fit_states(self, X, groups, periods):
+        """States, and two measurements of them where the noise is asked, or None."""
+        self.state_estimator_ = None
+        if X.shape[1] == self._nv:
+            source = (X, groups) if periods is None else periods.both_starts()
+            self.state_estimator_ = self._new_state_estimator(*source)
+        if periods is not None:
+            even, odd = periods.states(self.state_estimator_)
+            # smoothing is linear: these are the states of the mean
+            halves = None if self.input_noise is None else (even, odd)
+            return 0.5 * (even + odd), halves
+        halves = self._halves(X, groups)
+        if self.state_estimator_ is None:
+            return X, halves
+        return self.state_estimator_.transform(X, groups=groups), halves
 
     def _new_state_estimator(self, X, groups):
         return fit_states(check_dt(self.dt), self.state_cutoff, X, groups)
@@ -328,19 +340,18 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         if estimator is None:
             estimator = self._new_state_estimator(X, groups)
         if in_band:
-            cutoffs = np.minimum(estimator.cutoff_, self.cutoff_)
-            estimator = clone(estimator).set_params(
-                cutoff=[c if np.isfinite(c) else None for c in cutoffs]
-            )
-            estimator.fit(X, groups=groups)
+            estimator = smooth_to(estimator, self.cutoff_, X, groups)
         return estimator.transform(X, groups=groups)
 
     # -- computation -----------------------------------------------------------
 
-    def _filtered(self, states, y, weight, parts, lowpass, halves=None, t=None):
+    def _filtered(
+        self, states, y, weight, parts, lowpass, halves=None, t=None, *, ends=True
+    ):
         """Yield the equations of what moves, see `filtered_equations`."""
         speed = np.abs(states[:, self._nv : 2 * self._nv])
-        inside = away_from_ends(parts, y.shape[0], self.state_estimator_)
+        smoother = self.state_estimator_ if ends else None
+        inside = away_from_ends(parts, y.shape[0], smoother)
         weight = weight * (speed > self.standstill_) * inside[:, None]
         average = halves is not None and self._corrects_noise()
         return filtered_equations(
@@ -378,19 +389,13 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
                 _friction.check_names(self.friction),
             )
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
-        self._split_residual()
+        noise = split_residual(self.estimator_.statistics_, self.theta_)
+        self.input_noise_torque_, self.output_noise_ = noise
+        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
 
     def _bodies(self):
         """Parameters of the features, (nv, 10 + number of friction columns)."""
         return self.theta_[: self.features_.n_parameters_].reshape(self._nv, -1)
-
-    def _split_residual(self):
-        """Split the residual into what input noise explains and the rest."""
-        stats = self.estimator_.statistics_
-        self.input_noise_torque_, self.output_noise_ = split_residual(
-            stats, self.theta_
-        )
-        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
 
     def predict(self, X, groups=None, t=None):
         """Predict the joint torques.
@@ -404,8 +409,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
         t : array-like of shape (n_samples,), default=None
-            Time [s], for effects that change with it: rising over all recordings,
-            and the same clock in fit and query. None counts `dt` from the first row.
+            Time [s] on the clock of the fit, for effects that change with it.
 
         Returns
         -------
@@ -415,8 +419,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         check_is_fitted(self)
         X = self._validate_query(X)
         states = self._states(X, groups, in_band=True)
-        clock = check_clock(t, X.shape[0], self.dt)
-        rows = self._rows(states, contiguous_groups(groups, X.shape[0]), clock)
+        parts = contiguous_groups(groups, X.shape[0])
+        clock = resolve_clock(t, self.dt, parts, self.effects_)
+        rows = self._rows(states, parts, clock)
         count = max(1, _CHUNK_BYTES // (8 * self._nv * self.theta_.size))
         return np.concatenate(
             [
@@ -446,8 +451,7 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
                 default=None
             Weights; zero leaves a sample out.
         t : array-like of shape (n_samples,), default=None
-            Time [s], for effects that change with it: rising over all recordings,
-            and the same clock in fit and query. None counts `dt` from the first row.
+            Time [s] on the clock of the fit, for effects that change with it.
 
         Returns
         -------
@@ -462,18 +466,14 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         check_length(parts, lowpass, self.cutoff_)
-        clock = check_clock(t, X.shape[0], self.dt)
+        clock = resolve_clock(t, self.dt, parts, self.effects_)
         states = self._states(X, groups)
         return self._residuals_of(
             self._filtered(states, y, weight, parts, lowpass, t=clock)
         )
 
     def _residuals_of(self, pieces):
-        found = [(i, tau, Phi @ self.theta_, w) for i, Phi, tau, w, *_ in pieces]
-        index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
-        return TorqueResiduals(
-            index=index, torque=torque, predicted=predicted, weight=weight
-        )
+        return collect_residuals(pieces, self.theta_)
 
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.

@@ -46,6 +46,15 @@ class TorqueResiduals:
             return np.where(spread > 0, self.rms() / spread, np.nan)
 
 
+def collect_residuals(pieces, theta):
+    """Residuals of filtered (index, Phi, tau, weight, ...), which may be a stream."""
+    found = [(i, tau, Phi @ theta, w) for i, Phi, tau, w, *_ in pieces]
+    index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
+    return TorqueResiduals(
+        index=index, torque=torque, predicted=predicted, weight=weight
+    )
+
+
 def _weighted(values, weight):
     total = weight.sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):

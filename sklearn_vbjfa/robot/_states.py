@@ -274,3 +274,10 @@ def fit_states(dt, cutoff, X, groups):
         for lower, own in zip(lighter, estimator.cutoff_)
     ]
     return StateEstimator(dt, cutoff=chosen).fit(X, groups=groups)
+
+
+def smooth_to(estimator, cutoff, X, groups):
+    """Fit a copy of a state estimator that passes no more than a band [Hz]."""
+    cutoffs = np.minimum(estimator.cutoff_, cutoff)
+    chosen = [c if np.isfinite(c) else None for c in cutoffs]
+    return StateEstimator(estimator.dt, cutoff=chosen).fit(X, groups=groups)

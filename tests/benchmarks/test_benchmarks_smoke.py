@@ -27,7 +27,9 @@ def residuals(scale, index, tau):
     "name",
     [
         "errors_in_variables",
+        "identification",
         "measured_robots",
+        "noise_floor",
         "projection",
         "simulated_arms",
         "speed",
@@ -218,3 +220,37 @@ def test_state_estimator_beats_differences_with_the_best_cutoff():
         for name in methods
     ]
     assert errors[0] < 0.6 * errors[1]
+
+
+def test_noise_floor_of_the_demo_is_its_residual(monkeypatch):
+    pytest.importorskip("pinocchio")
+    import bench_noise_floor as bench
+
+    load = bench.load
+
+    def short(name, data_home):
+        *settings, parts = load(name, data_home)
+        return *settings, [tuple(x[:1600] for x in part) for part in parts]
+
+    monkeypatch.setattr(bench, "load", short)
+    rows = bench.measure("demo", None)
+    assert len(rows) == 6
+    assert all(len(row) == len(bench.HEADERS) for row in rows)
+    # The model lacks nothing, and 8 s of noise are what was fitted.
+    ratio = [float(row[-1]) for row in rows]
+    np.testing.assert_allclose(ratio, 1.0, atol=0.35)
+
+
+def test_only_known_noise_is_identified():
+    import bench_identification as bench
+
+    few, many = (bench.run(n, n_trials=3) for n in (500, 20_000))
+    for found in (few, many):
+        assert set(found) == {"paper", "default", "known variances", "known covariance"}
+    split = {name: np.median(values[:, 0]) for name, values in many.items()}
+    assert split["known variances"] == pytest.approx(1.0)
+    assert 0.8 < split["default"] < 1.0
+    query = {name: np.median(values[:, 3]) for name, values in many.items()}
+    before = np.median(few["known variances"][:, 3])
+    assert query["known variances"] < 0.2 * before
+    assert query["known variances"] < query["default"] < 0.5 * query["paper"]

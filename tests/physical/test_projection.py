@@ -85,6 +85,14 @@ def test_negative_friction_alone_is_set_to_zero():
     np.testing.assert_allclose(result.theta[:10], theta[:10], atol=1e-7)
 
 
+def test_columns_without_a_body_are_projected_on_the_non_negative_ones():
+    # Minimise x1^2 + x0^2 + (x0 - x1)^2 about (0, -1) with x1 >= 0: x1 = 0, and the
+    # derivative by x0 vanishes at x0 = 1 / 2.
+    A = np.array([[2.0, -1.0], [-1.0, 2.0]])
+    result = project([0.0, -1.0], A, body_starts=[], nonnegative=[1])
+    np.testing.assert_allclose(result.theta, [0.5, 0.0], rtol=0, atol=1e-7)
+
+
 def test_free_columns_keep_their_sign():
     rng = np.random.default_rng(0)
     theta = inconsistent_robot(rng, 2, n_extra=3)
@@ -180,6 +188,19 @@ def test_ten_bodies_in_a_metric_of_condition_1e12_are_certified():
     result = project(theta, A, parameters_per_joint=11)
     assert result.relative_gap <= 1e-6
     assert (result.min_eigenvalues >= 1e-8).all()
+
+
+@pytest.mark.parametrize("noise", [1e-9, 1e-5, 1e-2])
+def test_rods_hardly_spoiled_are_certified(noise):
+    # Two point masses: the pseudo-inertia has rank two, so that the vector is on the
+    # boundary of the set and the distance as small as the noise.
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        bodies = [parameters_of(*point_masses(rng, 2)) for _ in range(3)]
+        theta = np.concatenate([np.r_[phi, 0.1] for phi in bodies])
+        theta = theta + noise * rng.normal(size=theta.size) * (np.abs(theta) + 0.2)
+        result = project(theta, metric(rng, theta.size, 1e4), parameters_per_joint=11)
+        assert result.relative_gap <= 1e-8
 
 
 # -- the paper's virtual parameters
@@ -367,12 +388,11 @@ def test_metric_of_zeros_projects_by_the_anchor_alone():
     assert is_consistent(result.theta)
 
 
-def test_robot_regression_with_singular_gram_matrix_keeps_its_predictions():
-    pin = pytest.importorskip("pinocchio")
-    rng = np.random.default_rng(7)
+def noisy_regression(pin, rng, n_joints):
+    """Regressor matrix of a random robot, its parameters, and noisy torques."""
     model = pin.Model()
     parent = 0
-    for k in range(4):
+    for k in range(n_joints):
         angle = rng.normal(size=3)
         placement = pin.SE3(pin.exp3(angle), 0.2 * rng.normal(size=3))
         joint = [pin.JointModelRX(), pin.JointModelRY(), pin.JointModelRZ()][k % 3]
@@ -381,17 +401,38 @@ def test_robot_regression_with_singular_gram_matrix_keeps_its_predictions():
         body = pin.Inertia.FromDynamicParameters(phi)
         model.appendBodyToJoint(parent, body, pin.SE3.Identity())
     truth = np.concatenate(
-        [model.inertias[k].toDynamicParameters() for k in range(1, 5)]
+        [model.inertias[k].toDynamicParameters() for k in range(1, n_joints + 1)]
     )
     data = model.createData()
     Y = np.vstack(
         [
-            pin.computeJointTorqueRegressor(model, data, *rng.normal(size=(3, 4)))
+            pin.computeJointTorqueRegressor(
+                model, data, *rng.normal(size=(3, n_joints))
+            )
             for _ in range(150)
         ]
     )
     torque = Y @ truth
-    noisy = torque + 0.5 * np.std(torque) * rng.normal(size=torque.size)
+    return Y, truth, torque + 0.5 * np.std(torque) * rng.normal(size=torque.size)
+
+
+@pytest.mark.parametrize("constraint", ["pseudo-inertia", "eq30"])
+@pytest.mark.parametrize("anchor_weight", [1e-8, 1e-11, 1e-14])
+def test_weak_anchor_of_a_singular_regression_is_certified(constraint, anchor_weight):
+    pin = pytest.importorskip("pinocchio")
+    for seed in range(3):
+        Y, _, noisy = noisy_regression(pin, np.random.default_rng(seed), 5)
+        theta = np.linalg.lstsq(Y, noisy, rcond=1e-10)[0]
+        result = project(
+            theta, Y.T @ Y, constraint=constraint, anchor_weight=anchor_weight
+        )
+        assert result.status == "projected"
+        assert result.relative_gap <= 1e-7
+
+
+def test_robot_regression_with_singular_gram_matrix_keeps_its_predictions():
+    pin = pytest.importorskip("pinocchio")
+    Y, truth, noisy = noisy_regression(pin, np.random.default_rng(7), 4)
     theta = np.linalg.lstsq(Y, noisy, rcond=1e-10)[0]
     assert not is_consistent(theta.reshape(4, 10)).all()
     result = project(theta, Y.T @ Y)

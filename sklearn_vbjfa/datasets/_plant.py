@@ -1,0 +1,384 @@
+"""Robots with more dynamics than a rigid-body model declares, and their motion.
+
+What the declared model lacks is what Ting, D'Souza and Schaal (2011, section 1) name
+for lightweight robots: actuator dynamics, routing of cables, protective shells; and
+nonlinear friction.
+"""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from sklearn_vbjfa.datasets._robots import _true_inertias
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+EFFECTS = ("actuator", "cables", "friction", "rotor_inertia", "shell")
+# Size of each effect as a share of the standard deviation of the joint's rigid-body
+# torque, times 0.5 to 1.5: at typical speed, elongation (hardening: twice that) and
+# acceleration, and half way from where the shell touches to the end of the motion.
+_SHARES = {
+    "viscous": 0.15,
+    "coulomb": 0.10,
+    "stiction": 0.05,
+    "cable_spring": 0.10,
+    "cable_hardening": 0.05,
+    "cable_hysteresis": 0.05,
+    "shell": 0.25,
+    "rotor_inertia": 0.15,
+}
+# Speed at which Coulomb friction is fully there, in units of the typical speed.
+_CREEP = 0.04
+# Elongation over which a cable's hysteresis turns round, in units of the typical one.
+_TURN = 0.15
+# Arm of a cable at the next joint of the chain, for joints of the same torque.
+_COUPLING = 0.3
+# The shell touches beyond this share of the way from the centre to the limit.
+_SHELL_GAP = 0.2
+# Time constant of the actuators [s].
+_LAG = 0.004
+# Largest value of r / (1 + r^2), which shapes the extra friction at creeping speed.
+STRIBECK_PEAK = 0.5
+# Share of a joint's range and speed that a motion uses at most.
+_RANGE_SHARE = 0.6
+_SPEED_SHARE = 0.5
+# Range [rad or m] and speed [per s] where the description gives none, or wider ones.
+_DEFAULT_RANGE = 2.5
+_DEFAULT_SPEED = 2.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SineMotion:
+    """Sum of sines in all joints, as long as one likes.
+
+    Parameters
+    ----------
+    centre : ndarray of shape (nv,)
+        Middle of the motion [rad or m].
+    amplitude, frequency, phase : ndarray of shape (nv, n_harmonics)
+        Amplitudes [rad or m], frequencies [Hz] and phases [rad].
+    """
+
+    centre: np.ndarray
+    amplitude: np.ndarray
+    frequency: np.ndarray
+    phase: np.ndarray
+
+    def states(self, t):
+        """Positions, velocities and accelerations at given times.
+
+        Parameters
+        ----------
+        t : ndarray of shape (n,)
+            Times [s].
+
+        Returns
+        -------
+        ndarray of shape (n, 3 * nv)
+            States [q | v | a].
+        """
+        w = 2 * np.pi * self.frequency
+        angle = t[:, None, None] * w + self.phase
+        s, c = np.sin(angle), np.cos(angle)
+        q = self.centre + (self.amplitude * s).sum(axis=-1)
+        v = (self.amplitude * w * c).sum(axis=-1)
+        a = -(self.amplitude * w**2 * s).sum(axis=-1)
+        return np.hstack([q, v, a])
+
+
+def joint_range(model):
+    """Middle and half width of each joint's range; a default where it is unlimited."""
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    # Halved first: Pinocchio's "no limit" is the largest number there is.
+    reach, centre = 0.5 * high - 0.5 * low, 0.5 * high + 0.5 * low
+    wide = ~(reach <= _DEFAULT_RANGE)
+    return np.where(wide, 0.0, centre), np.where(wide, _DEFAULT_RANGE, reach)
+
+
+def draw_motion(model, frequency, n_harmonics, rng):
+    """Draw a motion inside the limits of a robot.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    frequency : float
+        Highest frequency [Hz]; the lowest is a tenth of it.
+    n_harmonics : int
+        Number of sines in each joint.
+    rng : RandomState
+        Source of frequencies, amplitudes and phases.
+
+    Returns
+    -------
+    SineMotion
+        Motion that stays within 60 % of the range and half the speed limit whenever
+        the sines meet.
+    """
+    shape = (model.nv, n_harmonics)
+    centre, reach = joint_range(model)
+    limit = model.velocityLimit
+    speed = np.where((limit > 0) & (limit < 1e3), limit, _DEFAULT_SPEED)
+    f = frequency * rng.uniform(0.1, 1.0, size=shape)
+    f[:, 0] = frequency * rng.uniform(0.85, 1.0, size=model.nv)
+    size = rng.uniform(0.3, 1.0, size=shape) / f
+    phase = rng.uniform(0, 2 * np.pi, size=shape)
+    room = np.minimum(
+        _RANGE_SHARE * reach / size.sum(axis=1),
+        _SPEED_SHARE * speed / (2 * np.pi * f * size).sum(axis=1),
+    )
+    return SineMotion(
+        centre=centre, amplitude=size * room[:, None], frequency=f, phase=phase
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plant:
+    """A robot with all that its declared model lacks.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        True inertias; rotor inertias [kg m^2 or kg] in its ``armature``.
+    torque_size : ndarray of shape (nv,)
+        Root mean square of the torque in a typical motion [N m or N].
+    viscous : ndarray of shape (nv,)
+        Viscous friction [N m s/rad or N s/m].
+    coulomb, stiction : ndarray of shape (nv,)
+        Friction at speed, and how much more of it there is at creeping speed [N m].
+    creep_speed : ndarray of shape (nv,)
+        Speed at which friction has reached 71 % of its size [rad/s or m/s].
+    routing : ndarray of shape (n_cables, nv)
+        Elongation of each cable by each joint.
+    cable_rest : ndarray of shape (nv,)
+        Position in which no cable pulls [rad or m].
+    cable_spring, cable_hardening : ndarray of shape (n_cables,)
+        Linear and cubic stiffness [N m/rad, N m/rad^3].
+    cable_hysteresis : ndarray of shape (n_cables,)
+        Torque of the hysteresis when turned round [N m].
+    cable_turn : ndarray of shape (n_cables,)
+        Elongation over which it turns round [rad].
+    shell_side : ndarray of shape (nv,)
+        +1 or -1: towards which limit the shell is in the way.
+    shell_gap : ndarray of shape (nv,)
+        Where it begins to touch: ``shell_side * q`` [rad or m].
+    shell_stiffness : ndarray of shape (nv,)
+        Torque over squared deformation [N m/rad^2].
+    lag : float
+        Time constant of the actuators [s]; zero for torques at once.
+    """
+
+    model: "pin.Model"
+    torque_size: np.ndarray
+    viscous: np.ndarray
+    coulomb: np.ndarray
+    stiction: np.ndarray
+    creep_speed: np.ndarray
+    routing: np.ndarray
+    cable_rest: np.ndarray
+    cable_spring: np.ndarray
+    cable_hardening: np.ndarray
+    cable_hysteresis: np.ndarray
+    cable_turn: np.ndarray
+    shell_side: np.ndarray
+    shell_gap: np.ndarray
+    shell_stiffness: np.ndarray
+    lag: float
+
+    @property
+    def inertial(self):
+        """True inertial parameters of each body, ndarray of shape (nv, 10)."""
+        return np.array(
+            [body.toDynamicParameters() for body in self.model.inertias[1:]]
+        )
+
+    def theta(self, friction=("viscous",)):
+        """Return the true parameters of the columns of a declared model.
+
+        Parameters
+        ----------
+        friction : tuple of str, default=("viscous",)
+            Friction columns, as in `RobotIdentifier`.
+
+        Returns
+        -------
+        ndarray of shape (nv * (10 + len(friction)),)
+            Parameters; what the robot does not have is zero.
+        """
+        known = {
+            "viscous": self.viscous,
+            "coulomb": self.coulomb,
+            "offset": np.zeros_like(self.viscous),
+            "rotor_inertia": np.asarray(self.model.armature),
+        }
+        extra = [known[name] for name in friction]
+        return np.column_stack([self.inertial, *extra]).ravel()
+
+    def friction_torque(self, v):
+        """Torque that friction takes at speeds v [N m]."""
+        r = v / self.creep_speed
+        w = 1.0 / (1.0 + r * r)
+        extra = self.stiction / STRIBECK_PEAK
+        return self.viscous * v + r * (self.coulomb * np.sqrt(w) + extra * w)
+
+    def cable_torque(self, q):
+        """Torque that the cables take along positions q, ndarray of shape (n, nv).
+
+        The hysteresis is neutral in the first row and follows the rows in order.
+        """
+        e = (q - self.cable_rest) @ self.routing.T
+        z = np.zeros_like(e)
+        for k in range(1, len(e)):
+            de = e[k] - e[k - 1]
+            c = 0.5 * np.abs(de) / self.cable_turn
+            z[k] = (z[k - 1] * (1 - c) + de) / (1 + c)
+        force = e * (self.cable_spring + self.cable_hardening * e * e)
+        return (force + self.cable_hysteresis * z / self.cable_turn) @ self.routing
+
+    def shell_torque(self, q):
+        """Torque that the shells take at positions q [N m]."""
+        deep = np.maximum(self.shell_side * q - self.shell_gap, 0.0)
+        return self.shell_side * self.shell_stiffness * deep**2
+
+    def inverse_dynamics(self, states):
+        """Torques that move the robot as told, with all effects.
+
+        Parameters
+        ----------
+        states : ndarray of shape (n, 3 * nv)
+            States [q | v | a], in the order of time (hysteresis).
+
+        Returns
+        -------
+        ndarray of shape (n, nv)
+            Torques behind the actuators [N m or N].
+        """
+        q, v, _ = np.split(states, 3, axis=1)
+        rigid = rigid_torques(self.model, states)
+        return (
+            rigid
+            + self.friction_torque(v)
+            + self.cable_torque(q)
+            + self.shell_torque(q)
+        )
+
+    def command(self, torques, dt):
+        """Commands, held for dt [s] each, whose lagged torques are these.
+
+        Parameters
+        ----------
+        torques : ndarray of shape (n, nv)
+            Torques at the sample times, the first of them there already [N m or N].
+        dt : float
+            Sample period [s].
+
+        Returns
+        -------
+        ndarray of shape (n, nv)
+            Commands; the last repeats the one before.
+        """
+        if self.lag == 0:
+            return torques.copy()
+        kept = np.exp(-dt / self.lag)
+        command = (torques[1:] - kept * torques[:-1]) / (1 - kept)
+        return np.vstack([command, command[-1:]])
+
+
+def rigid_torques(model, states):
+    """Inverse dynamics of a Pinocchio model for rows [q | v | a]."""
+    import pinocchio as pin
+
+    data, rnea = model.createData(), pin.rnea
+    q, v, a = np.split(states, 3, axis=1)
+    out = np.empty(q.shape)
+    for k in range(len(out)):
+        out[k] = rnea(model, data, q[k], v[k], a[k])
+    return out
+
+
+def draw_plant(nominal, *, perturbation, effects, effect_size, motion, rng):
+    """Draw a robot that differs from its nominal model.
+
+    Parameters
+    ----------
+    nominal : pinocchio.Model
+        What is declared.
+    perturbation : float
+        How far the true inertias are from the nominal ones, relative.
+    effects : tuple of str
+        Which of `EFFECTS` the robot has; viscous friction it always has.
+    effect_size : float
+        Factor on all effects but the actuators' lag and viscous friction.
+    motion : SineMotion
+        What "typical" torques, speeds and accelerations are taken from.
+    rng : RandomState
+        Source of inertias and coefficients.
+
+    Returns
+    -------
+    Plant
+        The robot.
+    """
+    import pinocchio as pin
+
+    if int(pin.__version__.split(".")[0]) < 3:
+        # Version 2 has an armature but leaves it out of the dynamics.
+        raise ImportError(
+            "Simulated plants need Pinocchio 3 for their rotor inertias, got "
+            f'{pin.__version__}: pip install "pin>=3"'
+        )
+    unknown = set(effects) - set(EFFECTS)
+    if unknown:
+        raise ValueError(
+            f"Unknown effect(s) {sorted(unknown)}; expected some of {list(EFFECTS)}."
+        )
+    model, nv = nominal.copy(), nominal.nv
+    for j, body in enumerate(_true_inertias(nominal, perturbation, rng)):
+        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
+    # A minute of the slowest motion, densely enough for its standard deviations.
+    states = motion.states(np.linspace(0.0, 60.0, 1201))
+    q, v, a = np.split(states, 3, axis=1)
+    size = rigid_torques(model, states).std(axis=0)
+    speed, acceleration = v.std(axis=0), a.std(axis=0)
+
+    def draw(name, effect, unit):
+        has = effect is None or effect in effects
+        factor = 1.0 if effect is None else effect_size
+        drawn = rng.uniform(0.5, 1.5, size=nv) * _SHARES[name]
+        return drawn * factor * has * size / unit
+
+    # A cable runs along each joint and the first one that follows it.
+    routing = np.eye(nv)
+    for j in range(nv):
+        children = [i for i in range(nv) if model.parents[i + 1] == j + 1]
+        # Its arm at a weak joint is short, or it would be the stronger of the two.
+        weaker = np.minimum(size[children[:1]] / size[j], 1.0)
+        routing[j, children[:1]] = _COUPLING * weaker
+    centre, reach = joint_range(model)
+    rest = centre + 0.2 * reach * rng.uniform(-1, 1, size=nv)
+    stretch = ((q - rest) @ routing.T).std(axis=0)
+    side = rng.choice([-1.0, 1.0], size=nv)
+    depth = 0.5 * (_RANGE_SHARE - _SHELL_GAP) * reach
+    model.armature = draw("rotor_inertia", "rotor_inertia", acceleration)
+    plant = Plant(
+        model=model,
+        torque_size=size,
+        viscous=draw("viscous", None, speed),
+        coulomb=draw("coulomb", "friction", 1.0),
+        stiction=draw("stiction", "friction", 1.0),
+        creep_speed=_CREEP * speed,
+        routing=routing,
+        cable_rest=rest,
+        cable_spring=draw("cable_spring", "cables", stretch),
+        cable_hardening=draw("cable_hardening", "cables", (2 * stretch) ** 3),
+        cable_hysteresis=draw("cable_hysteresis", "cables", 1.0),
+        cable_turn=_TURN * stretch,
+        shell_side=side,
+        shell_gap=side * centre + _SHELL_GAP * reach,
+        shell_stiffness=draw("shell", "shell", depth**2),
+        lag=_LAG if "actuator" in effects else 0.0,
+    )
+    torques = plant.inverse_dynamics(states)
+    return replace(plant, torque_size=np.sqrt(np.mean(torques**2, axis=0)))

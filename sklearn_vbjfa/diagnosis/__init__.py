@@ -1,0 +1,1 @@
+"""Diagnosis: what a robot model lacks."""

@@ -1,0 +1,288 @@
+"""The loop: residual, effect, refit, and the error on data that was not touched."""
+
+import numpy as np
+from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.utils import check_random_state
+from sklearn.utils.validation import check_array, check_is_fitted, validate_data
+
+from sklearn_vbjfa.diagnosis import _split
+from sklearn_vbjfa.diagnosis._gaps import hidden, unexplained
+from sklearn_vbjfa.diagnosis._intervals import bootstrap_errors
+from sklearn_vbjfa.diagnosis._outcome import make_outcome
+from sklearn_vbjfa.diagnosis._progress import progress_bar
+from sklearn_vbjfa.diagnosis._recording_view import RecordingView
+from sklearn_vbjfa.diagnosis._report import Report
+from sklearn_vbjfa.diagnosis._search import EffectSearch
+from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.robot import RobotIdentifier
+from sklearn_vbjfa.robot._channel_checks import inspect_channels
+from sklearn_vbjfa.robot._groups import check_clock, check_dt
+from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._recording_checks import check_widths
+
+# A channel with these faults is reported and not searched: what would be found is the
+# fault.
+_NO_INFORMATION = ("coarse_torque", "still_joint")
+
+
+class EffectDiscovery(RegressorMixin, BaseEstimator):
+    """Find what a robot model lacks: close the loop with measured data.
+
+    Fits the declared model, looks at what it leaves of the torques on data that it
+    has not seen, and tries every effect of the library on every joint; refits
+    everything with the one that helps, names it, and begins again. What no effect
+    explains is reported as unexplained. The last part of each recording is not
+    touched until the end, where the error before and after is taken.
+
+    Parameters
+    ----------
+    identifier : RobotIdentifier
+        The declared model: robot, friction, filter settings.
+    effects : "all", or list of str or Effect, default="all"
+        Effects to look for: names of the library (see
+        `sklearn_vbjfa.effects.available`), or effects of one's own.
+    test_size : float, default=0.25
+        Share of each recording, from its end, that is kept for the final comparison.
+    alpha : float, default=0.05
+        Level of significance over all effects and joints together.
+    max_effects : int or None, default=None
+        Most effects to add.
+    random_state : int, RandomState instance or None, default=None
+        Seed of the block bootstrap. The search itself draws nothing.
+    verbose : bool, default=False
+        Whether a progress bar is shown, on terminals only.
+
+    Attributes
+    ----------
+    effects_ : tuple of DiscoveredEffect
+        Accepted effects in the order in which they were found; each has `name`,
+        `joint` (from zero), `parameters`, `units`, `intervals`, `rivals`.
+    rounds_ : tuple of Round
+        Every step: what was added, replaced, dropped or refused, on what evidence,
+        and the rivals.
+    error_before_, error_after_ : ndarray of shape (nv,)
+        Root mean square of the torque residual over the standard deviation of the
+        torque, on the untouched part, without and with the effects.
+    unexplained_ : tuple of Unexplained
+        Joints whose residual stays above the noise floor, its share, and the signals
+        it varies with.
+    hidden_ : tuple of Hidden
+        Effects that this robot or this recording cannot show.
+    identifier_ : RobotIdentifier
+        The model with the effects, fitted to the search part.
+    declared_ : RobotIdentifier
+        The declared model, fitted to the same part.
+    report_ : Report
+        All of this for reading: ``print(discovery.report_)``, `to_dict`,
+        `to_markdown`, `to_html`.
+    n_features_in_ : int
+        Number of columns of X.
+
+    See Also
+    --------
+    sklearn_vbjfa.effects : The library of effects.
+
+    Notes
+    -----
+    Candidates are scored from second moments of blocks of time: all parameters are
+    refitted (the effect's columns enter by the Schur complement of the declared
+    Gram matrix), each eighth block is predicted by the others, and the shape
+    parameters are chosen inside each fold. Significance is judged over blocks that
+    are longer than the residual stays correlated. A candidate that contains a plainer
+    effect waits for it; of those that blocks cannot tell apart the simplest is taken
+    and the others are reported as rivals; what later additions make superfluous is
+    dropped; and what does not hold on the last quarter of the search part is refused.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+    >>> from sklearn_vbjfa.datasets import make_robot_recording
+    >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
+    >>> robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
+    >>> loop = EffectDiscovery(robot, effects=["coulomb", "offset"], random_state=0)
+    >>> loop = loop.fit(recording.q, recording.tau)
+    >>> sorted({effect.name for effect in loop.effects_})
+    ['coulomb']
+    >>> bool((loop.error_after_ < loop.error_before_).all())
+    True
+    """
+
+    def __init__(
+        self,
+        identifier,
+        *,
+        effects="all",
+        test_size=0.25,
+        alpha=0.05,
+        max_effects=None,
+        random_state=None,
+        verbose=False,
+    ):
+        self.identifier = identifier
+        self.effects = effects
+        self.test_size = test_size
+        self.alpha = alpha
+        self.max_effects = max_effects
+        self.random_state = random_state
+        self.verbose = verbose
+
+    def __sklearn_tags__(self):
+        """Tags of a regressor with several outputs."""
+        tags = super().__sklearn_tags__()
+        tags.target_tags.multi_output = True
+        tags.target_tags.single_output = True
+        return tags
+
+    def fit(self, X, y, groups=None, sample_weight=None, t=None):
+        """Close the loop.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+            Joint positions [rad or m], rows equidistant in time; or states
+            [q | v | a].
+        y : array-like of shape (n_samples, nv)
+            Joint torques [N m] or forces [N].
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
+                default=None
+            Weights; zero leaves a sample out.
+        t : array-like of shape (n_samples,), default=None
+            Time [s], rising over all recordings; None counts the identifier's `dt`.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If a parameter is not valid, the recording is too short for blocks of
+            time, or a channel is wrong (constant, of the wrong sign, swapped, in
+            degrees): what would be found would be nonsense.
+        """
+        library = self._check_parameters()
+        X, y = validate_data(
+            self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
+        )
+        y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
+        groups = np.zeros(X.shape[0], int) if groups is None else np.asarray(groups)
+        weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
+        clock = check_clock(t, X.shape[0], check_dt(self.identifier.dt))
+        search, test = _split.split_in_time(X.shape[0], groups, self.test_size)
+        part = (X[search], y[search], groups[search], weight[search])
+        with progress_bar(self.verbose) as say:
+            say(0, "declared model")
+            channels, silent = self._check_channels(*part[:3])
+            declared = clone(self.identifier).fit(*part, t=clock[search])
+            view = RecordingView(declared, *part, clock[search])
+            view.precision[silent] = 0.0
+            found = EffectSearch(
+                view=view,
+                library=library,
+                declared=tuple(declared.features_._friction),
+                floor=declared.noise_floor_**2,
+                alpha=float(self.alpha),
+                max_effects=self.max_effects,
+                on_progress=say,
+            ).run()
+            say(len(found.accepted), "final model")
+            self._finish(declared, found, part, clock[search], channels)
+            rest = X[test], y[test], groups[test], weight[test], clock[test]
+            self._judge(found, rest, channels, library)
+        return self
+
+    # -- stages ---------------------------------------------------------------------
+
+    def _check_parameters(self):
+        if not isinstance(self.identifier, RobotIdentifier):
+            raise ValueError(
+                "identifier must be a RobotIdentifier, the declared model; got "
+                f"{type(self.identifier).__name__}."
+            )
+        if not (isinstance(self.alpha, (int, float)) and 0 < self.alpha < 1):
+            raise ValueError(
+                "alpha must be a level of significance between 0 and 1; got "
+                f"{self.alpha!r}."
+            )
+        limit = self.max_effects
+        if limit is not None and not (
+            isinstance(limit, (int, np.integer)) and limit >= 0
+        ):
+            raise ValueError(
+                f"max_effects must be a non-negative integer or None; got {limit!r}."
+            )
+        return resolve(self.effects)
+
+    def _check_channels(self, X, y, groups):
+        """Refuse wrong channels; return lines for the report, joints to leave out."""
+        from sklearn_vbjfa.robot._model import joint_names, load_model
+
+        model = load_model(self.identifier.model)
+        check_widths(joint_names(model), X, y)
+        if X.shape[1] != model.nv:
+            return (), []
+        findings = inspect_channels(model, X, y, self.identifier.dt, groups)
+        errors = [f.message for f in findings if f.severity == "error"]
+        if errors:
+            raise ValueError(" ".join(errors))
+        silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
+        return tuple(f.message for f in findings), silent
+
+    def _finish(self, declared, found, part, clock, channels):
+        """Refit the whole identifier with what was found."""
+        self.declared_ = declared
+        self.identifier_ = declared
+        if found.accepted:
+            effects = (*declared.effects_, *found.accepted)
+            self.identifier_ = clone(self.identifier).set_params(effects=effects)
+            self.identifier_.fit(*part, t=clock)
+
+    def _judge(self, found, rest, channels, library):
+        """Errors on the untouched part, what remains, the report."""
+        X, y, groups, weight, clock = rest
+        before, after = (
+            model.residuals(X, y, groups, weight, t=clock)
+            for model in (self.declared_, self.identifier_)
+        )
+        self.error_before_ = before.normalised_error()
+        self.error_after_ = after.normalised_error()
+        intervals = bootstrap_errors(
+            before,
+            after,
+            found.view.blocks.length,
+            found.view.step,
+            check_random_state(self.random_state),
+        )
+        names = self.declared_.joint_names_
+        self.unexplained_ = unexplained(found, names)
+        self.hidden_ = hidden(found, names)
+        outcome = make_outcome(
+            self, found, before, after, intervals, channels, library
+        )
+        self.effects_ = outcome.effects
+        self.rounds_ = outcome.rounds
+        self.report_ = Report(outcome)
+
+    def predict(self, X, groups=None, t=None):
+        """Predict the joint torques with the completed model.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+            Joint positions or states.
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        t : array-like of shape (n_samples,), default=None
+            Time [s], on the clock of the fit.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, nv)
+            Joint torques [N m] or forces [N].
+        """
+        check_is_fitted(self)
+        X = check_array(X, dtype=np.float64)
+        return self.identifier_.predict(X, groups=groups, t=t)

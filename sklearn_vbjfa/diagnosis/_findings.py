@@ -1,0 +1,209 @@
+"""What the search for effects found, in the form in which it is read."""
+
+from dataclasses import dataclass, field
+
+from sklearn_vbjfa.diagnosis._dependence import Dependence
+from sklearn_vbjfa.diagnosis._evidence import Evidence
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscoveredEffect:
+    """An effect that the declared model lacked.
+
+    Attributes
+    ----------
+    name : str
+        Name in the library.
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    parameters : dict of str to float
+        Coefficients and shape parameters, as an engineer calls them.
+    units : dict of str to str
+        Their units.
+    intervals : dict of str to (float, float)
+        90 % intervals, from the scatter between blocks of time.
+    evidence : Evidence
+        What leaving it out of the final model would cost, by blocks of time.
+    rivals : tuple of str
+        Other effects that this data cannot tell from it.
+    effect : Effect
+        The transformer itself.
+    """
+
+    name: str
+    joint: int
+    joint_name: str
+    parameters: dict
+    units: dict
+    intervals: dict
+    evidence: Evidence
+    rivals: tuple = ()
+    effect: object = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """A candidate of a round.
+
+    Attributes
+    ----------
+    name : str
+        Effect.
+    joint : int
+        Joint, from zero.
+    shape : dict
+        Shape parameters of its best variant.
+    evidence : Evidence
+        Against the model of that round.
+    """
+
+    name: str
+    joint: int
+    shape: dict
+    evidence: Evidence
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Round:
+    """One step of the search.
+
+    Attributes
+    ----------
+    action : {"add", "replace", "drop", "refuse"}
+        What was done; a refused candidate did not hold on later data.
+    name : str
+        Effect.
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    shape : dict
+        Shape parameters.
+    replaced : str
+        What it replaced; empty otherwise.
+    evidence : Evidence
+        Why.
+    rivals : tuple of Trial
+        Candidates that the data could not tell from it.
+    tried : tuple of Trial
+        All significant candidates of the joint, best first.
+    error_before, error_after : ndarray of shape (nv,)
+        Out-of-sample error on the search part, root mean square over the standard
+        deviation of the torque.
+    """
+
+    action: str
+    name: str
+    joint: int
+    joint_name: str
+    shape: dict
+    replaced: str
+    evidence: Evidence
+    rivals: tuple
+    tried: tuple
+    error_before: object
+    error_after: object
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unexplained:
+    """What remains of a joint's residual above the noise and has no name.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    rms, floor : float
+        Out-of-sample residual and noise floor [N m or N]; the floor is nan if unknown.
+    share : float
+        Share of the residual's mean square above the floor.
+    signals : tuple of Dependence
+        Signals that it varies with, the strongest first.
+    """
+
+    joint: int
+    joint_name: str
+    rms: float
+    floor: float
+    share: float
+    signals: tuple[Dependence, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden:
+    """An effect that this data cannot show.
+
+    Attributes
+    ----------
+    name : str
+        Effect.
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    reason : {"span", "excitation", "signal"}
+        It lies in the span of the declared columns whatever the motion; it does so in
+        this recording; or it needs a signal that is not there.
+    remedy : str
+        What to record.
+    """
+
+    name: str
+    joint: int
+    joint_name: str
+    reason: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """Everything that a discovery found out; the report is made from it.
+
+    Attributes
+    ----------
+    declared : dict
+        The declared model: robot, joints, friction, number of parameters, cut-off.
+    effects : tuple of DiscoveredEffect
+        Accepted effects.
+    rounds : tuple of Round
+        Steps of the search.
+    unexplained : tuple of Unexplained
+        Joints that stay above their noise floor.
+    hidden : tuple of Hidden
+        Effects that could not be looked for.
+    channels : tuple of str
+        What is wrong with channels of the recording.
+    joint_names : tuple of str
+        Joints.
+    torque_units : tuple of str
+        Units of the torques, "N m" or "N".
+    error_before, error_after : ndarray of shape (nv,)
+        Errors on the untouched part.
+    intervals : dict of str to ndarray of shape (2, nv)
+        90 % block-bootstrap intervals of ``"before"``, ``"after"``, ``"difference"``.
+    floor : ndarray of shape (nv,)
+        Noise floor over the standard deviation of the torque of the untouched part.
+    settings : dict
+        Thresholds, split, blocks, seed, versions.
+    curves : dict
+        Residuals and signals for pictures.
+    """
+
+    declared: dict
+    effects: tuple
+    rounds: tuple
+    unexplained: tuple
+    hidden: tuple
+    channels: tuple
+    joint_names: tuple
+    torque_units: tuple
+    error_before: object
+    error_after: object
+    intervals: dict
+    floor: object
+    settings: dict
+    curves: dict = field(default_factory=dict)

@@ -1,0 +1,210 @@
+"""From the search to what is reported."""
+
+import platform
+
+import numpy as np
+import scipy
+import sklearn
+
+from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN, compare
+from sklearn_vbjfa.diagnosis._findings import DiscoveredEffect, Outcome, Round, Trial
+from sklearn_vbjfa.diagnosis._intervals import effect_covariances
+from sklearn_vbjfa.robot._model import import_pinocchio, is_prismatic
+
+# Half width of a 90 % interval in standard deviations.
+_NINETY = 1.6449
+# Points of a picture.
+_POINTS = 4000
+
+
+def make_outcome(loop, search, before, after, intervals, channels, library):
+    """Collect what `Report` shows.
+
+    Parameters
+    ----------
+    loop : EffectDiscovery
+        With the fitted models and the errors.
+    search : EffectSearch
+        After its run.
+    before, after : TorqueResiduals
+        Of the untouched part.
+    intervals : dict
+        Bootstrap intervals.
+    channels : tuple of str
+        Lines about channels.
+    library : tuple of Effect
+        What was looked for.
+    """
+    robot = loop.declared_
+    names = robot.joint_names_
+    prismatic = is_prismatic(robot.features_._model)
+    total = before.weight.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = (before.weight * before.torque).sum(axis=0) / total
+        spread = (before.weight * (before.torque - mean) ** 2).sum(axis=0) / total
+        floor = loop.identifier_.noise_floor_ / np.sqrt(spread)
+    return Outcome(
+        declared={
+            "robot": robot.features_._model.name,
+            "joints": names,
+            "friction": robot.features_._friction,
+            "n_parameters": robot.features_.n_parameters_,
+            "cutoff": float(robot.cutoff_),
+            "standstill": robot.standstill_.tolist(),
+        },
+        effects=tuple(_effects(loop, search, names, prismatic)),
+        rounds=tuple(_rounds(search, names)),
+        unexplained=loop.unexplained_,
+        hidden=loop.hidden_,
+        channels=channels,
+        joint_names=names,
+        torque_units=tuple("N" if p else "N m" for p in prismatic),
+        error_before=loop.error_before_,
+        error_after=loop.error_after_,
+        intervals=intervals,
+        floor=floor,
+        settings=_settings(loop, search, library),
+        curves=_curves(loop, before, after),
+    )
+
+
+def _effects(loop, search, names, prismatic):
+    covariances = effect_covariances(search)
+    rivals = {}
+    for step in search.steps:
+        if step.action != "drop":
+            rivals[step.effect.key()] = tuple(c.effect.name for c in step.rivals)
+    at = loop.declared_.theta_.size
+    for effect, covariance in zip(search.accepted, covariances):
+        k = len(effect.coefficients)
+        coef = loop.identifier_.theta_[at : at + k]
+        at += k
+        rest = [e for e in search.accepted if e is not effect]
+        without = search.regression(rest).squares()
+        evidence = compare(*search._relevant(effect, without, search.before))
+        values, deviations = _named(effect, coef, covariance)
+        units = effect.parameter_units(prismatic[effect.joint])
+        yield DiscoveredEffect(
+            name=effect.name,
+            joint=effect.joint,
+            joint_name=names[effect.joint],
+            parameters=values,
+            units={key: units.get(key, "") for key in values},
+            intervals={
+                key: (
+                    values[key] - _NINETY * deviations[key],
+                    values[key] + _NINETY * deviations[key],
+                )
+                for key in deviations
+            },
+            evidence=evidence,
+            rivals=rivals.get(effect.key(), ()),
+            effect=effect,
+        )
+
+
+def _named(effect, coef, covariance):
+    """Parameters as an engineer calls them, and standard deviations (delta method)."""
+    k = len(coef)
+    values = effect.parameters(coef)
+    scale = np.sqrt(np.maximum(np.diagonal(covariance)[:k], 0.0))
+    slopes = {key: np.zeros(k) for key in values}
+    for i in range(k):
+        step = 1e-4 * scale[i] or 1e-9
+        moved = np.array(coef, dtype=float)
+        moved[i] += step
+        for key, value in effect.parameters(moved).items():
+            slopes[key][i] = (value - values[key]) / step
+    own = covariance[:k, :k]
+    deviations = {
+        key: float(np.sqrt(max(slope @ own @ slope, 0.0)))
+        for key, slope in slopes.items()
+    }
+    for i, name in enumerate(effect.continuous):
+        if name not in values:
+            values[name] = float(getattr(effect, name))
+            variance = covariance[k + i, k + i]
+            if values[name] != 0:
+                deviations[name] = float(np.sqrt(max(variance, 0.0)))
+    for name, value in effect.shape().items():
+        values.setdefault(name, value)
+    return values, deviations
+
+
+def _rounds(search, names):
+    rows = (search.view.root.T**2).sum(axis=1)
+    torque = search.view.equations.tau
+    weight = search.view.equations.weight
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = (weight * torque).sum(axis=0) / rows
+        spread = np.sqrt((weight * (torque - mean) ** 2).sum(axis=0) / rows)
+
+        def error(squares):
+            return np.sqrt(squares / rows) / spread
+
+        for step in search.steps:
+            yield Round(
+                action=step.action,
+                name=step.effect.name,
+                joint=step.effect.joint,
+                joint_name=names[step.effect.joint],
+                shape=step.effect.shape(),
+                replaced="" if step.replaced is None else step.replaced.name,
+                evidence=step.evidence,
+                rivals=tuple(_trial(c) for c in step.rivals),
+                tried=tuple(_trial(c) for c in step.tried),
+                error_before=error(step.squares_before),
+                error_after=error(step.squares_after),
+            )
+
+
+def _trial(candidate):
+    effect = candidate.effect
+    return Trial(
+        name=effect.name,
+        joint=effect.joint,
+        shape=effect.shape(),
+        evidence=candidate.evidence,
+    )
+
+
+def _settings(loop, search, library):
+    from sklearn_vbjfa import __version__
+
+    view = search.view
+    return {
+        "test_size": float(loop.test_size),
+        "alpha": float(loop.alpha),
+        "level_per_test": search.level,
+        "smallest_gain": SMALLEST_GAIN,
+        "effects": tuple(e.name for e in library),
+        "n_blocks": view.blocks.n_blocks,
+        "block_seconds": float(view.blocks.length),
+        "n_folds": view.blocks.n_folds,
+        "correlation_seconds": float(view.correlation_time),
+        "search_rows": int(view.states.shape[0]),
+        "random_state": loop.random_state
+        if isinstance(loop.random_state, (int, type(None)))
+        else "given",
+        "versions": {
+            "sklearn_vbjfa": __version__,
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "scikit-learn": sklearn.__version__,
+            "pinocchio": import_pinocchio().__version__,
+            "python": platform.python_version(),
+        },
+    }
+
+
+def _curves(loop, before, after):
+    """Residuals of the untouched part with their signals, thinned for pictures."""
+    every = max(1, before.torque.shape[0] // _POINTS)
+    rows = slice(None, None, every)
+    return {
+        "index": before.index[rows],
+        "before": before.residual[rows],
+        "after": after.residual[rows],
+        "weight": before.weight[rows],
+        "torque": before.torque[rows],
+    }

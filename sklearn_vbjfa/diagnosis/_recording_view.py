@@ -1,0 +1,134 @@
+"""A recording as the search for effects sees it: filtered rows, blocks, columns."""
+
+import numpy as np
+
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.diagnosis._blocks import correlation_time, make_blocks
+from sklearn_vbjfa.diagnosis._regression import Equations
+from sklearn_vbjfa.robot._effect_columns import make_motion
+from sklearn_vbjfa.robot._groups import check_clock, contiguous_groups
+
+# Full-rate columns that are in memory at once.
+_COLUMN_BYTES = 128 << 20
+
+
+class RecordingView:
+    """Filtered equations of a recording, and effects' columns behind the same filter.
+
+    Parameters
+    ----------
+    robot : RobotIdentifier
+        Fitted to the recording with the declared model.
+    X, y : ndarray
+        Positions or states, torques.
+    groups : array-like or None
+        Labels of recordings.
+    sample_weight : ndarray of shape (n, nv)
+        Weights.
+    t : ndarray or None
+        Time [s].
+    """
+
+    def __init__(self, robot, X, y, groups, sample_weight, t):
+        self.robot = robot
+        self.parts = contiguous_groups(groups, X.shape[0])
+        self.clock = check_clock(t, X.shape[0], robot.dt)
+        self.states = robot._states(X, groups)
+        self.lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
+        pieces = list(
+            robot._filtered(
+                self.states, y, sample_weight, self.parts, self.lowpass, t=self.clock
+            )
+        )
+        index, Phi, tau, weight = (np.concatenate(x) for x in zip(*pieces))
+        self.index = index
+        self.equations = Equations(Phi=Phi, tau=tau, weight=weight)
+        self.root = np.sqrt(weight)
+        self.target = (tau * self.root).T
+        self.nv = tau.shape[1]
+        self.step = (robot.dt or 1.0) * self.lowpass.step
+        edges = np.array([part.start for part in self.parts])
+        self.starts = np.unique(np.searchsorted(index, edges))
+        self.starts = self.starts[self.starts < index.size]
+        self._cache = {}
+        self._first_fit()
+
+    def _first_fit(self):
+        """Blocks, joint weights and reduced coordinates from the declared model."""
+        robot = self.robot
+        weights = robot.estimator_.joint_weights_
+        self.precision = np.where(self.root.any(axis=0), weights, 0.0)
+        residual = self.equations.tau - self.equations.Phi @ robot.theta_unconstrained_
+        correlation = correlation_time(
+            residual, self.equations.weight, self.step, self.starts
+        )
+        length = (2 * self.lowpass.half + 1) * (robot.dt or 1.0)
+        self.correlation_time = correlation
+        self.blocks = make_blocks(
+            self.index * (robot.dt or 1.0), self.starts, correlation, length
+        )
+        self.Z, self.back = self.equations.reduce(self.precision)
+        # Effects' columns are brought to the size of the declared ones.
+        self.size = np.sqrt(np.mean(self.Z**2) * self.Z.shape[0]) or 1.0
+        self.ridge = None
+
+    def motion(self, theta):
+        """Signals at the full rate; the load from reduced coordinates or None."""
+        rigid = self.robot.features_.n_parameters_
+        parameters = None if theta is None else (self.back @ theta)[:rigid]
+        return make_motion(
+            self.robot.features_,
+            self.states,
+            self.clock,
+            self.parts,
+            parameters,
+            self.robot.cutoff_,
+        )
+
+    def filtered(self, columns):
+        """Filter full-rate columns (n, ...) as the torques were."""
+        return np.concatenate([self.lowpass(columns[part]) for part in self.parts])
+
+    def joints_of(self, effect):
+        """Joints whose torque an effect changes."""
+        return list(range(self.nv)) if effect.whole_robot else [effect.joint]
+
+    def columns(self, effects, motion):
+        """Columns of a family of effects, ndarray of shape (nj, m, c, k).
+
+        Parameters
+        ----------
+        effects : list of Effect
+            One effect with different shape parameters.
+        motion : Motion
+            Signals.
+        """
+        joints = self.joints_of(effects[0])
+        k = len(effects[0].coefficients)
+        out = np.empty((len(joints), self.index.size, len(effects), k))
+        for c, effect in enumerate(effects):
+            filtered = self.filtered(effect.columns(motion))
+            for i, j in enumerate(joints):
+                own = filtered[:, j] if effect.whole_robot else filtered
+                out[i, :, c] = own * self.root[:, j, None]
+        return out
+
+    def family(self, effect, motion):
+        """Shapes of an effect and their columns; kept unless they follow the load."""
+        key = (effect.name, effect.joint)
+        if key not in self._cache:
+            shapes = effect.shapes(motion)
+            variants = [_shaped(effect, shape) for shape in shapes]
+            if not variants:
+                return [], None
+            columns = self.columns(variants, motion)
+            if "load" in effect.needs:
+                return variants, columns
+            self._cache[key] = variants, columns
+        return self._cache[key]
+
+
+def _shaped(effect, shape):
+    from sklearn.base import clone
+
+    return clone(effect).set_params(**shape)

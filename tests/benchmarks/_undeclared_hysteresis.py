@@ -1,0 +1,82 @@
+"""Torques that remember the path: bristles, slipping springs, play.
+
+All are integrated sample by sample within one recording.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+
+def pieces(groups):
+    """Slices of the recordings."""
+    edges = np.flatnonzero(np.diff(groups)) + 1
+    bounds = [0, *edges.tolist(), len(groups)]
+    return [slice(a, b) for a, b in pairwise(bounds)]
+
+
+def lugre(v, dt, *, displacement, lag, rise, speed, substeps=4):
+    """Friction of the LuGre model for a Coulomb level of one.
+
+    The bristle state s obeys ds/dt = v / z (1 - sign(v) s / g(v)) with
+    g(v) = 1 + rise exp(-(v / speed)^2); the force is s + lag ds/dt. Canudas de Wit
+    et al., A new model for control of systems with friction, IEEE Trans. Automatic
+    Control 40(3), 1995.
+
+    Parameters
+    ----------
+    v : ndarray of shape (n,)
+        Speed.
+    dt : float
+        Sample period [s].
+    displacement : float
+        z, Coulomb level over bristle stiffness.
+    lag : float
+        Bristle damping over bristle stiffness [s].
+    rise : float
+        Breakaway level over Coulomb level, minus one.
+    speed : float
+        Speed at which the rise ends.
+    substeps : int, default=4
+        Steps within a sample; each is exact for a constant speed.
+
+    Returns
+    -------
+    ndarray of shape (n,)
+        Friction.
+    """
+    knots = np.arange(v.size)
+    fine = np.interp(
+        np.arange((v.size - 1) * substeps) / substeps + 0.5 / substeps, knots, v
+    )
+    h = dt / substeps
+    level = np.sign(fine) * (1.0 + rise * np.exp(-((fine / speed) ** 2)))
+    rate = np.abs(fine) / displacement / np.abs(np.where(level == 0.0, 1.0, level))
+    decay = np.exp(-rate * h)
+    s, states = 0.0, np.zeros(fine.size + 1)
+    for i, (target, keep) in enumerate(zip(level.tolist(), decay.tolist())):
+        s = target + (s - target) * keep
+        states[i + 1] = s
+    s = states[::substeps]
+    g = 1.0 + rise * np.exp(-((v / speed) ** 2))
+    return s + lag * v / displacement * (1.0 - np.sign(v) * s / g)
+
+
+def maxwell_slip(q, thresholds, stiffness):
+    """Friction of springs in parallel that each slip at their own deflection."""
+    deflection = np.zeros(len(thresholds))
+    force = np.zeros(q.size)
+    for i, step in enumerate(np.diff(q), start=1):
+        deflection = np.clip(deflection + step, -thresholds, thresholds)
+        force[i] = stiffness @ deflection
+    return force / (stiffness @ thresholds)
+
+
+def play(q, width):
+    """Position of a part that q pushes to and fro through a gap."""
+    half = 0.5 * width
+    follower, out = float(q[0]), np.empty(q.size)
+    for i, x in enumerate(q.tolist()):
+        follower = min(max(follower, x - half), x + half)
+        out[i] = follower
+    return out

@@ -1,0 +1,362 @@
+"""States and torques of a robot, and effects put where they show."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from _undeclared_effects import ADDED, World, can_carry
+from _undeclared_hysteresis import pieces
+from _undeclared_robots import (
+    inverse_dynamics,
+    joint_inertia,
+    length_units,
+)
+from _undeclared_span import DeclaredSpan, friction_shapes
+from _undeclared_strangers import STRANGERS, has_partner
+
+MAX_RESCALE = 4.0
+DELAYS = (0.002, 0.015)
+NATURAL_FREQUENCIES = (8.0, 20.0)
+
+
+class Entry(NamedTuple):
+    """One undeclared effect.
+
+    Parameters
+    ----------
+    name : str
+        One of `LIBRARY`, "viscous" or one of `OUTSIDE`.
+    joint : int
+        Joint, counted from 0; the last one for a payload.
+    parameters : dict
+        What a user would compare, in SI units; angles in rad.
+    size : float
+        RMS torque over the torque noise, on the joint where that is largest.
+    asked : float
+        Size asked for.
+    outside : float
+        Size of the part outside the declared span.
+    distinct : float
+        Size of the part outside the declared span and the other undeclared effects.
+    visible : bool
+        Whether it can show in a residual; see the module.
+    in_library : bool
+        Whether a name for it is right.
+    contains : tuple of str
+        Plainer effects of the same joint that may be named as well.
+    felt_by : tuple of int
+        Joints whose torque it changes by more than 0.3 of their noise: several for a
+        payload, and for an elastic joint, whose link is not where its encoder says.
+    """
+
+    name: str
+    joint: int
+    parameters: dict
+    size: float
+    asked: float
+    outside: float
+    distinct: float
+    visible: bool
+    in_library: bool
+    contains: tuple
+    felt_by: tuple
+
+
+def relative_size(torque, noise):
+    return float(np.max(np.sqrt(np.mean(torque**2, axis=0)) / noise))
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is fixed before the states are computed.
+
+    Parameters
+    ----------
+    nominal, model : pinocchio.Model
+        Robot as declared and the true one.
+    motions : list of Motion
+        One for each recording.
+    t, groups : ndarray of shape (n,)
+        Time since the start of each recording [s], and labels.
+    dt : float
+        Sample period [s].
+    declared : tuple of str
+        Declared friction.
+    levels : dict of str to ndarray of shape (nv,)
+        Size of each declared friction, and of the noise, in shares of the torque.
+    """
+
+    nominal: object
+    model: object
+    motions: list
+    t: np.ndarray
+    groups: np.ndarray
+    dt: float
+    declared: tuple
+    levels: dict
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A robot in motion with its noise, to which effects are added."""
+
+    world: World
+    friction: dict
+    noise: np.ndarray
+    span: DeclaredSpan
+    elastic: np.ndarray | None = None
+
+
+def lay_out(setting, soft=None):
+    """Compute states, declared torque and noise.
+
+    Parameters
+    ----------
+    setting : Setting
+        Robot, motions and levels.
+    soft : (int, float), default=None
+        An elastic joint and its stiffness.
+
+    Returns
+    -------
+    Scene
+        Scene; `elastic` is the torque that the elasticity adds to what the rigid
+        model has at the encoders' states.
+    """
+    model, t = setting.model, setting.t
+    parts = pieces(setting.groups)
+
+    def link(shift):
+        pairs = zip(setting.motions, parts)
+        states = [motion.at(t[rows] + shift) for motion, rows in pairs]
+        q, v, a = (np.concatenate(x) for x in zip(*states))
+        return q, v, a, inverse_dynamics(model, q, v, a)
+
+    q, v, a, rigid = link(0.0)
+    elastic = None
+    if soft is not None:
+        # The encoder sits at the motor, ahead of the link by torque over stiffness,
+        # and the motor has no inertia of its own. The link's motion is known at all
+        # times, so five-point differences of its torque have no error to speak of.
+        joint, stiffness = soft
+        h = 1e-3
+        lead, late = (
+            [link(k * h)[3][:, joint] for k in ks] for ks in ((-2, -1), (1, 2))
+        )
+        x = np.array([*lead, rigid[:, joint], *late]) / stiffness
+        q[:, joint] += x[2]
+        v[:, joint] += np.array([1, -8, 0, 8, -1]) @ x / (12 * h)
+        a[:, joint] += np.array([-1, 16, -30, 16, -1]) @ x / (12 * h**2)
+        elastic = rigid - inverse_dynamics(model, q, v, a)
+    unit, typical = length_units(model), np.sqrt(np.mean(rigid**2, axis=0))
+    friction, torque = {}, rigid.copy()
+    for name, shape in friction_shapes(setting.declared, v, unit).items():
+        share = setting.levels[name]
+        friction[name] = share * typical / np.sqrt(np.mean(shape**2, axis=0))
+        torque += friction[name] * shape
+    noise = setting.levels["noise"] * torque.std(axis=0)
+    if elastic is not None:
+        torque = torque - elastic
+    world = World(
+        model=model,
+        q=q,
+        v=v,
+        a=a,
+        t=t,
+        dt=setting.dt,
+        groups=setting.groups,
+        rigid=rigid,
+        declared_torque=torque,
+        declared=setting.declared,
+        unit=unit,
+    )
+    span = DeclaredSpan(setting.nominal, np.hstack([q, v, a]), setting.declared, noise)
+    return Scene(world, friction, noise, span, elastic)
+
+
+def soft_scene(setting, joint, asked, rng):
+    """Make a joint elastic and shake it until the size is reached, within limits.
+
+    Parameters
+    ----------
+    setting : Setting
+        Robot, motions and levels.
+    joint : int
+        Elastic joint.
+    asked : float
+        Size of the effect.
+    rng : numpy.random.Generator
+        Source of everything random.
+
+    Returns
+    -------
+    scene : Scene
+        Scene with the elastic joint.
+    parameters : dict
+        Stiffness, natural frequency of the link with the motor held, and the
+        frequencies of the two sines that shake it.
+    """
+    t = setting.t[pieces(setting.groups)[0]]
+    q, _, a = setting.motions[0].at(t)
+    natural = rng.uniform(*NATURAL_FREQUENCIES)
+    inertia = joint_inertia(setting.model, q)[joint]
+    stiffness = float(inertia * (2 * np.pi * natural) ** 2)
+    shaking = natural * np.array([rng.uniform(0.2, 0.3), rng.uniform(0.32, 0.45)])
+    phases = rng.uniform(0, 2 * np.pi, size=2)
+    acceleration = np.sqrt(np.mean(a[:, joint] ** 2))
+    strength = 1.0
+    for _ in range(2):
+        amplitude = strength * acceleration / (2 * np.pi * shaking) ** 2
+        motions = [
+            motion.with_vibration(joint, shaking, amplitude, phases)
+            for motion in setting.motions
+        ]
+        scene = lay_out(replace(setting, motions=motions), soft=(joint, stiffness))
+        reached = relative_size(scene.elastic, scene.noise)
+        # a stronger shaking than that would be the whole motion
+        strength = float(np.clip(asked / max(reached, 1e-12), 0.3, 2.0))
+    parameters = {
+        "stiffness": stiffness,
+        "frequency": float(natural),
+        "shaking": tuple(shaking.tolist()),
+    }
+    return scene, parameters
+
+
+def _delayed(torque, world, delay):
+    from scipy.interpolate import PchipInterpolator
+
+    late = torque.copy()
+    for rows in pieces(world.groups):
+        t = world.t[rows]
+        late[rows] = PchipInterpolator(t, torque[rows])(np.maximum(t - delay, t[0]))
+    return late
+
+
+def _enough(size, outside, asked):
+    # Only bounded effects can be smaller than asked; below half the noise they are
+    # no effect at all.
+    return outside >= 0.499 * min(asked, size) and size >= 0.999 * min(asked, 0.5)
+
+
+def _on_joint(torque, j, nv):
+    if torque.ndim == 2:
+        return torque
+    out = np.zeros((torque.size, nv))
+    out[:, j] = torque
+    return out
+
+
+def describe(name, joint, parameters, torque, scene, asked, contains=()):
+    """Measure an effect and make its entry."""
+    size = relative_size(torque, scene.noise)
+    outside = scene.span.share(torque) * size
+    rms = np.sqrt(np.mean(torque**2, axis=0))
+    felt_by = np.flatnonzero(rms > 0.3 * scene.noise)
+    return Entry(
+        name=name,
+        joint=int(joint),
+        parameters=parameters,
+        size=size,
+        asked=float(asked),
+        outside=outside,
+        distinct=outside,
+        visible=_enough(size, outside, asked),
+        in_library=name not in STRANGERS,
+        contains=contains,
+        felt_by=tuple(felt_by.tolist()),
+    )
+
+
+def _plain(x):
+    """Python's own number, so that a parameter prints as one."""
+    return x.item() if isinstance(x, np.generic) else x
+
+
+def _boost(share):
+    """Factor that brings the part outside the declared span to half the size."""
+    return float(np.clip(0.5 / max(share, 1e-12), 1.0, MAX_RESCALE))
+
+
+def _delay(j, scene, present, asked):
+    world, nv = scene.world, scene.noise.size
+    whole = sum(present, world.declared_torque)[:, j]
+
+    def shifted(delay):
+        return _on_joint(_delayed(whole, world, delay) - whole, j, nv)
+
+    middle = float(np.mean(DELAYS))
+    trial = shifted(middle)
+    wanted = asked * _boost(scene.span.share(trial))
+    delay = wanted / relative_size(trial, scene.noise) * middle
+    delay = float(np.clip(delay, *DELAYS))
+    torque = shifted(delay)
+    return describe("delay", j, {"delay": delay}, torque, scene, asked), torque
+
+
+def _added(name, j, scene, asked, rng):
+    make = ADDED.get(name) or STRANGERS[name]
+    drawn = make(scene.world, j, rng)
+    torque = _on_joint(drawn.torque, j, scene.noise.size)
+    boost = _boost(scene.span.share(torque))
+    amplitude = asked * boost / max(relative_size(torque, scene.noise), 1e-300)
+    parameters = {key: amplitude * x for key, x in drawn.scaled.items()} | drawn.fixed
+    parameters = {key: _plain(x) for key, x in parameters.items()}
+    torque = amplitude * torque
+    entry = describe(name, j, parameters, torque, scene, asked, drawn.contains)
+    return entry, torque
+
+
+def place(name, joints, scene, present, asked, rng):
+    """Put an effect on the first joint where it is visible, or where it is most so.
+
+    Parameters
+    ----------
+    name : str
+        Effect.
+    joints : iterable of int
+        Joints to try in turn.
+    scene : Scene
+        Robot in motion.
+    present : list of ndarray of shape (n, nv)
+        Torques of the effects that are there already.
+    asked : float
+        Size.
+    rng : numpy.random.Generator
+        Source of everything random.
+
+    Returns
+    -------
+    (Entry, ndarray of shape (n, nv)) or None
+        Entry and torque; None if no joint can have it.
+    """
+    best = None
+    for j in map(int, joints):
+        if not can_carry(name, scene.world, j) or not has_partner(name, scene.world):
+            continue
+        if name == "delay":
+            found = _delay(j, scene, present, asked)
+        else:
+            found = _added(name, j, scene, asked, rng)
+        if found[0].visible:
+            return found
+        if best is None or found[0].outside > best[0].outside:
+            best = found
+    return best
+
+
+def apart(entries, torques, scene):
+    """Measure what of each effect neither the model nor the other effects mimic.
+
+    Returns
+    -------
+    list of Entry
+        Entries with `distinct`; less than half of `outside` is not visible.
+    """
+    out = []
+    for i, entry in enumerate(entries):
+        others = [x for k, x in enumerate(torques) if k != i]
+        distinct = scene.span.share(torques[i], others) * entry.size
+        visible = entry.visible and distinct >= 0.5 * entry.outside
+        out.append(entry._replace(distinct=distinct, visible=visible))
+    return out

@@ -1,0 +1,414 @@
+"""Recordings of one's own: columns, units and time stamps, and what is refused."""
+
+import sys
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.datasets import make_robot_recording, read_recording
+from sklearn_vbjfa.datasets._robots import demo_arm_urdf
+from sklearn_vbjfa.datasets._stamps import inspect_time_stamps, interpolate
+
+N = 60
+DT = 0.01
+
+
+def table(nv=2, n=N, dt=DT):
+    """Columns of a smooth recording."""
+    t = dt * np.arange(n)
+    columns = {"t": t}
+    for j in range(1, nv + 1):
+        columns[f"q{j}"] = np.sin(2 * t + j)
+        columns[f"v{j}"] = 2 * np.cos(2 * t + j)
+        columns[f"tau{j}"] = j * np.cos(3 * t)
+    return columns
+
+
+def write(path, columns, separator=",", head=""):
+    rows = [separator.join(columns)]
+    for row in zip(*columns.values()):
+        cells = (x if isinstance(x, str) else f"{x:.10g}" for x in row)
+        rows.append(separator.join(cells))
+    path.write_text(head + "\n".join(rows) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def csv(tmp_path):
+    return lambda columns, **options: write(tmp_path / "arm.csv", columns, **options)
+
+
+def assert_same(recording, columns, nv=2):
+    for kind, found in (("q", recording.q), ("tau", recording.tau)):
+        expected = np.column_stack([columns[f"{kind}{j + 1}"] for j in range(nv)])
+        np.testing.assert_allclose(found, expected, atol=1e-9)
+
+
+# -- formats ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+def test_csv_is_read_whatever_separates_it(csv, separator):
+    columns = table()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        recording = read_recording(csv(columns, separator=separator))
+    assert_same(recording, columns)
+    np.testing.assert_allclose(recording.v[:, 0], columns["v1"], atol=1e-9)
+    assert recording.dt == pytest.approx(DT)
+    assert recording.name == "arm"
+    assert recording.joint_names == ("joint_1", "joint_2")
+    assert recording.position_units == ("rad", "rad")
+    assert recording.torque_units == ("N m", "N m")
+
+
+def test_comments_blank_lines_and_a_byte_order_mark_are_no_data(tmp_path):
+    columns = table(1)
+    path = write(tmp_path / "arm.csv", columns, head="\ufeff# logged\n\n")
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text + "# end of log\n\n", encoding="utf-8")
+    assert_same(read_recording(path), columns, nv=1)
+
+
+def test_a_commented_header_is_a_header(tmp_path):
+    columns = table(1)
+    path = tmp_path / "arm.txt"
+    np.savetxt(path, np.column_stack(list(columns.values())), header=" ".join(columns))
+    assert_same(read_recording(path), columns, nv=1)
+
+
+def test_decimal_commas_between_semicolons(tmp_path):
+    columns = table(1)
+    path = write(tmp_path / "arm.csv", columns, separator=";")
+    path.write_text(path.read_text().replace(".", ","))
+    assert_same(read_recording(path), columns, nv=1)
+
+
+@pytest.mark.parametrize("matrices", [True, False])
+def test_npz(tmp_path, matrices):
+    columns = table()
+    arrays = columns
+    if matrices:
+        arrays = {
+            kind: np.column_stack([columns[f"{kind}1"], columns[f"{kind}2"]])
+            for kind in ("q", "tau", "v")
+        }
+        arrays |= {"dt": DT, "joint_names": np.array(["hip", "knee"])}
+    np.savez(tmp_path / "leg.npz", **arrays)
+    recording = read_recording(tmp_path / "leg.npz")
+    assert_same(recording, columns)
+    assert recording.v.shape == (N, 2)
+    assert recording.dt == pytest.approx(DT)
+    if matrices:
+        assert recording.joint_names == ("hip", "knee")
+
+
+def test_npz_of_one_joint(tmp_path):
+    columns = table(1)
+    np.savez(tmp_path / "hinge.npz", q=columns["q1"], tau=columns["tau1"])
+    assert_same(read_recording(tmp_path / "hinge.npz", dt=DT), columns, nv=1)
+
+
+def test_parquet(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    columns = table()
+    path = tmp_path / "arm.parquet"
+    parquet.write_table(pyarrow.table(columns), path)
+    assert_same(read_recording(path), columns)
+    holes = {**columns, "q2": [None, *columns["q2"][1:]]}
+    parquet.write_table(pyarrow.table(holes), path)
+    with pytest.raises(ValueError, match="row 1, column 'q2'"):
+        read_recording(path)
+
+
+def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    path = tmp_path / "arm.parquet"
+    path.write_bytes(b"PAR1")
+    with pytest.raises(ImportError, match=r'pip install "sklearn-vbjfa\[parquet\]"'):
+        read_recording(path)
+
+
+# -- columns ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("pattern", ["{}_{}", "{}[{}]", "{}.{}", "{}({})"])
+@pytest.mark.parametrize("first", [0, 1])
+def test_other_spellings_of_the_numbers(csv, pattern, first):
+    columns = table()
+    renamed = {"T": columns["t"]}
+    for kind in ("q", "tau"):
+        for j in (1, 2):
+            renamed[pattern.format(kind, j - 1 + first)] = columns[f"{kind}{j}"]
+    assert_same(read_recording(csv(renamed, separator=";")), columns)
+
+
+def test_more_than_nine_joints_are_in_numeric_order(csv):
+    columns = table(11)
+    order = sorted(columns)  # q1, q10, q11, q2, ...
+    recording = read_recording(csv({name: columns[name] for name in order}))
+    assert_same(recording, columns, nv=11)
+
+
+def test_columns_named_after_joints(csv):
+    columns = table()
+    renamed = {
+        "tau_knee": columns["tau2"],
+        "q_knee": columns["q2"],
+        "q_hip": columns["q1"],
+        "tau_hip": columns["tau1"],
+        "t": columns["t"],
+    }
+    recording = read_recording(csv(renamed), joint_names=["hip", "knee"])
+    assert_same(recording, columns)
+    assert recording.joint_names == ("hip", "knee")
+    del renamed["tau_hip"]
+    with pytest.raises(ValueError, match=r"arm\.csv: column 'tau_hip' is missing"):
+        read_recording(csv(renamed), joint_names=["hip", "knee"])
+
+
+def test_other_columns_are_signals(csv):
+    columns = table(1)
+    columns |= {"a1": np.ones(N), "current": np.arange(N), "mode": ["run"] * N}
+    with pytest.warns(UserWarning, match=r"column\(s\) mode hold no finite numbers"):
+        recording = read_recording(csv(columns))
+    assert set(recording.signals) == {"a", "current"}
+    np.testing.assert_array_equal(recording.signals["current"], np.arange(N))
+
+
+def test_recording_of_the_described_robot(csv, tmp_path):
+    pytest.importorskip("pinocchio")
+    arm = make_robot_recording(duration=1.0, random_state=0)
+    columns = {f"q_{name}": x for name, x in zip(arm.joint_names, arm.q.T)}
+    columns |= {f"tau_{name}": x for name, x in zip(arm.joint_names, arm.tau.T)}
+    shuffled = dict(sorted(columns.items()))
+    recording = read_recording(csv(shuffled), dt=arm.dt, urdf=demo_arm_urdf())
+    np.testing.assert_allclose(recording.q, arm.q, atol=1e-9)
+    assert recording.joint_names == arm.joint_names
+    assert recording.robot_model().nv == 6
+    # Some of the joints, counted, in another order than the model's.
+    last, first = arm.joint_names[4], arm.joint_names[1]
+    two = {
+        "q1": columns[f"q_{last}"],
+        "q2": columns[f"q_{first}"],
+        "tau1": columns[f"tau_{last}"],
+        "tau2": columns[f"tau_{first}"],
+    }
+    path = csv(two)
+    recording = read_recording(
+        path, dt=arm.dt, urdf=demo_arm_urdf(), joint_names=[last, first]
+    )
+    np.testing.assert_allclose(recording.q, arm.q[:, [1, 4]], atol=1e-9)
+    assert tuple(recording.robot_model().names)[1:] == (first, last)
+    with pytest.raises(ValueError, match=r"2 column\(s\) q for 6 joint"):
+        read_recording(path, dt=arm.dt, urdf=demo_arm_urdf())
+    with pytest.raises(ValueError, match="the robot has no joint 'nose'"):
+        read_recording(
+            path, dt=arm.dt, urdf=demo_arm_urdf(), joint_names=["nose", last]
+        )
+
+
+def test_slides_are_in_metres(csv, tmp_path):
+    pytest.importorskip("pinocchio")
+    urdf = tmp_path / "slide.urdf"
+    urdf.write_text(
+        '<robot name="s"><link name="base"/><link name="car"><inertial>'
+        '<mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        '</inertial></link><joint name="rail" type="prismatic"><parent link="base"/>'
+        '<child link="car"/><axis xyz="1 0 0"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    recording = read_recording(csv(table(1)), urdf=urdf)
+    assert recording.position_units == ("m",)
+    assert recording.torque_units == ("N",)
+
+
+# -- what is refused -------------------------------------------------------------------
+
+
+def drop(name):
+    return lambda columns: columns.pop(name)
+
+
+def put(name, row, value):
+    def change(columns):
+        columns[name] = np.array(columns[name], dtype=object)
+        columns[name][row] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (drop("q2"), r"1 column\(s\) q and 2 column\(s\) tau; every joint"),
+        (drop("tau1"), "column 'tau1' is missing beside tau2"),
+        (drop("t"), "no column t and no dt; add time stamps"),
+        (put("tau2", 4, "nan"), "line 6, column 'tau2'"),
+        (put("tau2", 4, "inf"), "line 6, column 'tau2'"),
+        (put("tau2", 4, ""), "line 6, column 'tau2'"),
+        (put("q1", 4, "off"), "'off' in line 6, column 'q1' is no number"),
+        (put("t", 7, 6 * DT), r"time repeats 0\.06 s in line 9"),
+        (put("t", 7, 0.001), r"time runs backwards to 0\.001 s in line 9"),
+    ],
+)
+def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
+    columns = table()
+    change(columns)
+    with pytest.raises(ValueError, match=message) as info:
+        read_recording(csv(columns))
+    assert "arm.csv: " in str(info.value)
+    assert "\n" not in str(info.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no rows of data"),
+        ("t,q1,tau1\n", "only a header"),
+        ("0,1,2\n1,2,3\n", "line 1 holds numbers where the header should be"),
+        ("t,q1,q1,tau1\n0,1,1,2\n", "names column 'q1' twice"),
+        ("t,,tau1\n0,1,2\n", "column 2 has no name in line 1"),
+        ("t,q1,tau1\n0,1,2\n0.1,1\n", "line 3 has 2 cells, the header names 3"),
+        ("t,q1,tau1\n0,0,1,0,2,0\n", "decimal commas need ;"),
+        ("t,angle,tau1\n0,1,2\n", "no positions: expected columns q1, q2"),
+        ("t,q1,force\n0,1,2\n", "no torques: expected columns tau1, tau2"),
+        ("t,q1,q3,tau1\n0,1,2,3\n", "column 'q2' is missing beside q1, q3"),
+        ("t,q1,tau1,segment\n0,1,2,a\n0,1,2,b\n", "segment at line 2 has one row"),
+    ],
+)
+def test_bad_headers_are_named_in_one_line(tmp_path, text, message):
+    path = tmp_path / "arm.csv"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message) as info:
+        read_recording(path)
+    assert str(info.value).startswith(f"{path}: ")
+    assert "\n" not in str(info.value)
+
+
+def test_files_that_are_none(tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"none\.csv: no such file"):
+        read_recording(tmp_path / "none.csv")
+    for name, content, message in (
+        ("arm.xlsx", b"", "unknown ending '.xlsx'"),
+        ("arm.npz", b"no archive", "cannot be read as npz"),
+        ("arm.csv", b"\xff\xfeq", "is no UTF-8 text"),
+    ):
+        path = tmp_path / name
+        path.write_bytes(content)
+        with pytest.raises(ValueError, match=message):
+            read_recording(path)
+    np.savez(tmp_path / "short.npz", q=np.zeros((5, 1)), tau=np.zeros((4, 1)))
+    with pytest.raises(ValueError, match="'tau' has 4 rows, others have 5"):
+        read_recording(tmp_path / "short.npz", dt=DT)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"dt": 0.02}, r"steps by 0\.01 s but dt = 0\.02 s"),
+        ({"dt": -1}, "dt must be a positive number"),
+        ({"joint_names": ["hip"]}, r"2 column\(s\) q for 1 joint"),
+        ({"joint_names": ["hip", "hip"]}, "must differ"),
+        ({"joint_names": "hip"}, "must be several names"),
+    ],
+)
+def test_contradicting_arguments_are_refused(csv, options, message):
+    with pytest.raises(ValueError, match=message):
+        read_recording(csv(table()), **options)
+
+
+def test_stamps_in_milliseconds_are_refused(csv):
+    columns = table()
+    columns["t"] *= 1e3
+    with pytest.raises(ValueError, match="t must be in seconds"):
+        read_recording(csv(columns))
+
+
+# -- time ------------------------------------------------------------------------------
+
+
+def test_segments_are_recordings(csv):
+    columns = table(1)
+    columns["segment"] = ["slow"] * 20 + ["fast"] * 25 + ["slow"] * 15
+    columns["t"][20:] -= columns["t"][20]  # the clock starts anew
+    recording = read_recording(csv(columns))
+    assert recording.group_names == ("slow", "fast", "slow (2)")
+    np.testing.assert_array_equal(np.bincount(recording.groups), [20, 25, 15])
+    assert_same(recording, columns, nv=1)
+    columns.pop("t")
+    columns["segment"] = np.repeat([3, 7, 9], 20)
+    recording = read_recording(csv(columns), dt=DT)
+    assert recording.group_names == ("3", "7", "9")
+    np.testing.assert_allclose(recording.t[20:40], DT * np.arange(20))
+
+
+@pytest.mark.parametrize("digits", [3, 4, 6])
+def test_rounded_stamps_are_a_steady_clock(csv, digits):
+    columns = table(1, n=3000, dt=1 / 300)
+    columns["t"] = np.round(columns["t"], digits)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        recording = read_recording(csv(columns))
+    assert recording.dt == pytest.approx(1 / 300, rel=1e-3)
+    assert_same(recording, columns, nv=1)
+
+
+def test_irregular_stamps_are_resampled(csv):
+    rng = np.random.default_rng(0)
+    t = DT * (np.arange(400) + 0.3 * rng.uniform(-1, 1, size=400))
+    columns = {"t": t, "q1": np.sin(3 * t), "tau1": np.cos(t)}
+    with pytest.warns(UserWarning, match=r"irregular .* standard deviation .* %"):
+        recording = read_recording(csv(columns), dt=DT)
+    np.testing.assert_allclose(np.diff(recording.t), DT)
+    absolute = recording.t + t[0]
+    np.testing.assert_allclose(recording.q[:, 0], np.sin(3 * absolute), atol=2e-6)
+    np.testing.assert_allclose(recording.tau[:, 0], np.cos(absolute), atol=1e-4)
+
+
+def test_missing_samples_are_bridged_and_gaps_are_not(csv):
+    columns = table(1, n=300)
+    keep = np.ones(300, dtype=bool)
+    keep[[50, 51, 90]] = False  # bridged
+    keep[150:170] = False  # a gap
+    keep[173:180] = False  # another: three samples between two gaps
+    columns = {name: x[keep] for name, x in columns.items()}
+    with pytest.warns(UserWarning, match="arm.csv: ") as caught:
+        recording = read_recording(csv(columns))
+    text = " ".join(str(w.message) for w in caught)
+    assert "2 gap(s) of more than 5 periods in time, the first after line 148" in text
+    assert "1 piece(s) of fewer than 10 samples" in text
+    assert "irregular" in text
+    np.testing.assert_array_equal(np.bincount(recording.groups), [150, 120])
+    expected = np.r_[np.arange(150), np.arange(180, 300)] * DT
+    np.testing.assert_allclose(recording.q[:, 0], np.sin(2 * expected + 1), atol=1e-5)
+
+
+def test_stamps_are_judged():
+    t = DT * np.arange(100)
+    steady = inspect_time_stamps(t)
+    assert steady.uniform
+    assert steady.gaps.size == 0
+    assert steady.dt == pytest.approx(DT)
+    lossy = inspect_time_stamps(np.delete(t, [30, 60, *range(70, 80)]))
+    assert not lossy.uniform
+    assert lossy.dt == pytest.approx(DT)
+    np.testing.assert_array_equal(lossy.gaps, [67])
+    assert lossy.longest == pytest.approx(2 * DT)
+    with pytest.raises(ValueError, match="time repeats 0 s in row 1"):
+        inspect_time_stamps([0.0, 0.0])
+    with pytest.raises(ValueError, match="two time stamps or more"):
+        inspect_time_stamps([0.0])
+
+
+def test_interpolation_is_local():
+    t = DT * (np.arange(100) + 0.2 * np.sin(np.arange(100)))
+    q = np.zeros((100, 1))
+    q[50] = 1.0
+    grid, resampled = interpolate(t - t[0], {"q": q}, DT)
+    far = np.abs(grid - grid[50]) > 3.5 * DT
+    assert np.abs(resampled["q"][far]).max() == 0.0
+    assert np.abs(resampled["q"]).max() > 0.8

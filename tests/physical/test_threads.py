@@ -1,0 +1,78 @@
+"""One thread for the linear algebra: while it is held, and only then."""
+
+import threading
+from contextlib import contextmanager
+
+import pytest
+
+from sklearn_vbjfa.physical import ProjectionError, _threads, project
+from sklearn_vbjfa.physical._threads import one_blas_thread
+
+FLAT = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3]
+
+
+class Library:
+    """A BLAS whose number of threads belongs to the process."""
+
+    def __init__(self):
+        self.n_threads = 2
+        self.seen = []
+
+    @contextmanager
+    def limit(self, *, limits, user_api):
+        assert user_api == "blas"
+        found, self.n_threads = self.n_threads, limits
+        self.seen.append(limits)
+        try:
+            yield
+        finally:
+            self.n_threads = found
+
+
+@pytest.fixture
+def library(monkeypatch):
+    library = Library()
+    monkeypatch.setattr(_threads, "_controller", lambda: library)
+    return library
+
+
+def test_limit_holds_inside_and_ends_outside(library):
+    with one_blas_thread():
+        assert library.n_threads == 1
+        with one_blas_thread():
+            assert library.n_threads == 1
+        assert library.n_threads == 1
+    assert library.n_threads == 2
+
+
+def test_overlapping_holders_do_not_leave_the_limit_behind(library):
+    entered, leave = threading.Event(), threading.Event()
+
+    def hold():
+        with one_blas_thread():
+            entered.set()
+            leave.wait(10)
+
+    other = threading.Thread(target=hold)
+    with one_blas_thread():
+        other.start()
+        assert entered.wait(10)
+        assert library.n_threads == 1
+    leave.set()
+    other.join()
+    assert library.n_threads == 2
+
+
+def test_projection_holds_the_limit_and_gives_it_back_even_when_it_fails(library):
+    project(FLAT)
+    assert set(library.seen) == {1}
+    assert library.n_threads == 2
+    with pytest.raises(ProjectionError):
+        project(FLAT, max_solver_iter=1)
+    assert library.n_threads == 2
+
+
+def test_real_libraries_are_found():
+    assert any(
+        library["user_api"] == "blas" for library in _threads._controller().info()
+    )

@@ -1,0 +1,292 @@
+"""Channels that cannot be what they are called: found where they are, only there."""
+
+from dataclasses import FrozenInstanceError
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa import datasets
+from sklearn_vbjfa.datasets import make_robot_recording
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.robot._channel_checks import ChannelFinding, inspect_channels
+
+# What the notes on the measured sets say of their channels: the currents of the last
+# three joints of TIAGo take some forty values.
+TRUE_FINDINGS = {
+    "tiago": {("coarse_torque", (5,)), ("coarse_torque", (6,)), ("coarse_torque", (7,))}
+}
+MEASURED = (
+    "bam_xl330",
+    "dfki_double_pendulum",
+    "emps",
+    "franka_panda",
+    "kuka_kr300",
+    "kuka_lbr_med7",
+    "staubli_tx40",
+    "tflex_1dof",
+    "tiago",
+    "ur5",
+)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """Simulate the made-up arm."""
+    recording = make_robot_recording(random_state=3, duration=16.0)
+    return recording, recording.robot_model()
+
+
+def found(findings):
+    return {(finding.kind, finding.joints) for finding in findings}
+
+
+def inspect(arm, q=None, tau=None):
+    recording, model = arm
+    q = recording.q if q is None else q
+    tau = recording.tau if tau is None else tau
+    findings = inspect_channels(model, q, tau, recording.dt)
+    for finding in findings:
+        assert isinstance(finding, ChannelFinding)
+        assert finding.severity in {"error", "warning"}
+        assert "\n" not in finding.message
+        if len(finding.joints) < recording.nv:
+            for j in finding.joints:
+                assert recording.joint_names[j] in finding.message
+    return findings
+
+
+def only(findings, kind, joints, severity):
+    assert found(findings) == {(kind, joints)}, findings
+    assert findings[0].severity == severity
+    return findings[0].message
+
+
+def exchanged(x, i, j):
+    x = x.copy()
+    x[:, [i, j]] = x[:, [j, i]]
+    return x
+
+
+# -- nothing is found where nothing is -------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_nothing_is_found_in_sound_recordings(seed):
+    recording = make_robot_recording(random_state=seed, n_recordings=2, duration=10.0)
+    model = recording.robot_model()
+    for groups in (recording.groups, None)[: 1 + (seed == 0)]:
+        rows = slice(None) if groups is not None else slice(0, 2000)
+        findings = inspect_channels(
+            model, recording.q[rows], recording.tau[rows], recording.dt, groups
+        )
+        assert findings == ()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"perturbation": 0.5, "torque_noise": 0.2, "encoder_noise": 1e-3},
+        {"friction": ("viscous", "coulomb", "offset", "rotor_inertia")},
+        {"friction": ()},
+        {"duration": 10.0, "dt": 0.01},
+    ],
+    ids=str,
+)
+def test_nothing_is_found_in_any_of_many_sound_recordings(seed, options):
+    recording = make_robot_recording(random_state=seed, **options)
+    findings = inspect_channels(
+        recording.robot_model(), recording.q, recording.tau, recording.dt
+    )
+    assert findings == ()
+
+
+@pytest.mark.parametrize("name", MEASURED)
+def test_nothing_wrong_is_found_in_measured_recordings(measured_data_home, name):
+    recording = getattr(datasets, f"fetch_{name}")(
+        data_home=measured_data_home, download_if_missing=False
+    )
+    findings = inspect_channels(
+        recording.robot_model(),
+        recording.q,
+        recording.tau,
+        recording.dt,
+        recording.groups,
+    )
+    assert found(findings) == TRUE_FINDINGS.get(name, set())
+    assert all(finding.severity == "warning" for finding in findings)
+
+
+def test_the_published_sign_of_the_lbr_is_wrong(measured_data_home):
+    # The loader turns it round; as published, every joint with some torque tells.
+    recording = datasets.fetch_kuka_lbr_med7(
+        data_home=measured_data_home, download_if_missing=False
+    )
+    findings = inspect_channels(
+        recording.robot_model(), recording.q, -recording.tau, recording.dt
+    )
+    assert {finding.kind for finding in findings} == {"torque_sign"}
+    assert {1, 3, 4, 5} <= {finding.joints[0] for finding in findings}
+
+
+# -- what is wrong is found, and nothing else ------------------------------------------
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_torque_of_the_wrong_sign(arm, joint):
+    tau = arm[0].tau.copy()
+    tau[:, joint] *= -1
+    message = only(inspect(arm, tau=tau), "torque_sign", (joint,), "error")
+    assert "multiply it by -1" in message
+
+
+def test_two_faults_at_once(arm):
+    tau = exchanged(arm[0].tau, 1, 2)
+    tau[:, 4] *= -1
+    findings = inspect(arm, tau=tau)
+    assert found(findings) == {("swapped_torques", (1, 2)), ("torque_sign", (4,))}
+
+
+def test_exchanged_channels(arm):
+    q, tau = arm[0].q, arm[0].tau
+    only(inspect(arm, tau=exchanged(tau, 0, 3)), "swapped_torques", (0, 3), "error")
+    only(inspect(arm, q=exchanged(q, 1, 2)), "swapped_positions", (1, 2), "error")
+    both = inspect(arm, q=exchanged(q, 2, 4), tau=exchanged(tau, 2, 4))
+    assert "positions and torques" in only(both, "swapped_joints", (2, 4), "error")
+
+
+def test_positions_in_degrees(arm):
+    findings = inspect(arm, q=np.rad2deg(arm[0].q))
+    only(findings, "position_degrees", tuple(range(6)), "error")
+
+
+def test_motor_torques_are_told_by_their_size(arm):
+    tau = arm[0].tau.copy()
+    tau[:, 1] /= 100.0
+    findings = inspect(arm, tau=tau)
+    message = only(findings, "gear_factor", (1,), "warning")
+    factor = float(message.split("about ")[1].split()[0])
+    assert 60 < factor < 160
+
+
+@pytest.mark.parametrize("late", [3, -3])
+def test_torques_out_of_step(arm, late):
+    recording, model = arm
+    q, tau = recording.q, recording.tau
+    q, tau = (q[late:], tau[:-late]) if late > 0 else (q[:late], tau[-late:])
+    findings = inspect_channels(model, q, tau, recording.dt)
+    message = only(findings, "delay", tuple(range(6)), "warning")
+    assert f"{'late' if late > 0 else 'early'} against" in message
+    samples = float(message.split(" is ")[1].split()[0])
+    assert samples == pytest.approx(3, abs=0.5)
+    milliseconds = float(message.split("(")[1].split()[0])
+    assert milliseconds == pytest.approx(15, abs=2)
+
+
+def test_clipped_torque(arm):
+    tau = arm[0].tau.copy()
+    limit = 0.6 * np.abs(tau[:, 1]).max()
+    tau[:, 1] = np.clip(tau[:, 1], -limit, limit)
+    assert f"{limit:.5g}" in only(
+        inspect(arm, tau=tau), "clipped_torque", (1,), "warning"
+    )
+
+
+def test_frozen_positions(arm):
+    q = arm[0].q.copy()
+    fast = np.flatnonzero(np.abs(arm[0].states[:, 6 + 2]) > 0.5)
+    start = fast[fast > 1000][0]
+    q[start : start + 20, 2] = q[start, 2]
+    message = only(inspect(arm, q=q), "frozen_position", (2,), "warning")
+    assert f"20 samples (0.095 s) from row {start}" in message
+
+
+def test_repeated_rows(arm):
+    q, tau = arm[0].q.copy(), arm[0].tau.copy()
+    rows = 100 + 40 * np.arange(60)
+    q[rows], tau[rows] = q[rows - 1], tau[rows - 1]
+    message = only(
+        inspect(arm, q=q, tau=tau), "repeated_rows", tuple(range(6)), "warning"
+    )
+    assert message.startswith("60 rows")
+
+
+def test_lost_samples_leave_a_jump(arm):
+    keep = np.delete(np.arange(arm[0].n_samples), np.arange(2000, 2050))
+    findings = inspect(arm, q=arm[0].q[keep], tau=arm[0].tau[keep])
+    assert {finding.kind for finding in findings} == {"position_jumps"}
+    assert all("to row 2000" in finding.message for finding in findings)
+
+
+def test_spikes(arm):
+    q, tau = arm[0].q.copy(), arm[0].tau.copy()
+    q[777, 3] += 0.1
+    tau[1234, 0] += 5 * tau[:, 0].std()
+    findings = inspect(arm, q=q, tau=tau)
+    assert found(findings) == {("position_spikes", (3,)), ("torque_spikes", (0,))}
+    assert "row 777" in findings[0].message + findings[1].message
+
+
+def test_channels_without_information(arm):
+    q, tau = arm[0].q.copy(), arm[0].tau.copy()
+    tau[:, 4] = 1.5
+    only(inspect(arm, tau=tau), "constant_torque", (4,), "error")
+    q[:, 5] = 0.2 + 1e-4 * np.random.default_rng(0).normal(size=len(q))
+    findings = inspect(arm, q=q)
+    assert ("still_joint", (5,)) in found(findings)
+
+
+def test_rows_are_counted_over_short_recordings(arm):
+    recording, model = arm
+    tau = recording.tau.copy()
+    tau[1234, 0] += 5 * tau[:, 0].std()
+    groups = np.r_[np.zeros(20), np.ones(recording.n_samples - 20)]
+    (finding,) = inspect_channels(model, recording.q, tau, recording.dt, groups)
+    assert "row 1234" in finding.message
+
+
+def test_findings_are_in_order_and_cannot_be_changed(arm):
+    tau = arm[0].tau.copy()
+    tau[1234, 0] += 5 * tau[:, 0].std()
+    tau[:, 2] *= -1
+    findings = inspect(arm, tau=tau)
+    assert [finding.severity for finding in findings] == ["error", "warning"]
+    with pytest.raises(FrozenInstanceError):
+        findings[0].kind = "none"
+
+
+# -- bad input -------------------------------------------------------------------------
+
+
+def test_bad_input_is_refused(arm):
+    recording, model = arm
+    q, tau = recording.q, recording.tau
+    with pytest.raises(ValueError, match=r"q must have shape \(n_samples, 6\)"):
+        inspect_channels(model, q[:, :5], tau, recording.dt)
+    with pytest.raises(ValueError, match="equally many rows"):
+        inspect_channels(model, q, tau[1:], recording.dt)
+    holes = tau.copy()
+    holes[5, 2] = np.nan
+    with pytest.raises(ValueError, match="got nan in row 5 for joint_3"):
+        inspect_channels(model, q, holes, recording.dt)
+    with pytest.raises(ValueError, match="dt must be"):
+        inspect_channels(model, q, tau, 0.0)
+
+
+@pytest.mark.parametrize("n", [5, 63, 64, 100])
+def test_short_recordings_tell_nothing(arm, n):
+    recording, model = arm
+    findings = inspect_channels(model, recording.q[:n], recording.tau[:n], recording.dt)
+    assert findings == ()
+
+
+def test_a_robot_at_rest_is_all_still(arm):
+    recording, model = arm
+    findings = inspect_channels(
+        model, np.zeros_like(recording.q), recording.tau, recording.dt
+    )
+    assert found(findings) == {("still_joint", (j,)) for j in range(6)}

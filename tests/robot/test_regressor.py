@@ -1,0 +1,246 @@
+"""Batched regressors and inverse dynamics against Pinocchio's, sample by sample."""
+
+import pickle
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
+from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
+from sklearn_vbjfa.robot._features import rounding_entries  # noqa: E402
+from sklearn_vbjfa.robot._model import load_model  # noqa: E402
+from sklearn_vbjfa.robot._regressor import TreeRegressor  # noqa: E402
+
+ALIGNED = ("RX", "RY", "RZ", "PX", "PY", "PZ")
+OBLIQUE = ("RevoluteUnaligned", "PrismaticUnaligned")
+OTHERS = ("HY", "HelicalUnaligned", "Composite")
+
+
+def make_joint(kind, rng):
+    if kind in ALIGNED:
+        return getattr(pin, f"JointModel{kind}")()
+    axis = rng.normal(size=3)
+    if rng.random() < 0.3:
+        # Along a coordinate axis, backwards perhaps, yet not called so.
+        axis = rng.choice([-1.0, 1.0]) * np.eye(3)[rng.integers(3)]
+    axis /= np.linalg.norm(axis)
+    if kind == "HY":
+        return pin.JointModelHY(rng.normal())
+    if kind == "HelicalUnaligned":
+        return pin.JointModelHelicalUnaligned(axis, rng.normal())
+    if kind == "Composite":
+        inner = pin.JointModelComposite()
+        inner.addJoint(pin.JointModelRevoluteUnaligned(axis), random_placement(rng))
+        return inner
+    return getattr(pin, f"JointModel{kind}")(axis)
+
+
+def random_placement(rng):
+    translation = rng.choice([0.0, 1.0]) * rng.normal(size=3)
+    if rng.random() < 0.3:
+        quarter = rng.choice([-1, 0, 1], size=3) * np.pi / 2
+        return pin.SE3(pin.rpy.rpyToMatrix(quarter), translation)
+    return pin.SE3(pin.Quaternion(*rng.normal(size=4)).normalized(), translation)
+
+
+def build(rng, kinds, parents=None, gravity=None):
+    """Tree with joints of given kinds; bodies are set where they matter."""
+    model = pin.Model()
+    model.gravity.linear = rng.normal(size=3) if gravity is None else gravity
+    for j, kind in enumerate(kinds):
+        parent = int(rng.integers(0, j + 1)) if parents is None else parents[j]
+        joint = make_joint(kind, rng)
+        model.addJoint(parent, joint, random_placement(rng), f"joint_{j}")
+    return model
+
+
+def by_sample(model, q, v, a):
+    data = model.createData()
+    rows = [pin.computeJointTorqueRegressor(model, data, *x) for x in zip(q, v, a)]
+    return np.array(rows).reshape(len(q), model.nv, model.nv, 10)
+
+
+def motion(rng, n, nv):
+    return rng.uniform(-5.0, 5.0, size=(3, n, nv))
+
+
+def assert_equal_by_unit(actual, expected, tolerance=1e-10):
+    """Compare with the largest entry of the same unit in the same torque."""
+    for kind in (slice(0, 1), slice(1, 4), slice(4, 10)):
+        error = np.abs(actual - expected)[..., kind].max(axis=(0, 2, 3), initial=0.0)
+        size = np.abs(expected)[..., kind].max(axis=(0, 2, 3), initial=1.0)
+        assert np.all(error <= tolerance * size)
+
+
+trees = st.lists(st.sampled_from(ALIGNED + OBLIQUE + OTHERS), min_size=1, max_size=9)
+seeds = st.integers(0, 2**32 - 1)
+
+
+@settings(max_examples=60, deadline=None)
+@given(kinds=trees, seed=seeds, n=st.integers(0, 12), chunk=st.integers(1, 15))
+def test_regressor_of_random_trees(kinds, seed, n, chunk):
+    rng = np.random.default_rng(seed)
+    model = build(rng, kinds)
+    states = motion(rng, n, model.nv)
+    regressor = TreeRegressor(model, chunk=chunk)
+    Phi = regressor(*states)
+    assert Phi.shape == (n, model.nv, model.nv, 10)
+    assert_equal_by_unit(Phi, by_sample(model, *states).reshape(Phi.shape))
+    assert not Phi[:, ~regressor.carried].any()
+    whole = TreeRegressor(model)(*states)
+    np.testing.assert_allclose(Phi, whole, rtol=1e-10, atol=1e-10)
+
+
+@settings(max_examples=60, deadline=None)
+@given(kinds=trees, seed=seeds, n=st.integers(0, 12), chunk=st.integers(1, 15))
+def test_torques_of_random_trees(kinds, seed, n, chunk):
+    rng = np.random.default_rng(seed)
+    model = build(rng, kinds)
+    bodies = pin.Model(model)
+    for i in range(1, model.njoints):
+        bodies.inertias[i] = pin.Inertia.Random()
+    inertial = np.array([b.toDynamicParameters() for b in bodies.inertias[1:]])
+    states = motion(rng, n, model.nv)
+    regressor = TreeRegressor(model, chunk=chunk)
+    data = bodies.createData()
+    expected = np.array([pin.rnea(bodies, data, *x) for x in zip(*states)])
+    torque = regressor.torques(*states, inertial)
+    assert torque.shape == (n, model.nv)
+    size = np.abs(expected).max(initial=1.0)
+    expected = expected.reshape(n, model.nv)
+    np.testing.assert_allclose(torque, expected, atol=1e-10 * size)
+    # No mass distribution has these.
+    inertial = rng.normal(size=(model.nv, 10))
+    expected = np.einsum("njic,ic->nj", regressor(*states), inertial)
+    torque = regressor.torques(*states, inertial)
+    size = np.abs(expected).max(initial=1.0)
+    np.testing.assert_allclose(torque, expected, atol=1e-10 * size)
+
+
+def test_every_kind_of_joint_at_every_place():
+    rng = np.random.default_rng(0)
+    kinds = ALIGNED + OBLIQUE + OTHERS
+    for kind in kinds:
+        for parents in ([0, 1, 2], [0, 1, 1], [0, 0, 2]):
+            others = rng.choice(kinds, size=3)
+            for place in range(3):
+                chosen = list(others)
+                chosen[place] = kind
+                model = build(rng, chosen, parents)
+                states = motion(rng, 5, 3)
+                assert_equal_by_unit(
+                    TreeRegressor(model)(*states), by_sample(model, *states)
+                )
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 1500])
+def test_long_and_short_motions_of_an_arm(n):
+    model = load_model(demo_arm_urdf())
+    states = motion(np.random.default_rng(n), n, model.nv)
+    regressor = TreeRegressor(model)
+    assert 1 < regressor.chunk < 1500
+    Phi = regressor(*states)
+    assert_equal_by_unit(Phi, by_sample(model, *states).reshape(Phi.shape))
+
+
+def test_base_that_turns_is_part_of_gravity():
+    rng = np.random.default_rng(2)
+    model = build(rng, ["PX", "RZ", "RevoluteUnaligned", "PrismaticUnaligned"])
+    model.gravity = pin.Motion(rng.normal(size=6))
+    states = motion(rng, 20, model.nv)
+    assert_equal_by_unit(TreeRegressor(model)(*states), by_sample(model, *states))
+
+
+def test_robot_far_from_the_origin_is_as_exact():
+    rng = np.random.default_rng(3)
+    model = build(rng, ["RZ", "RY", "RX", "RY"], parents=[0, 1, 2, 3])
+    states = motion(rng, 20, model.nv)
+    near = TreeRegressor(model)(*states)
+    placement = model.jointPlacements[1]
+    model.jointPlacements[1] = pin.SE3(
+        placement.rotation, placement.translation + np.array([1e6, -2e6, 3e6])
+    )
+    np.testing.assert_array_equal(TreeRegressor(model)(*states), near)
+
+
+def test_writes_where_asked_and_what_is_asked():
+    rng = np.random.default_rng(4)
+    model = build(rng, ["RZ", "PX", "RX"])
+    states = motion(rng, 7, 3)
+    regressor = TreeRegressor(model, chunk=3)
+    expected = regressor(*states)
+    out = np.full((7, 3, 3, 12), np.nan)
+    zeros = rng.random((3, 3, 10)) < 0.5
+    assert regressor(*states, out=out, zeros=zeros) is out
+    np.testing.assert_array_equal(out[..., :10][:, zeros], 0.0)
+    np.testing.assert_array_equal(out[..., 10:], 0.0)
+    np.testing.assert_allclose(out[..., :10], np.where(zeros, 0.0, expected))
+    for wrong in (np.empty((7, 3, 3, 9)), out[::2], out[:, :, :, ::-1]):
+        with pytest.raises(ValueError, match=r"C-contiguous, of shape \(7, 3, 3"):
+            regressor(*states, out=wrong)
+
+
+@settings(max_examples=30, deadline=None)
+@given(kinds=trees, seed=seeds)
+def test_zeros_are_at_least_those_of_the_recursion(kinds, seed):
+    rng = np.random.default_rng(seed)
+    model = build(rng, kinds)
+    states = rng.normal(size=(32, 3 * model.nv))
+    expected = by_sample(model, *np.split(states, 3, axis=1))
+    features = RigidBodyFeatures(model, friction=("viscous", "offset")).fit(states)
+    zeros = features._zeros
+    assert zeros[rounding_entries(np.mean(expected**2, axis=0))].all()
+    Phi = features.transform(states).reshape(32, model.nv, model.nv, 12)
+    assert not Phi[..., :10][:, zeros].any()
+    assert_equal_by_unit(Phi[..., :10], expected)
+
+
+def test_torque_does_not_depend_on_the_mass_at_its_own_axis():
+    # Three axes through one point, in oblique directions, carried about.
+    rng = np.random.default_rng(5)
+    model = pin.Model()
+    for j in range(5):
+        placement = random_placement(rng)
+        placement.translation = np.array([0.5, 0.3, 0.2]) * (j < 3)
+        joint = make_joint("RevoluteUnaligned", rng)
+        model.addJoint(j, joint, placement, f"joint_{j}")
+    Phi = RigidBodyFeatures(model, friction=()).fit_transform(rng.normal(size=(9, 15)))
+    mass = np.abs(Phi.reshape(9, 5, 5, 10)[..., 0]).max(axis=0)
+    assert not mass[2:].any()
+    assert np.all(mass[:2, 2:] > 1e-3)
+
+
+def test_calls_at_the_same_time_do_not_disturb_each_other():
+    rng = np.random.default_rng(6)
+    model = build(rng, 7 * ["RZ"])
+    regressor = TreeRegressor(model, chunk=16)
+    states = [motion(rng, 400, 7) for _ in range(4)]
+    expected = [TreeRegressor(model, chunk=16)(*x) for x in states]
+    found = [None] * 4
+
+    def run(i):
+        for _ in range(5):
+            found[i] = regressor(*states[i])
+
+    threads = [threading.Thread(target=run, args=(i,)) for i in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    np.testing.assert_array_equal(found, expected)
+
+
+def test_copies_are_small_and_equal():
+    rng = np.random.default_rng(7)
+    model = build(rng, ["RZ", "HY", "PrismaticUnaligned"])
+    states = motion(rng, 30, 3)
+    regressor = TreeRegressor(model)
+    Phi = regressor(*states)
+    stored = pickle.dumps(regressor)
+    assert len(stored) < 10_000
+    np.testing.assert_array_equal(pickle.loads(stored)(*states), Phi)

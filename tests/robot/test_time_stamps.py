@@ -1,0 +1,122 @@
+"""Time stamps against the sample period."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.effects import Drift
+from sklearn_vbjfa.robot._recording_checks import check_time_stamps, resolve_clock
+from tests.robot._robots import swing
+
+DT = 0.01
+PARTS = [slice(0, 60), slice(60, 100)]
+
+
+def stamps():
+    """Two recordings whose time restarts."""
+    return DT * np.r_[np.arange(60), np.arange(40)]
+
+
+def test_regular_stamps_pass():
+    rng = np.random.default_rng(0)
+    rounded = np.round(stamps() + 17.0, 4)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        check_time_stamps(None, DT, PARTS)
+        check_time_stamps(stamps(), DT, PARTS)
+        check_time_stamps(list(stamps()), DT * (1 + 1e-5), PARTS)
+        check_time_stamps(rounded, DT, PARTS)
+        check_time_stamps(stamps() + 2e-4 * rng.normal(size=100), DT, PARTS)
+        # Rows that nothing differentiates may stand at any time.
+        check_time_stamps(np.cumsum(rng.uniform(0.1, 9.0, 100)), None, PARTS)
+
+
+def test_jitter_is_told():
+    t = stamps()
+    t[[20, 70]] += [0.3 * DT, -0.2 * DT]
+    message = r"4 of 98 steps .* dt=0\.01 s by more than 10 %, at most by 30 % \(after "
+    with pytest.warns(UserWarning, match=message + r"row 19, 20, 69, 70\); rows count"):
+        check_time_stamps(t, DT, PARTS)
+
+
+def test_gaps_are_refused_and_named():
+    t = stamps()
+    t[30:60] += 4 * DT
+    message = r"step by up to 0\.05 s, with dt=0\.01 s, 1 times .* \(after row 29\)"
+    with pytest.raises(ValueError, match=message + r"\. Resample onto .*groups"):
+        check_time_stamps(t, DT, PARTS)
+    # a border there is what is asked for
+    check_time_stamps(t, DT, [slice(0, 30), slice(30, 60), slice(60, 100)])
+
+
+def test_stamps_that_do_not_rise():
+    t = stamps()
+    t[40] = t[39]
+    with pytest.raises(ValueError, match=r"not after row 39 \(0\.39 s, then 0\.39 s\)"):
+        check_time_stamps(t, DT, PARTS)
+    with pytest.raises(ValueError, match=r"not after row 39"):
+        check_time_stamps(t, None, PARTS)
+    with pytest.raises(
+        ValueError, match=r"does not after row 59 \(0\.59 s, then 0 s\)"
+    ):
+        check_time_stamps(stamps(), DT, [slice(0, 100)])
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.99, 1.01, 2.0, 100.0])
+def test_another_sample_period(factor):
+    t = np.arange(1000) * DT * factor
+    with pytest.raises(ValueError, match=r"from row 0 advance by .*but dt=0\.01 s\. C"):
+        check_time_stamps(t, DT, [slice(0, 1000)])
+
+
+def test_what_is_no_time():
+    with pytest.raises(
+        ValueError, match=r"t must hold one time per row, shape \(100,\)"
+    ):
+        check_time_stamps(stamps()[:-1], DT, PARTS)
+    with pytest.raises(ValueError, match=r"t must be finite; row 5 is not"):
+        check_time_stamps(np.where(np.arange(100) == 5, np.nan, stamps()), DT, PARTS)
+
+
+def test_restarts_are_for_effects_without_a_clock():
+    np.testing.assert_array_equal(
+        resolve_clock(stamps(), DT, PARTS, ()), DT * np.arange(100)
+    )
+    assert resolve_clock(stamps(), None, PARTS, ()) is None
+    with pytest.raises(ValueError, match="t must rise from row to row, over all"):
+        resolve_clock(stamps(), DT, PARTS, (Drift(),))
+    later = stamps() + np.repeat([0.0, 30.0], [60, 40])
+    np.testing.assert_array_equal(resolve_clock(later, DT, PARTS, (Drift(),)), later)
+
+
+def test_the_identifier_asks():
+    rng = np.random.default_rng(1)
+    t = DT * np.arange(800)
+    q = np.sin(2 * t) + np.sin(5 * t) + 1e-4 * rng.normal(size=800)
+    tau = 3.0 * np.sin(q) + 0.1 * rng.normal(size=800)
+    groups = np.repeat([0, 1], 400)
+    robot = RobotIdentifier(swing(), dt=DT, projector=None)
+    plain = robot.fit(q[:, None], tau, groups=groups).theta_
+    restarting = np.where(groups == 1, t - t[400], t)
+    again = robot.fit(q[:, None], tau, groups=groups, t=restarting).theta_
+    np.testing.assert_array_equal(again, plain)
+    with pytest.raises(ValueError, match="t must rise within a recording"):
+        robot.fit(q[:, None], tau, t=restarting)
+    with pytest.raises(ValueError, match="Correct dt"):
+        robot.fit(q[:, None], tau, groups=groups, t=2 * restarting)
+
+
+def test_too_few_samples_to_split():
+    # Eight suffice to differentiate, sixteen to do so from every second sample.
+    rng = np.random.default_rng(2)
+    q = rng.normal(size=(12, 1))
+    settings = {"state_cutoff": 20.0, "cutoff": None, "standstill": None}
+    robot = RobotIdentifier(swing(), dt=DT, projector=None, **settings)
+    with pytest.raises(ValueError, match=r"at least 16 samples to be split; .*has 12"):
+        robot.fit(q, rng.normal(size=12))
+    robot.set_params(input_noise=None).fit(q, rng.normal(size=12))
+    assert np.isfinite(robot.theta_).all()

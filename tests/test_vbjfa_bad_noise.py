@@ -1,0 +1,122 @@
+"""Wrong, doubtful and extreme input noise given to VB-JFA."""
+
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.utils._param_validation import InvalidParameterError
+
+from sklearn_vbjfa import JFARegressor, VBJFARegressor
+from tests._regressions import make_regression
+
+OFF_DIAGONAL = np.eye(4, k=1) + np.eye(4, k=-1)
+
+
+@pytest.mark.parametrize("latent", ["auto", "independent", "correlated"])
+@pytest.mark.parametrize(
+    ("noise", "message"),
+    [
+        (np.nan, r"must be finite, got NaN or infinity"),
+        (np.full((4, 4), np.nan), r"must be finite, got NaN or infinity"),
+        (1.0, r"fraction of each input's variance in \[0, 1\), got 1;"),
+        (1.5, r"in \[0, 1\), got 1\.5; give variances as an array"),
+        (-0.1, r"in \[0, 1\), got -0\.1"),
+        ([0.1, 0.1, -0.5, 0.1], r"must not be negative, got -0\.5 for feature 2"),
+        ([0.1, 0.1], r"shape \(4,\) or a covariance of shape \(4, 4\).*shape \(2,\)"),
+        (np.eye(3), r"for 4 features, got an array of shape \(3, 3\)"),
+        (np.ones((4, 1)), r"for 4 features, got an array of shape \(4, 1\)"),
+        (np.ones((1, 4, 4)), r"for 4 features, got an array of shape \(1, 4, 4\)"),
+        (np.eye(4) + np.eye(4, k=1), r"must be symmetric, got 1 at \(0, 1\) and 0"),
+        (np.eye(4) - 2 * OFF_DIAGONAL, r"positive semidefinite, got a smallest eigen"),
+        (np.diag([1.0, 1.0, -1.0, 1.0]), r"must be positive semidefinite"),
+        # An exact input cannot share noise with another.
+        (np.diag([1.0, 0.0, 1.0, 1.0]) + OFF_DIAGONAL, r"must be positive semidef"),
+    ],
+)
+def test_noise_that_cannot_be(latent, noise, message):
+    X, y, _ = make_regression(30)
+    with pytest.raises(ValueError, match=message):
+        VBJFARegressor(latent=latent, input_noise=noise).fit(X, y)
+
+
+@pytest.mark.parametrize("share", [-0.1, 0.0, 1.0, np.nan, "some"])
+@pytest.mark.parametrize("estimator", [JFARegressor, VBJFARegressor])
+def test_starting_share_lies_inside_zero_and_one(estimator, share):
+    X, y, _ = make_regression(31)
+    with pytest.raises(InvalidParameterError, match="'initial_input_noise' parameter"):
+        estimator(initial_input_noise=share).fit(X, y)
+
+
+@pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])
+def test_rounding_of_a_covariance_is_no_asymmetry(scale):
+    X, y, _ = make_regression(32)
+    psi = 0.1 * scale * (np.eye(4) + 0.3)
+    psi[0, 1] *= 1 + 1e-12
+    unit = np.sqrt(scale)
+    model = VBJFARegressor(latent="correlated", input_noise=psi).fit(unit * X, y)
+    assert_array_equal(model.input_noise_, model.input_noise_.T)
+    assert_allclose(model.input_noise_, psi, rtol=1e-11)
+
+
+def test_semidefinite_covariance_is_allowed():
+    # One source of noise in all inputs: rank one, three eigenvalues zero to rounding.
+    X, y, _ = make_regression(33)
+    direction = np.array([0.1, -0.2, 0.3, 0.05])
+    psi = np.outer(direction, direction)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model = VBJFARegressor(latent="correlated", input_noise=psi).fit(X, y)
+    assert_allclose(model.input_noise_, psi, rtol=0, atol=1e-12)
+    assert np.isfinite(model.coef_).all()
+
+
+def test_covariance_beyond_the_data_names_the_columns():
+    X, y, _ = make_regression(34)
+    factor = np.array([0.5, 1.5, 0.5, 2.0])
+    psi = np.cov(X, rowvar=False) * np.outer(factor, factor)
+    with pytest.warns(UserWarning, match=r"of 2 input\(s\) \(1, 3\): no signal.*units"):
+        model = VBJFARegressor(latent="correlated", input_noise=psi).fit(X, y)
+    assert np.isfinite(model.coef_).all()
+    assert np.isfinite(model.output_noise_)
+
+
+def test_covariance_beyond_the_data_in_everything_leaves_nothing():
+    X, y, _ = make_regression(35)
+    psi = 2 * np.cov(X, rowvar=False)
+    with pytest.warns(UserWarning, match=r"of 4 input\(s\) \(0, 1, 2, 3\)"):
+        model = VBJFARegressor(latent="correlated", input_noise=psi).fit(X, y)
+    assert_allclose(model.coef_noisy_, 0.0, atol=1e-9)
+    # Without signal all of y is noise.
+    assert_allclose(model.output_noise_, y.var(), rtol=1e-6)
+
+
+def test_covariance_beyond_the_data_in_a_combination_only():
+    # Each variance is possible, their sum is not: in that direction no signal is left,
+    # which a measured covariance may well say by chance and needs no warning.
+    rng = np.random.default_rng(36)
+    t = rng.normal(size=(500, 1))
+    X = np.column_stack([t[:, 0], t[:, 0]]) + 0.1 * rng.normal(size=(500, 2))
+    y = t[:, 0] + 0.1 * rng.normal(size=500)
+    psi = np.array([[0.5, -0.4], [-0.4, 0.5]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model = VBJFARegressor(latent="correlated", input_noise=psi).fit(X, y)
+    assert np.isfinite(model.coef_).all()
+    assert np.isfinite(model.predict(X)).all()
+    # In standardised columns the difference is all noise (nearly, since their
+    # variances differ by chance) and the sum is signal.
+    standard = model.coef_ * X.std(axis=0)
+    assert abs(standard[0] - standard[1]) < 1e-3 * np.abs(standard).max()
+
+
+def test_noise_of_a_constant_column_is_of_no_account():
+    X, y, _ = make_regression(37)
+    constant = np.column_stack([X, np.full(len(X), 3.0)])
+    noise = [0.16, 0.16, 0.16, 0.16, 1.0]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        model = VBJFARegressor(input_noise=noise).fit(constant, y)
+    alone = VBJFARegressor(input_noise=noise[:4]).fit(X, y)
+    assert_allclose(model.coef_[:4], alone.coef_, rtol=1e-6)
+    assert model.coef_[4] == 0.0

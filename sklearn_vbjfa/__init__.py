@@ -6,6 +6,7 @@ from sklearn_vbjfa._locally_weighted import LocallyWeightedRegressor
 from sklearn_vbjfa._stepwise import StepwiseRegressor
 from sklearn_vbjfa._total_least_squares import TotalLeastSquares
 from sklearn_vbjfa._vbjfa import VBJFARegressor
+from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
 from sklearn_vbjfa.physical import PhysicalProjector
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
@@ -14,6 +15,7 @@ from sklearn_vbjfa.robot._states import StateEstimator
 
 __version__ = "0.1.0.dev0"
 __all__ = [
+    "EffectDiscovery",
     "InstrumentalVariables",
     "JFARegressor",
     "JointTorqueRegressor",

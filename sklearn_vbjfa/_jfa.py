@@ -70,7 +70,7 @@ class JFARegressor(BaseJointFactorRegressor):
         Count, means and scatter; None when there were fewer samples than features.
     n_features_in_ : int
         Number of features seen during fit.
-    feature_names_in_ : ndarray of shape (n_features_in_,)
+    feature_names_in_ : ndarray of shape (n_features,)
         Their names, where X had names that are all strings.
 
     See Also

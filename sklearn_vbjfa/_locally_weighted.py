@@ -51,7 +51,7 @@ class LocallyWeightedRegressor(RegressorMixin, BaseEstimator):
         Local models, of inputs relative to their centre.
     n_features_in_ : int
         Number of features seen during fit.
-    feature_names_in_ : ndarray of shape (n_features_in_,)
+    feature_names_in_ : ndarray of shape (n_features,)
         Their names, where X had names that are all strings.
 
     Notes

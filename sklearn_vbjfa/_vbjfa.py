@@ -46,11 +46,11 @@ class VBJFARegressor(BaseJointFactorRegressor):
         ``"noise"`` puts alpha_m on w_zm alone and a weak prior on the input noise,
         an inverse-gamma with its mode at 0.2 of the input's variance and the weight
         of 0.1 of the samples. See Notes. Not used with correlated latents.
-    input_noise : float, array-like of shape (n_features,) or \
-            (n_features, n_features), default=None
+    input_noise : float or array-like, default=None
         What is known of the input noise: its share of each input's variance, in
-        [0, 1), its variances [unit of X_j squared], or (correlated latents) its
-        covariance. ``None``: estimated, see Notes.
+        [0, 1), its variances, shape (n_features,) [unit of X_j squared], or
+        (correlated latents) its covariance, shape (n_features, n_features).
+        ``None``: estimated, see Notes.
     initial_input_noise : float, default=0.3
         Share of each input's variance that is noise at the start; not used when
         `input_noise` is given.
@@ -117,7 +117,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Count, means and scatter; None when there were fewer samples than features.
     n_features_in_ : int
         Number of features seen during fit.
-    feature_names_in_ : ndarray of shape (n_features_in_,)
+    feature_names_in_ : ndarray of shape (n_features,)
         Their names, where X had names that are all strings.
 
     See Also

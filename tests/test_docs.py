@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import sklearn_vbjfa
-from sklearn_vbjfa import datasets, physical
+from sklearn_vbjfa import datasets, effects, physical
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -70,9 +70,10 @@ def test_every_equation_tag_is_in_the_guide(folder, pages):
 
 
 def test_every_public_name_is_in_api_once():
-    public = {*sklearn_vbjfa.__all__, *datasets.__all__, *physical.__all__}
+    modules = (sklearn_vbjfa, datasets, effects, physical)
+    public = {name for module in modules for name in module.__all__}
     blocks = re.findall(
-        r"\.\. autosummary::\n\n((?:    \S+\n)+)", read(DOCS / "api.rst")
+        r"\.\. autosummary::\n(?:    :.*\n)*\n((?:    \S+\n)+)", read(DOCS / "api.rst")
     )
     listed = Counter(name for block in blocks for name in block.split())
     assert {name for name, count in listed.items() if count > 1} == set()
@@ -80,13 +81,28 @@ def test_every_public_name_is_in_api_once():
 
 
 def test_names_in_api_are_where_it_says():
+    modules = (sklearn_vbjfa, datasets, effects, physical)
     module = None
     for line in read(DOCS / "api.rst").splitlines():
         if line.startswith(".. currentmodule:: "):
             name = line.removeprefix(".. currentmodule:: ")
-            module = {m.__name__: m for m in (sklearn_vbjfa, datasets, physical)}[name]
+            module = {m.__name__: m for m in modules}[name]
         elif re.fullmatch(r"    \w+", line):
             assert line.strip() in module.__all__
+
+
+def test_table_of_effects_agrees_with_the_classes():
+    rows = re.findall(
+        r"    \* - ``(\w+)``\n      - (.+(?:\n {8}.+)*)\n      - (.+)\n      -(.*)\n",
+        read(DOCS / "effects.rst"),
+    )
+    assert [row[0] for row in rows] == list(effects.available())
+    for (name, torque, visible, contains), effect in zip(rows, effects.resolve()):
+        assert effect.name == name
+        assert visible == effect.visible, name
+        assert contains.strip() == ", ".join(effect.contains), name
+        for symbol in effect.parameters([1.0] * len(effect.coefficients)):
+            assert re.search(rf"\b{symbol}\b", torque), (name, symbol)
 
 
 def test_setup_is_two_commands():

@@ -14,9 +14,9 @@ from sklearn_vbjfa.diagnosis._recording_view import RecordingView
 from sklearn_vbjfa.diagnosis._report import Report
 from sklearn_vbjfa.diagnosis._search import EffectSearch
 from sklearn_vbjfa.effects import resolve
-from sklearn_vbjfa.robot import RobotIdentifier
 from sklearn_vbjfa.robot._channel_checks import inspect_channels
 from sklearn_vbjfa.robot._groups import check_clock, check_dt
+from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._recording_checks import check_widths
 

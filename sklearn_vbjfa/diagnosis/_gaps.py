@@ -7,8 +7,10 @@ from sklearn_vbjfa.diagnosis._dependence import dependences
 from sklearn_vbjfa.diagnosis._findings import Hidden, Unexplained
 from sklearn_vbjfa.robot._effect_columns import make_motion
 
-# A joint whose residual is this far above its noise floor has something unexplained.
-ABOVE_FLOOR = 1.1
+# A joint whose residual is this far above its noise floor has something unexplained:
+# by the first factor if it varies with a signal, by the second in any case. (What
+# smoothing takes from the motion leaves some per cent above the floor.)
+ABOVE_FLOOR = (1.1, 1.5)
 # Share of a column's power outside the span of the others below which it cannot be
 # seen in this recording, and below which no motion can show it.
 _UNSEEN, _IN_SPAN = 1e-3, 1e-6
@@ -44,7 +46,10 @@ def unexplained(search, names):
             continue
         rms = float(np.sqrt((weight * residual[j] ** 2).sum() / total))
         floor = float(np.sqrt(search.floor[j]))
-        if not np.isnan(floor) and rms <= ABOVE_FLOOR * floor:
+        if not np.isnan(floor) and rms <= ABOVE_FLOOR[0] * floor:
+            continue
+        signs = dependences(residual[j], weight, seen, view.blocks)[:4]
+        if not np.isnan(floor) and not signs and rms <= ABOVE_FLOOR[1] * floor:
             continue
         found.append(
             Unexplained(
@@ -53,7 +58,7 @@ def unexplained(search, names):
                 rms=rms,
                 floor=floor,
                 share=1.0 if np.isnan(floor) else float(1 - (floor / rms) ** 2),
-                signals=dependences(residual[j], weight, seen, view.blocks)[:4],
+                signals=signs,
             )
         )
     return tuple(found)

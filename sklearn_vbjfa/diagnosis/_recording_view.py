@@ -62,7 +62,8 @@ class RecordingView:
         correlation = correlation_time(
             residual, self.equations.weight, self.step, self.starts
         )
-        length = (2 * self.lowpass.half + 1) * (robot.dt or 1.0)
+        # What the low-pass spreads in time: the width of its main lobe.
+        length = max(1.0 / robot.cutoff_, self.step)
         self.correlation_time = correlation
         self.blocks = make_blocks(
             self.index * (robot.dt or 1.0), self.starts, correlation, length

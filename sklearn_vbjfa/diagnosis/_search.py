@@ -11,12 +11,13 @@ from sklearn_vbjfa.diagnosis._regression import BlockRegression
 
 # A joint whose out-of-sample error is within this factor of its noise floor lacks
 # nothing that could be named.
-AT_FLOOR = 1.05
+AT_FLOOR = 1.15
 # An effect stays as long as leaving it out would cost this share of the error.
 _SUPERFLUOUS = 0.01
 # What is found must hold beyond the data that it was found in: fitted to this first
 # share of the blocks it is tried on the rest.
 _FORWARD = 0.75
+_MUCH = 0.25
 # A plain effect that saves this share of what one that contains it saves goes first.
 _CONTAINED = 0.5
 # Effects of one kind on one joint, with different settings (drift of this and that).
@@ -54,8 +55,8 @@ class Step:
 
     Attributes
     ----------
-    action : {"add", "replace", "drop"}
-        What was done.
+    action : {"add", "replace", "drop", "refuse"}
+        What was done; what does not hold on later data is refused.
     effect : Effect
         What was added or dropped.
     replaced : Effect or None
@@ -111,7 +112,6 @@ class EffectSearch:
     on_progress: object = None
     accepted: list = field(default_factory=list)
     steps: list = field(default_factory=list)
-    rejected: list = field(default_factory=list)
 
     # -- models ---------------------------------------------------------------------
 
@@ -201,10 +201,16 @@ class EffectSearch:
             return [s @ self.view.precision for s in squares]
         return [s[:, effect.joint] for s in squares]
 
-    def joint_round(self, joint, base, before, accepted):
-        """Significant candidates of a joint, the plainer before what contains them."""
+    def joint_round(self, joint, base, before, accepted, quiet=False):
+        """Significant candidates of a joint, the plainer before what contains them.
+
+        A quiet joint lacks nothing of its own, but may be where something acts that
+        others feel.
+        """
         present = set(self.declared) | {e.name for e in accepted if e.joint == joint}
         everything = self.candidates_of(joint)
+        if quiet:
+            everything = [effect for effect in everything if effect.whole_robot]
         names = {e.name for e in everything}
         found, tried = [], {}
         # Plain effects first: one that contains a plain effect which explains most of
@@ -227,22 +233,38 @@ class EffectSearch:
                     found.append(max(plain, key=lambda c: c.evidence.gain))
             elif candidate.evidence.significant(self.level):
                 found.append(candidate)
-        return list({id(c): c for c in found}.values())
+        significant = [
+            c for c in tried.values() if c.evidence.significant(self.level)
+        ]
+        return list({id(c): c for c in found}.values()), significant
 
-    def best_of(self, candidates):
-        """Return the simplest of the best, and the others that compare with it."""
-        first = candidates[0].effect
+    def best_of(self, candidates, others):
+        """Return the simplest of the best, and all that compare with it.
+
+        Parameters
+        ----------
+        candidates : list of Candidate
+            Those that may be added.
+        others : list of Candidate
+            All that beat chance; those that contain the chosen one and explain no
+            more are its rivals as well.
+        """
+        everything = list({id(c): c for c in [*candidates, *others]}.values())
+        whole = any(c.effect.whole_robot for c in everything)
+        joint = candidates[0].effect.joint
         error = {
-            id(c): self._relevant(
-                c.effect if c.effect.whole_robot == first.whole_robot else first,
-                c.squares,
-            )[0]
-            for c in candidates
+            id(c): c.squares @ self.view.precision if whole else c.squares[:, joint]
+            for c in everything
         }
         best = min(candidates, key=lambda c: error[id(c)].sum())
         close = [c for c in candidates if no_worse(error[id(best)], error[id(c)])]
         simplest = min(close, key=lambda c: (c.effect.complexity, error[id(c)].sum()))
-        return simplest, tuple(c for c in close if c is not simplest)
+        rivals = tuple(
+            c
+            for c in everything
+            if c is not simplest and no_worse(error[id(best)], error[id(c)])
+        )
+        return simplest, rivals
 
     def at_floor(self, squares):
         """Joints whose error noise alone explains."""
@@ -264,26 +286,31 @@ class EffectSearch:
         return self
 
     def _round(self, number):
-        quiet = self.at_floor(self.before)
+        quiet = self.at_floor(self.before) | (self.view.precision == 0)
         offers = []
         for joint in range(self.view.nv):
             self._say(number, f"joint {joint + 1} of {self.view.nv}")
-            if quiet[joint] or self.view.precision[joint] == 0:
+            if self.view.precision[joint] == 0 or quiet.all():
                 continue
-            found = self.joint_round(joint, self.base, self.before, self.accepted)
+            found, others = self.joint_round(
+                joint, self.base, self.before, self.accepted, quiet[joint]
+            )
             if found:
-                chosen, rivals = self.best_of(found)
-                offers.append((self._weighted_gain(chosen), chosen, rivals, found))
+                chosen, rivals = self.best_of(found, others)
+                offers.append((self._weighted_gain(chosen), chosen, rivals, others))
         if not offers:
             return False
         _, chosen, rivals, found = max(offers, key=lambda offer: offer[0])
         effect = self.refine(chosen.effect, self.base)
-        if not self._holds_later(effect):
+        if not self._holds_later(effect, chosen.evidence.gain):
             self._refused.add(effect.key())
-            self.rejected.append(chosen)
+            self._record(
+                "refuse", effect, None, chosen.evidence, rivals, found, self.before
+            )
             return True
         before = self.before
         self.accepted.append(effect)
+        self._refused.clear()
         self._refresh()
         self._record("add", effect, None, chosen.evidence, rivals, found, before)
         self._prune(effect)
@@ -291,20 +318,22 @@ class EffectSearch:
         self._replace(effect.joint)
         return True
 
-    def _holds_later(self, effect):
+    def _holds_later(self, effect, gain):
         """Whether an effect fitted to the first part of the data helps in the last."""
         border = int(_FORWARD * self.view.blocks.n_blocks)
         first = self.view.blocks.label < border
         columns = self.view.columns([effect], self.motion)
-        if not columns[:, first].any():
-            return True  # begins later (a payload); nothing to try it on
+        begun = columns[:, first].any(axis=(0, 2, 3))
+        if begun.sum() < 0.5 * first.sum():
+            return True  # begins late (a payload): too little to fit it to
         with_it = self.regression([*self.accepted, effect]).forward_squares(border)
         without = self.base.forward_squares(border)
         case = compare(*self._relevant(effect, without, with_it))
-        if "time" in effect.needs:
+        if effect.slow:
             # Whatever changes slowly can be fitted by a function of time.
             return case.gain > 0 and case.p_value < self.alpha
-        return case.gain > -case.gain_std
+        # An effect that explains much may do badly before others are there, too.
+        return case.gain > -case.gain_std or gain > _MUCH
 
     def _weighted_gain(self, candidate):
         """Fall of the robot's log-likelihood-like error, to compare joints."""
@@ -355,10 +384,10 @@ class EffectSearch:
             rest = [e for e in self.accepted if e is not effect]
             base = self.regression(rest)
             before = base.squares()
-            found = self.joint_round(joint, base, before, rest)
+            found, others = self.joint_round(joint, base, before, rest)
             if not found:
                 continue
-            best, rivals = self.best_of(found)
+            best, rivals = self.best_of(found, others)
             if best.effect.key() == effect.key():
                 continue
             case = compare(*self._relevant(best.effect, self.before, best.squares))
@@ -368,7 +397,7 @@ class EffectSearch:
                 old = self.before
                 self.accepted = [*rest, refined]
                 self._refresh()
-                self._record("replace", refined, effect, case, rivals, found, old)
+                self._record("replace", refined, effect, case, rivals, others, old)
 
     def coefficients(self, effect):
         """Coefficients of an accepted effect in the present model."""

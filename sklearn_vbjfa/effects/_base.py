@@ -137,6 +137,8 @@ class Effect(TransformerMixin, BaseEstimator):
     needs = ()
     continuous = ()
     visible = "the joint moves"
+    # True for a smooth function of time, which would fit whatever changes slowly.
+    slow = False
     # True for an effect that acts on all joints: columns of shape (n, nv, k).
     whole_robot = False
 

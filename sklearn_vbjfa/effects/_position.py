@@ -180,16 +180,17 @@ class Ripple(Effect):
         reach = motion.range(self.joint)
         if not reach > 0:
             return []
-        # Fewer than two periods are a bend, and no ripple.
-        longest = reach / 2.0
+        # Two periods are a bend of the spring, and no ripple.
+        longest = reach / 2.5
         shortest = reach / 60.0
         if not motion.prismatic[self.joint]:
             longest = min(longest, _LONGEST)
             shortest = max(shortest, _SHORTEST)
-        # Half of the motion must pass a period in no less than the low-pass's own.
+        # The slower fifth of the motion must take longer for a period than what the
+        # low-pass lets through.
         moving = np.abs(motion.v[:, self.joint])
-        typical = np.median(moving[moving > 0.02 * motion.speed(self.joint)])
-        shortest = max(shortest, typical / motion.bandwidth)
+        slow = np.quantile(moving[moving > 0.02 * motion.speed(self.joint)], 0.2)
+        shortest = max(shortest, slow / motion.bandwidth)
         if not shortest < longest:
             return []
         waves = np.arange(1 / longest, 1 / shortest, _CYCLES / reach)

@@ -46,6 +46,7 @@ class Drift(Effect):
     contains = ("offset", "coulomb", "viscous")
     needs = ("time",)
     continuous = ("time_constant",)
+    slow = True
     visible = "the same motion early and late"
 
     def __init__(self, joint=0, of="coulomb", time_constant=100.0):

@@ -202,7 +202,7 @@ def virtual_jacobian(virtual):
 
 
 def virtual_curvature(virtual, gradient):
-    r"""Second derivative of ``gradient . inertial_from_virtual(virtual)``.
+    r"""Second derivative of a gradient times `inertial_from_virtual`.
 
     With :math:`G` the symmetric matrix for which the inertia's share of the product
     is :math:`\langle G, I \rangle` and :math:`Q = \operatorname{tr}(G) E - G`, the

@@ -80,14 +80,16 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf):
     nv = features.n_joints_
     load = torque = rigid = None
     if theta is not None:
-        inertial = theta.reshape(nv, -1).copy()
-        inertial[:, 10:] = 0.0
-        inertial = inertial.ravel()
-        load = _torques(features, states, inertial)
-        torque = load + _torques(features, states, theta - inertial, friction=True)
+        parameters = theta.reshape(nv, -1)
+        inertial = np.ascontiguousarray(parameters[:, :10])
+        tree = features._regressor
+        q, v, a = np.split(states, 3, axis=1)
+        load = tree.torques(q, v, a, inertial)
+        friction = _friction.columns(features._friction, q, v, a)
+        torque = load + np.einsum("njk,jk->nj", friction, parameters[:, 10:])
 
         def rigid(q, v, a):
-            return _torques(features, np.hstack([q, v, a]), inertial)
+            return tree.torques(q, v, a, inertial)
 
     @functools.cache
     def last_body():
@@ -119,22 +121,6 @@ def _width(features):
 def _pieces(features, n):
     rows = max(1, _LOAD_BYTES // (8 * features.n_joints_ * features.n_parameters_))
     return [slice(i, min(i + rows, n)) for i in range(0, n, rows)]
-
-
-def _torques(features, states, theta, friction=False):
-    """Torques (n, nv) of a parameter vector, piece by piece."""
-    nv = features.n_joints_
-    if friction:
-        coefficients = theta.reshape(nv, -1)[:, 10:]
-        columns = _friction.columns(features._friction, *np.split(states, 3, axis=1))
-        return np.einsum("njk,jk->nj", columns, coefficients)
-    return np.concatenate(
-        [
-            features._compute(states[piece]) @ theta
-            for piece in _pieces(features, states.shape[0])
-        ]
-        or [np.zeros((0, nv))]
-    )
 
 
 class RegressorRows:

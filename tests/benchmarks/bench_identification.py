@@ -18,7 +18,7 @@ HEADERS = [
     "model",
     "input noise / true",
     "output noise / true",
-    "coef_ error",
+    "coef. error",
     "query error",
     "relevant kept",
     "irrelevant kept",

@@ -1,0 +1,74 @@
+"""Settings of the documentation; ``sphinx-build -W docs docs/_build/html``."""
+
+import re
+
+import matplotlib as mpl
+from sphinx_gallery.sorting import ExplicitOrder
+
+import sklearn_vbjfa
+
+mpl.use("Agg")
+
+project = "sklearn_vbjfa"
+author = "The sklearn_vbjfa developers"
+copyright = author
+release = version = sklearn_vbjfa.__version__
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.extlinks",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "sphinx_gallery.gen_gallery",
+]
+templates_path = ["_templates"]
+# tables/ holds pieces that benchmarks.rst includes.
+exclude_patterns = ["_build", "tables", "Thumbs.db"]
+root_doc = "index"
+
+extlinks = {"doi": ("https://doi.org/%s", "doi:%s")}
+autosummary_generate = True
+autodoc_member_order = "bysource"
+# The class pages list the members themselves, see _templates/autosummary/class.rst.
+numpydoc_show_class_members = False
+# `name` in a docstring is a name of Python, linked where there is a page for it.
+default_role = "autolink"
+
+html_theme = "pydata_sphinx_theme"
+html_theme_options = {
+    "navigation_with_keys": False,
+    "show_prev_next": False,
+    "secondary_sidebar_items": ["page-toc"],
+}
+html_show_sourcelink = False
+
+sphinx_gallery_conf = {
+    "examples_dirs": "../examples",
+    "gallery_dirs": "auto_examples",
+    "filename_pattern": r"/plot_",
+    # The task first, then methods, then the figures of the paper.
+    "subsection_order": ExplicitOrder(
+        [
+            "../examples/1_quickstart",
+            "../examples/2_methods",
+            "../examples/3_articles",
+        ]
+    ),
+    "within_subsection_order": "FileNameSortKey",
+    "write_computation_times": False,
+    "show_memory": False,
+    "download_all_examples": False,
+    "remove_config_comments": True,
+    "abort_on_example_error": True,
+}
+
+
+def _skip(app, what, name, obj, skip, options):
+    """Leave out what scikit-learn adds to every estimator for metadata routing."""
+    return True if re.fullmatch(r"set_\w+_request", name) else None
+
+
+def setup(app):
+    """Connect the handlers of this file."""
+    app.connect("autodoc-skip-member", _skip)

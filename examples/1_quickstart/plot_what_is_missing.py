@@ -1,0 +1,96 @@
+"""
+===========================
+What does the model lack?
+===========================
+
+A declared model is fitted, what it leaves of the torques is searched for known effects,
+and the model is completed with what is found. The arm of the recording has viscous and
+Coulomb friction; the declared model has viscous friction alone.
+"""
+
+# %%
+# The declared model
+# ------------------
+# Two motions of 20 s. The last quarter of each is kept for the end.
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.datasets import load_demo_recording
+
+recording = load_demo_recording()
+declared = RobotIdentifier(recording.urdf, dt=recording.dt, friction=("viscous",))
+
+# %%
+# The loop
+# --------
+# All effects of the library are tried on all joints.
+
+loop = EffectDiscovery(declared, random_state=0)
+loop.fit(recording.q, recording.tau, groups=recording.groups)
+
+for effect in loop.effects_:
+    true = recording.friction["coulomb"][effect.joint]
+    low, high = effect.intervals["Fc"]
+    print(
+        f"{effect.joint_name}: {effect.name}, Fc = {effect.parameters['Fc']:.3f} N m "
+        f"({low:.3f} to {high:.3f}), truth {true:.3f}"
+    )
+
+# %%
+# Every step is on record, with the share of the squared error that it saved on blocks
+# of time that it was not fitted to.
+
+for step in loop.rounds_:
+    print(
+        f"{step.action:8s}{step.name:12s}{step.joint_name}: "
+        f"saves {100 * step.evidence.gain:.0f} %, p = {step.evidence.p_value:.1e}"
+    )
+
+# %%
+# The untouched part
+# ------------------
+# Root mean square of the residual over the standard deviation of the torque.
+
+for name, before, after in zip(
+    recording.joint_names, loop.error_before_, loop.error_after_
+):
+    print(f"{name}: {100 * before:5.2f} % before, {100 * after:5.2f} % after")
+print(f"unexplained: {[rest.joint_name for rest in loop.unexplained_]}")
+
+# %%
+# What could not have been found: here the inertia of the first two rotors, which acts
+# on the torques like inertias of the links.
+
+for effect in loop.hidden_:
+    print(f"{effect.joint_name}: {effect.name} ({effect.reason})")
+
+# %%
+# Residual against speed
+# ----------------------
+# The residual of the declared model has a step where the joint reverses.
+
+tested = np.concatenate(
+    [np.flatnonzero(recording.groups == label)[-1000:] for label in (0, 1)]
+)
+rows = recording.q[tested], recording.tau[tested], recording.groups[tested]
+joints = (1, 3)
+figure, axes = plt.subplots(
+    len(joints), 2, sharex="row", sharey="row", layout="constrained", figsize=(8, 6)
+)
+for column, (title, model) in enumerate(
+    {"declared": loop.declared_, "completed": loop.identifier_}.items()
+):
+    residuals = model.residuals(*rows)
+    speed = recording.states[tested][residuals.index, 6:12]
+    for row, joint in enumerate(joints):
+        used = residuals.weight[:, joint] > 0
+        axis = axes[row, column]
+        axis.plot(speed[used, joint], residuals.residual[used, joint], ".", ms=3)
+        axis.axhline(0.0, color="0.6", lw=0.8)
+        axis.set_xlabel(f"speed of joint_{joint + 1} [rad/s]")
+        axis.set_title(title)
+        if column == 0:
+            axis.set_ylabel(f"residual of joint_{joint + 1} [N m]")
+plt.show()

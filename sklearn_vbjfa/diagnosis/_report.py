@@ -1,0 +1,288 @@
+"""The report of a search for effects: verdict first, then the evidence."""
+
+import textwrap
+
+import numpy as np
+from tabulate import tabulate
+
+from sklearn_vbjfa.diagnosis import _report_lines as lines
+from sklearn_vbjfa.diagnosis import _report_words as words
+from sklearn_vbjfa.diagnosis import _verdict
+from sklearn_vbjfa.diagnosis._report_data import as_data
+
+_WIDTH, _HEIGHT = 100, 25
+# Lines of a list that are shown before any other list gets more.
+_FEWEST = {"joints": 6, "effects": 3, "unexplained": 2}
+_SEE = "see to_dict()"
+
+
+class Report:
+    """What a robot model lacked, what that was worth, and what is still open.
+
+    ``print(report)`` is for a terminal, at most 25 lines; a notebook shows the page
+    of `to_html`.
+
+    Parameters
+    ----------
+    outcome : Outcome
+        What the search found.
+
+    Attributes
+    ----------
+    outcome : Outcome
+        The same.
+    joints : tuple of JointVerdict
+        Verdict on each joint.
+    status : {"complete", "nothing", "partial", "exhausted", "unsettled", "unknown", \
+            "worse", "no data"}
+        Effects found and only noise left; nothing was missing; effects found and
+        something remains; nothing found though something is missing; at the noise
+        floor in the search but not on untouched data; no noise floor to compare with;
+        a joint got worse on untouched data; nothing to judge by.
+    headline, verdict : str
+        The same in words, without and with the mean errors.
+
+    See Also
+    --------
+    sklearn_vbjfa.EffectDiscovery : Makes reports.
+    """
+
+    def __init__(self, outcome):
+        self.outcome = outcome
+        self.joints = _verdict.joint_verdicts(outcome)
+        self.status = _verdict.status(outcome, self.joints)
+        self.headline = _verdict.headline(outcome, self.joints)
+        self.verdict = f"{self.headline} {_verdict.errors_text(outcome)}".rstrip()
+
+    def __repr__(self):
+        before, after, _ = _verdict.mean_errors(self.outcome)
+        count = words.plural(len(self.outcome.effects), "effect")
+        return (
+            f"<Report: {self.status}, {count}, mean error {words.percent(before)} "
+            f"before, {words.percent(after)} after>"
+        )
+
+    def __str__(self):
+        head = _wrapped(self.verdict, 3)
+        tail = self._closing()
+        lists = {
+            "joints": self._joint_order(),
+            "effects": list(self.outcome.effects),
+            "unexplained": self._unexplained_order(),
+        }
+        room = _HEIGHT - len(head) - len(tail) - 1
+        share = _share_out({k: len(v) for k, v in lists.items()}, room)
+        # A second line for what does not fit one, as long as there is room.
+        spare = room - sum(share.values()) - 1
+        effects, spare = self._effect_lines(lists["effects"], share["effects"], spare)
+        unexplained, _ = self._unexplained_lines(
+            lists["unexplained"], share["unexplained"], spare
+        )
+        table = self._joint_table(lists["joints"], share["joints"])
+        body = [table, effects, unexplained]
+        return "\n".join(words.ascii_only(x) for x in _spaced([head, *body, tail]))
+
+    # -- parts of the text ----------------------------------------------------------
+
+    def _joint_order(self):
+        """Joints, those with something to say first where not all can be shown."""
+        rank = {"worse": 0, "unexplained": 1, "above": 2, "unknown": 3, "no data": 4}
+        return sorted(
+            self.joints, key=lambda v: (rank.get(v.status, 5), -v.n_effects, v.joint)
+        )
+
+    def _unexplained_order(self):
+        known = [u for u in self.outcome.unexplained if u.floor > 0]
+        return sorted(known, key=lambda u: -u.share)
+
+    def _joint_table(self, order, count):
+        rest = order[count:] if count < len(order) else []
+        if rest:
+            order, rest = order[: count - 1], order[count - 1 :]
+        rows = [self._row(v) for v in sorted(order, key=lambda v: v.joint)]
+        table = tabulate(
+            rows,
+            headers=[
+                "error on untouched data, %",
+                "before",
+                "after [90 %]",
+                "floor",
+                "",
+            ],
+            tablefmt="plain",
+            disable_numparse=True,
+            colalign=("left", "right", "right", "right", "left"),
+        ).splitlines()
+        table = [words.clip(line.rstrip(), _WIDTH) for line in table]
+        if rest:
+            kinds = sorted({v.text for v in rest})
+            table.append(
+                words.clip(
+                    f"... and {len(rest)} more ({words.join(kinds, 2)}), {_SEE}", _WIDTH
+                )
+            )
+        return table
+
+    def _row(self, verdict):
+        outcome, j = self.outcome, verdict.joint
+        low, high = _verdict.interval(outcome, "after", j)
+        after = words.bare_percent(outcome.error_after[j])
+        if np.isfinite(low) and np.isfinite(high):
+            after += f" [{words.bare_percent(low)}, {words.bare_percent(high)}]"
+        return [
+            words.clip(verdict.label, 32),
+            words.bare_percent(outcome.error_before[j]),
+            after,
+            words.bare_percent(outcome.floor[j]),
+            verdict.text,
+        ]
+
+    def _effect_lines(self, effects, count, spare):
+        shown, rest = _cut(effects, count)
+        names = self.outcome.joint_names
+        out = []
+        for e in shown:
+            forms = [f"- {form}" for form in lines.effect_forms(e, names)]
+            fitting = [form for form in forms if len(form) <= _WIDTH]
+            complete = fitting and fitting[0] in forms[:2]
+            both = [
+                textwrap.wrap(form, _WIDTH, subsequent_indent="    ")
+                for form in forms[:2]
+            ]
+            both = [pieces for pieces in both if len(pieces) == 2]
+            if not complete and both and spare > 0:
+                spare -= 1
+                out += both[0]
+            else:
+                out.append((fitting or [words.clip(forms[-1], _WIDTH)])[0])
+        if rest:
+            where = words.joint_list(names, [e.joint for e in rest])
+            out.append(
+                words.clip(f"... and {len(rest)} more on {where}, {_SEE}", _WIDTH)
+            )
+        return out, spare
+
+    def _unexplained_lines(self, unexplained, count, spare):
+        shown, rest = _cut(unexplained, count)
+        out = []
+        for u in shown:
+            full = f"? {lines.unexplained_line(u, self.outcome.joint_names)}"
+            pieces = textwrap.wrap(full, _WIDTH, subsequent_indent="    ")
+            if len(pieces) == 2 and spare > 0:
+                spare -= 1
+                out += pieces
+            else:
+                out.append(words.clip(full, _WIDTH))
+        if rest:
+            more = "joint" if len(rest) == 1 else "joints"
+            out.append(f"... and {len(rest)} more {more}, {_SEE}")
+        return out, spare
+
+    def _closing(self):
+        """Say what to record next, what is wrong with channels, what was split."""
+        out = []
+        advice = lines.next_recording(self.outcome)
+        if advice:
+            out += _wrapped(f"Record next: {words.join(advice, 3)}.", 2)
+        hidden = lines.hidden_lines(self.outcome.hidden, self.outcome.joint_names)
+        out += _wrapped(" ".join(hidden), 2)
+        out += _wrapped(lines.refused_line(self.outcome), 1)
+        channels = self.outcome.channels
+        if channels:
+            more = f" (and {len(channels) - 1} more)" if len(channels) > 1 else ""
+            out += [words.clip(f"Channel: {channels[0]}", _WIDTH - len(more)) + more]
+        for line in lines.settings_lines(self.outcome.settings):
+            out += [words.clip(line, _WIDTH)]
+        return out
+
+    # -- other forms ----------------------------------------------------------------
+
+    def to_dict(self):
+        """Return everything but the curves, ready for `json.dumps`.
+
+        Returns
+        -------
+        dict
+            Lists instead of arrays, None instead of nan, joints from zero;
+            ``"schema_version"`` changes when keys do.
+        """
+        return as_data(self)
+
+    def to_markdown(self):
+        """Return the report as Markdown.
+
+        Returns
+        -------
+        str
+            Tables and lists.
+        """
+        from sklearn_vbjfa.diagnosis._report_markdown import markdown
+
+        return markdown(self)
+
+    def to_html(self):
+        """Return the report as one self-contained page.
+
+        Returns
+        -------
+        str
+            HTML with its style and pictures inside; nothing is loaded from elsewhere.
+        """
+        from sklearn_vbjfa.diagnosis._report_html import page
+
+        return page(self)
+
+    def _repr_html_(self):
+        from sklearn_vbjfa.diagnosis._report_html import fragment
+
+        return fragment(self)
+
+
+def _wrapped(text, most):
+    """Wrap a text to at most some lines."""
+    if not text:
+        return []
+    found = textwrap.wrap(text, _WIDTH)
+    if len(found) > most:
+        last = words.clip(" ".join(found[most - 1 :]), _WIDTH)
+        found = [*found[: most - 1], last]
+    return found
+
+
+def _cut(items, count):
+    """Split a list at a number of lines, one of which says how many are missing."""
+    if len(items) <= count:
+        return items, []
+    return items[: max(count - 1, 0)], items[max(count - 1, 0) :]
+
+
+def _share_out(wanted, room):
+    """Lines for each list: the fewest first, then what is left, one at a time."""
+    share = {k: min(n, _FEWEST[k]) for k, n in wanted.items()}
+    while sum(share.values()) > room:
+        # Only when the closing lines are many.
+        most = max(share, key=share.get)
+        share[most] -= 1
+    while sum(share.values()) < room:
+        short = [
+            k for k in ("joints", "effects", "unexplained") if share[k] < wanted[k]
+        ]
+        if not short:
+            break
+        for k in short:
+            if sum(share.values()) < room:
+                share[k] += 1
+    return share
+
+
+def _spaced(parts):
+    """Put empty lines between the parts, as far as there is room."""
+    parts = [p for p in parts if p]
+    spare = _HEIGHT - sum(map(len, parts))
+    out = list(parts[0])
+    # The verdict and the closing lines are set off first.
+    gaps = [i for i in (1, len(parts) - 1, *range(2, len(parts) - 1)) if 0 < i]
+    empty = set(list(dict.fromkeys(gaps))[: max(spare, 0)])
+    for i, part in enumerate(parts[1:], 1):
+        out += [""] * (i in empty) + part
+    return out

@@ -1,0 +1,159 @@
+"""Sentences of a report, one for each thing that was found."""
+
+from sklearn_vbjfa.diagnosis import _report_words as words
+from sklearn_vbjfa.diagnosis._gaps import ABOVE_FLOOR
+
+
+def effect_forms(effect, names):
+    """Sentences on an effect, at length and ever shorter; the second is complete."""
+    head = (
+        f"{words.joint_label(names, effect.joint)}: "
+        f"{words.effect_label(effect.name, effect.parameters, names)}"
+    )
+    gain = f"saves {words.whole_percent(effect.evidence.gain)}"
+    p = words.p_text(effect.evidence.p_value)
+    parameters = words.parameter_text(effect)
+    count = len(parameters)
+    rivals = _rivals(effect.rivals)
+
+    def line(shown, rival, evidence=f"{gain}, {p}"):
+        more = ["..."] * (shown < count)
+        return "; ".join(
+            x
+            for x in (", ".join([head, *parameters[:shown], *more]), evidence, rival)
+            if x
+        )
+
+    forms = [line(count, r) for r in rivals]
+    forms += [line(min(2, count), r) for r in rivals[1:]]
+    forms += [
+        line(min(1, count), r, e) for e in (f"{gain}, {p}", gain) for r in rivals[1:]
+    ]
+    forms += [line(0, rivals[-1], gain)]
+    return forms
+
+
+def _rivals(rivals):
+    """Name the rivals, at length and ever shorter."""
+    if not rivals:
+        return ["", ""]
+    plain = [words.PLAIN_NAMES.get(r, r) for r in rivals]
+    short = [r.replace("_", " ") for r in rivals]
+    noun = "rival" if len(rivals) == 1 else "rivals"
+    forms = [
+        f"this data cannot tell it from {words.join(plain, 4, 'or')}",
+        f"{noun} {', '.join(short)}",
+    ]
+    if len(short) > 1:
+        forms.append(f"{noun} {short[0]} and {len(short) - 1} more")
+    return [*forms, words.plural(len(rivals), "rival")]
+
+
+def unexplained_line(rest, names):
+    """Say what remains of a joint's residual and what it varies with."""
+    label = words.joint_label(names, rest.joint)
+    if not rest.floor > 0:
+        head = f"{label}: residual {words.number(rest.rms)}, noise floor unknown"
+    else:
+        head = f"{label}: {words.whole_percent(rest.share)} of what remains has no name"
+    signals = [
+        f"{words.signal_label(s.signal, names, rest.joint)} "
+        f"({words.whole_percent(s.share)})"
+        for s in rest.signals
+    ]
+    if not signals:
+        return f"{head}; it varies with no signal alone"
+    return f"{head}; varies with {words.join(signals, 3)}"
+
+
+def hidden_lines(hidden, names, most=4):
+    """Say what could not be looked for, one line for each reason."""
+    titles = {
+        "excitation": "This recording cannot show",
+        "signal": "Not looked for",
+        "span": "No motion can show (inside the declared parameters)",
+    }
+    lines = []
+    for reason, title in titles.items():
+        own = [h for h in hidden if h.reason == reason]
+        if own:
+            by_effect = {}
+            for h in own:
+                by_effect.setdefault(h.name, []).append(h.joint)
+            parts = [
+                f"{words.effect_label(name)} ({words.joint_list(names, joints)})"
+                for name, joints in by_effect.items()
+            ]
+            more = sorted({h.remedy for h in own}) if reason == "signal" else []
+            because = f": {words.join(more, 2)}" if more else ""
+            lines.append(f"{title} {words.join(parts, most)}{because}.")
+    return lines
+
+
+def next_recording(outcome):
+    """Return what to record next, what matters most first, without repetition."""
+    wanted = {}
+    for rest in outcome.unexplained:
+        for signal in rest.signals:
+            wanted.setdefault(words.record_for_signal(signal.signal), []).append(
+                rest.joint
+            )
+    for effect in outcome.effects:
+        for name in (effect.name, *effect.rivals) if effect.rivals else ():
+            wanted.setdefault(words.record_for(name), []).append(effect.joint)
+    for h in outcome.hidden:
+        if h.reason == "excitation":
+            advice = words.record_for(h.name) or h.remedy
+            wanted.setdefault(advice, []).append(h.joint)
+    names = outcome.joint_names
+    return [
+        f"{advice} ({words.joint_list(names, joints)})"
+        for advice, joints in wanted.items()
+        if advice
+    ]
+
+
+def refused_line(outcome):
+    """Say which steps were taken back; empty if none was."""
+    names = outcome.joint_names
+    parts = []
+    for action, what in (
+        ("refuse", "Refused, as it did not hold on later data"),
+        ("drop", "Dropped as superfluous"),
+    ):
+        own = [
+            f"{words.effect_label(r.name, r.shape, names)} on "
+            f"{words.joint_label(names, r.joint)}"
+            for r in outcome.rounds
+            if r.action == action
+        ]
+        if own:
+            parts.append(f"{what}: {words.join(own, 3)}.")
+    return " ".join(parts)
+
+
+def settings_lines(settings):
+    """Return lines on the split and the thresholds."""
+    lines = []
+    get = settings.get
+    if "test_size" in settings:
+        text = (
+            f"Untouched: last {words.whole_percent(get('test_size'))} of each recording"
+        )
+        if "n_blocks" in settings:
+            seconds = words.number(get("block_seconds", float("nan")))
+            text += (
+                f"; search: {get('n_blocks')} blocks of {seconds} s, "
+                f"{get('n_folds', '?')} folds"
+            )
+        if "correlation_seconds" in settings:
+            seconds = words.number(get("correlation_seconds"), 2)
+            text += f"; correlated {seconds} s"
+        lines.append(text + ".")
+    if "level_per_test" in settings:
+        lines.append(
+            f"Named: p < {words.number(get('level_per_test'), 2)} and saves >= "
+            f"{words.whole_percent(get('smallest_gain', float('nan')))} of squared "
+            f"error; unexplained: > {ABOVE_FLOOR[0]} x floor; +- and [ ]: 90 %."
+        )
+    return lines

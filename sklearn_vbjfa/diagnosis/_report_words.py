@@ -1,0 +1,224 @@
+"""Words and numbers of a report: what an effect is called, how an error is written."""
+
+import math
+import re
+
+# What an engineer calls the effects of the library.
+PLAIN_NAMES = {
+    "viscous": "viscous friction",
+    "coulomb": "Coulomb friction",
+    "asymmetric_friction": "friction that differs with direction",
+    "stribeck": "Stribeck friction",
+    "viscous_quadratic": "friction with the square of speed",
+    "load_friction": "load-dependent friction",
+    "presliding": "hysteresis after reversals (presliding)",
+    "backlash": "backlash",
+    "offset": "constant offset",
+    "spring": "spring",
+    "counterbalance": "counterbalance",
+    "ripple": "torque ripple",
+    "rotor_inertia": "rotor inertia",
+    "coupling": "coupling to another joint",
+    "elastic": "joint elasticity",
+    "delay": "delay of the torque signal",
+    "drift": "drift with time",
+    "payload": "change of payload",
+}
+# What a recording must hold to tell an effect from its rivals.
+_RECORD = {
+    "viscous": "motion at several speeds",
+    "coulomb": "many reversals",
+    "asymmetric_friction": "both directions at several speeds",
+    "stribeck": "slow and fast motion",
+    "viscous_quadratic": "slow and fast motion",
+    "load_friction": "reversals at two loads",
+    "presliding": "many reversals",
+    "backlash": "reversals at several positions",
+    "offset": "motion with and against gravity",
+    "spring": "a wide range of positions",
+    "counterbalance": "a wide range of positions",
+    "ripple": "slow motion over the whole range",
+    "rotor_inertia": "fast acceleration in several poses",
+    "coupling": "each joint moving alone",
+    "elastic": "fast motion near the elastic mode",
+    "delay": "fast changes of the torque",
+    "drift": "the same motion cold and warm",
+    "payload": "motion against gravity with and without payload",
+}
+# The same, for a residual that varies with a signal.
+_RECORD_SIGNAL = {
+    "position": "slow motion over the whole range, both ways",
+    "speed": "slow and fast motion",
+    "acceleration": "fast acceleration in several poses",
+    "load": "reversals at two loads",
+    "time": "the same motion cold and warm",
+}
+_TINY = 1e-12
+
+
+def joint_label(names, joint):
+    """Name of a joint for a sentence: its own if that is one, else counted from 1."""
+    name = names[joint] if joint < len(names) else ""
+    if not name or name.isdigit():
+        return f"joint {joint + 1}"
+    counted = re.fullmatch(r"joint[ _]?(\d+)", name)
+    if counted and int(counted[1]) == joint + 1:
+        return f"joint {joint + 1}"
+    if re.search("joint|axis", name, re.IGNORECASE):
+        return name
+    return f"joint {joint + 1} ({name})"
+
+
+def joint_list(names, joints):
+    """Write several joints, by number where they are numbered."""
+    joints = sorted(set(joints))
+    if len(joints) == len(names) > 1:
+        return "all joints"
+    labels = [joint_label(names, j) for j in joints]
+    numbers = [label.removeprefix("joint ") for label in labels]
+    if len(joints) > 1 and all(number.isdigit() for number in numbers):
+        return f"joints {join(numbers, 6)}"
+    return join(labels, 3)
+
+
+def signal_label(signal, names, joint):
+    """Return what to call a signal such as "speed of joint2" beside a joint."""
+    kind, _, name = signal.partition(" of ")
+    if not name or name not in names:
+        return signal
+    other = list(names).index(name)
+    return f"its {kind}" if other == joint else f"{kind} of {joint_label(names, other)}"
+
+
+def effect_label(name, shape=None, names=()):
+    """Plain English for an effect, with what matters of its shape."""
+    plain = PLAIN_NAMES.get(name, name.replace("_", " "))
+    shape = shape or {}
+    if name == "drift" and shape.get("of"):
+        what = {"coulomb": "Coulomb friction", "viscous": "viscous friction"}
+        return f"drift of the {what.get(shape['of'], shape['of'])} with time"
+    if name == "coupling" and isinstance(shape.get("other"), int):
+        other = joint_label(names, shape["other"])
+        how = {"sum": " (sum)", "difference": " (difference)"}
+        return f"coupling to {other}{how.get(shape.get('of'), '')}"
+    return plain
+
+
+def record_for(name):
+    """Return what to record to see an effect; empty if nobody can say."""
+    return _RECORD.get(name, "")
+
+
+def record_for_signal(signal):
+    """Return what to record to learn how a residual varies with a signal."""
+    return _RECORD_SIGNAL.get(signal.split(" of ")[0], "")
+
+
+def number(value, digits=3):
+    """Write a number short, without an exponent where it is not needed."""
+    if value is None or not math.isfinite(value):
+        return "?"
+    if value == 0:
+        return "0"
+    text = f"{value:.{digits}g}"
+    if "e" in text:
+        mantissa, exponent = text.split("e")
+        if -5 <= int(exponent) < 0:
+            return f"{value:.{digits - 1 - int(exponent)}f}".rstrip("0")
+        return f"{mantissa}e{int(exponent)}"
+    return text
+
+
+def percent(value):
+    """Write a share in per cent, one decimal."""
+    if value is None or not math.isfinite(value):
+        return "?"
+    return f"{100 * value:.0f} %" if abs(value) >= 0.9995 else f"{100 * value:.1f} %"
+
+
+def bare_percent(value):
+    """Write a share in per cent without the sign, for a table."""
+    return "-" if value is None or not math.isfinite(value) else f"{100 * value:.1f}"
+
+
+def whole_percent(value):
+    """Write a share in whole per cent."""
+    return "?" if value is None or not math.isfinite(value) else f"{100 * value:.0f} %"
+
+
+def p_text(value):
+    """Write a p-value."""
+    if value is None or not math.isfinite(value):
+        return "p unknown"
+    if value < _TINY:
+        return "p < 1e-12"
+    return f"p = {number(value, 1 if value < 0.01 else 2)}"
+
+
+def p_cell(value):
+    """Write a p-value for a table that says p above."""
+    return p_text(value).removeprefix("p = ").removeprefix("p ")
+
+
+def with_error(value, interval=None, unit=""):
+    """Write a value with half its 90 % interval, rounded to what the latter means."""
+    unit = f" {unit}" if unit else ""
+    if isinstance(value, str):
+        return value
+    if interval is None or not all(math.isfinite(x) for x in interval):
+        return number(value) + unit
+    half = 0.5 * (interval[1] - interval[0])
+    if not half > 0 or not math.isfinite(value):
+        return number(value) + unit
+    size = math.floor(math.log10(half))
+    # A leading 1 is given a second digit, which rounding would change by up to half.
+    size -= half / 10**size < 1.95
+    largest = max(abs(value), half)
+    if largest >= 1e5 or largest < 1e-4:
+        power = math.floor(math.log10(largest))
+        digits = max(power - size, 0)
+        scale = 10.0**power
+        return (
+            f"({value / scale:.{digits}f} +- {half / scale:.{digits}f})e{power}{unit}"
+        )
+    digits = max(-size, 0)
+    return f"{round(value, -size):.{digits}f} +- {round(half, -size):.{digits}f}{unit}"
+
+
+def parameter_text(effect):
+    """Return "Fc = 1.2 +- 0.1 N m" for each parameter worth reading."""
+    found = []
+    for key, value in effect.parameters.items():
+        if key in ("of", "other") or (key == "smoothing" and not value):
+            continue
+        interval = effect.intervals.get(key)
+        unit = effect.units.get(key, "")
+        if value is None:
+            continue
+        found.append(f"{key} = {with_error(value, interval, unit)}")
+    return found
+
+
+def join(parts, most=3, word="and"):
+    """Write a list as a sentence does; what is beyond the most is counted."""
+    parts = list(parts)
+    if len(parts) > most + 1:
+        parts = [*parts[:most], f"{len(parts) - most} more"]
+    if len(parts) <= 1:
+        return "".join(parts)
+    return f"{', '.join(parts[:-1])} {word} {parts[-1]}"
+
+
+def plural(count, noun):
+    """Write a count with its noun."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def clip(text, width):
+    """Shorten a text to a width."""
+    return text if len(text) <= width else text[: max(width - 3, 0)].rstrip() + "..."
+
+
+def ascii_only(text):
+    """Replace what a plain terminal may not show."""
+    return text.encode("ascii", "replace").decode("ascii")

@@ -1,0 +1,203 @@
+"""What an outcome amounts to: the verdict, on the robot and on each joint."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis import _report_words as words
+from sklearn_vbjfa.diagnosis._gaps import ABOVE_FLOOR
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointVerdict:
+    """What was found out about a joint.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    label : str
+        What it is called in a sentence.
+    status : str
+        ``"floor"`` (only noise is left), ``"unexplained"``, ``"above"`` (above the
+        floor on the untouched part only), ``"unknown"`` (no floor), ``"worse"`` or
+        ``"no data"``.
+    n_effects : int
+        Accepted effects.
+    text : str
+        The same in words.
+    """
+
+    joint: int
+    label: str
+    status: str
+    n_effects: int
+    text: str
+
+
+def joint_verdicts(outcome):
+    """Judge every joint."""
+    rest = {u.joint: u for u in outcome.unexplained}
+    found = []
+    for j in range(len(outcome.joint_names)):
+        count = sum(e.joint == j for e in outcome.effects)
+        status, text = _judge(outcome, j, rest.get(j))
+        found.append(
+            JointVerdict(
+                joint=j,
+                label=words.joint_label(outcome.joint_names, j),
+                status=status,
+                n_effects=count,
+                text=text,
+            )
+        )
+    return tuple(found)
+
+
+def _judge(outcome, j, rest):
+    before, after = outcome.error_before[j], outcome.error_after[j]
+    floor = outcome.floor[j]
+    if not np.isfinite(after):
+        return "no data", "no samples that count"
+    low, high = interval(outcome, "difference", j)
+    # Without an interval the errors themselves decide.
+    if (low if np.isfinite(low) else after - before) > 0:
+        return "worse", "WORSE on untouched data"
+    if rest is not None:
+        if not np.isfinite(rest.floor):
+            return "unknown", "noise floor unknown"
+        return "unexplained", f"{words.whole_percent(rest.share)} unexplained"
+    if not np.isfinite(floor):
+        return "unknown", "noise floor unknown"
+    least = np.nan_to_num(interval(outcome, "after", j)[0], nan=np.inf)
+    near, far = (factor * floor for factor in ABOVE_FLOOR)
+    # The floor does not know the error of the parameters, which untouched data shows.
+    if after > far and least > near:
+        return "above", "above the floor on untouched data"
+    if after > near and least > floor:
+        return "floor", f"near the noise floor ({after / floor:.1f} x)"
+    if any(e.joint == j for e in outcome.effects) and np.isfinite(high) and high >= 0:
+        return "floor", "at the noise floor; gain within chance"
+    return "floor", "at the noise floor"
+
+
+def interval(outcome, key, joint):
+    """Interval of a joint, nan where there is none."""
+    values = outcome.intervals.get(key)
+    if values is None:
+        return np.nan, np.nan
+    return tuple(float(x) for x in np.asarray(values, dtype=float)[:, joint])
+
+
+def mean(values):
+    """Return the mean of the finite values; nan if there are none."""
+    values = np.asarray(values, dtype=float)
+    used = np.isfinite(values)
+    return float(values[used].mean()) if used.any() else np.nan
+
+
+def mean_errors(outcome):
+    """Mean error before, after and floor; the floor only if every joint has one."""
+    before = np.asarray(outcome.error_before, dtype=float)
+    after = np.asarray(outcome.error_after, dtype=float)
+    floor = np.asarray(outcome.floor, dtype=float)
+    used = np.isfinite(before) & np.isfinite(after)
+    floors = mean(floor[used]) if used.any() and np.isfinite(floor[used]).all() else 0
+    return mean(before[used]), mean(after[used]), floors or np.nan
+
+
+def status(outcome, verdicts):
+    """Name the outcome in one word.
+
+    ``"complete"`` (effects found, only noise left), ``"nothing"`` (nothing was
+    missing), ``"partial"`` (effects found, something remains), ``"exhausted"``
+    (nothing found, something remains), ``"unsettled"`` (at the floor where it was
+    fitted, above it on untouched data), ``"unknown"`` (no floor to compare with),
+    ``"worse"`` or ``"no data"``.
+    """
+    kinds = {v.status for v in verdicts}
+    if kinds <= {"no data"}:
+        return "no data"
+    if "worse" in kinds:
+        return "worse"
+    if "unexplained" in kinds:
+        return "partial" if outcome.effects else "exhausted"
+    if "above" in kinds:
+        return "unsettled"
+    if "unknown" in kinds:
+        return "unknown"
+    return "complete" if outcome.effects else "nothing"
+
+
+def errors_text(outcome):
+    """Write the mean errors as a sentence."""
+    before, after, floor = mean_errors(outcome)
+    if not np.isfinite(after):
+        return ""
+    text = f"Mean error on untouched data {words.percent(before)}"
+    if outcome.effects:
+        text += f" before, {words.percent(after)} after"
+    if np.isfinite(floor):
+        text += f"; noise floor {words.percent(floor)}"
+    return text + "."
+
+
+def headline(outcome, verdicts):
+    """Say in a sentence what was found and what is still open."""
+    kind = status(outcome, verdicts)
+    names = outcome.joint_names
+
+    def where(status):
+        joints = [v.joint for v in verdicts if v.status == status]
+        return words.joint_list(names, joints), len(joints) == 1
+
+    count = len(outcome.effects)
+    found = _found(outcome)
+    near = "near" if any(v.text.startswith("near") for v in verdicts) else "at"
+    if kind == "no data":
+        return "No verdict: no joint has samples that count in the untouched part."
+    if kind == "nothing":
+        return f"Nothing is missing: the residual is {near} the noise floor."
+    if kind == "complete":
+        return f"{found} missing; what remains is {near} the noise floor."
+    if kind in ("partial", "exhausted"):
+        joints, one = where("unexplained")
+        first = f"{found} missing, but that is not all"
+        return (
+            f"{first if count else 'Something is missing that has no name'}: {joints} "
+            f"{'stays' if one else 'stay'} above the noise floor and no effect of the "
+            "library explains it."
+        )
+    if kind == "unsettled":
+        return (
+            f"{f'{found} missing' if count else 'No effect was found to be missing'}; "
+            f"{where('above')[0]} reached the noise floor in the search but not on "
+            "untouched data: record more, or look for what changed."
+        )
+    if kind == "worse":
+        joints, one = where("worse")
+        return (
+            f"{found} added, but {joints} {'predicts' if one else 'predict'} untouched "
+            "data worse than before: do not trust the model there."
+        )
+    first = (
+        f"{found} missing; whether more is"
+        if count
+        else ("No effect of the library was found; whether one is missing")
+    )
+    joints, _ = where("unknown")
+    return f"{first} cannot be said, as the noise floor of {joints} is unknown."
+
+
+def _found(outcome):
+    """Name one or two effects, count more, with their verb."""
+    effects, names = outcome.effects, outcome.joint_names
+    count = words.plural(len(effects), "effect")
+    if len(effects) in (1, 2):
+        count = words.join(
+            f"{words.effect_label(e.name, e.parameters, names)} on "
+            f"{words.joint_label(names, e.joint)}"
+            for e in effects
+        )
+        count = count[0].upper() + count[1:]
+    return f"{count} {'was' if len(effects) == 1 else 'were'}"

@@ -1,0 +1,150 @@
+"""Outcomes of searches that never ran, for reports."""
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis._dependence import Dependence
+from sklearn_vbjfa.diagnosis._evidence import Evidence
+from sklearn_vbjfa.diagnosis._findings import (
+    DiscoveredEffect,
+    Hidden,
+    Outcome,
+    Round,
+    Trial,
+    Unexplained,
+)
+
+EVIDENCE = Evidence(gain=0.46, gain_std=0.04, p_value=2.3e-9, n_blocks=52, helped=0.9)
+KINDS = (
+    ("load_friction", {"mu": 0.112}, {"mu": ""}, ("presliding",)),
+    (
+        "coupling",
+        {"Fvm": 1.234, "Fcm": 12.3, "Iam": 0.0345, "other": 0, "of": "sum"},
+        {"Fvm": "N m s/rad", "Fcm": "N m", "Iam": "kg m^2"},
+        ("coulomb", "stribeck", "drift", "presliding"),
+    ),
+    ("ripple", {"A": 0.8, "phase": 1.2, "period": 0.33}, {"A": "N m"}, ()),
+    ("my_own_effect", {"k3": 2e-7}, {"k3": "N m/rad^3"}, ()),
+)
+
+
+def make_effect(i, joint, names):
+    name, parameters, units, rivals = KINDS[i % len(KINDS)]
+    spread = {
+        k: 0.1 * v for k, v in parameters.items() if not isinstance(v, (str, int))
+    }
+    return DiscoveredEffect(
+        name=name,
+        joint=joint,
+        joint_name=names[joint],
+        parameters=parameters,
+        units=units,
+        intervals={
+            k: (parameters[k] - s, parameters[k] + s) for k, s in spread.items()
+        },
+        evidence=EVIDENCE,
+        rivals=rivals,
+    )
+
+
+def make_round(effect, action="add"):
+    trial = Trial(name="stribeck", joint=effect.joint, shape={}, evidence=EVIDENCE)
+    nv = effect.joint + 1
+    return Round(
+        action=action,
+        name=effect.name,
+        joint=effect.joint,
+        joint_name=effect.joint_name,
+        shape={},
+        replaced="coulomb" if action == "replace" else "",
+        evidence=EVIDENCE,
+        rivals=(trial,),
+        tried=(trial,) * 12,
+        error_before=np.full(nv, 0.2),
+        error_after=np.full(nv, 0.1),
+    )
+
+
+def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
+    names = names or tuple(f"joint{j + 1}" for j in range(nv))
+    rng = np.random.default_rng(0)
+    effects = tuple(make_effect(i, (i + 1) % nv, names) for i in range(n_effects))
+    floor = np.linspace(0.03, 0.08, nv)
+    after = floor * 1.02
+    after[list(unexplained)] *= 2.0
+    before = after.copy()
+    before[[e.joint for e in effects]] += 0.1
+    signals = (
+        Dependence(signal=f"speed of {names[-1]}", share=0.31, p_value=1e-7),
+        Dependence(signal="time", share=0.08, p_value=1e-4),
+    )
+    m = 1500
+    residual = rng.standard_normal((m, nv)) * floor
+    values = {
+        "declared": {
+            "robot": "arm",
+            "joints": names,
+            "friction": ("viscous",),
+            "n_parameters": 11 * nv,
+            "cutoff": 10.0,
+        },
+        "effects": effects,
+        "rounds": tuple(make_round(e) for e in effects),
+        "unexplained": tuple(
+            Unexplained(
+                joint=j,
+                joint_name=names[j],
+                rms=0.5,
+                floor=0.25,
+                share=0.75,
+                signals=signals,
+            )
+            for j in unexplained
+        ),
+        "hidden": tuple(
+            Hidden(
+                name=name,
+                joint=j,
+                joint_name=names[j],
+                reason=reason,
+                remedy="needs time stamps" if reason == "signal" else "",
+            )
+            for j in range(nv)
+            for name, reason in (
+                ("rotor_inertia", "span"),
+                ("counterbalance", "excitation"),
+                ("drift", "signal"),
+            )
+        ),
+        "channels": ("Torque of joint 1 is coarse, 3 steps.", "Joint 2 stands still."),
+        "joint_names": names,
+        "torque_units": ("N m",) * nv,
+        "error_before": before,
+        "error_after": after,
+        "intervals": {
+            "before": np.array([0.9 * before, 1.1 * before]),
+            "after": np.array([0.9 * after, 1.1 * after]),
+            "difference": np.array([after - before - 0.01, (after - before) * 0.9]),
+        },
+        "floor": floor,
+        "settings": {
+            "test_size": 0.25,
+            "alpha": 0.05,
+            "level_per_test": 0.05 / 18 / nv,
+            "smallest_gain": 0.02,
+            "effects": ("coulomb", "ripple"),
+            "n_blocks": 52,
+            "block_seconds": 1.3,
+            "n_folds": 8,
+            "correlation_seconds": 0.13,
+            "random_state": 0,
+            "versions": {"numpy": "2.0"},
+        },
+        "curves": {
+            "index": np.arange(m),
+            "before": residual + 0.1 * np.sin(np.arange(m) / 40)[:, None],
+            "after": residual,
+            "weight": (np.arange(m)[:, None] % 700 > 60) * np.ones((m, nv)),
+            "torque": rng.standard_normal((m, nv)),
+        },
+    }
+    return Outcome(**(values | changes))

@@ -1,0 +1,96 @@
+"""The wheel and the source distribution hold what is needed, and install."""
+
+import os
+import re
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DATA = [
+    "sklearn_vbjfa/py.typed",
+    "sklearn_vbjfa/datasets/remote_files.txt",
+    "sklearn_vbjfa/datasets/robots/demo_arm.urdf",
+]
+USE = """
+import pathlib, sklearn_vbjfa
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+assert pathlib.Path(sklearn_vbjfa.__file__).is_relative_to(pathlib.Path.cwd())
+recording = make_robot_recording(duration=4.0, dt=0.01, random_state=0)
+RobotIdentifier(recording.urdf, dt=recording.dt).fit(recording.q, recording.tau)
+"""
+
+
+def run(*arguments, cwd, **environment):
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=cwd,
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def build(kind, source, target):
+    """Build as installers do, by the hooks of the build backend."""
+    call = f"import hatchling.build as b; b.build_{kind}({str(target)!r})"
+    run("-c", call, cwd=source)
+    return next(target.iterdir())
+
+
+def install_and_use(wheel, folder):
+    pytest.importorskip("pinocchio")
+    run(
+        *("-m", "pip", "install", "-q", "--no-deps", "--no-index"),
+        *("--target", str(folder), str(wheel)),
+        cwd=folder,
+    )
+    run("-c", USE, cwd=folder, PYTHONPATH=str(folder))
+
+
+@pytest.fixture(scope="module")
+def sdist(tmp_path_factory):
+    pytest.importorskip("hatchling")
+    return build("sdist", ROOT, tmp_path_factory.mktemp("sdist"))
+
+
+@pytest.mark.slow
+def test_wheel_holds_the_package_and_installs(tmp_path):
+    pytest.importorskip("hatchling")
+    wheel = build("wheel", ROOT, tmp_path)
+    names = zipfile.ZipFile(wheel).namelist()
+    modules = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "sklearn_vbjfa").rglob("*.py")
+    }
+    assert modules <= set(names)
+    assert set(DATA) <= set(names)
+    assert any(name.endswith("licenses/LICENSE") for name in names)
+    top = {name.split("/")[0] for name in names}
+    assert {name for name in top if not name.endswith(".dist-info")} == {
+        "sklearn_vbjfa"
+    }
+    (tmp_path / "site").mkdir()
+    install_and_use(wheel, tmp_path / "site")
+
+
+@pytest.mark.slow
+def test_source_distribution_builds_the_same_wheel(sdist, tmp_path):
+    with tarfile.open(sdist) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (source,) = tmp_path.iterdir()
+    assert re.fullmatch(r"sklearn_vbjfa-[\w.]+", source.name)
+    for name in (*DATA, "README.md", "LICENSE", "tests/test_docs.py", "docs/conf.py"):
+        assert (source / name).is_file(), name
+    for folder in ("_build", "generated", "auto_examples"):
+        assert not (source / "docs" / folder).exists()
+    (tmp_path / "wheel").mkdir()
+    (tmp_path / "site").mkdir()
+    install_and_use(build("wheel", source, tmp_path / "wheel"), tmp_path / "site")

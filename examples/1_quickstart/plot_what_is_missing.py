@@ -1,7 +1,7 @@
 """
-===========================
+=========================
 What does the model lack?
-===========================
+=========================
 
 A declared model is fitted, what it leaves of the torques is searched for known effects,
 and the model is completed with what is found. The arm of the recording has viscous and

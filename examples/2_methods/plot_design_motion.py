@@ -1,7 +1,7 @@
 """
-=============================
+============================
 Designing the next recording
-=============================
+============================
 
 A first recording is there, and leaves some parameters open. Which motion should be
 recorded next? The one after which the torques of the motions that the robot is meant

@@ -1,7 +1,7 @@
 """
-===============================================
+================================================
 Noisy sensors outside robotics: a blood analyser
-===============================================
+================================================
 
 Total cholesterol from nine other readings of the same patient (scikit-learn's diabetes
 data), learned from cheap instruments and used with good ones. Noise in the inputs makes
@@ -71,8 +71,8 @@ def errors(X, y, seed):
 
 
 # %%
-# Six draws of the noise and of the split
-# ---------------------------------------
+# Four draws of the noise and of the split
+# ----------------------------------------
 
 tasks = {
     "total cholesterol": (others, cholesterol),
@@ -80,7 +80,7 @@ tasks = {
 }
 results = {}
 for name, (X, y) in tasks.items():
-    results[name] = np.mean([errors(X, y, seed) for seed in range(6)], axis=0)
+    results[name] = np.mean([errors(X, y, seed) for seed in range(4)], axis=0)
     print(name)
     for label, (noisy, clean) in zip(grids, results[name]):
         print(f"  {label:20s} noisy queries {noisy:.3f}, clean queries {clean:.3f}")

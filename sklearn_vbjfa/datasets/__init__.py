@@ -28,12 +28,14 @@ from sklearn_vbjfa.datasets._robots import (
     make_robot_recording,
 )
 from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
+from sklearn_vbjfa.datasets._tracking import TrackingResult, simulate_tracking
 
 __all__ = [
     "ClosedLoopRecording",
     "NoisyRegression",
     "Recording",
     "SimulatedRecording",
+    "TrackingResult",
     "fetch_bam_xl330",
     "fetch_dfki_double_pendulum",
     "fetch_emps",
@@ -51,4 +53,5 @@ __all__ = [
     "make_noisy_regression",
     "make_robot_recording",
     "read_recording",
+    "simulate_tracking",
 ]

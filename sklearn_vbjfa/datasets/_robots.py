@@ -7,6 +7,7 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.datasets._recording import Recording
+from sklearn_vbjfa.datasets._undeclared import undeclared_torque
 
 # Fraction of a joint's range, and speed [rad/s or m/s], that the motion keeps to
 # where the robot description gives no (or a wider) limit.
@@ -33,6 +34,8 @@ class SimulatedRecording(Recording):
         Standard deviation of the position noise [rad or m].
     torque_noise : ndarray of shape (nv,)
         Standard deviation of the torque noise [N m or N].
+    undeclared : mapping of str to (int, float)
+        Effects beside rigid bodies and friction: name -> joint (from zero) and size.
     """
 
     states: np.ndarray
@@ -41,6 +44,7 @@ class SimulatedRecording(Recording):
     friction: dict = field(default_factory=dict)
     encoder_noise: float
     torque_noise: np.ndarray
+    undeclared: dict = field(default_factory=dict)
 
     def select(self, *names_or_labels):
         """Keep some of the recordings, with their truth; see `Recording.select`."""
@@ -147,6 +151,7 @@ def make_robot_recording(
     friction=("viscous", "coulomb"),
     perturbation=0.3,
     inertial=None,
+    undeclared=None,
     random_state=None,
 ):
     """Simulate the recording of a robot: a smooth motion, noisy encoders and torques.
@@ -179,6 +184,11 @@ def make_robot_recording(
         the model's.
     inertial : ndarray of shape (nv, 10), default=None
         True inertial parameters, instead of drawing them.
+    undeclared : mapping of {"load_friction", "stribeck", "spring", "ripple", \
+            "offset", "presliding"} to (int, float), default=None
+        Effects that a rigid-body model with friction does not have: name -> joint
+        (from zero) and size, which is a share of the load for load_friction, a
+        stiffness [N m/rad or N/m] for spring, a torque [N m or N] for the others.
     random_state : int, RandomState instance or None, default=None
         Seed of everything that is drawn.
 
@@ -213,6 +223,9 @@ def make_robot_recording(
     rigid = _inverse_dynamics(nominal, inertial, q, v, a)
     coefficients = _draw_friction(friction, rigid, v, a, rng)
     clean = rigid + _friction_torque(coefficients, q, v, a)
+    undeclared = dict(undeclared or {})
+    for part in (slice(k * n, (k + 1) * n) for k in range(n_recordings)):
+        clean[part] += undeclared_torque(undeclared, q[part], v[part], rigid[part])
     noise = torque_noise * clean.std(axis=0)
     kinds = [joint.shortname() for joint in nominal.joints[1:]]
     prismatic = ["P" in kind[len("JointModel") :][:1] for kind in kinds]
@@ -237,6 +250,7 @@ def make_robot_recording(
         friction=coefficients,
         encoder_noise=float(encoder_noise),
         torque_noise=noise,
+        undeclared=undeclared,
     )
 
 
@@ -293,7 +307,9 @@ def load_demo_recording():
 
     Simulated on the spot, always the same: two motions of 20 s up to 1 Hz at 200 Hz,
     encoder noise of 1e-4 rad, torque noise of 5 %, viscous and Coulomb friction,
-    inertias that differ from those in the URDF by some 30 %.
+    inertias that differ from those in the URDF by some 30 %. Joint 2 also has friction
+    in proportion to its load, 0.11 of it, which a model of rigid bodies with viscous
+    and Coulomb friction lacks.
 
     Returns
     -------
@@ -313,6 +329,7 @@ def load_demo_recording():
         n_recordings=2,
         encoder_noise=1e-4,
         torque_noise=0.05,
+        undeclared={"load_friction": (1, 0.11)},
         random_state=20110,
     )
     return replace(recording, name="demo")

@@ -63,7 +63,10 @@ class Report:
         )
 
     def __str__(self):
-        head = _wrapped(self.verdict, 3)
+        head = textwrap.wrap(self.verdict, _WIDTH)
+        if len(head) > 3:
+            errors = _verdict.errors_text(self.outcome)
+            head = _wrapped(self.headline, 2) + _wrapped(errors, 1)
         tail = self._closing()
         lists = {
             "joints": self._joint_order(),
@@ -80,7 +83,7 @@ class Report:
         )
         table = self._joint_table(lists["joints"], share["joints"])
         body = [table, effects, unexplained]
-        return "\n".join(words.ascii_only(x) for x in _spaced([head, *body, tail]))
+        return "\n".join(_spaced([head, *body, tail]))
 
     # -- parts of the text ----------------------------------------------------------
 
@@ -92,8 +95,9 @@ class Report:
         )
 
     def _unexplained_order(self):
-        known = [u for u in self.outcome.unexplained if u.floor > 0]
-        return sorted(known, key=lambda u: -u.share)
+        return sorted(
+            self.outcome.unexplained, key=lambda u: (not u.floor > 0, -u.share)
+        )
 
     def _joint_table(self, order, count):
         rest = order[count:] if count < len(order) else []
@@ -190,7 +194,12 @@ class Report:
         channels = self.outcome.channels
         if channels:
             more = f" (and {len(channels) - 1} more)" if len(channels) > 1 else ""
-            out += [words.clip(f"Channel: {channels[0]}", _WIDTH - len(more)) + more]
+            out += [
+                words.clip(
+                    f"Channel: {' '.join(channels[0].split())}", _WIDTH - len(more)
+                )
+                + more
+            ]
         for line in lines.settings_lines(self.outcome.settings):
             out += [words.clip(line, _WIDTH)]
         return out

@@ -53,7 +53,7 @@ def unexplained_line(rest, names):
     """Say what remains of a joint's residual and what it varies with."""
     label = words.joint_label(names, rest.joint)
     if not rest.floor > 0:
-        head = f"{label}: residual {words.number(rest.rms)}, noise floor unknown"
+        head = f"{label}: noise floor unknown"
     else:
         head = f"{label}: {words.whole_percent(rest.share)} of what remains has no name"
     signals = [

@@ -54,11 +54,13 @@ _RECORD_SIGNAL = {
     "time": "the same motion cold and warm",
 }
 _TINY = 1e-12
+# Longer names of joints are cut.
+_LONGEST = 40
 
 
 def joint_label(names, joint):
     """Name of a joint for a sentence: its own if that is one, else counted from 1."""
-    name = names[joint] if joint < len(names) else ""
+    name = clip(" ".join(names[joint].split()), _LONGEST) if joint < len(names) else ""
     if not name or name.isdigit():
         return f"joint {joint + 1}"
     counted = re.fullmatch(r"joint[ _]?(\d+)", name)
@@ -125,6 +127,8 @@ def number(value, digits=3):
         mantissa, exponent = text.split("e")
         if -5 <= int(exponent) < 0:
             return f"{value:.{digits - 1 - int(exponent)}f}".rstrip("0")
+        if 0 < int(exponent) < 5:
+            return f"{float(text):.0f}"
         return f"{mantissa}e{int(exponent)}"
     return text
 
@@ -217,8 +221,3 @@ def plural(count, noun):
 def clip(text, width):
     """Shorten a text to a width."""
     return text if len(text) <= width else text[: max(width - 3, 0)].rstrip() + "..."
-
-
-def ascii_only(text):
-    """Replace what a plain terminal may not show."""
-    return text.encode("ascii", "replace").decode("ascii")

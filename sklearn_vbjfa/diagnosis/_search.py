@@ -6,7 +6,8 @@ import numpy as np
 from scipy import optimize
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis._evidence import Evidence, compare, no_worse
+from sklearn_vbjfa.diagnosis._candidates import Candidate, Step, closure
+from sklearn_vbjfa.diagnosis._evidence import compare, no_worse
 from sklearn_vbjfa.diagnosis._regression import BlockRegression
 
 # A joint whose out-of-sample error is within this factor of its noise floor lacks
@@ -22,63 +23,6 @@ _MUCH = 0.25
 _CONTAINED = 0.5
 # Effects of one kind on one joint, with different settings (drift of this and that).
 _MOST_ROUNDS_PER_JOINT = 6
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Candidate:
-    """An effect that was tried.
-
-    Attributes
-    ----------
-    effect : Effect
-        With the best shape parameters.
-    evidence : Evidence
-        Against the model without it.
-    squares : ndarray of shape (n_blocks, nv)
-        Squared out-of-sample residuals with it.
-    coef : ndarray of shape (k,)
-        Its coefficients.
-    outside : float
-        Share of its columns' power outside the span of the model's.
-    """
-
-    effect: object
-    evidence: Evidence
-    squares: np.ndarray
-    coef: np.ndarray
-    outside: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Step:
-    """One round of the search.
-
-    Attributes
-    ----------
-    action : {"add", "replace", "drop", "refuse"}
-        What was done; what does not hold on later data is refused.
-    effect : Effect
-        What was added or dropped.
-    replaced : Effect or None
-        What it replaced.
-    evidence : Evidence
-        Why.
-    rivals : tuple of Candidate
-        Others that the data cannot tell from it.
-    tried : tuple of Candidate
-        All candidates of the joint that beat chance, best first.
-    squares_before, squares_after : ndarray of shape (nv,)
-        Sums of squared out-of-sample residuals.
-    """
-
-    action: str
-    effect: object
-    replaced: object
-    evidence: Evidence
-    rivals: tuple
-    tried: tuple
-    squares_before: np.ndarray
-    squares_after: np.ndarray
 
 
 @dataclass
@@ -201,42 +145,64 @@ class EffectSearch:
             return [s @ self.view.precision for s in squares]
         return [s[:, effect.joint] for s in squares]
 
-    def joint_round(self, joint, base, before, accepted, quiet=False):
-        """Significant candidates of a joint, the plainer before what contains them.
+    def try_joint(self, joint, base, before, accepted, quiet=False):
+        """Try all effects on a joint, name -> Candidate, the plainer first.
 
         A quiet joint lacks nothing of its own, but may be where something acts that
         others feel.
         """
-        present = set(self.declared) | {e.name for e in accepted if e.joint == joint}
         everything = self.candidates_of(joint)
         if quiet:
             everything = [effect for effect in everything if effect.whole_robot]
-        names = {e.name for e in everything}
-        found, tried = [], {}
-        # Plain effects first: one that contains a plain effect which explains most of
-        # what it explains itself would win by that alone. The plain one is offered in
-        # its place; the other may come in a later round, beside it.
-        for effect in sorted(everything, key=lambda e: len(_closure(e, everything))):
+        tried = {}
+        for effect in sorted(everything, key=lambda e: len(closure(e, everything))):
             candidate = self.score(effect, base, before, accepted)
-            if candidate is None:
-                continue
-            tried[effect.name] = candidate
-            missing = (_closure(effect, everything) & names) - present
+            if candidate is not None:
+                tried[effect.name] = candidate
+        return tried
+
+    def eligible(self, tried, joint, accepted):
+        """Candidates that may be added to a joint, and all that beat chance.
+
+        An effect that contains a plainer one which explains most of what it explains
+        itself would win by that alone. The plain one is offered in its place; the
+        other may come in a later round, beside it.
+        """
+        present = set(self.declared) | {e.name for e in accepted if e.joint == joint}
+        library = [candidate.effect for candidate in tried.values()]
+        significant = [
+            c for c in tried.values() if c.evidence.significant(self.threshold)
+        ]
+        found = {}
+        for candidate in significant:
             plain = [
                 tried[name]
-                for name in missing & set(tried)
-                if tried[name].evidence.significant(self.alpha)
+                for name in closure(candidate.effect, library) - present
+                if name in tried
+                and tried[name].evidence.significant(self.alpha)
                 and tried[name].evidence.gain > _CONTAINED * candidate.evidence.gain
             ]
-            if plain:
-                if candidate.evidence.significant(self.level):
-                    found.append(max(plain, key=lambda c: c.evidence.gain))
-            elif candidate.evidence.significant(self.level):
-                found.append(candidate)
-        significant = [
-            c for c in tried.values() if c.evidence.significant(self.level)
-        ]
-        return list({id(c): c for c in found}.values()), significant
+            offered = max(plain, key=lambda c: c.evidence.gain, default=candidate)
+            found[id(offered)] = offered
+        return list(found.values()), significant
+
+    def _set_threshold(self, tried):
+        """Set the level of this round, after Benjamini and Hochberg.
+
+        On a robot that lacks nothing it is Bonferroni's: one false alarm in 1 / alpha
+        recordings. On one that lacks much, a short recording could not reach that
+        level for any effect. Only the best effect is added, so that a level that many
+        true ones have raised falls again before a false one is the best.
+        """
+        p_values = np.sort(
+            [c.evidence.p_value for t in tried.values() for c in t.values()]
+        )
+        if p_values.size == 0:
+            return
+        m = p_values.size
+        rank = np.arange(1, p_values.size + 1)
+        passing = rank[p_values <= self.alpha * rank / m]
+        self.threshold = self.alpha / m * max(int(passing.max(initial=1)), 1)
 
     def best_of(self, candidates, others):
         """Return the simplest of the best, and all that compare with it.
@@ -275,7 +241,7 @@ class EffectSearch:
 
     def run(self):
         """Search until nothing is significant."""
-        self._refused = set()
+        self._refused, self.threshold = set(), self.level
         self._refresh()
         for number in range(_MOST_ROUNDS_PER_JOINT * self.view.nv):
             if self.max_effects is not None and len(self.accepted) >= self.max_effects:
@@ -287,14 +253,17 @@ class EffectSearch:
 
     def _round(self, number):
         quiet = self.at_floor(self.before) | (self.view.precision == 0)
-        offers = []
+        tried = {}
         for joint in range(self.view.nv):
             self._say(number, f"joint {joint + 1} of {self.view.nv}")
-            if self.view.precision[joint] == 0 or quiet.all():
-                continue
-            found, others = self.joint_round(
-                joint, self.base, self.before, self.accepted, quiet[joint]
-            )
+            if self.view.precision[joint] > 0 and not quiet.all():
+                tried[joint] = self.try_joint(
+                    joint, self.base, self.before, self.accepted, quiet[joint]
+                )
+        self._set_threshold(tried)
+        offers = []
+        for joint, candidates in tried.items():
+            found, others = self.eligible(candidates, joint, self.accepted)
             if found:
                 chosen, rivals = self.best_of(found, others)
                 offers.append((self._weighted_gain(chosen), chosen, rivals, others))
@@ -384,7 +353,8 @@ class EffectSearch:
             rest = [e for e in self.accepted if e is not effect]
             base = self.regression(rest)
             before = base.squares()
-            found, others = self.joint_round(joint, base, before, rest)
+            tried = self.try_joint(joint, base, before, rest)
+            found, others = self.eligible(tried, joint, rest)
             if not found:
                 continue
             best, rivals = self.best_of(found, others)
@@ -485,15 +455,3 @@ class EffectSearch:
     def _say(self, number, text):
         if self.on_progress is not None:
             self.on_progress(number, text)
-
-
-def _closure(effect, library):
-    """Names of all effects that an effect contains, directly or not."""
-    by_name = {e.name: e for e in library}
-    found, open_ = set(), list(effect.contains)
-    while open_:
-        name = open_.pop()
-        if name not in found:
-            found.add(name)
-            open_ += by_name[name].contains if name in by_name else ()
-    return found

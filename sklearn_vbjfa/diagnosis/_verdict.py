@@ -7,6 +7,9 @@ import numpy as np
 from sklearn_vbjfa.diagnosis import _report_words as words
 from sklearn_vbjfa.diagnosis._gaps import ABOVE_FLOOR
 
+# A refit moves the errors of all joints; by less than this it did no harm.
+_WORSE = 1.05
+
 
 @dataclass(frozen=True, kw_only=True)
 class JointVerdict:
@@ -61,7 +64,8 @@ def _judge(outcome, j, rest):
         return "no data", "no samples that count"
     low, high = interval(outcome, "difference", j)
     # Without an interval the errors themselves decide.
-    if (low if np.isfinite(low) else after - before) > 0:
+    surely = not np.isfinite(low) or low > 0
+    if surely and after > _WORSE * before:
         return "worse", "WORSE on untouched data"
     if rest is not None:
         if not np.isfinite(rest.floor):

@@ -39,7 +39,7 @@ from sklearn_vbjfa import (
 from sklearn_vbjfa._core._lowpass import Lowpass
 from sklearn_vbjfa.datasets import make_closed_loop_recording
 from sklearn_vbjfa.datasets._plant import draw_motion, rigid_torques
-from sklearn_vbjfa.datasets._tracking import simulate_tracking
+from sklearn_vbjfa.datasets import simulate_tracking
 from sklearn_vbjfa.physical import ProjectionError
 
 FRICTION = ("viscous",)

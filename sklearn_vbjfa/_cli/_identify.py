@@ -1,89 +1,13 @@
-"""Command line: identify a recording and show the held-out error beside rivals."""
+"""The command ``identify``: the held-out error of a recording beside rivals."""
 
-import argparse
-import os
 import sys
 import warnings
 
 import numpy as np
 
 
-def main(argv=None):
-    """Run the command line.
-
-    Parameters
-    ----------
-    argv : list of str, default=None
-        Arguments; None takes those of the process.
-
-    Returns
-    -------
-    int
-        Exit code: 0, or 2 for bad input (one line on stderr).
-    """
-    parser = _parser()
-    arguments = parser.parse_args(argv)
-    try:
-        arguments.run(arguments)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        # The reader (head, less) has seen enough.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (ValueError, OSError, ImportError) as error:
-        message = " ".join(str(error).split())
-        print(f"sklearn-vbjfa: {message}", file=sys.stderr)
-        return 2
-    return 0
-
-
-def _parser():
-    from sklearn_vbjfa import __version__
-
-    parser = argparse.ArgumentParser(
-        prog="sklearn-vbjfa",
-        description="Robot identification with noise in inputs and outputs. Without "
-        "a command: identify the recording that the package brings along.",
-    )
-    parser.add_argument("--version", action="version", version=__version__)
-    parser.set_defaults(run=_identify, data="demo", data_home=None, methods=None)
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    identify = commands.add_parser(
-        "identify",
-        help="identify a measured set and compare methods on its held-out part",
-        description="Identify a recording and compare methods on its held-out part.",
-    )
-    identify.add_argument(
-        "--data",
-        default="demo",
-        metavar="NAME",
-        help="demo (default) or a measured set; see the command datasets",
-    )
-    identify.add_argument(
-        "--data-home",
-        default=None,
-        metavar="DIR",
-        help="folder of the measured sets; by default scikit-learn's, where what is "
-        "missing is downloaded",
-    )
-    identify.set_defaults(run=_identify)
-    datasets = commands.add_parser("datasets", help="list the measured sets")
-    datasets.set_defaults(run=_datasets)
-    return parser
-
-
-def _datasets(arguments):
-    from tabulate import tabulate
-
-    from sklearn_vbjfa.datasets._protocols import protocols
-
-    rows = []
-    for name, protocol in protocols().items():
-        summary = (protocol.load.__doc__ or "").strip().splitlines()[0]
-        rows.append([name, summary])
-    print(tabulate(rows, headers=["name", "recording"]))
-
-
-def _identify(arguments):
+def run(arguments):
+    """Identify a recording and compare methods on its held-out part."""
     from sklearn_vbjfa import RobotIdentifier
     from sklearn_vbjfa.datasets._protocols import protocols
     from sklearn_vbjfa.robot._comparison import compare_methods
@@ -116,7 +40,7 @@ def _identify(arguments):
             on_progress=_progress(),
         )
     print(_report(recording, protocol, results, fitted))
-    _say_warnings(caught)
+    say_warnings(caught)
 
 
 def _part(recording, rows):
@@ -134,7 +58,8 @@ def _progress():
     return show
 
 
-def _say_warnings(caught):
+def say_warnings(caught):
+    """Show warnings as notes on stderr, each once."""
     from sklearn.exceptions import ConvergenceWarning
 
     if sys.stderr.isatty():

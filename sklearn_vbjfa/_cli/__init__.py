@@ -1,0 +1,105 @@
+"""Command line: close the loop, identify, list what there is."""
+
+import argparse
+import os
+import sys
+
+
+def main(argv=None):
+    """Run the command line.
+
+    Parameters
+    ----------
+    argv : list of str, default=None
+        Arguments; None takes those of the process.
+
+    Returns
+    -------
+    int
+        Exit code: 0; 2 for bad input (one line on stderr); 130 if interrupted.
+    """
+    parser = _parser()
+    arguments = parser.parse_args(argv)
+    try:
+        arguments.run(arguments)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader (head, less) has seen enough.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except KeyboardInterrupt:
+        print("sklearn-vbjfa: interrupted, nothing was written", file=sys.stderr)
+        return 130
+    except (ValueError, OSError, ImportError) as error:
+        message = " ".join(str(error).split())
+        print(f"sklearn-vbjfa: {message}", file=sys.stderr)
+        return 2
+    return 0
+
+
+def _parser():
+    from sklearn_vbjfa import __version__
+    from sklearn_vbjfa._cli import _close_loop, _identify
+
+    parser = argparse.ArgumentParser(
+        prog="sklearn-vbjfa",
+        description="Robot identification with noise in inputs and outputs. Without "
+        "a command: close the loop on the recording that the package brings along.",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    parser.set_defaults(run=_close_loop.run_demo)
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    _close_loop.add_to(commands)
+    identify = commands.add_parser(
+        "identify",
+        help="identify a measured set and compare methods on its held-out part",
+        description="Identify a recording and compare methods on its held-out part.",
+    )
+    identify.add_argument(
+        "--data",
+        default="demo",
+        metavar="NAME",
+        help="demo (default) or a measured set; see the command datasets",
+    )
+    identify.add_argument(
+        "--data-home",
+        default=None,
+        metavar="DIR",
+        help="folder of the measured sets; by default scikit-learn's, where what is "
+        "missing is downloaded",
+    )
+    identify.set_defaults(run=_identify.run)
+    effects = commands.add_parser("effects", help="list the library of effects")
+    effects.set_defaults(run=_effects)
+    datasets = commands.add_parser("datasets", help="list the measured sets")
+    datasets.set_defaults(run=_datasets)
+    return parser
+
+
+def _effects(arguments):
+    from tabulate import tabulate
+
+    from sklearn_vbjfa.effects import resolve
+
+    rows = []
+    for effect in resolve("all"):
+        summary = (type(effect).__doc__ or "").strip().splitlines()[0]
+        rows.append([effect.name, summary.rstrip("."), effect.visible])
+    print(
+        tabulate(
+            rows,
+            headers=["name", "effect", "shows if the recording has"],
+            maxcolwidths=[None, 46, 34],
+        )
+    )
+
+
+def _datasets(arguments):
+    from tabulate import tabulate
+
+    from sklearn_vbjfa.datasets._protocols import protocols
+
+    rows = []
+    for name, protocol in protocols().items():
+        summary = (protocol.load.__doc__ or "").strip().splitlines()[0]
+        rows.append([name, summary])
+    print(tabulate(rows, headers=["name", "recording"]))

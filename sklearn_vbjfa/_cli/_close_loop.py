@@ -1,0 +1,151 @@
+"""The command ``close-loop``: what a robot's model lacks, and files that say it."""
+
+import csv
+import json
+import os
+import tempfile
+import warnings
+from pathlib import Path
+
+from sklearn_vbjfa._cli._identify import say_warnings
+
+
+def add_to(commands):
+    """Add the command to a parser."""
+    parser = commands.add_parser(
+        "close-loop",
+        help="find what the model of your robot lacks",
+        description="Identify a robot from a recording, find effects that its model "
+        "lacks, add them, and report the error before and after on the last part of "
+        "the recording. Writes report.html, report.json, parameters.csv and "
+        "identified.urdf.",
+    )
+    parser.add_argument(
+        "recording",
+        metavar="RECORDING",
+        help="CSV, npz or parquet file with columns q1..qn [rad or m] and "
+        "tau1..taun [N m or N], and t [s] and segment where there are any",
+    )
+    parser.add_argument("--urdf", required=True, help="description of the robot")
+    parser.add_argument(
+        "--dt", type=float, default=None, metavar="S", help="sample period [s]"
+    )
+    parser.add_argument(
+        "--out",
+        default=None,
+        metavar="DIR",
+        help="folder for the files; by default RECORDING's name with -report",
+    )
+    parser.add_argument(
+        "--friction",
+        default="viscous,coulomb",
+        metavar="NAMES",
+        help="friction of the declared model, by default viscous,coulomb",
+    )
+    parser.add_argument(
+        "--effects",
+        default="all",
+        metavar="NAMES",
+        help="effects to look for, by default all; see the command effects",
+    )
+    parser.add_argument(
+        "--cutoff",
+        type=float,
+        default=None,
+        metavar="HZ",
+        help="low-pass of torques and regressors; by default from the motion",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="seed of the bootstrap")
+    parser.set_defaults(run=run)
+
+
+def run(arguments):
+    """Close the loop on a user's recording and write the files."""
+    from sklearn_vbjfa.datasets import read_recording
+
+    urdf = Path(arguments.urdf)
+    if not urdf.is_file():
+        raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
+    source = Path(arguments.recording)
+    out = Path(arguments.out or f"{source.with_suffix('').name}-report")
+    if out.exists() and not out.is_dir():
+        raise ValueError(f"{out} is a file; --out must name a folder.")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_recording(source, dt=arguments.dt, urdf=str(urdf))
+        loop = _close(
+            recording,
+            str(urdf),
+            friction=_names(arguments.friction),
+            effects="all" if arguments.effects == "all" else _names(arguments.effects),
+            cutoff=arguments.cutoff or "auto",
+            seed=arguments.seed,
+        )
+    print(loop.report_)
+    written = _write(loop, out)
+    print(f"\nwritten: {', '.join(str(path) for path in written)}")
+    say_warnings(caught)
+
+
+def run_demo(arguments):
+    """Close the loop on the recording that comes with the package."""
+    from sklearn_vbjfa.datasets import load_demo_recording
+
+    recording = load_demo_recording()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        loop = _close(recording, recording.urdf, friction=("viscous", "coulomb"))
+    print(recording)
+    print(loop.report_)
+    say_warnings(caught)
+
+
+def _names(text):
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _close(recording, urdf, *, friction, effects="all", cutoff="auto", seed=0):
+    from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+
+    identifier = RobotIdentifier(
+        urdf, dt=recording.dt, friction=friction, cutoff=cutoff
+    )
+    loop = EffectDiscovery(identifier, effects=effects, random_state=seed, verbose=True)
+    return loop.fit(recording.q, recording.tau, groups=recording.groups)
+
+
+def _write(loop, out):
+    """Write all files, each at once: none is ever half there."""
+    out.mkdir(parents=True, exist_ok=True)
+    report = loop.report_
+    texts = {
+        "report.html": report.to_html(),
+        "report.json": json.dumps(report.to_dict(), indent=1, allow_nan=False),
+    }
+    written = []
+    with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
+        for name, text in texts.items():
+            Path(folder, name).write_text(text, encoding="utf-8")
+        _write_parameters(loop.identifier_, Path(folder, "parameters.csv"))
+        loop.identifier_.to_urdf(Path(folder, "identified.urdf"))
+        for name in (*texts, "parameters.csv", "identified.urdf"):
+            os.replace(Path(folder, name), out / name)
+            written.append(out / name)
+    return written
+
+
+def _write_parameters(robot, path):
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(["parameter", "value", "unit", "std", "identifiable"])
+        for row in zip(
+            robot.parameter_names_,
+            robot.theta_,
+            robot.parameter_units_,
+            robot.theta_std_,
+            robot.identifiable_,
+        ):
+            name, value, unit, std, known = row
+            table.writerow(
+                [name, repr(float(value)), unit, repr(float(std)), int(known)]
+            )

@@ -1,0 +1,76 @@
+"""What the search for effects tries, and what it does."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis._evidence import Evidence
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """An effect that was tried.
+
+    Attributes
+    ----------
+    effect : Effect
+        With the best shape parameters.
+    evidence : Evidence
+        Against the model without it.
+    squares : ndarray of shape (n_blocks, nv)
+        Squared out-of-sample residuals with it.
+    coef : ndarray of shape (k,)
+        Its coefficients.
+    outside : float
+        Share of its columns' power outside the span of the model's.
+    """
+
+    effect: object
+    evidence: Evidence
+    squares: np.ndarray
+    coef: np.ndarray
+    outside: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Step:
+    """One round of the search.
+
+    Attributes
+    ----------
+    action : {"add", "replace", "drop", "refuse"}
+        What was done; what does not hold on later data is refused.
+    effect : Effect
+        What was added or dropped.
+    replaced : Effect or None
+        What it replaced.
+    evidence : Evidence
+        Why.
+    rivals : tuple of Candidate
+        Others that the data cannot tell from it.
+    tried : tuple of Candidate
+        All candidates of the joint that beat chance, best first.
+    squares_before, squares_after : ndarray of shape (nv,)
+        Sums of squared out-of-sample residuals.
+    """
+
+    action: str
+    effect: object
+    replaced: object
+    evidence: Evidence
+    rivals: tuple
+    tried: tuple
+    squares_before: np.ndarray
+    squares_after: np.ndarray
+
+
+def closure(effect, library):
+    """Names of all effects that an effect contains, directly or not."""
+    by_name = {e.name: e for e in library}
+    found, open_ = set(), list(effect.contains)
+    while open_:
+        name = open_.pop()
+        if name not in found:
+            found.add(name)
+            open_ += by_name[name].contains if name in by_name else ()
+    return found

@@ -1,0 +1,309 @@
+import json
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.diagnosis import _report_words as words
+from sklearn_vbjfa.diagnosis._report import Report
+from sklearn_vbjfa.effects import Coulomb, available
+from tests.diagnosis._outcomes import make_effect, make_outcome, make_round
+
+SUCCESS = ("Nothing is missing", "what remains is")
+CASES = {
+    "clean": {"nv": 1, "n_effects": 0, "hidden": (), "channels": ()},
+    "one joint": {"nv": 1, "n_effects": 1},
+    "six joints": {"nv": 6, "n_effects": 2, "unexplained": (4,)},
+    "twelve joints": {"nv": 12, "n_effects": 20, "unexplained": (1, 4, 5, 6, 7)},
+    "thirty joints": {"nv": 30, "n_effects": 20, "unexplained": range(30)},
+    "long names": {
+        "nv": 7,
+        "n_effects": 7,
+        "unexplained": (0, 3),
+        "names": tuple(f"left\narm {'x' * 70} joint_{j}" for j in range(7)),
+    },
+    "no settings": {"settings": {}, "declared": {}, "curves": {}, "rounds": ()},
+}
+
+
+@pytest.fixture(params=CASES, name="outcome")
+def fixture_outcome(request):
+    return make_outcome(**CASES[request.param])
+
+
+def test_text_fits_a_terminal(outcome):
+    lines = str(Report(outcome)).splitlines()
+    assert len(lines) <= 25
+    assert max(map(len, lines)) <= 100
+    assert all(line == line.rstrip() for line in lines)
+    assert lines[0]
+
+
+def test_text_begins_with_the_verdict(outcome):
+    report = Report(outcome)
+    text = " ".join(str(report).split())
+    assert text.startswith(" ".join(report.verdict.split())[:100])
+
+
+def test_many_rounds_do_not_lengthen_the_text():
+    outcome = make_outcome()
+    step = make_round(outcome.effects[0], "refuse")
+    dropped = make_round(outcome.effects[1], "drop")
+    report = Report(make_outcome(rounds=(step, dropped) * 50))
+    assert len(str(report).splitlines()) <= 25
+    assert "Refused" in str(report)
+
+
+def test_what_is_left_out_is_counted():
+    text = str(Report(make_outcome(**CASES["twelve joints"])))
+    joints = re.search(r"\.\.\. and (\d+) more \(", text)
+    shown = len(re.findall(r"^joint \d+ ", text, re.M))
+    assert int(joints[1]) + shown == 12
+    effects = re.search(r"\.\.\. and (\d+) more on .*to_dict", text)
+    assert int(effects[1]) + len(re.findall("^- ", text, re.M)) == 20
+
+
+def test_an_effect_is_named_with_value_gain_and_rivals():
+    text = str(Report(make_outcome(nv=3, n_effects=1)))
+    line = next(x for x in text.splitlines() if x.startswith("- "))
+    assert line == (
+        "- joint 2: load-dependent friction, mu = 0.112 +- 0.011; saves 46 %, "
+        "p = 2e-9; rival presliding"
+    )
+
+
+def test_status():
+    def status(**changes):
+        return Report(make_outcome(**changes)).status
+
+    floor = make_outcome().floor
+    assert status(n_effects=0) == "nothing"
+    assert status(n_effects=2) == "complete"
+    assert status(n_effects=2, unexplained=(1,)) == "partial"
+    assert status(n_effects=0, unexplained=(1,)) == "exhausted"
+    assert status(floor=np.full(6, np.nan)) == "unknown"
+    double = {"error_before": 3 * floor, "error_after": 2 * floor}
+    assert status(**double, intervals={}) == "unsettled"
+    sure = {"after": np.array([1.9 * floor, 2.1 * floor])}
+    assert status(**double, intervals=sure) == "unsettled"
+    unsure = {"after": np.array([0.8 * floor, 3.0 * floor])}
+    assert status(**double, intervals=unsure) == "complete"
+    assert status(error_before=0.5 * floor, intervals={}) == "worse"
+    nothing = np.full(6, np.nan)
+    assert status(error_before=nothing, error_after=nothing) == "no data"
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"n_effects": 0, "unexplained": (2,)},
+        {"n_effects": 3, "unexplained": (2,)},
+        {"floor": np.full(6, np.nan)},
+        {"floor": np.r_[0.1, np.full(5, np.nan)]},
+        {"error_before": np.full(6, 0.01), "intervals": {}},
+        {"error_after": np.full(6, np.nan)},
+    ],
+)
+def test_success_is_never_claimed_while_something_is_open(changes):
+    report = Report(make_outcome(**changes))
+    for text in (str(report), report.to_markdown(), report.to_html(), report.verdict):
+        assert not any(claim in " ".join(text.split()) for claim in SUCCESS)
+    assert 'class="good"' not in report.to_html()
+
+
+def test_verdict_names_the_joints_that_stay_above_the_floor():
+    report = Report(make_outcome(n_effects=0, unexplained=(1, 4)))
+    assert "joints 2 and 5 stay above the noise floor" in report.verdict
+    named = make_outcome(
+        nv=2, n_effects=0, unexplained=(1,), names=("shoulder", "elbow")
+    )
+    assert "joint 2 (elbow) stays above" in Report(named).verdict
+
+
+def test_verdict_says_when_untouched_data_got_worse():
+    outcome = make_outcome(nv=2, n_effects=1)
+    sure = {"difference": np.array([[-0.1, 0.01], [0.1, 0.05]])}
+    before = 0.5 * outcome.error_after
+    report = Report(
+        make_outcome(nv=2, n_effects=1, intervals=sure, error_before=before)
+    )
+    assert report.status == "worse"
+    assert "joint 2 predicts untouched data worse" in report.verdict
+
+
+def test_a_little_worse_is_not_worse():
+    # A refit moves the errors of all joints a little, and paired blocks notice.
+    outcome = make_outcome(n_effects=1)
+    after = 1.01 * outcome.error_before
+    sure = {"difference": np.array([0.005, 0.015])[:, None] * outcome.error_before}
+    report = Report(make_outcome(n_effects=1, error_after=after, intervals=sure))
+    assert report.status != "worse"
+
+
+def test_dict_round_trip(outcome):
+    data = Report(outcome).to_dict()
+    text = json.dumps(data, allow_nan=False)
+    assert json.loads(text) == data
+    assert data["schema_version"] == 1
+    assert "curves" not in data
+    assert len(data["effects"]) == len(outcome.effects)
+    assert len(data["error_before"]) == len(outcome.joint_names)
+
+
+def test_dict_has_the_effect_and_no_nan():
+    effect = make_effect(0, 0, ("a",))
+    object.__setattr__(effect, "effect", Coulomb(joint=0))
+    values = {"floor": np.array([np.nan]), "effects": (effect,)}
+    data = Report(make_outcome(nv=1, **values)).to_dict()
+    assert data["floor"] == [None]
+    assert data["effects"][0]["effect"]["class"] == "Coulomb"
+    assert data["effects"][0]["effect"]["parameters"]["joint"] == 0
+
+
+class _Page(HTMLParser):
+    VOID = frozenset({"meta", "br"})
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.seen, self.attributes = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append(tag)
+        self.attributes += attrs
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def parsed(html):
+    page = _Page()
+    page.feed(html)
+    page.close()
+    return page
+
+
+def test_page_is_whole_and_loads_nothing(outcome):
+    html = Report(outcome).to_html()
+    page = parsed(html)
+    assert page.open == []
+    assert "script" not in page.seen
+    assert not {"src", "href", "srcset"} & {name for name, _ in page.attributes}
+    assert "url(" not in html
+    assert "@import" not in html
+    assert "http" not in html
+    assert "prefers-color-scheme" in html
+
+
+def test_page_shows_every_joint_and_effect():
+    outcome = make_outcome(**CASES["twelve joints"])
+    html = Report(outcome).to_html()
+    assert html.count('class="joint"') == 12
+    assert html.count("<svg ") == 12
+    assert html.index("<h1>") < html.index('class="joint"')
+    assert len(html) < 400_000
+
+
+def test_page_escapes_what_it_is_given():
+    bad = '<script>alert("x")</script>'
+    outcome = make_outcome(
+        nv=1,
+        names=(bad,),
+        channels=(bad,),
+        declared={"robot": bad},
+        settings={"effects": (bad,), "versions": {bad: bad}},
+    )
+    for html in (Report(outcome).to_html(), Report(outcome)._repr_html_()):
+        assert "<script" not in html
+        assert "&lt;script&gt;" in html
+
+
+def test_notebook_shows_the_same_without_a_document():
+    html = Report(make_outcome())._repr_html_()
+    assert "<html" not in html
+    assert "<body" not in html
+    assert parsed(html).open == []
+    # The style must not reach the notebook's own elements.
+    style = re.search(r"<style>(.*?)</style>", html, re.DOTALL)[1]
+    rules = re.findall(r"(?:^|[{}])\s*([^{}@]+)\{", style)
+    selectors = [x.strip() for rule in rules for x in rule.split(",")]
+    assert selectors
+    assert all(x.startswith(".vbjfa") for x in selectors), selectors
+
+
+def test_markdown_tables_are_rectangular(outcome):
+    text = Report(outcome).to_markdown()
+    assert text.startswith("# ")
+    widths = []
+    for line in text.splitlines():
+        if line.startswith("|"):
+            widths.append(len(re.findall(r"(?<!\\)\|", line)))
+        elif widths:
+            assert len(set(widths)) == 1
+            widths = []
+
+
+def test_markdown_escapes_table_borders():
+    text = Report(make_outcome(nv=1, names=("a|b",))).to_markdown()
+    assert "a\\|b" in text
+
+
+def test_repr_is_short():
+    text = repr(Report(make_outcome()))
+    assert len(text) < 100
+    assert "\n" not in text
+
+
+def test_next_recording_is_named():
+    text = str(Report(make_outcome(nv=2, n_effects=0, unexplained=(1,))))
+    assert "Record next: slow and fast motion (joint 2)" in text
+    assert "cannot show counterbalance" in text
+
+
+def test_every_effect_has_a_plain_name_and_a_remedy():
+    for name in available():
+        assert name in words.PLAIN_NAMES
+        assert words.record_for(name)
+
+
+@pytest.mark.parametrize(
+    ("value", "interval", "unit", "expected"),
+    [
+        (0.1123, (0.1023, 0.1223), "", "0.112 +- 0.010"),
+        (0.1123, (0.08, 0.14), "", "0.11 +- 0.03"),
+        (13.0145, (12.683, 13.346), "N m", "13.0 +- 0.3 N m"),
+        (1234.5, (1000.0, 1469.0), "N", "1200 +- 200 N"),
+        (2e-7, (1.8e-7, 2.2e-7), "", "(2.0 +- 0.2)e-7"),
+        (0.5, None, "s", "0.5 s"),
+        (0.5, (0.5, 0.5), "s", "0.5 s"),
+        (np.nan, (0.0, 1.0), "s", "? s"),
+    ],
+)
+def test_values_are_rounded_to_what_the_interval_means(value, interval, unit, expected):
+    assert words.with_error(value, interval, unit) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(0, "0"), (250.0, "250"), (0.00012, "0.00012"), (3.2e-9, "3.2e-9"), (1e7, "1e7")],
+)
+def test_numbers_are_short(value, expected):
+    assert words.number(value) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("joint2", "joint 2"),
+        ("joint_2", "joint 2"),
+        ("joint1", "joint1"),
+        ("panda_joint2", "panda_joint2"),
+        ("elbow", "joint 2 (elbow)"),
+        ("2", "joint 2"),
+        ("", "joint 2"),
+    ],
+)
+def test_joints_are_counted_from_one_or_named(name, expected):
+    assert words.joint_label(("first", name), 1) == expected

@@ -1,0 +1,1 @@
+"""Tests of the effects that a rigid-body model may lack."""

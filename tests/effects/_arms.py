@@ -1,0 +1,97 @@
+"""Small arms, motions and torques, made without the package."""
+
+import numpy as np
+
+
+def arm(axes="ZYX", gravity=9.81):
+    """Make a serial arm; X, Y, Z are revolute joints and x, y, z sliders."""
+    import pinocchio as pin
+
+    rng = np.random.default_rng(5)
+    model = pin.Model()
+    model.name = "arm"
+    model.gravity.linear = np.array([0.0, 0.0, -gravity])
+    parent = 0
+    for j, axis in enumerate(axes):
+        kind = "P" if axis.islower() else "R"
+        joint = getattr(pin, f"JointModel{kind}{axis.upper()}")()
+        shift = np.array([0.05, 0.0, 0.3 if j else 0.0])
+        name = f"joint_{j + 1}"
+        parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), shift), name)
+        centre = np.array([0.12, 0.03, 0.15]) + 0.02 * rng.normal(size=3)
+        box = pin.Inertia.FromBox(4.0 - j, 0.1, 0.15, 0.3)
+        model.inertias[parent] = pin.SE3(np.eye(3), centre).act(box)
+    return model
+
+
+def motion(nv, duration=20.0, dt=0.01, seed=0, size=1.0, top=0.9):
+    """Make sums of sines: time (n,), states [q | v | a] (n, 3 nv)."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(0.0, duration - 0.5 * dt, dt)
+    q, v, a = (np.zeros((t.size, nv)) for _ in range(3))
+    for j in range(nv):
+        for f in rng.uniform(0.1, top, size=5):
+            w = 2 * np.pi * f
+            amplitude = size * 0.25 / np.sqrt(f)
+            phase = rng.uniform(0, 2 * np.pi)
+            q[:, j] += amplitude * np.sin(w * t + phase)
+            v[:, j] += amplitude * w * np.cos(w * t + phase)
+            a[:, j] -= amplitude * w**2 * np.sin(w * t + phase)
+    return t, np.hstack([q, v, a])
+
+
+def inverse_dynamics(model, states):
+    """Torques of the rigid bodies, row by row."""
+    import pinocchio as pin
+
+    data = model.createData()
+    return np.array(
+        [pin.rnea(model, data, *row.reshape(3, model.nv)) for row in states]
+    )
+
+
+def with_changed_body(model, delta):
+    """Copy whose last body has other inertial parameters, by delta (10,)."""
+    import pinocchio as pin
+
+    other = model.copy()
+    theta = other.inertias[model.njoints - 1].toDynamicParameters() + delta
+    other.inertias[model.njoints - 1] = pin.Inertia.FromDynamicParameters(theta)
+    return other
+
+
+def last_body_regressor(model, states):
+    """Regressor of the last body's ten parameters, (n, nv, 10)."""
+    import pinocchio as pin
+
+    data = model.createData()
+    return np.array(
+        [
+            pin.computeJointTorqueRegressor(model, data, *row.reshape(3, model.nv))[
+                :, -10:
+            ]
+            for row in states
+        ]
+    )
+
+
+def dahl_in_small_steps(q, displacement, substeps=200):
+    """Dahl's equation by the midpoint rule between the samples."""
+    z = np.zeros(q.size)
+    for i in range(1, q.size):
+        way, step = np.sign(q[i] - q[i - 1]), abs(q[i] - q[i - 1])
+        h, x = step / substeps / displacement, z[i - 1]
+        for _ in range(substeps if step else 0):
+            half = x + 0.5 * h * (way - x)
+            x += h * (way - half)
+        z[i] = x
+    return z
+
+
+def play_sample_by_sample(q, width):
+    """Play operator as it is defined."""
+    out = np.empty(q.size)
+    out[0] = q[0]
+    for i in range(1, q.size):
+        out[i] = min(max(out[i - 1], q[i] - width / 2), q[i] + width / 2)
+    return out

@@ -1,0 +1,636 @@
+"""Columns of the effects against closed forms and literal loops."""
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.base import clone
+from sklearn.pipeline import make_union
+
+from sklearn_vbjfa import effects
+from sklearn_vbjfa.effects import Effect, Motion
+from sklearn_vbjfa.effects._hysteresis import dahl, play
+from tests.effects._arms import (
+    arm,
+    dahl_in_small_steps,
+    inverse_dynamics,
+    last_body_regressor,
+    motion,
+    play_sample_by_sample,
+    with_changed_body,
+)
+
+NAMES = (
+    "viscous",
+    "coulomb",
+    "asymmetric_friction",
+    "stribeck",
+    "viscous_quadratic",
+    "load_friction",
+    "presliding",
+    "backlash",
+    "offset",
+    "spring",
+    "counterbalance",
+    "ripple",
+    "rotor_inertia",
+    "coupling",
+    "elastic",
+    "delay",
+    "drift",
+    "payload",
+)
+# Two joints: q1 q2 v1 v2 a1 a2
+T, X = motion(2, duration=6.0, seed=3)
+Q, V, A = np.split(X, 3, axis=1)
+LOAD = np.column_stack([3 * np.sin(2 * T) - 1, 2 * np.cos(3 * T)])
+
+
+def library_effect(name, joint=0):
+    (effect,) = effects.resolve(name)
+    if name == "payload":
+        joint = 1
+    return effect.set_params(joint=joint)
+
+
+def signals(prismatic=(False, False), scale=1.0, **changed):
+    """Motion of two joints with all signals."""
+    model = arm("ZY")
+    return Motion(
+        **{
+            "q": scale * Q,
+            "v": scale * V,
+            "a": scale * A,
+            "t": T,
+            "load": LOAD,
+            "prismatic": np.array(prismatic),
+            "rigid": lambda q, v, a: inverse_dynamics(model, np.hstack([q, v, a])),
+            "last_body": lambda: last_body_regressor(model, X),
+            "bandwidth": 5.0,
+            **changed,
+        }
+    )
+
+
+def transform(effect, **given):
+    given = {"t": T, "load": LOAD, **given}
+    return effect.fit(X).transform(X, **given)
+
+
+# -- the library
+
+
+def test_the_library_holds_the_eighteen():
+    assert effects.available() == NAMES
+    everything = effects.resolve("all")
+    assert tuple(e.name for e in everything) == NAMES
+    assert {type(e).__name__ for e in everything} <= set(effects.__all__)
+
+
+def test_plain_effects_come_before_those_that_contain_them():
+    for i, effect in enumerate(effects.resolve("all")):
+        assert set(effect.contains) <= set(NAMES)
+        assert effect.name not in effect.contains
+        for name in effect.contains:
+            inner = effects.resolve(name)[0]
+            assert len(inner.contains) < len(effect.contains) + 1
+            assert effect.name not in inner.contains
+        assert effects.available().index(effect.name) == i
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_numbers_of_coefficients_units_and_columns_agree(name):
+    effect = library_effect(name)
+    k = len(effect.coefficients)
+    assert k == len(effect.units) == len(set(effect.coefficients))
+    assert all(len(pair) == 2 for pair in effect.units)
+    columns = effect.columns(signals())
+    assert columns.shape == ((T.size, 2, k) if effect.whole_robot else (T.size, k))
+    assert np.isfinite(columns).all()
+    assert list(effect.get_feature_names_out()) == [
+        f"joint {effect.joint + 1}:{name}:{c}" for c in effect.coefficients
+    ]
+    assert set(effect.continuous) <= set(effect.get_params())
+    assert effect.complexity == k + len(effect.continuous)
+    assert set(effect.needs) <= {"time", "load"}
+    assert effect.visible
+
+
+@pytest.mark.parametrize("prismatic", [False, True])
+@pytest.mark.parametrize("name", NAMES)
+def test_parameters_have_units(name, prismatic):
+    effect = library_effect(name)
+    values = effect.parameters(np.linspace(0.5, 1.0, len(effect.coefficients)))
+    units = effect.parameter_units(prismatic)
+    assert all(isinstance(value, float) for value in values.values())
+    assert set(values) | set(effect.continuous) <= set(units)
+    assert "rad" not in " ".join(
+        unit for key, unit in units.items() if prismatic and key != "phase"
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_scikit_learn_contract(name):
+    effect = library_effect(name)
+    twin = clone(effect)
+    assert twin is not effect
+    assert twin.get_params() == effect.get_params()
+    assert set(effect.shape()) == set(effect.get_params()) - {"joint"}
+    assert effect.set_params(joint=1) is effect
+    assert effect.joint == 1
+    assert repr(effect).startswith(type(effect).__name__)
+    again = pickle.loads(pickle.dumps(effect))
+    assert again.get_params() == effect.get_params()
+    assert effect.fit(X) is effect
+    assert effect.n_features_in_ == 6
+    for shape in effect.shapes(signals())[:2]:
+        assert clone(effect).set_params(**shape).shape() == effect.shape() | shape
+
+
+def test_effects_unite_into_a_matrix():
+    union = make_union(effects.Coulomb(joint=1), effects.Spring(joint=0))
+    columns = union.fit_transform(X)
+    assert_array_equal(columns, np.column_stack([np.sign(V[:, 1]), Q[:, 0], 1 + 0 * T]))
+
+
+def test_names_classes_and_instances_are_resolved():
+    own = effects.Ripple(period=0.3)
+    found = effects.resolve(["coulomb", effects.Spring, own])
+    assert [e.name for e in found] == ["coulomb", "spring", "ripple"]
+    assert found[2] is not own
+    assert found[2].period == 0.3
+    assert effects.resolve("offset")[0].name == "offset"
+    assert effects.resolve(own)[0].period == 0.3
+    assert effects.resolve(effects.Offset)[0].name == "offset"
+    assert effects.resolve(()) == ()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("stiction", "Unknown effect 'stiction'; expected one of viscous, coulomb"),
+        (["coulomb", "all"], "Unknown effect 'all'"),
+        (["coulomb", effects.Coulomb(joint=1)], "effects names coulomb twice"),
+        ([3.0], r"names of the library, classes or instances of Effect; got 3\.0"),
+        ([int], "classes or instances of Effect"),
+    ],
+)
+def test_unknown_effects_are_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        effects.resolve(given)
+
+
+# -- columns
+
+
+def closed_forms():
+    """Effect on the second joint, and its columns by hand."""
+    q, v, a, load = Q[:, 1], V[:, 1], A[:, 1], LOAD[:, 1]
+    w = V[:, 0]
+    one = np.ones_like(q)
+    sign = np.where(v > 0, 1.0, np.where(v < 0, -1.0, 0.0))
+    lagged = np.array([np.interp(max(s - 0.034, 0.0), T, load) for s in T])
+    return {
+        "viscous": ({}, [v]),
+        "coulomb": ({}, [sign]),
+        "coulomb smooth": ({"smoothing": 0.2}, [1 - 2 / (np.exp(2 * v / 0.2) + 1)]),
+        "asymmetric_friction": ({}, [one, v * sign]),
+        "stribeck": ({"vs": 0.3}, [sign * np.exp(-v * sign / 0.3)]),
+        "stribeck square": (
+            {"vs": 0.3, "k": 2},
+            [sign * np.exp(-(v**2) / 0.09)],
+        ),
+        "viscous_quadratic": ({}, [sign * v**2]),
+        "load_friction": ({}, [np.sqrt(load**2) * sign]),
+        "load_friction smooth": (
+            {"smoothing": 0.1},
+            [np.sqrt(load**2) * (1 - 2 / (np.exp(2 * v / 0.1) + 1))],
+        ),
+        "backlash": ({"width": 0.07}, [play_sample_by_sample(q, 0.07), one]),
+        "offset": ({}, [one]),
+        "spring": ({}, [q, one]),
+        "counterbalance": (
+            {},
+            [
+                np.cos(q),
+                np.sin(q),
+                np.cos(q) ** 2 - np.sin(q) ** 2,
+                2 * np.sin(q) * np.cos(q),
+                one,
+            ],
+        ),
+        "ripple": (
+            {"period": 0.4},
+            [
+                np.exp(2j * np.pi * q / 0.4).real,
+                np.exp(2j * np.pi * q / 0.4).imag,
+            ],
+        ),
+        "rotor_inertia": ({}, [a]),
+        "coupling": ({"other": 0}, [w, np.sign(w), A[:, 0]]),
+        "coupling sum": (
+            {"other": 0, "of": "sum"},
+            [w + v, np.sign(w + v), A[:, 0] + a],
+        ),
+        "coupling difference": (
+            {"other": 0, "of": "difference"},
+            [w - v, np.sign(w - v), A[:, 0] - a],
+        ),
+        "delay": ({"delay": 0.034}, [(lagged - load) / 0.034]),
+        "drift": ({"time_constant": 7.0}, [sign * np.exp(-T / 7)]),
+        "drift offset": (
+            {"of": "offset", "time_constant": 7.0},
+            [np.exp(-T / 7)],
+        ),
+        "drift viscous": (
+            {"of": "viscous", "time_constant": 7.0},
+            [v * np.exp(-T / 7)],
+        ),
+    }
+
+
+@pytest.mark.parametrize("case", closed_forms())
+def test_columns_are_what_the_formula_says(case):
+    parameters, expected = closed_forms()[case]
+    effect = library_effect(case.split()[0], joint=1).set_params(**parameters)
+    assert_allclose(transform(effect), np.column_stack(expected), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("samples", [1, 7, 30])
+def test_delay_by_whole_samples_shifts_the_torque(samples):
+    shift = samples * 0.01
+    effect = effects.Delay(joint=0, delay=shift)
+    columns = transform(effect)[:, 0] * shift + LOAD[:, 0]
+    assert_allclose(columns[samples:], LOAD[:-samples, 0], atol=1e-12)
+    early = transform(clone(effect).set_params(delay=-shift))[:, 0] * -shift
+    assert_allclose((early + LOAD[:, 0])[:-samples], LOAD[samples:, 0], atol=1e-12)
+
+
+def test_delay_shifts_the_whole_torque_where_it_is_known():
+    torque = LOAD + np.sin(9 * T)[:, None]
+    columns = effects.Delay(delay=0.01).columns(signals(torque=torque))[:, 0]
+    assert_allclose(columns[1:] * 0.01, torque[:-1, 0] - torque[1:, 0], atol=1e-12)
+
+
+def test_dahl_is_the_differential_equation():
+    q = Q[:250, 0]
+    column = effects.Presliding(displacement=0.04).fit_transform(X[:250])[:, 0]
+    assert_allclose(column, dahl_in_small_steps(q, 0.04, 50), atol=1e-4)
+    assert np.abs(column).max() <= 1.0
+    assert np.ptp(column) > 0.5
+
+
+def test_dahl_keeps_still_where_the_joint_does():
+    q = np.r_[np.linspace(0, 0.1, 30), np.full(20, 0.1), np.linspace(0.1, 0.05, 30)]
+    z = dahl(q, 0.02)
+    assert_array_equal(z[29:50], z[29])
+    assert_allclose(z, dahl_in_small_steps(q, 0.02), atol=1e-5)
+
+
+walks = st.lists(st.integers(-40, 40), min_size=2, max_size=40).map(
+    lambda steps: np.cumsum(steps) / 32.0
+)
+
+
+@settings(deadline=None, max_examples=60)
+@given(q=walks, displacement=st.sampled_from([0.25, 1.0, 4.0]))
+def test_dahl_on_any_walk(q, displacement):
+    assert_allclose(
+        dahl(q, displacement), dahl_in_small_steps(q, displacement), atol=1e-3
+    )
+    assert_allclose(dahl(-q, displacement), -dahl(q, displacement))
+
+
+@settings(deadline=None, max_examples=100)
+@given(q=walks, width=st.sampled_from([0.0, 0.125, 1.0, 3.0]))
+def test_play_on_any_walk(q, width):
+    p = play(q, width)
+    assert_allclose(p, play_sample_by_sample(q, width), atol=1e-12)
+    assert np.all(np.abs(p - q) <= 0.5 * width + 1e-12)
+    # twice the same play is the play of twice the width
+    assert_allclose(play(p, width), play(q, 2 * width), atol=1e-12)
+
+
+@settings(deadline=None, max_examples=50)
+@given(q=walks, repeats=st.integers(2, 4))
+def test_hysteresis_does_not_depend_on_the_speed(q, repeats):
+    """More samples of the same path change nothing."""
+    knots = np.arange(q.size)
+    fine = np.interp(np.arange(0, q.size - 1 + 1e-9, 1 / repeats), knots, q)
+    assert_allclose(dahl(fine, 0.5)[::repeats], dahl(q, 0.5), atol=1e-9)
+    assert_allclose(play(fine, 0.5)[::repeats], play(q, 0.5), atol=1e-9)
+
+
+def test_elastic_is_the_derivative_by_the_compliance():
+    """Against the analytic derivatives of inverse dynamics, and a wide difference."""
+    pin = pytest.importorskip("pinocchio")
+    model = arm("ZYX")
+    t, states = motion(3, duration=4.0, dt=0.005, seed=8)
+    w = np.array([2.0, 3.0, 5.0])
+    load = 4 * np.sin(np.outer(t, w))
+    j = 1
+    moved = Motion(
+        q=states[:, :3],
+        v=states[:, 3:6],
+        a=states[:, 6:],
+        t=t,
+        load=load,
+        rigid=lambda q, v, a: inverse_dynamics(model, np.hstack([q, v, a])),
+    )
+    columns = effects.Elastic(joint=j).columns(moved)
+    assert columns.shape == (t.size, 3, 1)
+    rate = 4 * w[j] * np.cos(w[j] * t)
+    curve = -(w[j] ** 2) * load[:, j]
+    data = model.createData()
+    inside = np.arange(10, t.size - 10, 7)
+    expected, wide = [], []
+    for i in inside:
+        pin.computeRNEADerivatives(model, data, *states[i].reshape(3, 3))
+        M = data.M + np.triu(data.M, 1).T - np.tril(data.M, -1)
+        expected.append(
+            -data.dtau_dq[:, j] * load[i, j]
+            - data.dtau_dv[:, j] * rate[i]
+            - M[:, j] * curve[i]
+        )
+        k, row = 2e4, states[i].copy()
+        row[[j, 3 + j, 6 + j]] -= np.array([load[i, j], rate[i], curve[i]]) / k
+        wide.append(k * np.subtract(*inverse_dynamics(model, [row, states[i]])))
+    size = np.abs(expected).max()
+    assert_allclose(columns[inside, :, 0], expected, atol=2e-3 * size)
+    assert_allclose(columns[inside, :, 0], wide, atol=5e-3 * size)
+
+
+def test_payload_is_the_torque_of_a_changed_body():
+    pytest.importorskip("pinocchio")
+    model = arm("ZY")
+    delta = np.r_[0.7, 0.02, -0.05, 0.1, np.zeros(6)]
+    heavier = with_changed_body(model, delta)
+    added = inverse_dynamics(heavier, X) - inverse_dynamics(model, X)
+    effect = effects.Payload(joint=1, instant=2.5)
+    columns = effect.columns(signals())
+    assert_allclose(columns @ delta[:4], added * (T > 2.5)[:, None], atol=1e-9)
+
+
+# -- recordings
+
+
+def recordings_of(effect):
+    """Columns of two recordings together, and of each alone."""
+    half = T.size // 2
+    groups = np.r_[np.zeros(half), np.ones(T.size - half)]
+    effect = effect.fit(X)
+    together = effect.transform(X, t=T, load=LOAD, groups=groups)
+    parts = [
+        effect.transform(X[part], t=T[part], load=LOAD[part])
+        for part in (slice(0, half), slice(half, None))
+    ]
+    return together, np.concatenate(parts), effect.transform(X, t=T, load=LOAD)
+
+
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in ("elastic", "payload")])
+def test_nothing_is_remembered_across_recordings(name):
+    effect = library_effect(name)
+    if name in ("delay", "presliding", "backlash"):
+        (shape,) = effect.continuous
+        effect.set_params(**{shape: 0.2})
+    together, apart, one = recordings_of(effect)
+    assert_array_equal(together, apart)
+    memory = name in ("delay", "presliding", "backlash")
+    assert np.array_equal(together, one) != memory
+
+
+def test_elastic_does_not_differentiate_across_recordings():
+    half = T.size // 2
+    jump = LOAD + np.where(np.arange(T.size) < half, 0.0, 100.0)[:, None]
+    parts = (slice(0, half), slice(half, T.size))
+    both = signals(load=jump, parts=parts)
+    assert np.abs(both.derivative(jump)).max() < 20
+    first = signals(load=jump).derivative(jump)
+    assert np.abs(first).max() > 1000
+
+
+# -- shapes
+
+
+def test_most_effects_have_one_shape_and_the_others_say_which():
+    for effect in effects.resolve("all"):
+        shapes = clone(effect).set_params(joint=1).shapes(signals())
+        searched = {key for shape in shapes for key in shape}
+        assert searched <= set(effect.shape())
+        assert (searched == set()) == (shapes == [{}])
+        assert set(effect.continuous) <= searched
+        assert len({tuple(sorted(s.items())) for s in shapes}) == len(shapes)
+
+
+def test_shapes_stay_within_the_motion():
+    now = signals()
+    reach, fast = np.ptp(Q[:, 0]), np.quantile(np.abs(V[:, 0]), 0.995)
+
+    def values(name, key):
+        effect = library_effect(name)
+        return np.array([s[key] for s in effect.shapes(now)])
+
+    for name in ("coulomb", "load_friction"):
+        assert values(name, "smoothing").min() == 0
+        assert values(name, "smoothing").max() < 0.5 * fast
+    assert 0 < values("stribeck", "vs").min()
+    assert values("stribeck", "vs").max() < fast
+    assert set(values("stribeck", "k")) == {1, 2}
+    assert 0 < values("presliding", "displacement").min()
+    assert values("presliding", "displacement").max() < reach / 4
+    assert 0 < values("backlash", "width").min()
+    assert values("backlash", "width").max() < reach / 2
+    assert reach / 100 < values("ripple", "period").min()
+    assert values("ripple", "period").max() < reach / 2
+    assert np.abs(values("delay", "delay")).max() <= 0.03
+    assert 0 < values("drift", "time_constant").min()
+    assert values("drift", "time_constant").max() <= 3.01 * np.ptp(T)
+    instants = values("payload", "instant")
+    assert T[0] < instants.min()
+    assert instants.max() < T[-1]
+
+
+def test_payload_may_change_between_recordings():
+    half = T.size // 2 - 7
+    parts = (slice(0, half), slice(half, T.size))
+    shapes = effects.Payload(joint=1).shapes(signals(parts=parts))
+    assert {"instant": T[half]} in shapes
+
+
+def test_coupling_tries_every_other_joint():
+    _, states = motion(3, duration=2.0)
+    three = Motion(q=states[:, :3], v=states[:, 3:6], a=states[:, 6:])
+    found = {(s["other"], s["of"]) for s in effects.Coupling(joint=1).shapes(three)}
+    assert found == {
+        (other, of) for other in (0, 2) for of in ("other", "sum", "difference")
+    }
+    mixed = Motion(
+        q=states[:, :3],
+        v=states[:, 3:6],
+        a=states[:, 6:],
+        prismatic=np.array([True, False, False]),
+    )
+    found = {(s["other"], s["of"]) for s in effects.Coupling(joint=1).shapes(mixed)}
+    assert (0, "other") in found
+    assert (0, "sum") not in found
+
+
+def test_a_joint_that_does_not_move_has_no_ripple():
+    still = signals(q=0 * Q, v=0 * V, a=0 * A)
+    assert effects.Ripple().shapes(still) == []
+
+
+SCALED = [n for n in NAMES if n not in ("counterbalance", "elastic", "payload")]
+
+
+@pytest.mark.parametrize("name", SCALED)
+def test_millimetres_give_the_same_columns(name):
+    """Shapes follow the unit of a prismatic joint, columns but for a factor."""
+    metres = signals((True, True))
+    millimetres = signals((True, True), scale=1000.0)
+    effect = library_effect(name)
+    one, other = effect.shapes(metres), effect.shapes(millimetres)
+    assert len(one) == len(other) > 0
+    for here, there in zip(one, other):
+        a = clone(effect).set_params(**here).columns(metres)
+        b = clone(effect).set_params(**there).columns(millimetres)
+        a, b = (x / np.sqrt(np.mean(x**2, axis=0)) for x in (a, b))
+        assert_allclose(a, b, atol=1e-6)
+
+
+@settings(deadline=None, max_examples=25)
+@given(factor=st.floats(1e-3, 1e3), name=st.sampled_from(["stribeck", "presliding"]))
+def test_shapes_scale_with_the_motion(factor, name):
+    effect = library_effect(name)
+    now, scaled = (effect.shapes(signals((True, True), s)) for s in (1.0, factor))
+    key = effect.continuous[0]
+    assert_allclose([s[key] for s in scaled], [factor * s[key] for s in now])
+
+
+# -- parameters
+
+
+def test_parameters_mean_what_they_are_called():
+    assert effects.Spring().parameters([4.0, -2.0]) == {"k": 4.0, "q0": 0.5}
+    assert np.isnan(effects.Spring().parameters([0.0, 1.0])["q0"])
+    ripple = effects.Ripple(period=0.3).parameters([3 * np.cos(0.7), 3 * np.sin(0.7)])
+    assert ripple["A"] == pytest.approx(3.0)
+    assert ripple["phase"] == pytest.approx(0.7)
+    q = np.linspace(-1, 1, 50)
+    columns = effects.Ripple(period=0.3).fit_transform(np.c_[q, q, q])
+    assert_allclose(
+        columns @ [3 * np.cos(0.7), 3 * np.sin(0.7)],
+        3 * np.cos(2 * np.pi * q / 0.3 - 0.7),
+        atol=1e-12,
+    )
+    assert effects.Elastic().parameters([0.0])["k"] == np.inf
+    assert effects.Delay().parameters([0.004]) == {"delay": 0.004}
+    assert effects.Drift(of="viscous").parameter_units()["D"] == "N m s/rad"
+    assert effects.Drift(of="viscous").parameter_units(True)["D"] == "N s/m"
+    assert effects.Drift().parameter_units()["D"] == "N m"
+
+
+def test_keys_tell_uses_apart_but_not_shapes():
+    assert effects.Stribeck(vs=0.1, k=1).key() == effects.Stribeck(vs=0.2, k=2).key()
+    assert effects.Drift(of="offset").key() != effects.Drift(of="coulomb").key()
+    assert effects.Coupling(other=1).key() != effects.Coupling(other=2).key()
+    assert effects.Coulomb(0).key() != effects.Coulomb(1).key()
+
+
+# -- what is missing
+
+
+@pytest.mark.parametrize("name", [e.name for e in effects.resolve("all") if e.needs])
+def test_missing_signals_are_named(name):
+    effect = library_effect(name)
+    for need in effect.needs:
+        given = {"t": T, "load": LOAD}
+        given.pop({"time": "t", "load": "load"}[need])
+        with pytest.raises(ValueError, match=f"{name} on joint . *: needs"):
+            effect.fit(X).transform(X, **given)
+
+
+@pytest.mark.parametrize("name", ["elastic", "payload"])
+def test_effects_of_the_bodies_ask_for_them(name):
+    with pytest.raises(ValueError, match="needs the rigid-body dynamics"):
+        transform(library_effect(name))
+
+
+def test_effects_say_where_they_cannot_be():
+    with pytest.raises(ValueError, match="there is only one joint"):
+        effects.Coupling().fit_transform(np.zeros((3, 3)))
+    slides = signals((True, False))
+    assert effects.Counterbalance(joint=0).applies(slides) != ""
+    assert effects.Counterbalance(joint=1).applies(slides) == ""
+    assert "last body" in effects.Payload(joint=0).applies(signals())
+    assert effects.Payload(joint=1).applies(signals()) == ""
+
+
+@pytest.mark.parametrize("joint", [2, -1])
+def test_wrong_joints_are_refused(joint):
+    with pytest.raises(ValueError, match=rf"joint must be one of 0 to 1.* got {joint}"):
+        effects.Viscous(joint=joint).fit(X)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"t": T[:-1]}, "t must hold one time per row"),
+        ({"load": LOAD[:, :1]}, r"load must have shape \(600, 2\)"),
+        (
+            {"groups": np.zeros(5)},
+            r"groups must hold one label per row, shape \(600,\)",
+        ),
+        ({"load": LOAD * np.nan}, "NaN"),
+    ],
+)
+def test_wrong_signals_are_refused(given, message):
+    with pytest.raises(ValueError, match=message):
+        transform(effects.LoadFriction(), **given)
+
+
+def test_wrong_states_are_refused():
+    with pytest.raises(ValueError, match="three columns a joint; got 5"):
+        effects.Viscous().fit(X[:, :5])
+    with pytest.raises(ValueError, match="NaN"):
+        effects.Viscous().fit(X * np.nan)
+
+
+@pytest.mark.parametrize(
+    "effect", [effects.Drift(of="inertia"), effects.Coupling(of="both")]
+)
+def test_unknown_settings_are_refused(effect):
+    with pytest.raises(ValueError, match="of must be one of"):
+        transform(effect)
+
+
+# -- an effect of one's own
+
+
+class Cubic(Effect):
+    """Cubic spring."""
+
+    name = "cubic"
+    coefficients = ("k3",)
+    units = (("N m/rad^3", "N/m^3"),)
+
+    def columns(self, motion):
+        return motion.q[:, [self.joint]] ** 3
+
+
+def test_an_effect_needs_a_name_units_and_columns_only():
+    cubic = Cubic(joint=1)
+    assert_array_equal(cubic.fit_transform(X), Q[:, [1]] ** 3)
+    assert cubic.parameters([2.0]) == {"k3": 2.0}
+    assert cubic.parameter_units(prismatic=True) == {"k3": "N/m^3"}
+    assert effects.resolve(["coulomb", Cubic])[1].name == "cubic"
+    assert cubic.shapes(signals()) == [{}]
+    assert cubic.complexity == 1
+
+
+def test_an_effect_without_columns_says_so():
+    with pytest.raises(NotImplementedError, match=r"must define columns\(motion\)"):
+        Effect().fit_transform(X)

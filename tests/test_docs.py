@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import sklearn_vbjfa
-from sklearn_vbjfa import datasets, effects, physical
+from sklearn_vbjfa import datasets, diagnosis, effects, physical
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -70,7 +70,7 @@ def test_every_equation_tag_is_in_the_guide(folder, pages):
 
 
 def test_every_public_name_is_in_api_once():
-    modules = (sklearn_vbjfa, datasets, effects, physical)
+    modules = (sklearn_vbjfa, datasets, diagnosis, effects, physical)
     public = {name for module in modules for name in module.__all__}
     blocks = re.findall(
         r"\.\. autosummary::\n(?:    :.*\n)*\n((?:    \S+\n)+)", read(DOCS / "api.rst")
@@ -81,7 +81,7 @@ def test_every_public_name_is_in_api_once():
 
 
 def test_names_in_api_are_where_it_says():
-    modules = (sklearn_vbjfa, datasets, effects, physical)
+    modules = (sklearn_vbjfa, datasets, diagnosis, effects, physical)
     module = None
     for line in read(DOCS / "api.rst").splitlines():
         if line.startswith(".. currentmodule:: "):

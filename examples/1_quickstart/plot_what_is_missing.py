@@ -5,7 +5,8 @@ What does the model lack?
 
 A declared model is fitted, what it leaves of the torques is searched for known effects,
 and the model is completed with what is found. The arm of the recording has viscous and
-Coulomb friction; the declared model has viscous friction alone.
+Coulomb friction, and on joint 2 friction in proportion to the load; the declared model
+has viscous friction alone.
 """
 
 # %%
@@ -31,12 +32,12 @@ loop = EffectDiscovery(declared, random_state=0)
 loop.fit(recording.q, recording.tau, groups=recording.groups)
 
 for effect in loop.effects_:
-    true = recording.friction["coulomb"][effect.joint]
-    low, high = effect.intervals["Fc"]
-    print(
-        f"{effect.joint_name}: {effect.name}, Fc = {effect.parameters['Fc']:.3f} N m "
-        f"({low:.3f} to {high:.3f}), truth {true:.3f}"
-    )
+    print(f"{effect.joint_name}: {effect.name}, rivals {effect.rivals or 'none'}")
+    for symbol, (low, high) in effect.intervals.items():
+        value, unit = effect.parameters[symbol], effect.units[symbol]
+        print(f"  {symbol} = {value:.3f} {unit} ({low:.3f} to {high:.3f})")
+print(f"true Fc: {recording.friction['coulomb'].round(3)} N m")
+print(f"true mu: {recording.undeclared['load_friction'][1]} (joint_2)")
 
 # %%
 # Every step is on record, with the share of the squared error that it saved on blocks
@@ -44,7 +45,7 @@ for effect in loop.effects_:
 
 for step in loop.rounds_:
     print(
-        f"{step.action:8s}{step.name:12s}{step.joint_name}: "
+        f"{step.action:8s}{step.name:15s}{step.joint_name}: "
         f"saves {100 * step.evidence.gain:.0f} %, p = {step.evidence.p_value:.1e}"
     )
 
@@ -69,7 +70,8 @@ for effect in loop.hidden_:
 # %%
 # Residual against speed
 # ----------------------
-# The residual of the declared model has a step where the joint reverses.
+# The residual of the declared model has a step where the joint reverses. The model of
+# joint 2 lacks more than that: the step depends on the load.
 
 tested = np.concatenate(
     [np.flatnonzero(recording.groups == label)[-1000:] for label in (0, 1)]

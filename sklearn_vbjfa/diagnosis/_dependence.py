@@ -84,3 +84,17 @@ def _step_function(residual, weight, bins, blocks):
         float(difference.sum() / before.sum()),
         p_value(before[changed], after[changed]),
     )
+
+
+def motion_signals(motion, names):
+    """Signals of all joints by the name under which they are reported."""
+    signals = {}
+    for j, name in enumerate(names):
+        signals[f"position of {name}"] = motion.q[:, j]
+        signals[f"speed of {name}"] = motion.v[:, j]
+        signals[f"acceleration of {name}"] = motion.a[:, j]
+        if motion.load is not None:
+            signals[f"load of {name}"] = motion.load[:, j]
+    if motion.t is not None:
+        signals["time"] = motion.t
+    return signals

@@ -177,8 +177,7 @@ class EffectDiscovery(RegressorMixin, BaseEstimator):
             say(0, "declared model")
             channels, silent = self._check_channels(*part[:3])
             declared = clone(self.identifier).fit(*part, t=clock[search])
-            view = RecordingView(declared, *part, clock[search])
-            view.precision[silent] = 0.0
+            view = RecordingView(declared, *part, clock[search], silent)
             found = EffectSearch(
                 view=view,
                 library=library,
@@ -259,9 +258,7 @@ class EffectDiscovery(RegressorMixin, BaseEstimator):
         names = self.declared_.joint_names_
         self.unexplained_ = unexplained(found, names)
         self.hidden_ = hidden(found, names)
-        outcome = make_outcome(
-            self, found, before, after, intervals, channels, library
-        )
+        outcome = make_outcome(self, found, before, after, intervals, channels, library)
         self.effects_ = outcome.effects
         self.rounds_ = outcome.rounds
         self.report_ = Report(outcome)

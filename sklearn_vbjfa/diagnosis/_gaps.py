@@ -3,7 +3,7 @@
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis._dependence import dependences
+from sklearn_vbjfa.diagnosis._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis._findings import Hidden, Unexplained
 from sklearn_vbjfa.robot._effect_columns import make_motion
 
@@ -29,14 +29,7 @@ def unexplained(search, names):
     """
     view, motion = search.view, search.motion
     residual = search.base.residuals() / np.where(view.root.T > 0, view.root.T, np.inf)
-    signals = {}
-    for j, name in enumerate(names):
-        signals[f"position of {name}"] = motion.q[:, j]
-        signals[f"speed of {name}"] = motion.v[:, j]
-        signals[f"acceleration of {name}"] = motion.a[:, j]
-        signals[f"load of {name}"] = motion.load[:, j]
-    if motion.t is not None:
-        signals["time"] = motion.t
+    signals = motion_signals(motion, names)
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
     found = []
     for j, name in enumerate(names):

@@ -27,10 +27,14 @@ class RecordingView:
         Weights.
     t : ndarray or None
         Time [s].
+    leave_out : sequence of int
+        Joints whose torque channel tells nothing.
     """
 
-    def __init__(self, robot, X, y, groups, sample_weight, t):
+    def __init__(self, robot, X, y, groups, sample_weight, t, leave_out=()):
         self.robot = robot
+        sample_weight = np.array(sample_weight, dtype=float)
+        sample_weight[:, list(leave_out)] = 0.0
         self.parts = contiguous_groups(groups, X.shape[0])
         self.clock = check_clock(t, X.shape[0], robot.dt)
         self.states = robot._states(X, groups)

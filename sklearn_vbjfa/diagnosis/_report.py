@@ -76,7 +76,7 @@ class Report:
         room = _HEIGHT - len(head) - len(tail) - 1
         share = _share_out({k: len(v) for k, v in lists.items()}, room)
         # A second line for what does not fit one, as long as there is room.
-        spare = room - sum(share.values()) - 1
+        spare = room - sum(share.values()) - 2
         effects, spare = self._effect_lines(lists["effects"], share["effects"], spare)
         unexplained, _ = self._unexplained_lines(
             lists["unexplained"], share["unexplained"], spare
@@ -148,7 +148,7 @@ class Report:
         for e in shown:
             forms = [f"- {form}" for form in lines.effect_forms(e, names)]
             fitting = [form for form in forms if len(form) <= _WIDTH]
-            complete = fitting and fitting[0] in forms[:2]
+            complete = fitting and fitting[0] in forms[: lines.COMPLETE]
             both = [
                 textwrap.wrap(form, _WIDTH, subsequent_indent="    ")
                 for form in forms[:2]

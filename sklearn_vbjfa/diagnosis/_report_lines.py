@@ -3,9 +3,16 @@
 from sklearn_vbjfa.diagnosis import _report_words as words
 from sklearn_vbjfa.diagnosis._gaps import ABOVE_FLOOR
 
+# Forms of an effect's sentence that hold all parameters and rivals.
+COMPLETE = 3
+
 
 def effect_forms(effect, names):
-    """Sentences on an effect, at length and ever shorter; the second is complete."""
+    """Sentences on an effect, ever shorter.
+
+    The first ones leave out nothing but the p-value, which is below the threshold
+    anyway.
+    """
     head = (
         f"{words.joint_label(names, effect.joint)}: "
         f"{words.effect_label(effect.name, effect.parameters, names)}"
@@ -24,7 +31,9 @@ def effect_forms(effect, names):
             if x
         )
 
-    forms = [line(count, r) for r in rivals]
+    forms = [line(count, r) for r in rivals[:2]]
+    forms += [line(count, rivals[1], gain)]
+    forms += [line(count, r) for r in rivals[2:]]
     forms += [line(min(2, count), r) for r in rivals[1:]]
     forms += [
         line(min(1, count), r, e) for e in (f"{gain}, {p}", gain) for r in rivals[1:]

@@ -28,12 +28,12 @@ padding:12px 16px}
 .vbjfa .totals b{display:block;font-size:22px;font-weight:650;
 font-variant-numeric:tabular-nums}
 .vbjfa .totals span{color:var(--soft);font-size:13px}
-.vbjfa .joint{display:grid;grid-template-columns:minmax(90px,150px) 1fr 190px;
+.vbjfa .joint{display:grid;grid-template-columns:minmax(80px,140px) 1fr 180px;
 gap:4px 16px;align-items:center;padding:9px 0;border-bottom:1px solid var(--line)}
 .vbjfa .joint:last-child{border-bottom:0}
 .vbjfa .joint b{overflow-wrap:anywhere;font-weight:600}
 .vbjfa .bars{position:relative;min-width:0}
-.vbjfa .bar{display:grid;grid-template-columns:1fr 150px;gap:10px;align-items:center;
+.vbjfa .bar{display:grid;grid-template-columns:1fr 132px;gap:10px;align-items:center;
 font-size:13px;font-variant-numeric:tabular-nums}
 .vbjfa .track{position:relative;height:9px}
 .vbjfa .fill{position:absolute;inset:0 auto 0 0;border-radius:2px;min-width:2px}
@@ -76,7 +76,7 @@ border-radius:10px;padding:10px 12px}
 font-size:14px}
 .vbjfa dt{color:var(--soft)}
 .vbjfa dd{margin:0;overflow-wrap:anywhere}
-@media (max-width:640px){.vbjfa .joint{grid-template-columns:1fr}
+@media (max-width:760px){.vbjfa .joint{grid-template-columns:1fr}
 .vbjfa .bar{grid-template-columns:1fr 128px}
 .vbjfa table.stack,.vbjfa .stack tbody,.vbjfa .stack tr,.vbjfa .stack td{display:block}
 .vbjfa .stack thead{display:none}

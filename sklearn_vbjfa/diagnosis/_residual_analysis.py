@@ -9,7 +9,7 @@ from tabulate import tabulate
 
 from sklearn_vbjfa.diagnosis import _report_words as words
 from sklearn_vbjfa.diagnosis._blocks import correlation_time
-from sklearn_vbjfa.diagnosis._dependence import dependences
+from sklearn_vbjfa.diagnosis._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis._recording_view import RecordingView
 from sklearn_vbjfa.diagnosis._regression import BlockRegression
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
@@ -193,17 +193,3 @@ def _collect(identifier, view, base):
         n_blocks=view.blocks.n_blocks,
         n_folds=view.blocks.n_folds,
     )
-
-
-def motion_signals(motion, names):
-    """Signals of all joints by the name under which they are reported."""
-    signals = {}
-    for j, name in enumerate(names):
-        signals[f"position of {name}"] = motion.q[:, j]
-        signals[f"speed of {name}"] = motion.v[:, j]
-        signals[f"acceleration of {name}"] = motion.a[:, j]
-        if motion.load is not None:
-            signals[f"load of {name}"] = motion.load[:, j]
-    if motion.t is not None:
-        signals["time"] = motion.t
-    return signals

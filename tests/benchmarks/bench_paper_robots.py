@@ -1,13 +1,13 @@
 """Sections 5.2 and 5.3 of the paper in simulation: a head and an arm under control.
 
 Run as ``python tests/benchmarks/bench_paper_robots.py [--full] [--draws 3] [--robots
-head arm] [--methods ...] [--state-cutoff 60] [--write]``. A robot that differs from its
-URDF in its inertias, with cables, protective shells, nonlinear friction, rotor inertias
-and lagging actuators, moves under a low-gain controller; from encoders and noisy
-torques each method identifies rigid bodies with viscous friction. The model then feeds
-torques forward while the robot, as it is, follows new motions: what counts is how well,
-and how much the feedback has to add. --full takes 500,000 samples, the paper's number,
-instead of one minute.
+head arm] [--methods ...] [--state-cutoff auto 60] [--write]``. A robot that differs
+from its URDF in its inertias, with cables, protective shells, nonlinear friction, rotor
+inertias and lagging actuators, moves under a low-gain controller; from encoders and
+noisy torques each method identifies rigid bodies with viscous friction. The model then
+feeds torques forward while the robot, as it is, follows new motions: what counts is how
+well, and how much the feedback has to add. --full takes 500,000 samples, the paper's
+number, instead of one minute.
 
 By default all methods share the package's smoothing and low-pass, which leave little
 input noise. With --state-cutoff the states are smoothed to that frequency [Hz] alone
@@ -28,6 +28,7 @@ from sklearn.linear_model import LassoCV, RidgeCV
 from sklearn.model_selection import KFold
 
 from sklearn_vbjfa import (
+    EffectDiscovery,
     JointTorqueRegressor,
     PhysicalProjector,
     RigidBodyFeatures,
@@ -37,13 +38,13 @@ from sklearn_vbjfa import (
     VBJFARegressor,
 )
 from sklearn_vbjfa._core._lowpass import Lowpass
-from sklearn_vbjfa.datasets import make_closed_loop_recording
+from sklearn_vbjfa.datasets import make_closed_loop_recording, simulate_tracking
 from sklearn_vbjfa.datasets._plant import draw_motion, rigid_torques
-from sklearn_vbjfa.datasets import simulate_tracking
 from sklearn_vbjfa.physical import ProjectionError
 
 FRICTION = ("viscous",)
 FULL_SAMPLES = 500_000
+OURS = "VB, correlated inputs"
 COMPLETED = "completed by EffectDiscovery"
 # Seeds of the motions that no method sees.
 NEW_MOTIONS = (1001, 1002, 1003)
@@ -85,7 +86,7 @@ def methods():
         "stepwise": {**plain, "regressor": StepwiseRegressor()},
         "LASSO": {**plain, "regressor": lasso},
         **{name: {**plain, "regressor": model} for name, model in bayes.items()},
-        "VB, correlated inputs": {},
+        OURS: {},
     }
 
 
@@ -193,16 +194,9 @@ def identify(recording, settings, search=None):
     return Identification(model=model, message=message, seconds=seconds, memory=memory)
 
 
-def effect_discovery():
-    """Return what makes a search for undeclared effects, or None without one.
-
-    Optional: the row `COMPLETED` appears where the package has the search.
-    """
-    try:
-        from sklearn_vbjfa import EffectDiscovery
-    except ImportError:
-        return None
-    return lambda identifier: EffectDiscovery(identifier, effects="all")
+def effect_discovery(identifier):
+    """Search for undeclared effects; the last quarter of the data is not fitted."""
+    return EffectDiscovery(identifier, random_state=0)
 
 
 def control(recording, feedforward, duration):
@@ -298,9 +292,7 @@ def run(
 
     add("URDF, not identified", lambda states: rigid_torques(nominal, states))
     chosen = [(label, settings, None) for label, settings in methods().items()]
-    search = effect_discovery()
-    if search is not None:
-        chosen.append((COMPLETED, {}, search))
+    chosen.append((COMPLETED, {}, effect_discovery))
     shared = {}
     if state_cutoff is not None:
         shared = {"state_cutoff": state_cutoff, "cutoff": None}
@@ -357,26 +349,61 @@ def tables(draws):
     return rst_table(control_rows, HEADERS), *notes, rst_table(cost_rows, TIME_HEADERS)
 
 
-def report(robots, *, n_draws=1, **options):
-    """Sections of the guide, one a robot; `options` are those of `run`."""
-    paragraphs = []
-    for name in robots:
-        draws, times = [], []
-        for seed in range(n_draws):
-            rows, per_sample = run(name, seed=seed, **options)
-            draws.append(rows)
-            times.append(per_sample)
-        full, duration = options.get("full", False), options.get("duration", 60.0)
-        size = f"{FULL_SAMPLES:,} samples" if full else f"{duration:.0f} s"
-        cutoff = options.get("state_cutoff")
-        states = "automatic" if cutoff is None else f"{cutoff:.0f} Hz"
-        paragraphs += [
-            rst_title(
-                f"{name.capitalize()}: {size}, smoothing {states}, {n_draws} drawn"
-            ),
-            *tables(draws),
-            f"Simulation: {np.mean(times):.0f} microseconds a sample.",
-        ]
+def comparison(draws):
+    """Say how the feedback compares, ours with the rivals' and completed with all."""
+
+    def feedback(label):
+        return (
+            np.mean([draw[label][0][2] for draw in draws]) if label in draws[0] else 0
+        )
+
+    rivals = {label: feedback(label) for label in methods() if label != OURS}
+    rivals = {label: value for label, value in rivals.items() if value > 0}
+    said, ours, best = [], feedback(OURS), min(rivals, key=rivals.get, default=None)
+    if best is not None and ours > 0:
+        change = 100 * (ours / rivals[best] - 1)
+        said.append(f"{OURS}: {change:+.1f} % feedback against {best}, the best rival")
+        rivals[OURS] = ours
+    if feedback(COMPLETED) > 0 and rivals:
+        share = feedback(COMPLETED) / min(rivals.values())
+        said.append(f"{COMPLETED}: {share:.2f} of the best feedback without effects")
+    return "; ".join(said) + "." if said else ""
+
+
+def section(name, draws, times, *, full=False, duration=60.0, state_cutoff=None):
+    """Section of the guide about one robot: what `run` gave, draw by draw."""
+    size = f"{FULL_SAMPLES:,} samples" if full else f"{duration:.0f} s"
+    states = "automatic" if state_cutoff is None else f"{state_cutoff:.0f} Hz"
+    drawn = f"{len(draws)} drawn"
+    return [
+        rst_title(f"{name.capitalize()}: {size}, smoothing {states}, {drawn}", "~"),
+        *tables(draws),
+        *filter(None, [comparison(draws)]),
+        f"Simulation: {np.mean(times):.0f} microseconds a sample.",
+    ]
+
+
+def report(robots, *, n_draws=1, state_cutoffs=(None,), on_row=None, **options):
+    """Sections of the guide, one a smoothing and robot; `options` are those of `run`.
+
+    The methods of `options` may be None, all of them.
+    """
+    names, paragraphs = options.pop("names", None), []
+    for cutoff in state_cutoffs:
+        for name in robots:
+            draws, times = [], []
+            for seed in range(n_draws):
+                rows, per_sample = run(
+                    name,
+                    seed=seed,
+                    names=names,
+                    state_cutoff=cutoff,
+                    on_row=on_row,
+                    **options,
+                )
+                draws.append(rows)
+                times.append(per_sample)
+            paragraphs += section(name, draws, times, state_cutoff=cutoff, **options)
     return "\n\n".join(paragraphs)
 
 
@@ -396,7 +423,11 @@ def main():
         "--methods", nargs="+", choices=(*methods(), COMPLETED), help="default: all"
     )
     arguments.add_argument(
-        "--state-cutoff", type=float, help="smooth to this [Hz], filter nothing"
+        "--state-cutoff",
+        nargs="+",
+        type=lambda text: None if text == "auto" else float(text),
+        default=[None],
+        help="smooth to this [Hz] and filter nothing; auto: the package's choice",
     )
     arguments = arguments.parse_args()
 
@@ -408,7 +439,7 @@ def main():
         n_draws=arguments.draws,
         full=arguments.full,
         names=arguments.methods,
-        state_cutoff=arguments.state_cutoff,
+        state_cutoffs=arguments.state_cutoff,
         on_row=show,
     )
     publish("paper_robots", text, write=arguments.write)

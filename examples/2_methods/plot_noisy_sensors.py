@@ -89,7 +89,8 @@ for name, (X, y) in tasks.items():
 # With the cheap instruments all models are alike: for noisy queries plain regression is
 # right. With good instruments the correction pays where the inputs nearly determine the
 # output, as they do total cholesterol. The progression of the disease is mostly
-# something else than these inputs; there the correction gains nothing.
+# something else than these inputs; there the correction costs a little (0.63 against
+# 0.59 of the variance), since it trades bias for variance.
 
 figure, axes = plt.subplots(1, 2, layout="constrained", figsize=(9, 3.5))
 for axis, (name, values) in zip(axes, results.items()):

@@ -17,7 +17,8 @@ longer recordings and more methods.
 # %%
 # The recording
 # -------------
-# Sinusoids in all joints, three motions of eight seconds.
+# Sinusoids in all joints, six motions of eight seconds, at 150 Hz to keep this page
+# short (the head of the paper had 420 Hz).
 
 import warnings
 
@@ -35,7 +36,7 @@ from sklearn_vbjfa import (
 from sklearn_vbjfa.datasets import make_closed_loop_recording, simulate_tracking
 
 recording = make_closed_loop_recording(
-    "head", duration=8.0, n_recordings=3, random_state=0
+    "head", duration=8.0, dt=1 / 150, n_recordings=6, random_state=0
 )
 fit_to = (recording.q, recording.tau, recording.groups)
 
@@ -44,7 +45,7 @@ fit_to = (recording.q, recording.tau, recording.groups)
 # -------
 # Those of the paper, each with the projection onto physically consistent parameters;
 # the default of `RobotIdentifier`; and this one completed by what `EffectDiscovery`
-# finds of a few effects.
+# finds of two effects.
 
 blocks = KFold(5)
 regressors = {
@@ -70,7 +71,7 @@ with warnings.catch_warnings():
         models[name] = model.fit(*fit_to)
     models["VB"] = declared().fit(*fit_to)
     loop = EffectDiscovery(
-        declared(), effects=["rotor_inertia", "coulomb", "spring"], random_state=0
+        declared(), effects=["coulomb", "spring"], random_state=0
     ).fit(*fit_to)
 models["VB + effects"] = loop.identifier_
 print(loop.report_)
@@ -78,8 +79,7 @@ print(loop.report_)
 # %%
 # Control
 # -------
-# Desired torques are those of the model, the feedback is the same for all. "none" is
-# the declared model without identification.
+# The torques of the desired motion are the model's, the feedback is the same for all.
 
 motion = make_closed_loop_recording(
     "head", duration=1.0, plant=recording.plant, random_state=1001
@@ -92,7 +92,7 @@ def follow(feedforward):
         motion,
         feedforward,
         duration=8.0,
-        dt=recording.dt,
+        dt=1 / 420,
         random_state=0,
     ).averages()
 
@@ -107,8 +107,16 @@ labels = ["position [rad]", "velocity [rad/s]", "feedback [N m]"]
 fig, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")
 for k, (ax, label) in enumerate(zip(axes, labels)):
     heights = [averages[k] for averages in figures.values()]
-    colors = ["0.7", "0.7", "0.7", "black", "tab:green"]
-    ax.bar(list(figures), np.nan_to_num(heights), color=colors)
+    colors = {"VB": "black", "VB + effects": "tab:green"}
+    # A robot that had to be stopped has no bar, as in the paper.
+    bars = [colors.get(name, "0.7") for name in figures]
+    ax.bar(list(figures), np.nan_to_num(heights), color=bars)
     ax.set_title(f"Fig. {6 + k}: {label}")
     ax.tick_params(axis="x", rotation=45)
 plt.show()
+
+# %%
+# In the paper the Bayesian estimate was 10 to 25 per cent better than ridge regression
+# and stepwise regression could not be run. Here the methods are equal: behind smoothing
+# and low-pass hardly any noise is left in the inputs, and what all of them miss is what
+# the declared model does not have. What helps is to find it.

@@ -7,6 +7,7 @@ import tempfile
 import warnings
 from pathlib import Path
 
+from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._identify import say_warnings
 
 
@@ -26,7 +27,9 @@ def add_to(commands):
         help="CSV, npz or parquet file with columns q1..qn [rad or m] and "
         "tau1..taun [N m or N], and t [s] and segment where there are any",
     )
-    parser.add_argument("--urdf", required=True, help="description of the robot")
+    parser.add_argument(
+        "--urdf", required=True, metavar="FILE", help="description of the robot"
+    )
     parser.add_argument(
         "--dt", type=float, default=None, metavar="S", help="sample period [s]"
     )
@@ -40,7 +43,8 @@ def add_to(commands):
         "--friction",
         default="viscous,coulomb",
         metavar="NAMES",
-        help="friction of the declared model, by default viscous,coulomb",
+        help="friction of the declared model, none or some of viscous,coulomb,offset,"
+        "rotor_inertia; by default viscous,coulomb",
     )
     parser.add_argument(
         "--effects",
@@ -50,10 +54,10 @@ def add_to(commands):
     )
     parser.add_argument(
         "--cutoff",
-        type=float,
-        default=None,
+        default="auto",
         metavar="HZ",
-        help="low-pass of torques and regressors; by default from the motion",
+        help="low-pass of torques and regressors; by default auto, from the motion; "
+        "none for no low-pass",
     )
     parser.add_argument("--seed", type=int, default=0, help="seed of the bootstrap")
     parser.set_defaults(run=run)
@@ -61,26 +65,36 @@ def add_to(commands):
 
 def run(arguments):
     """Close the loop on a user's recording and write the files."""
-    from sklearn_vbjfa.datasets import read_recording
+    from sklearn_vbjfa import effects
+    from sklearn_vbjfa.robot import _friction
 
-    urdf = Path(arguments.urdf)
-    if not urdf.is_file():
-        raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
-    source = Path(arguments.recording)
-    out = Path(arguments.out or f"{source.with_suffix('').name}-report")
-    if out.exists() and not out.is_dir():
-        raise ValueError(f"{out} is a file; --out must name a folder.")
+    source, urdf = Path(arguments.recording), Path(arguments.urdf)
+    out = Path(arguments.out) if arguments.out else _input.default_folder(source)
+    _input.check_folder(out)
+    friction = _input.names("--friction", arguments.friction, _friction.available())
+    library = arguments.effects
+    if library != "all":
+        library = _input.names("--effects", library, effects.available())
+    cutoff = _input.cutoff(arguments.cutoff)
+    seed = _input.seed(arguments.seed)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        recording = read_recording(source, dt=arguments.dt, urdf=str(urdf))
-        loop = _close(
-            recording,
-            str(urdf),
-            friction=_names(arguments.friction),
-            effects="all" if arguments.effects == "all" else _names(arguments.effects),
-            cutoff=arguments.cutoff or "auto",
-            seed=arguments.seed,
-        )
+        _input.check_robot(urdf)
+        recording = _input.read(source, arguments.dt, urdf)
+        _input.check_nyquist(cutoff, recording, source)
+        try:
+            loop = _close(
+                recording,
+                str(urdf),
+                friction=friction,
+                effects=library,
+                cutoff=cutoff,
+                seed=seed,
+            )
+        except ValueError as error:
+            # The options are right: it is the recording.
+            raise ValueError(f"{source}: {error}") from error
+    print(recording)
     print(loop.report_)
     written = _write(loop, out)
     print(f"\nwritten: {', '.join(str(path) for path in written)}")
@@ -98,10 +112,6 @@ def run_demo(arguments):
     print(recording)
     print(loop.report_)
     say_warnings(caught)
-
-
-def _names(text):
-    return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def _close(recording, urdf, *, friction, effects="all", cutoff="auto", seed=0):

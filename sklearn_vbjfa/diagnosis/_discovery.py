@@ -18,6 +18,7 @@ from sklearn_vbjfa.robot._channel_checks import inspect_channels
 from sklearn_vbjfa.robot._groups import check_clock, check_dt
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._model import joint_names, load_model
 from sklearn_vbjfa.robot._recording_checks import check_widths
 
 # A channel with these faults is reported and not searched: what would be found is the
@@ -201,6 +202,11 @@ class EffectDiscovery(RegressorMixin, BaseEstimator):
                 "identifier must be a RobotIdentifier, the declared model; got "
                 f"{type(self.identifier).__name__}."
             )
+        if self.identifier.period is not None:
+            raise ValueError(
+                "identifier must have period=None: averaged periods leave no blocks of "
+                f"time to judge by; got period={self.identifier.period!r}."
+            )
         if not (isinstance(self.alpha, (int, float)) and 0 < self.alpha < 1):
             raise ValueError(
                 "alpha must be a level of significance between 0 and 1; got "
@@ -217,8 +223,6 @@ class EffectDiscovery(RegressorMixin, BaseEstimator):
 
     def _check_channels(self, X, y, groups):
         """Refuse wrong channels; return lines for the report, joints to leave out."""
-        from sklearn_vbjfa.robot._model import joint_names, load_model
-
         model = load_model(self.identifier.model)
         check_widths(joint_names(model), X, y)
         if X.shape[1] != model.nv:

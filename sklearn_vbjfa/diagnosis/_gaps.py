@@ -3,6 +3,7 @@
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis._candidates import closure
 from sklearn_vbjfa.diagnosis._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis._findings import Hidden, Unexplained
 from sklearn_vbjfa.robot._effect_columns import make_motion
@@ -66,9 +67,10 @@ def hidden(search, names):
         if view.precision[j] == 0:
             continue
         own = search.candidates_of(j)
-        present = set(search.declared) | {
-            e.name for e in search.accepted if e.joint == j
-        }
+        held = [e for e in search.accepted if e.joint == j]
+        present = set(search.declared).union(
+            *({e.name} | closure(e, search.library) for e in held)
+        )
         plain = [e for e in own if e.name in _PLAIN and e.name not in present]
         bases = {}
         for effect in search.library:
@@ -117,9 +119,9 @@ def _probe(view):
     nv = view.nv
     rng = np.random.default_rng(0)
     n = 20 * features.n_parameters_ // nv + 200
-    scale = np.repeat(
-        [np.abs(part).max() or 1.0 for part in np.split(view.states, 3, axis=1)], nv
-    )
+    # Whole turns, whatever the recording did: what a small motion hides is no property
+    # of the robot.
+    scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = rng.uniform(-1, 1, size=(n, 3 * nv)) * scale
     return features._compute(states), make_motion(
         features, states, None, [slice(0, n)], None

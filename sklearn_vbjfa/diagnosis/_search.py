@@ -130,6 +130,8 @@ class EffectSearch:
             variants, columns = [variants[i] for i in keep], columns[:, :, keep]
         joints = self.view.joints_of(effect)
         score = base.score(joints, columns)
+        if not variants[score.best].plausible(score.coef):
+            return None
         evidence = compare(*self._relevant(effect, before, score.squares))
         return Candidate(
             effect=variants[score.best],

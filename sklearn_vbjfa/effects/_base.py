@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
@@ -112,6 +113,8 @@ class Effect(TransformerMixin, BaseEstimator):
         Signals besides the states.
     continuous : tuple of str
         Shape parameters that take any value between those of `shapes`.
+    positive : tuple of str
+        Shape parameters that must be greater than zero.
     visible : str
         What a recording must hold for the effect to show.
 
@@ -136,6 +139,7 @@ class Effect(TransformerMixin, BaseEstimator):
     contains = ()
     needs = ()
     continuous = ()
+    positive = ()
     visible = "the joint moves"
     # True for a smooth function of time, which would fit whatever changes slowly.
     slow = False
@@ -175,6 +179,10 @@ class Effect(TransformerMixin, BaseEstimator):
                 return "needs the load, the torque of the rigid bodies"
         return ""
 
+    def plausible(self, coef):
+        """Whether fitted coefficients agree with the shape parameters."""
+        return True
+
     def parameters(self, coef):
         """Return what an engineer calls the coefficients, symbol -> value."""
         return dict(zip(self.coefficients, map(float, coef)))
@@ -196,6 +204,19 @@ class Effect(TransformerMixin, BaseEstimator):
         parameters = self.get_params(deep=False)
         parameters.pop("joint")
         return parameters
+
+    def check(self):
+        """Refuse a joint that is no number, and shape parameters out of range."""
+        if isinstance(self.joint, bool) or not isinstance(self.joint, Integral):
+            raise ValueError(
+                f"joint must be an integer, counted from zero; got {self.joint!r}."
+            )
+        for name in self.positive:
+            value = getattr(self, name)
+            if not (isinstance(value, Real) and 0 < value < np.inf):
+                raise ValueError(
+                    f"{name} of {self.name} must be positive and finite; got {value!r}."
+                )
 
     def key(self):
         """Tell two uses of the effect apart: all but the continuous parameters."""
@@ -252,6 +273,7 @@ class Effect(TransformerMixin, BaseEstimator):
         return self.columns(motion)
 
     def _motion(self, X, t=None, load=None, groups=None):
+        self.check()
         X = check_array(X, dtype=np.float64)
         nv = X.shape[1] // 3
         if X.shape[1] % 3:

@@ -1,5 +1,7 @@
 """Effects of the drive: its inertia, its gears, its elasticity, its electronics."""
 
+from numbers import Real
+
 import numpy as np
 
 from sklearn_vbjfa.effects._base import Effect
@@ -101,6 +103,11 @@ class Coupling(Effect):
         factor = {"other": 0.0, "sum": 1.0, "difference": -1.0}
         if self.of not in factor:
             raise ValueError(f"of must be one of {list(factor)}; got {self.of!r}.")
+        if self.other == self.joint or not 0 <= self.other < motion.n_joints:
+            raise ValueError(
+                "other of coupling must be another joint, 0 to "
+                f"{motion.n_joints - 1} but not {self.joint}; got {self.other!r}."
+            )
         j, k = [self.joint], [self.other]
         w = motion.v[:, k] + factor[self.of] * motion.v[:, j]
         dw = motion.a[:, k] + factor[self.of] * motion.a[:, j]
@@ -222,6 +229,16 @@ class Delay(Effect):
     def __init__(self, joint=0, delay=0.001):
         super().__init__(joint)
         self.delay = delay
+
+    def check(self):
+        """Refuse no delay at all; see `Effect.check`."""
+        super().check()
+        if not (isinstance(self.delay, Real) and 0 < abs(self.delay) < np.inf):
+            raise ValueError(f"delay must be finite and not zero; got {self.delay!r}.")
+
+    def plausible(self, coef):
+        """Whether the delay found is about the shift; see `Effect.plausible`."""
+        return 0.5 < float(coef[0]) / self.delay < 2.0
 
     def columns(self, motion):
         """Shifted torque less the torque itself; see `Effect.columns`."""

@@ -173,6 +173,7 @@ class Stribeck(Effect):
     units = (_TORQUE,)
     contains = ("coulomb", "viscous")
     continuous = ("vs",)
+    positive = ("vs",)
     visible = "slow motion without standing still, and fast motion"
 
     def __init__(self, joint=0, vs=0.1, k=1):

@@ -83,6 +83,7 @@ class Presliding(Effect):
     units = (("N m", "N"),)
     contains = ("coulomb", "viscous")
     continuous = ("displacement",)
+    positive = ("displacement",)
     visible = "many reversals"
 
     def __init__(self, joint=0, displacement=0.01):
@@ -137,6 +138,7 @@ class Backlash(Effect):
     units = (("N m/rad", "N/m"), ("N m", "N"))
     contains = ("spring", "coulomb")
     continuous = ("width",)
+    positive = ("width",)
     visible = "many reversals, at several positions"
 
     def __init__(self, joint=0, width=0.01):

@@ -164,6 +164,7 @@ class Ripple(Effect):
     units = (_TORQUE, _TORQUE)
     contains = ("offset",)
     continuous = ("period",)
+    positive = ("period",)
     visible = "motion across several periods, slow enough for the low-pass"
 
     def __init__(self, joint=0, period=0.1):

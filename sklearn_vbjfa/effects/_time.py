@@ -46,6 +46,7 @@ class Drift(Effect):
     contains = ("offset", "coulomb", "viscous")
     needs = ("time",)
     continuous = ("time_constant",)
+    positive = ("time_constant",)
     slow = True
     visible = "the same motion early and late"
 

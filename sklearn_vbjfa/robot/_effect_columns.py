@@ -21,6 +21,7 @@ def check_effects(effects, nv):
         effects = (effects,)
     found = tuple(resolve([effect])[0] for effect in effects)
     for effect in found:
+        effect.check()
         if not 0 <= effect.joint < nv:
             raise ValueError(
                 f"effects names joint {effect.joint} for {effect.name}; expected 0 to "
@@ -144,6 +145,12 @@ class RegressorRows:
     def __init__(self, features, states, effects=(), motion=None):
         self._features = features
         self._states = states
+        for effect in effects:
+            reason = effect.applies(motion)
+            if reason:
+                raise ValueError(
+                    f"effects holds {effect.name} on joint {effect.joint}: {reason}."
+                )
         self._columns = [(effect, effect.columns(motion)) for effect in effects]
         extra = sum(len(effect.coefficients) for effect in effects)
         self.n_joints = features.n_joints_

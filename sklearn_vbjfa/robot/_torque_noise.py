@@ -1,5 +1,7 @@
 """White noise of torque channels, measured where no motion is."""
 
+from math import comb
+
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
@@ -7,6 +9,10 @@ from sklearn_vbjfa._core import _lowpass
 # Number of bands above the fit's one; the quietest quarter counts, since vibrations
 # and the drive's own ripple stand out of the noise, never below it.
 _BANDS = 16
+# Jumps of dry friction fill the whole spectrum; the lower quartile of high differences
+# passes them over. It counts where it says that little less than the spectrum does.
+_ORDER = 5
+_CLEARLY_LESS = 0.7
 
 
 def torque_noise(segments, dt, cutoff):
@@ -50,5 +56,15 @@ def torque_noise(segments, dt, cutoff):
     if weight == 0.0:
         return np.full(nv, np.nan)
     variance = np.quantile(power / weight, 0.25, axis=0)
+    between = _between_jumps(segments)
+    variance = np.where(between < _CLEARLY_LESS**2 * variance, between, variance)
     taps = _lowpass.design(dt, cutoff).taps
     return np.sqrt(variance * (taps @ taps))
+
+
+def _between_jumps(segments):
+    """Variance of white noise from the small among differences of high order."""
+    d = np.concatenate([np.diff(x, n=_ORDER, axis=0) for x in segments])
+    # The lower quartile of abs(x) is 0.3186 standard deviations of a normal variable.
+    deviation = np.quantile(np.abs(d), 0.25, axis=0) / 0.3186
+    return deviation**2 / comb(2 * _ORDER, _ORDER)

@@ -18,6 +18,7 @@ from sklearn.base import clone
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets._plant import rigid_torques
 from sklearn_vbjfa.datasets._protocols import protocols
+from sklearn_vbjfa.physical import ProjectionError
 
 ROBOTS = ("ur5", "staubli_tx40", "kuka_kr300")
 # Torques [N m] that a set has from the robot's or its authors' own model.
@@ -135,11 +136,17 @@ def _answers(model, recording, rows, X):
 
 
 def measure(name, data_home, effects="all"):
-    """Return label -> share left for feedback of each joint, and what was found."""
+    """Return label -> share left for feedback of each joint; a note; the recording."""
     recording, declared, (train, test) = load(name, data_home)
     part = recording.q[train], recording.tau[train], recording.groups[train]
     identified = clone(declared).fit(*part[:2], groups=part[2])
-    completed, loop = complete(declared, part, effects)
+    models, note = {IDENTIFIED: identified}, ""
+    try:
+        models[COMPLETED], loop = complete(declared, part, effects)
+    except (ValueError, ProjectionError) as error:
+        note = f"{COMPLETED} failed: {error}"
+    else:
+        note = f"Found in the fitted part, joint from 1, in order: {_describe(loop)}."
     states = identified.state_estimator_.transform(recording.q, groups=recording.groups)
     given = {URDF: rigid_torques(recording.robot_model(), states)}
     for label, signals in OWN_MODELS.get(name, {}).items():
@@ -150,17 +157,16 @@ def measure(name, data_home, effects="all"):
         plain, fitted = model.answers(identified, recording, train, test)
         rows[label] = plain
         rows[f"{label}, scale and friction fitted"] = fitted
-    models = {IDENTIFIED: identified, COMPLETED: completed}
     for label, model in models.items():
         rows[label] = _answers(model, recording, test, recording.q)
     if name in DESIRED:
         X = np.hstack([recording.signals[signal] for signal in DESIRED[name]])
         for label, model in models.items():
             rows[label + AHEAD] = _answers(model, recording, test, X)
-    return rows, loop, recording
+    return rows, note, recording
 
 
-def section(name, rows, loop, recording):
+def section(name, rows, note, recording):
     """Paragraphs of one robot."""
     headers = ["left [%]", *(f"j{j + 1}" for j in range(len(rows[NOTHING]))), "mean"]
     cells = [
@@ -172,7 +178,7 @@ def section(name, rows, loop, recording):
         rst_title(name, "~"),
         f"{split[0].upper()}{split[1:]}.",
         rst_table(cells, headers),
-        f"Found in the fitted part, joint from 1, in order: {_describe(loop)}.",
+        note,
     ]
 
 

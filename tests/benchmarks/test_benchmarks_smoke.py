@@ -27,9 +27,11 @@ def residuals(scale, index, tau):
     "name",
     [
         "errors_in_variables",
+        "feedforward",
         "identification",
         "measured_robots",
         "noise_floor",
+        "paper_robots",
         "projection",
         "simulated_arms",
         "speed",
@@ -254,3 +256,66 @@ def test_only_known_noise_is_identified():
     before = np.median(few["known variances"][:, 3])
     assert query["known variances"] < 0.2 * before
     assert query["known variances"] < query["default"] < 0.5 * query["paper"]
+
+
+def test_paper_robots_at_small_size():
+    pytest.importorskip("pinocchio")
+    import bench_paper_robots as bench
+
+    rows, per_sample = bench.run("head", duration=6.0, tracked=2.0, names=[bench.OURS])
+    assert list(rows) == ["URDF, not identified", bench.OURS, "the robot itself"]
+    feedback = {label: figures[2] for label, (figures, *_) in rows.items()}
+    assert feedback["the robot itself"] < feedback[bench.OURS]
+    assert feedback[bench.OURS] < feedback["URDF, not identified"]
+    text = "\n".join(bench.section("head", [rows, rows], [per_sample], duration=6.0))
+    assert "Head: 6 s, smoothing automatic, 2 drawn" in text
+    assert "torque missed [%]" in text
+
+
+def test_paper_robots_are_compared_by_their_feedback():
+    pytest.importorskip("pinocchio")
+    import bench_paper_robots as bench
+
+    def draw(**feedback):
+        return {
+            label: (np.array([0.0, 0.0, value, 0.0]), "", None)
+            for label, value in feedback.items()
+        }
+
+    full = {"ridge": 2.0, "LASSO": np.nan, bench.OURS: 1.8, bench.COMPLETED: 0.45}
+    text = bench.comparison([draw(**full), draw(**full)])
+    assert f"{bench.OURS}: -10.0 % feedback against ridge" in text
+    assert f"{bench.COMPLETED}: 0.25 of the best" in text
+    assert bench.comparison([draw(ridge=1.0)]) == ""
+
+
+def test_feedforward_on_the_demo(monkeypatch):
+    pytest.importorskip("pinocchio")
+    import bench_feedforward as bench
+
+    load = bench.load
+
+    def short(name, data_home):
+        recording, identifier, rows = load(name, data_home)
+        return recording, identifier, [part[:1600] for part in rows]
+
+    monkeypatch.setattr(bench, "load", short)
+    rows, note, recording = bench.measure("demo", None, effects=["offset"])
+    mean = {label: np.mean(share) for label, share in rows.items()}
+    fitted = f"{bench.URDF}, scale and friction fitted"
+    assert mean[bench.IDENTIFIED] < mean[fitted] < mean[bench.URDF]
+    assert mean[bench.URDF] < mean[bench.NOTHING] == 1.0
+    # The model lacks nothing.
+    assert mean[bench.IDENTIFIED] < 0.1
+    text = "\n".join(bench.section("demo", rows, note, recording))
+    assert "Found in the fitted part" in text
+
+
+def test_what_feedforward_leaves_counts_what_moves():
+    pytest.importorskip("pinocchio")
+    import bench_feedforward as bench
+
+    torque = np.array([[2.0, 1.0], [2.0, 1.0], [9.0, 1.0]])
+    weight = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
+    left = bench.left_for_feedback(torque, torque - [[1.0, 1.0]], weight)
+    np.testing.assert_allclose(left, [0.5, np.nan])

@@ -634,3 +634,29 @@ def test_an_effect_needs_a_name_units_and_columns_only():
 def test_an_effect_without_columns_says_so():
     with pytest.raises(NotImplementedError, match=r"must define columns\(motion\)"):
         Effect().fit_transform(X)
+
+
+# -- settings that cannot be
+
+
+@pytest.mark.parametrize(
+    "effect", [effects.Coupling(joint=0, other=5), effects.Viscous(joint=0.5)]
+)
+def test_joints_that_do_not_exist_are_refused(effect):
+    with pytest.raises(ValueError, match="joint"):
+        transform(effect)
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        effects.Stribeck(vs=0.0),
+        effects.Ripple(period=0.0),
+        effects.Presliding(displacement=0.0),
+        effects.Delay(delay=0.0),
+        effects.Drift(time_constant=0.0),
+    ],
+)
+def test_shape_parameters_of_zero_are_refused(effect):
+    with pytest.raises(ValueError, match=effect.continuous[0]):
+        transform(effect)

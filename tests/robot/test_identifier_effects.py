@@ -488,3 +488,23 @@ def test_one_kind_may_act_twice_with_other_shapes():
 def test_bad_effects_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         RobotIdentifier(MODEL, effects=given, **EXACT).fit(STATES, DECLARED)
+
+
+def test_a_clock_that_runs_backwards_is_refused():
+    with pytest.raises(ValueError, match="t must rise"):
+        fit(0 * DECLARED, effects.Drift(1), t=T[::-1])
+
+
+@pytest.mark.parametrize(
+    ("effect", "given"),
+    [
+        (effects.Drift(1), {"dt": None}),
+        (effects.Delay(1), {"dt": None}),
+        (effects.Coupling(1, other=5), {}),
+        (effects.Payload(0, instant=3.0), {}),
+    ],
+    ids=["drift without clock", "delay without clock", "no such joint", "first body"],
+)
+def test_effects_that_cannot_be_are_refused(effect, given):
+    with pytest.raises(ValueError, match=effect.name):
+        fit(0 * DECLARED, effect, **given)

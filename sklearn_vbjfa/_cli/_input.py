@@ -1,0 +1,143 @@
+"""What a user gives to the command line, refused in one line where it is wrong."""
+
+import contextlib
+import math
+import os
+import sys
+import tempfile
+import zipfile
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+# Fewer samples in a row show nothing.
+_MIN_SAMPLES = 64
+
+
+def check_robot(urdf):
+    """Refuse a description that cannot be read, or whose inertias would be lost."""
+    from sklearn_vbjfa.robot._model import load_model
+
+    if not urdf.is_file():
+        raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
+    said = []
+    try:
+        with _parser_messages(said):
+            load_model(urdf)
+    except ValueError as error:
+        where = "" if repr(str(urdf)) in str(error) else f"{urdf}: "
+        reason = f" ({said[0]})" if said else ""
+        raise ValueError(f"{where}{error}{reason}") from error
+    # The parser goes on without an inertia that it cannot read.
+    lost = [line for line in said if "nerti" in line]
+    if lost:
+        raise ValueError(f"{urdf}: {'; '.join(lost)}; correct the description.")
+
+
+@contextlib.contextmanager
+def _parser_messages(said):
+    """Collect what the URDF parser, which is no Python, writes to stderr."""
+    sys.stderr.flush()
+    with tempfile.TemporaryFile() as file:
+        stderr = os.dup(2)
+        os.dup2(file.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            file.seek(0)
+            text = file.read().decode("utf-8", "replace")
+            lines = [" ".join(line.split()) for line in text.splitlines()]
+            errors = [x[len("Error: ") :] for x in lines if x.startswith("Error: ")]
+            said += dict.fromkeys(errors)
+
+
+def read(source, dt, urdf):
+    """Read a recording that is long enough."""
+    from sklearn_vbjfa.datasets import read_recording
+
+    if source.is_dir():
+        raise ValueError(f"{source} is a folder; give a CSV, npz or parquet file.")
+    broken = f"{source}: is no whole npz file; save it anew with numpy.savez."
+    is_npz = source.suffix.lower() == ".npz" and source.is_file()
+    if is_npz and not zipfile.is_zipfile(source):
+        raise ValueError(broken)
+    try:
+        recording = read_recording(source, dt=dt, urdf=str(urdf))
+    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
+        raise ValueError(broken) from error
+    longest = int(np.bincount(recording.groups).max())
+    if longest < _MIN_SAMPLES:
+        raise ValueError(
+            f"{source}: the longest recording has {longest} samples in a row "
+            f"({longest * recording.dt:.3g} s), too few; record some tens of seconds "
+            "of motion."
+        )
+    return recording
+
+
+def check_folder(out):
+    """Refuse a folder that cannot be made, before the work is done."""
+    for folder in (out, *out.parents):
+        if folder.exists():
+            if not folder.is_dir():
+                raise ValueError(f"{folder} is a file; --out must name a folder.")
+            if not os.access(folder, os.W_OK):
+                raise ValueError(f"{folder} cannot be written to; give another --out.")
+            return
+
+
+def names(option, text, known):
+    """Return the names in a list with commas; "none" is none of them."""
+    found = tuple(name.strip() for name in text.split(",") if name.strip())
+    if found == ("none",):
+        return ()
+    unknown = [name for name in found if name not in known]
+    if unknown or not found:
+        raise ValueError(
+            f"{option} does not know {unknown[0] if unknown else text!r}; expected "
+            f"names with commas between them, of {', '.join(known)}."
+        )
+    twice = [name for k, name in enumerate(found) if name in found[:k]]
+    if twice:
+        raise ValueError(f"{option} has {twice[0]} twice; name it once.")
+    return found
+
+
+def cutoff(text):
+    """Return the cutoff frequency [Hz], "auto", or None for no low-pass."""
+    if text in ("auto", "none"):
+        return None if text == "none" else text
+    try:
+        frequency = float(text)
+    except ValueError:
+        frequency = math.nan
+    if not 0 < frequency < math.inf:
+        raise ValueError(
+            f"--cutoff must be a positive frequency in Hz, auto or none; got {text}."
+        )
+    return frequency
+
+
+def check_nyquist(frequency, recording, source):
+    """Refuse a cutoff that the sample period has no room for."""
+    highest = 0.5 / recording.dt
+    if isinstance(frequency, float) and frequency >= highest:
+        raise ValueError(
+            f"--cutoff must be below {highest:.4g} Hz, half the sample rate of "
+            f"{source}; got {frequency:g}."
+        )
+
+
+def seed(number):
+    """Return a seed that numpy takes."""
+    if not 0 <= number < 2**32:
+        raise ValueError(f"--seed must be from 0 to 2**32 - 1; got {number}.")
+    return number
+
+
+def default_folder(source):
+    """Folder for the files if none is named."""
+    return Path(f"{source.stem or 'recording'}-report")

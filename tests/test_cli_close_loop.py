@@ -1,0 +1,340 @@
+"""The command close-loop: files from a recording, one line for what is wrong."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa import EffectDiscovery
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa.datasets import make_robot_recording
+
+pinocchio = pytest.importorskip("pinocchio")
+
+FILES = ["identified.urdf", "parameters.csv", "report.html", "report.json"]
+LINK = """
+<link name="{name}"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/>
+  <inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/>
+</inertial></link>
+<joint name="{joint}" type="revolute"><parent link="{parent}"/><child link="{name}"/>
+  <origin xyz="{origin} 0 0"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="100" velocity="10"/>
+</joint>"""
+UPPER = {"name": "upper", "joint": "shoulder", "parent": "base", "origin": 0}
+LOWER = {"name": "lower", "joint": "elbow", "parent": "upper", "origin": 0.4}
+URDF = (
+    '<robot name="arm"><link name="base"/>'
+    + LINK.format(**UPPER, centre=0.2, mass=3)
+    + LINK.format(**LOWER, centre=0.15, mass=2)
+    + "</robot>"
+)
+
+
+@pytest.fixture(scope="module")
+def urdf(tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    path.write_text(URDF)
+    return path
+
+
+@pytest.fixture(scope="module")
+def recording(urdf):
+    """Two joints, 15 s; a spring on the shoulder is missing in the model."""
+    return make_robot_recording(
+        str(urdf),
+        duration=15.0,
+        n_harmonics=8,
+        undeclared={"spring": (0, 4.0)},
+        random_state=0,
+    )
+
+
+def write_csv(path, recording, *, q=None, tau=None, t=True, rows=slice(None)):
+    """Write columns t, q1, ..., tau1, ...; q and tau replace those recorded."""
+    q = recording.q if q is None else q
+    tau = recording.tau if tau is None else tau
+    names = [f"q{k + 1}" for k in range(q.shape[1])]
+    names += [f"tau{k + 1}" for k in range(tau.shape[1])]
+    table = np.hstack([q, tau])
+    if t:
+        names, table = ["t", *names], np.column_stack([recording.t, table])
+    header = ",".join(names)
+    np.savetxt(path, table[rows], fmt="%.8g", delimiter=",", header=header, comments="")
+    return path
+
+
+def write_npz(path, recording):
+    np.savez(path, q=recording.q, tau=recording.tau, dt=recording.dt)
+    return path
+
+
+@pytest.fixture
+def good(tmp_path, recording, monkeypatch):
+    """Path of a recording without fault, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    return write_csv(tmp_path / "arm.csv", recording)
+
+
+def refusal(capsys, *argv):
+    """Return the one line on stderr."""
+    assert main(["close-loop", *map(str, argv)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    (line,) = captured.err.splitlines()
+    assert line.startswith("sklearn-vbjfa: ")
+    return line
+
+
+def identified(path, nv=2):
+    """Load a URDF; the pseudo-inertias of its bodies."""
+    model = pinocchio.buildModelFromUrdf(str(path))
+    assert model.nv == nv
+    return [body.toPseudoInertia().toMatrix() for body in list(model.inertias)[1:]]
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz"])
+def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    source = tmp_path / f"swing.{kind}"
+    {"csv": write_csv, "npz": write_npz}[kind](source, recording)
+    argv = ["close-loop", str(source), "--urdf", str(urdf)]
+    assert main([*argv, "--effects", "spring,load_friction,offset"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    lines = captured.out.splitlines()
+    assert lines[0] == "Recording 'swing': 3000 samples, 2 joints, dt = 0.005 s, " + (
+        "1 recording"
+    )
+    assert lines[1].startswith("Spring on joint 1 (shoulder) was missing")
+    assert lines[-1].startswith("written: ")
+
+    folder = tmp_path / "swing-report"
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert report["schema_version"] == 1
+    (effect,) = report["effects"]
+    assert (effect["name"], effect["joint"]) == ("spring", 0)
+    low, high = effect["intervals"]["k"]
+    assert low - (high - low) / 2 < 4.0 < high + (high - low) / 2
+    page = (folder / "report.html").read_text(encoding="utf-8")
+    assert page.startswith("<!DOCTYPE html>")
+    assert "shoulder" in page
+    for matrix in identified(folder / "identified.urdf"):
+        assert np.linalg.eigvalsh(matrix).min() > 0
+
+
+def test_parameters_are_a_table(good, urdf, capsys):
+    options = ["--effects", "spring", "--friction", "none", "--out", "here/there"]
+    assert main(["close-loop", "arm.csv", "--urdf", str(urdf), *options]) == 0
+    assert "written: here/there/report.html" in capsys.readouterr().out
+    with open("here/there/parameters.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    names = {row["parameter"] for row in rows}
+    assert {"shoulder:m", "elbow:I_zz"} <= names
+    assert not any("viscous" in name or "coulomb" in name for name in names)
+    for row in rows:
+        assert np.isfinite(float(row["value"])), row
+        assert float(row["std"]) >= 0, row
+        assert row["identifiable"] in ("0", "1"), row
+        assert row["unit"], row
+
+
+def test_options_reach_the_estimators(good, urdf, monkeypatch):
+    seen = {}
+
+    def fit(self, *arguments, **given):
+        seen.update(self.get_params(deep=True))
+        raise ValueError("seen")
+
+    monkeypatch.setattr(EffectDiscovery, "fit", fit)
+    options = "--friction viscous --effects coulomb,spring --cutoff none --seed 7"
+    main(["close-loop", str(good), "--urdf", str(urdf), *options.split()])
+    assert seen["identifier__friction"] == ("viscous",)
+    assert seen["effects"] == ("coulomb", "spring")
+    assert seen["identifier__cutoff"] is None
+    assert seen["random_state"] == 7
+    main(["close-loop", str(good), "--urdf", str(urdf), "--cutoff", "8"])
+    assert seen["identifier__cutoff"] == 8.0
+    assert seen["effects"] == "all"
+
+
+def test_an_interrupted_run_leaves_nothing(good, urdf, monkeypatch, capsys):
+    def fit(self, *arguments, **given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(EffectDiscovery, "fit", fit)
+    assert main(["close-loop", str(good), "--urdf", str(urdf)]) == 130
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err == "sklearn-vbjfa: interrupted, nothing was written\n"
+    assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
+
+
+# -- refusals: the file ----------------------------------------------------------------
+
+
+def test_missing_files(good, urdf, capsys):
+    assert "none.csv: no such file" in refusal(capsys, "none.csv", "--urdf", urdf)
+    line = refusal(capsys, good, "--urdf", "none.urdf")
+    assert "none.urdf: no such robot description; give --urdf FILE." in line
+    assert ". is a folder; give a CSV" in refusal(capsys, ".", "--urdf", urdf)
+
+
+FAULTS = {
+    "nan": (
+        lambda r: {"q": np.where(np.arange(3000)[:, None] == 98, np.nan, r.q)},
+        r"line 100, column 'q1'.*interpolate them or remove",
+    ),
+    "one joint": (
+        lambda r: {"q": r.q[:, :1], "tau": r.tau[:, :1]},
+        r"1 column\(s\) q for 2 joint\(s\) \(shoulder, elbow\)",
+    ),
+    "three joints": (
+        lambda r: {"q": r.q[:, [0, 1, 1]], "tau": r.tau[:, [0, 1, 1]]},
+        r"3 column\(s\) q for 2 joint\(s\).*leave out surplus columns",
+    ),
+    "fewer torques": (
+        lambda r: {"tau": r.tau[:, :1]},
+        r"2 column\(s\) q and 1 column\(s\) tau",
+    ),
+    "no time step": (lambda r: {"t": False}, r"no column t and no dt; add time stamps"),
+    "degrees": (
+        lambda r: {"q": np.rad2deg(r.q)},
+        r"degrees: shoulder runs.*multiply the positions",
+    ),
+    "sign": (
+        lambda r: {"tau": r.tau * [1.0, -1.0]},
+        r"torque of elbow has the wrong sign.*multiply it by -1",
+    ),
+    "swapped": (
+        lambda r: {"tau": r.tau[:, ::-1]},
+        r"torques of shoulder and elbow look exchanged.*exchange the columns",
+    ),
+    "short": (
+        lambda r: {"rows": slice(40)},
+        r"the longest recording has 40 samples.*record some tens of seconds",
+    ),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_faults_of_a_recording(fault, urdf, recording, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    change, message = FAULTS[fault]
+    source = write_csv(tmp_path / "arm.csv", recording, **change(recording))
+    line = refusal(capsys, source, "--urdf", urdf)
+    assert f"{source}: " in line
+    assert re.search(message, line), line
+    assert not (tmp_path / "arm-report").exists()
+
+
+def test_no_positions(good, urdf, capsys):
+    good.write_text(good.read_text().replace("q1,q2", "angle1,angle2", 1))
+    line = refusal(capsys, good, "--urdf", urdf)
+    assert "expected columns q1, q2, ..., found t, angle1, angle2, tau1, tau2" in line
+
+
+def test_text_that_is_no_utf8(good, urdf, capsys):
+    good.write_bytes(good.read_bytes().replace(b"tau2", b"tau2,\xe9", 1))
+    assert "save it as CSV in UTF-8" in refusal(capsys, good, "--urdf", urdf)
+
+
+def halve(content):
+    return content[: len(content) // 2]
+
+
+def flip_a_byte(content):
+    content = bytearray(content)
+    content[3000] ^= 255
+    return bytes(content)
+
+
+@pytest.mark.parametrize(
+    "damage", [halve, flip_a_byte, lambda content: b"hello", lambda content: b""]
+)
+def test_damaged_npz(damage, urdf, recording, tmp_path, capsys):
+    source = write_npz(tmp_path / "arm.npz", recording)
+    source.write_bytes(damage(source.read_bytes()))
+    line = refusal(capsys, source, "--urdf", urdf)
+    assert f"{source}: is no whole npz file; save it anew with numpy.savez." in line
+
+
+def test_one_array_is_no_npz(urdf, recording, tmp_path, capsys):
+    with (tmp_path / "arm.npz").open("wb") as file:
+        np.save(file, recording.q)
+    line = refusal(capsys, tmp_path / "arm.npz", "--urdf", urdf)
+    assert "is no whole npz file" in line
+
+
+# -- refusals: the robot ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: "no robot", "not readable as URDF"),
+        (lambda text: text[:200], "not readable as URDF"),
+        (lambda text: '<robot name="arm"/>', "No link elements found"),
+        (lambda text: "<sdf/>", "Could not find the 'robot' element"),
+        (lambda text: '<robot name="a"><link name="b"/></robot>', "no moving joint"),
+        (
+            lambda text: text.replace('child link="lower"', 'child link="hand"'),
+            r"child link \[hand\] of joint \[elbow\] not found",
+        ),
+        # the parser reads on and gives the link no inertia
+        (
+            lambda text: text.replace('mass value="3"', 'mass value="heavy"'),
+            r"mass \[heavy\] is not a float.*correct the description",
+        ),
+    ],
+)
+def test_faults_of_a_robot(change, message, good, tmp_path, capfd):
+    robot = tmp_path / "arm.urdf"
+    robot.write_text(change(URDF))
+    line = refusal(capfd, good, "--urdf", robot)
+    assert line.count(str(robot)) == 1
+    assert re.search(message, line), line
+
+
+# -- refusals: the options -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (
+            "--effects spring,rust",
+            "--effects does not know 'rust'; expected.*ripple",
+        ),
+        ("--effects ,", "--effects does not know ','"),
+        ("--effects spring,spring", "--effects has spring twice; name it once"),
+        ("--friction sticky", "--friction does not know 'sticky'; expected.*viscous"),
+        ("--dt -0.005", "dt must be a positive number of seconds, got -0.005"),
+        ("--dt nan", "dt must be a positive number of seconds, got nan"),
+        ("--dt 0.01", "time steps by 0.005 s but dt = 0.01 s; correct one of them"),
+        ("--cutoff 150", "--cutoff must be below 100 Hz, half the sample rate of"),
+        ("--cutoff 0", "--cutoff must be a positive frequency in Hz, auto or none"),
+        ("--cutoff inf", "--cutoff must be a positive frequency in Hz, auto or none"),
+        ("--cutoff low", "--cutoff must be a positive frequency in Hz, auto or none"),
+        ("--seed -1", "--seed must be from 0 to 2"),
+        ("--out arm.csv", "arm.csv is a file; --out must name a folder"),
+        ("--out arm.csv/below", "arm.csv is a file; --out must name a folder"),
+    ],
+)
+def test_options_that_cannot_be(options, message, good, urdf, capsys):
+    line = refusal(capsys, good, "--urdf", urdf, *options.split())
+    assert re.search(message, line), line
+    assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
+
+
+@pytest.mark.parametrize("options", [[], ["--dt", "fast"], ["--seed", "x"]])
+def test_wrong_usage(options, good, urdf, capsys):
+    argv = ["close-loop", str(good), *options]
+    if options:
+        argv += ["--urdf", str(urdf)]
+    with pytest.raises(SystemExit) as stop:
+        main(argv)
+    assert stop.value.code == 2
+    assert "usage: sklearn-vbjfa close-loop" in capsys.readouterr().err

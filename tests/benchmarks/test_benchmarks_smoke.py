@@ -26,6 +26,8 @@ def residuals(scale, index, tau):
 @pytest.mark.parametrize(
     "name",
     [
+        "discovery",
+        "discovery_measured",
         "errors_in_variables",
         "feedforward",
         "identification",
@@ -319,3 +321,15 @@ def test_what_feedforward_leaves_counts_what_moves():
     weight = np.array([[1.0, 0.0], [1.0, 0.0], [0.0, 0.0]])
     left = bench.left_for_feedback(torque, torque - [[1.0, 1.0]], weight)
     np.testing.assert_allclose(left, [0.5, np.nan])
+
+
+def test_discovery_judges_a_drawn_case():
+    pytest.importorskip("pinocchio")
+    import bench_discovery as bench
+    from _undeclared import draw_cases
+
+    (case,) = draw_cases(1, 1, (5.0, 6.0), 1, kinds=("coulomb",), declared=("viscous",))
+    verdict = bench.judge(case.simulate(duration=20, rate=50))
+    assert verdict.named
+    assert verdict.parameter_errors[0] < 0.15
+    assert bench.row("coulomb", [verdict], "97 %")[2] == "100 %"

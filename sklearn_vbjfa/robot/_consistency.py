@@ -98,11 +98,22 @@ def project_beside(projector, model, theta, metric, friction):
         return fitted, fitted.transform(theta[None])[0]
     rigid = theta[:p]
     follow = _pseudo_solve(metric[p:, p:], metric[p:, :p])
-    schur = metric[:p, :p] - metric[:p, p:] @ follow
-    fitted = fit_projector(projector, model, rigid, 0.5 * (schur + schur.T), friction)
+    schur = _semidefinite(
+        metric[:p, :p] - metric[:p, p:] @ follow, np.diagonal(metric)[:p]
+    )
+    fitted = fit_projector(projector, model, rigid, schur, friction)
     projected = fitted.transform(rigid[None])[0]
     effects = theta[p:] - follow @ (projected - rigid)
     return fitted, np.concatenate([projected, effects])
+
+
+def _semidefinite(A, power):
+    """Clear a difference of Gram matrices of rounding below zero, column by column."""
+    unit = np.sqrt(np.where(power > 0, power, 1.0))
+    values, vectors = linalg.eigh(0.5 * (A + A.T) / np.outer(unit, unit))
+    clean = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    seen = np.where(power > 0, unit, 0.0)
+    return 0.5 * (clean + clean.T) * np.outer(seen, seen)
 
 
 def _pseudo_solve(A, B):

@@ -436,9 +436,11 @@ class EffectSearch:
         for i, effect in enumerate(list(self.accepted)):
             if effect.joint != joint or not effect.continuous:
                 continue
-            base = self.regression([e for e in self.accepted if e is not effect])
             variants, columns = self.view.family(effect, self.motion)
             same = [k for k, v in enumerate(variants) if v.key() == effect.key()]
+            if not same:
+                continue
+            base = self.regression([e for e in self.accepted if e is not effect])
             score = base.score(self.view.joints_of(effect), columns[:, :, same])
             own = self.view.columns([effect], self.motion)
             if score.drop.max() > base.drop(self.view.joints_of(effect), own):

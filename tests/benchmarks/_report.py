@@ -13,7 +13,7 @@ from tabulate import tabulate
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = ROOT / "docs" / "tables"
 # The packages whose versions go below every table; pin where robots are in play.
-PACKAGES = ("numpy", "scipy", "scikit-learn", "clarabel", "pin", "cvxopt")
+PACKAGES = ("numpy", "scipy", "scikit-learn", "clarabel", "pin", "numba", "cvxopt")
 
 
 def add_root_to_path():

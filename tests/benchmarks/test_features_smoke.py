@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("pinocchio")
+pytest.importorskip("numba")
 
 HERE = Path(__file__).resolve().parent
 

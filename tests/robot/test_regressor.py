@@ -1,5 +1,6 @@
 """Batched regressors and inverse dynamics against Pinocchio's, sample by sample."""
 
+import importlib.util
 import pickle
 import threading
 
@@ -12,9 +13,21 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
 from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
+from sklearn_vbjfa.robot import _regressor  # noqa: E402
 from sklearn_vbjfa.robot._features import rounding_entries  # noqa: E402
 from sklearn_vbjfa.robot._model import load_model  # noqa: E402
 from sklearn_vbjfa.robot._regressor import TreeRegressor  # noqa: E402
+
+has_numba = importlib.util.find_spec("numba") is not None
+by_both = pytest.mark.parametrize(
+    "compiled",
+    [
+        False,
+        pytest.param(
+            True, marks=pytest.mark.skipif(not has_numba, reason="needs Numba")
+        ),
+    ],
+)
 
 ALIGNED = ("RX", "RY", "RZ", "PX", "PY", "PZ")
 OBLIQUE = ("RevoluteUnaligned", "PrismaticUnaligned")
@@ -81,18 +94,19 @@ trees = st.lists(st.sampled_from(ALIGNED + OBLIQUE + OTHERS), min_size=1, max_si
 seeds = st.integers(0, 2**32 - 1)
 
 
+@by_both
 @settings(max_examples=60, deadline=None)
 @given(kinds=trees, seed=seeds, n=st.integers(0, 12), chunk=st.integers(1, 15))
-def test_regressor_of_random_trees(kinds, seed, n, chunk):
+def test_regressor_of_random_trees(compiled, kinds, seed, n, chunk):
     rng = np.random.default_rng(seed)
     model = build(rng, kinds)
     states = motion(rng, n, model.nv)
-    regressor = TreeRegressor(model, chunk=chunk)
+    regressor = TreeRegressor(model, chunk=chunk, compiled=compiled)
     Phi = regressor(*states)
     assert Phi.shape == (n, model.nv, model.nv, 10)
     assert_equal_by_unit(Phi, by_sample(model, *states).reshape(Phi.shape))
     assert not Phi[:, ~regressor.carried].any()
-    whole = TreeRegressor(model)(*states)
+    whole = TreeRegressor(model, compiled=compiled)(*states)
     np.testing.assert_allclose(Phi, whole, rtol=1e-10, atol=1e-10)
 
 
@@ -122,7 +136,8 @@ def test_torques_of_random_trees(kinds, seed, n, chunk):
     np.testing.assert_allclose(torque, expected, atol=1e-10 * size)
 
 
-def test_every_kind_of_joint_at_every_place():
+@by_both
+def test_every_kind_of_joint_at_every_place(compiled):
     rng = np.random.default_rng(0)
     kinds = ALIGNED + OBLIQUE + OTHERS
     for kind in kinds:
@@ -134,45 +149,54 @@ def test_every_kind_of_joint_at_every_place():
                 model = build(rng, chosen, parents)
                 states = motion(rng, 5, 3)
                 assert_equal_by_unit(
-                    TreeRegressor(model)(*states), by_sample(model, *states)
+                    TreeRegressor(model, compiled=compiled)(*states),
+                    by_sample(model, *states),
                 )
 
 
+@by_both
 @pytest.mark.parametrize("n", [0, 1, 2, 1500])
-def test_long_and_short_motions_of_an_arm(n):
+def test_long_and_short_motions_of_an_arm(compiled, n):
     model = load_model(demo_arm_urdf())
     states = motion(np.random.default_rng(n), n, model.nv)
-    regressor = TreeRegressor(model)
+    regressor = TreeRegressor(model, compiled=compiled)
     assert 1 < regressor.chunk < 1500
     Phi = regressor(*states)
     assert_equal_by_unit(Phi, by_sample(model, *states).reshape(Phi.shape))
 
 
-def test_base_that_turns_is_part_of_gravity():
+@by_both
+def test_base_that_turns_is_part_of_gravity(compiled):
     rng = np.random.default_rng(2)
     model = build(rng, ["PX", "RZ", "RevoluteUnaligned", "PrismaticUnaligned"])
     model.gravity = pin.Motion(rng.normal(size=6))
     states = motion(rng, 20, model.nv)
-    assert_equal_by_unit(TreeRegressor(model)(*states), by_sample(model, *states))
+    assert_equal_by_unit(
+        TreeRegressor(model, compiled=compiled)(*states), by_sample(model, *states)
+    )
 
 
-def test_robot_far_from_the_origin_is_as_exact():
+@by_both
+def test_robot_far_from_the_origin_is_as_exact(compiled):
     rng = np.random.default_rng(3)
     model = build(rng, ["RZ", "RY", "RX", "RY"], parents=[0, 1, 2, 3])
     states = motion(rng, 20, model.nv)
-    near = TreeRegressor(model)(*states)
+    near = TreeRegressor(model, compiled=compiled)(*states)
     placement = model.jointPlacements[1]
     model.jointPlacements[1] = pin.SE3(
         placement.rotation, placement.translation + np.array([1e6, -2e6, 3e6])
     )
-    np.testing.assert_array_equal(TreeRegressor(model)(*states), near)
+    np.testing.assert_array_equal(
+        TreeRegressor(model, compiled=compiled)(*states), near
+    )
 
 
-def test_writes_where_asked_and_what_is_asked():
+@by_both
+def test_writes_where_asked_and_what_is_asked(compiled):
     rng = np.random.default_rng(4)
     model = build(rng, ["RZ", "PX", "RX"])
     states = motion(rng, 7, 3)
-    regressor = TreeRegressor(model, chunk=3)
+    regressor = TreeRegressor(model, chunk=3, compiled=compiled)
     expected = regressor(*states)
     out = np.full((7, 3, 3, 12), np.nan)
     zeros = rng.random((3, 3, 10)) < 0.5
@@ -215,12 +239,13 @@ def test_torque_does_not_depend_on_the_mass_at_its_own_axis():
     assert np.all(mass[:2, 2:] > 1e-3)
 
 
-def test_calls_at_the_same_time_do_not_disturb_each_other():
+@by_both
+def test_calls_at_the_same_time_do_not_disturb_each_other(compiled):
     rng = np.random.default_rng(6)
     model = build(rng, 7 * ["RZ"])
-    regressor = TreeRegressor(model, chunk=16)
+    regressor = TreeRegressor(model, chunk=16, compiled=compiled)
     states = [motion(rng, 400, 7) for _ in range(4)]
-    expected = [TreeRegressor(model, chunk=16)(*x) for x in states]
+    expected = [TreeRegressor(model, chunk=16, compiled=compiled)(*x) for x in states]
     found = [None] * 4
 
     def run(i):
@@ -235,12 +260,37 @@ def test_calls_at_the_same_time_do_not_disturb_each_other():
     np.testing.assert_array_equal(found, expected)
 
 
-def test_copies_are_small_and_equal():
+@by_both
+def test_copies_are_small_and_equal(compiled):
     rng = np.random.default_rng(7)
     model = build(rng, ["RZ", "HY", "PrismaticUnaligned"])
     states = motion(rng, 30, 3)
-    regressor = TreeRegressor(model)
+    regressor = TreeRegressor(model, compiled=compiled)
     Phi = regressor(*states)
     stored = pickle.dumps(regressor)
     assert len(stored) < 10_000
     np.testing.assert_array_equal(pickle.loads(stored)(*states), Phi)
+
+
+def test_works_without_numba_and_says_when_that_was_asked_for(monkeypatch):
+    rng = np.random.default_rng(8)
+    model = build(rng, ["RZ", "HY", "PrismaticUnaligned"])
+    states = motion(rng, 30, 3)
+    expected = TreeRegressor(model, compiled=False)(*states)
+    monkeypatch.setattr(_regressor, "load_kernel", lambda: None)
+    np.testing.assert_array_equal(TreeRegressor(model)(*states), expected)
+    with pytest.raises(ImportError, match=r"pip install sklearn-vbjfa\[fast\]"):
+        TreeRegressor(model, compiled=True)(*states)
+
+
+@pytest.mark.skipif(not has_numba, reason="needs Numba")
+def test_compiled_loop_is_in_use_and_takes_any_layout(monkeypatch):
+    rng = np.random.default_rng(9)
+    model = build(rng, ["RZ", "HY", "PrismaticUnaligned"])
+    states = motion(rng, 30, 3)
+    regressor = TreeRegressor(model)
+    expected = regressor(*states)
+    monkeypatch.setattr(TreeRegressor, "_chunks", None)
+    apart = [np.asfortranarray(x) for x in states]
+    np.testing.assert_array_equal(regressor(*apart), expected)
+    assert regressor(*(x[:0] for x in states)).shape == (0, 3, 3, 10)

@@ -130,7 +130,8 @@ def report(joints=_JOINTS, max_samples=_MAX_SAMPLES, rounds=9):
         "sample: ``computeJointTorqueRegressor``, with what ``RigidBodyFeatures`` adds "
         "to it, and ``rnea``. The compiled loop needs Numba and is used where that is "
         "installed; its first use after an installation takes some seconds more. Times "
-        f"and ratios are medians of {rounds} rounds in one process; both include the memory of the result."
+        f"and ratios are medians of {rounds} rounds in one process; both include the "
+        "memory of the result."
     )
 
 

@@ -47,6 +47,10 @@ class Blocks:
         """Number of folds."""
         return int(self.fold.max()) + 1
 
+    def folds(self):
+        """Rows of each fold, list of ndarray."""
+        return [np.flatnonzero(self.fold == k) for k in range(self.n_folds)]
+
     def sums(self, values):
         """Sum rows (m, ...) over each block."""
         starts = np.r_[0, np.flatnonzero(np.diff(self.label)) + 1]

@@ -4,7 +4,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis._blocks import correlation_time, make_blocks
-from sklearn_vbjfa.diagnosis._regression import Equations
+from sklearn_vbjfa.diagnosis._regression import Equations, FoldMoments
 from sklearn_vbjfa.robot._effect_columns import make_motion
 from sklearn_vbjfa.robot._groups import check_clock, contiguous_groups
 
@@ -73,6 +73,7 @@ class RecordingView:
             self.index * (robot.dt or 1.0), self.starts, correlation, length
         )
         self.Z, self.back = self.equations.reduce(self.precision)
+        self.moments = FoldMoments(self.Z, self.target, self.blocks.folds())
         # Effects' columns are brought to the size of the declared ones.
         self.size = np.sqrt(np.mean(self.Z**2) * self.Z.shape[0]) or 1.0
         self.ridge = None

@@ -6,6 +6,7 @@ the declared columns is factorised once for each fold, and what a candidate adds
 Schur complement of its own few columns.
 """
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,7 @@ _RIDGES = 10.0 ** np.arange(-10, -2)
 _RANK = 1e-12
 # Share of its own power that a column must keep outside the declared ones' span.
 SPAN = 1e-6
+_ONE = np.ones((1, 1, 1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,6 +67,93 @@ class Equations:
         return rows @ back, back
 
 
+class FoldMoments:
+    """Second moments of columns fold by fold, joint by joint.
+
+    What the joints weigh may change afterwards.
+
+    Parameters
+    ----------
+    Z : ndarray of shape (nv, m, r)
+        Rows, scaled by the root of their weights.
+    y : ndarray of shape (nv, m)
+        Torques, scaled alike.
+    folds : list of ndarray of int
+        Rows of each fold.
+    """
+
+    def __init__(self, Z, y, folds):
+        self._folds = folds
+        # Fold, joint, column, column.
+        self._G = np.array([_transposed(Z[:, f]) @ Z[:, f] for f in folds])
+        self._g = np.array([_transposed(Z[:, f]) @ y[:, f, None] for f in folds])
+
+    def extended(self, Z, y, precision):
+        """Return the joints' weighted sums for Z, which may have more columns.
+
+        Returns
+        -------
+        G : ndarray of shape (n_folds, r, r)
+            Gram matrices.
+        g : ndarray of shape (n_folds, r)
+            Products with the torques.
+        """
+        r, known = Z.shape[2], self._G.shape[-1]
+        G, g = np.empty((len(self._folds), r, r)), np.empty((len(self._folds), r))
+        G[:, :known, :known] = np.einsum("j,fjab->fab", precision, self._G)
+        g[:, :known] = np.einsum("j,fja->fa", precision, self._g[..., 0])
+        if r > known:
+            used = np.flatnonzero(Z[:, :, known:].any(axis=(1, 2)))
+            for i, rows in enumerate(self._folds):
+                columns = Z[np.ix_(used, rows)]
+                new, weight = columns[:, :, known:], precision[used]
+                G[i, :, known:] = _weighted_product(weight, columns, new)
+                G[i, known:, :known] = G[i, :known, known:].T
+                torque = y[np.ix_(used, rows)][:, :, None]
+                g[i, known:] = _weighted_product(weight, new, torque)[:, 0]
+        return G, g
+
+
+def _transposed(A):
+    return A.transpose(0, 2, 1)
+
+
+def _weighted_product(precision, A, B):
+    """Sum of A' B over joints, weighted, (a, b) for A (nj, m, a), B (nj, m, b)."""
+    total = 0.0
+    for p, a, b in zip(precision, A, B):
+        total = total + p * (a.T @ b)
+    return total
+
+
+def _candidate_moments(precision, Z, y, F):
+    """Moments of c candidates' columns F (nj, m, c, k) with others and themselves."""
+    nj, m, c, k = F.shape
+    flat = F.reshape(nj, m, c * k)
+    cross = _weighted_product(precision, Z, flat)
+    right = _weighted_product(precision, y[:, None].transpose(0, 2, 1), flat)
+    own = np.zeros((c, k, k))
+    for p, f in zip(precision, F):
+        if k == 1:
+            own[:, 0, 0] += p * (f[..., 0] ** 2).sum(axis=0)
+        else:
+            own += p * (f.transpose(1, 2, 0) @ f.transpose(1, 0, 2))
+    return cross, own, right.reshape(c, k)
+
+
+def _to_unit(moments, size):
+    """Bring the columns to a mean square; return moments by fold and the factors."""
+    cross, own, right = (list(x) for x in zip(*moments))
+    power = np.diagonal(np.sum(own, axis=0), axis1=1, axis2=2)
+    unit = np.sqrt(size / np.where(power > 0, power, 1.0))
+    return (
+        [C * unit.ravel() for C in cross],
+        [S * unit[:, :, None] * unit[:, None] for S in own],
+        [s * unit for s in right],
+        unit,
+    )
+
+
 class BlockRegression:
     """Ridge regression of all joints' torques, cross-validated by blocks of time.
 
@@ -81,25 +170,19 @@ class BlockRegression:
     ridge : float or None, default=None
         Ridge relative to the mean square of a column; None chooses by
         cross-validation.
+    known : FoldMoments, default=None
+        Second moments of the first columns of Z, where they are known already.
     """
 
-    def __init__(self, Z, y, precision, blocks, ridge=None):
+    def __init__(self, Z, y, precision, blocks, ridge=None, known=None):
         self.Z, self.y, self.precision, self.blocks = Z, y, precision, blocks
-        self.n = max(float((np.any(Z != 0, axis=2) @ np.ones(Z.shape[1])).sum()), 1.0)
-        self._folds = [np.flatnonzero(blocks.fold == k) for k in range(blocks.n_folds)]
-        self._G = np.array(
-            [self._moments(Z[:, rows], Z[:, rows]) for rows in self._folds]
-        )
-        self._g = np.array(
-            [self._moments(Z[:, rows], y[:, rows, None])[:, 0] for rows in self._folds]
-        )
+        self._folds = blocks.folds()
+        known = FoldMoments(Z, y, self._folds) if known is None else known
+        self._G, self._g = known.extended(Z, y, precision)
         size = np.sqrt(np.mean(np.diagonal(self._G.sum(axis=0)))) or 1.0
         self._unit = size**2
         self.ridge = self._choose() if ridge is None else ridge
         self._solve(self.ridge)
-
-    def _moments(self, A, B):
-        return np.einsum("j,jma,jmb->ab", self.precision, A, B, optimize=True)
 
     def _choose(self):
         """Ridge of least cross-validated error."""
@@ -117,6 +200,11 @@ class BlockRegression:
             factor = linalg.cho_factor(total_G - G + penalty)
             self._factors.append(factor)
             self._theta.append(linalg.cho_solve(factor, total_g - g))
+
+    @functools.cached_property
+    def _parts(self):
+        """Rows and torques of each fold."""
+        return [(self.Z[:, rows], self.y[:, rows]) for rows in self._folds]
 
     @property
     def theta(self):
@@ -138,9 +226,10 @@ class BlockRegression:
         """Squared residuals of the blocks from `border` on, fitted to those before."""
         early = self.blocks.label < border
         Z, y = self.Z[:, early], self.y[:, early]
-        G = self._moments(Z, Z)
+        G = _weighted_product(self.precision, Z, Z)
         G += self.ridge * self._unit * np.eye(G.shape[0])
-        theta = linalg.solve(G, self._moments(Z, y[:, :, None])[:, 0], assume_a="pos")
+        g = _weighted_product(self.precision, Z, y[:, :, None])[:, 0]
+        theta = linalg.solve(G, g, assume_a="pos")
         residual = self.y[:, ~early] - self.Z[:, ~early] @ theta
         sums = self.blocks.sums(
             np.concatenate([np.zeros((early.sum(), y.shape[0])), (residual**2).T])
@@ -163,23 +252,15 @@ class BlockRegression:
             Out-of-sample error, with the shape chosen inside each fold, and the
             choice on all rows.
         """
-        nj, _m, c, k = F.shape
-        precision = self.precision[joints]
-        power = np.einsum("j,jmck->ck", precision, F**2)
-        unit = np.sqrt(self._unit / np.where(power > 0, power, 1.0))
-        F = F * unit
-        Z, y = self.Z[joints], self.y[joints]
-        cross, own, right = [], [], []
-        for rows in self._folds:
-            f = F[:, rows]
-            flat = f.reshape(nj, rows.size, c * k)
-            cross.append(
-                np.einsum("j,jma,jmb->ab", precision, Z[:, rows], flat, optimize=True)
-            )
-            own.append(np.einsum("j,jmck,jmcl->ckl", precision, f, f, optimize=True))
-            right.append(
-                np.einsum("j,jmck,jm->ck", precision, f, y[:, rows], optimize=True)
-            )
+        c, k = F.shape[2:]
+        # A slice takes no copy.
+        chosen = slice(joints[0], joints[0] + 1) if len(joints) == 1 else joints
+        precision = self.precision[chosen]
+        moments = [
+            _candidate_moments(precision, Z[chosen], y[chosen], F[:, rows])
+            for rows, (Z, y) in zip(self._folds, self._parts)
+        ]
+        cross, own, right, unit = _to_unit(moments, self._unit)
         totals = [np.sum(x, axis=0) for x in (cross, own, right)]
         squares = np.empty_like(self.y)
         for i, rows in enumerate([*self._folds, None]):
@@ -195,8 +276,9 @@ class BlockRegression:
             theta = self._theta[i] - X[:, at] @ beta[best]
             if last:
                 break
-            residual = self.y[:, rows] - self.Z[:, rows] @ theta
-            residual[joints] -= F[:, rows, best] @ beta[best]
+            Z, y = self._parts[i]
+            residual = y - Z @ theta
+            residual[joints] -= F[:, rows, best] @ (beta[best] * unit[best])
             squares[:, rows] = residual**2
         return Score(
             squares=self.blocks.sums(squares.T),
@@ -208,14 +290,13 @@ class BlockRegression:
 
     def drop(self, joints, F):
         """Fall of the weighted squared error on all rows for one candidate."""
-        nj, m, c, k = F.shape
-        precision = self.precision[joints]
-        power = np.einsum("j,jmck->ck", precision, F**2)
-        F = F * np.sqrt(self._unit / np.where(power > 0, power, 1.0))
-        flat = F.reshape(nj, m, c * k)
-        C = np.einsum("j,jma,jmb->ab", precision, self.Z[joints], flat, optimize=True)
-        S = np.einsum("j,jmck,jmcl->ckl", precision, F, F, optimize=True)
-        s = np.einsum("j,jmck,jm->ck", precision, F, self.y[joints], optimize=True)
+        c, k = F.shape[2:]
+        moments = [
+            _candidate_moments(
+                self.precision[joints], self.Z[joints], self.y[joints], F
+            )
+        ]
+        (C,), (S,), (s,), _ = _to_unit(moments, self._unit)
         return float(self._complement(-1, C, S, s, c, k)[2][0])
 
     def outside(self, joints, F):
@@ -223,7 +304,7 @@ class BlockRegression:
         precision = self.precision[joints]
         power = np.einsum("j,jmck->ck", precision, F**2)
         flat = F.reshape(*F.shape[:2], -1)
-        C = np.einsum("j,jma,jmb->ab", precision, self.Z[joints], flat, optimize=True)
+        C = _weighted_product(precision, self.Z[joints], flat)
         inside = np.einsum("rb,rb->b", C, linalg.cho_solve(self._factors[-1], C))
         with np.errstate(divide="ignore", invalid="ignore"):
             share = 1.0 - inside.reshape(power.shape) / power
@@ -234,19 +315,18 @@ class BlockRegression:
         X = linalg.cho_solve(self._factors[i], C)
         S = S + self.ridge * self._unit * np.eye(k)
         power = np.trace(S, axis1=1, axis2=2)
-        Xc = X.reshape(-1, c, k)
-        inner = np.einsum("rck,rcl->ckl", C.reshape(-1, c, k), Xc, optimize=True)
-        schur = S - inner
+        by_candidate = C.reshape(-1, c, k).transpose(1, 2, 0)
+        schur = S - by_candidate @ X.reshape(-1, c, k).transpose(1, 0, 2)
         schur = 0.5 * (schur + schur.transpose(0, 2, 1))
-        rest = s - np.einsum("rck,r->ck", C.reshape(-1, c, k), self._theta[i])
+        rest = s - (self._theta[i] @ C).reshape(c, k)
         kept = np.trace(schur, axis1=1, axis2=2) / np.where(power > 0, power, 1.0)
         # What lies in the span of the others within rounding must not be divided by.
-        values, vectors = np.linalg.eigh(schur)
+        values, vectors = np.linalg.eigh(schur) if k > 1 else (schur[:, 0], _ONE)
         floor = (SPAN + 2 * self.ridge) * self._unit
         inverse = np.where(values > floor, 1.0 / np.maximum(values, floor), 0.0)
-        inside = np.einsum("ckl,ck->cl", vectors, rest)
-        beta = np.einsum("ckl,cl->ck", vectors, inverse * inside)
-        return X, beta, np.einsum("ck,ck->c", beta, rest), kept
+        inside = (rest[:, None] @ vectors)[:, 0]
+        beta = (vectors @ (inverse * inside)[:, :, None])[:, :, 0]
+        return X, beta, (beta * rest).sum(axis=1), kept
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -56,6 +56,7 @@ class EffectSearch:
     on_progress: object = None
     accepted: list = field(default_factory=list)
     steps: list = field(default_factory=list)
+    _kept: dict = field(default_factory=dict)
 
     # -- models ---------------------------------------------------------------------
 
@@ -64,7 +65,7 @@ class EffectSearch:
         view = self.view
         Z, self._scales = [view.Z], []
         for effect in effects:
-            columns = view.columns([effect], self.motion)[:, :, 0]
+            columns = self._columns_of(effect)
             extra = np.zeros((*view.Z.shape[:2], columns.shape[-1]))
             extra[view.joints_of(effect)] = columns
             power = np.mean(extra**2, axis=(0, 1))
@@ -77,7 +78,18 @@ class EffectSearch:
             view.precision,
             view.blocks,
             view.ridge,
+            view.moments,
         )
+
+    def _columns_of(self, effect):
+        """Columns of an effect, (nj, m, k); kept until the load is another."""
+        key = (effect.name, tuple(effect.get_params().items()))
+        motion, columns = self._kept.get(key, (None, None))
+        stale = "load" in effect.needs and motion is not self.motion
+        if columns is None or stale:
+            columns = self.view.columns([effect], self.motion)[:, :, 0]
+            self._kept[key] = self.motion, columns
+        return columns
 
     def _refresh(self):
         """Joint weights and load from the model as it is now."""

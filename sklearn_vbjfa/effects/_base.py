@@ -1,5 +1,6 @@
 """What an effect is: columns of a joint's torque, computed from the motion."""
 
+import functools
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -193,6 +194,12 @@ class Effect(TransformerMixin, BaseEstimator):
         return {s: u[kind] for s, u in zip(self.coefficients, self.units)}
 
     # -- derived ------------------------------------------------------------------
+
+    @classmethod
+    @functools.cache
+    def _get_param_names(cls):
+        # The search asks a hundred thousand times what never changes.
+        return super()._get_param_names()
 
     @property
     def complexity(self):

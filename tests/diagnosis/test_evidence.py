@@ -60,7 +60,8 @@ def test_units_do_not_matter(seed, unit):
     assert other.gain_std == pytest.approx(one.gain_std)
     assert other.p_value == pytest.approx(one.p_value, rel=1e-6)
     order = np.random.default_rng(seed).permutation(25)
-    assert p_value(before[order], after[order]) == pytest.approx(one.p_value, rel=1e-6)
+    shuffled = compare(before[order], after[order])
+    assert shuffled.p_value == pytest.approx(one.p_value, rel=1e-6)
 
 
 def test_p_values_are_honest():
@@ -84,6 +85,16 @@ def test_a_dozen_blocks_can_reach_the_level_of_a_hundred_candidates():
     before, after = pairs(12, 0.7, spread=0.1)
     assert p_value(before, after) < 0.05 / 100
     assert p_value(before[:2], after[:2]) == 1.0
+
+
+def test_worse_in_the_sum_is_no_evidence_however_often_it_helps():
+    before = np.ones(40)
+    after = np.where(np.arange(40) == 3, 30.0, 0.9)
+    found = compare(before, after)
+    assert found.helped > 0.9
+    assert found.gain < 0
+    assert found.p_value == 1.0
+    assert p_value(before, after) < 1e-6
 
 
 def test_one_difficult_block_does_not_decide():

@@ -38,8 +38,9 @@ class Step:
 
     Attributes
     ----------
-    action : {"add", "replace", "drop", "refuse"}
-        What was done; what does not hold on later data is refused.
+    action : {"add", "replace", "drop", "refuse", "withdraw"}
+        What was done; what does not hold on later data is refused, what does harm on
+        motion that it was not fitted to is withdrawn.
     effect : Effect
         What was added or dropped.
     replaced : Effect or None

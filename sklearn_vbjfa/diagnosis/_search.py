@@ -9,6 +9,7 @@ from sklearn.base import clone
 from sklearn_vbjfa.diagnosis._candidates import Candidate, Step, closure
 from sklearn_vbjfa.diagnosis._evidence import compare, no_worse
 from sklearn_vbjfa.diagnosis._regression import BlockRegression
+from sklearn_vbjfa.diagnosis._transfer import Transfer
 
 # A joint whose out-of-sample error is within this factor of its noise floor lacks
 # nothing that could be named.
@@ -263,6 +264,7 @@ class EffectSearch:
             if not self._round(number):
                 break
         self._polish()
+        self._withdraw()
         return self
 
     def _round(self, number):
@@ -360,6 +362,25 @@ class EffectSearch:
             self.accepted = [e for e in self.accepted if e is not worst]
             self._refresh()
             self._record("drop", worst, None, evidence, (), (), before)
+
+    def _withdraw(self):
+        """Drop what makes the error larger on motion that it was not fitted to."""
+        while self.accepted:
+            transfer = Transfer(self.view, self.motion, self.accepted)
+            with_all, worst, evidence = transfer.squares(self.accepted), None, None
+            for effect in self.accepted:
+                rest = transfer.squares([e for e in self.accepted if e is not effect])
+                case = compare(*self._relevant(effect, rest, with_all))
+                # A single stretch that differs from the others decides nothing.
+                harmful = case.gain < -case.gain_std
+                if harmful and (evidence is None or case.gain < evidence.gain):
+                    worst, evidence = effect, case
+            if worst is None:
+                return
+            before = self.before
+            self.accepted = [e for e in self.accepted if e is not worst]
+            self._refresh()
+            self._record("withdraw", worst, None, evidence, (), (), before)
 
     def _replace(self, joint):
         """Let rivals compete for the place of each effect of the joint."""

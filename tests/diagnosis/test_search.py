@@ -122,7 +122,7 @@ def test_steps_tell_the_story():
     added = {(s.effect.name, s.effect.joint) for s in now.steps if s.action == "add"}
     assert set(found(now)) <= added
     for step in now.steps:
-        assert step.action in {"add", "replace", "drop", "refuse"}
+        assert step.action in {"add", "replace", "drop", "refuse", "withdraw"}
         assert (step.replaced is not None) == (step.action == "replace")
         if step.action == "add":
             assert step.evidence.significant(now.level)

@@ -1,0 +1,128 @@
+"""What effects found in some stretches of motion are worth on the others.
+
+Blocks that alternate between fitting and judging tell effects from noise, but each of
+them lies between neighbours that were fitted. What a shape fits to the motion at hand
+and to no other shows only where whole recordings, or long stretches of one, are left
+out. There a regression without constraints extrapolates its own noise, which hides
+everything else; the physically consistent one does not.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sklearn_vbjfa.robot import _friction
+from sklearn_vbjfa.robot._consistency import project_beside
+from sklearn_vbjfa.robot._equations import unexcited_entries
+from sklearn_vbjfa.robot._joint_statistics import joint_statistics, residual_squares
+from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+
+# Stretches that are left out in turn where there is one recording, and the most where
+# there are several.
+_STRETCHES = 3
+_MOST = 4
+
+
+def stretches(blocks, starts):
+    """Return the stretch of each row: recordings, or thirds of a single one.
+
+    Parameters
+    ----------
+    blocks : Blocks
+        Blocks of time, of which none is cut in two.
+    starts : ndarray of int
+        First rows of the recordings.
+    """
+    if len(starts) == 1:
+        return blocks.label * _STRETCHES // blocks.n_blocks
+    rows = np.arange(blocks.label.size)
+    recording = np.searchsorted(starts, rows, side="right") - 1
+    return recording * min(len(starts), _MOST) // len(starts)
+
+
+class Transfer:
+    """Errors on stretches of motion that were not fitted.
+
+    Parameters
+    ----------
+    view : RecordingView
+        Recording.
+    motion : Motion
+        Its signals.
+    effects : list of Effect
+        All that are to be looked at.
+    """
+
+    def __init__(self, view, motion, effects):
+        self.view, self.effects = view, list(effects)
+        equations = view.equations
+        columns = [_by_joint(view, motion, effect) for effect in self.effects]
+        Phi = np.concatenate([equations.Phi, *columns], axis=2)
+        widths = [equations.Phi.shape[2], *(c.shape[2] for c in columns)]
+        self._edges = np.cumsum(widths)
+        label = stretches(view.blocks, view.starts)
+        self._stats = [
+            joint_statistics(Phi[rows], equations.tau[rows], equations.weight[rows])
+            for rows in (label == k for k in range(label.max() + 1))
+        ]
+
+    def squares(self, effects):
+        """Squared errors with some of the effects, each stretch fitted to the others.
+
+        Parameters
+        ----------
+        effects : list of Effect
+            Those of `self.effects` that the model has.
+
+        Returns
+        -------
+        ndarray of shape (n_stretches, nv)
+            Weighted sums of squares.
+        """
+        pieces = [np.arange(self._edges[0])]
+        for i, effect in enumerate(self.effects):
+            if any(effect is one for one in effects):
+                pieces.append(np.arange(self._edges[i], self._edges[i + 1]))
+        chosen = np.concatenate(pieces)
+        stats = [_columns(one, chosen) for one in self._stats]
+        out = []
+        for k, kept in enumerate(stats):
+            others = [one for i, one in enumerate(stats) if i != k]
+            theta = self._fit(sum(others[1:], start=others[0]))
+            out.append(residual_squares(kept, theta))
+        return np.array(out)
+
+    def _fit(self, stats):
+        """Physically consistent parameters from statistics."""
+        robot = self.view.robot
+        estimator = JointTorqueRegressor(joint_weights=self.view.precision)
+        estimator._begin()
+        estimator._stats = stats
+        rigid = robot.features_.n_parameters_
+        estimator._forget(unexcited_entries(stats, rigid))
+        estimator._finish()
+        if robot.projector is None:
+            return estimator.theta_
+        _, theta = project_beside(
+            robot.projector,
+            robot.features_._model,
+            estimator.theta_unconstrained_,
+            estimator.metric_,
+            _friction.check_names(robot.friction),
+        )
+        return theta
+
+
+def _by_joint(view, motion, effect):
+    """Columns of an effect in all joints' equations, (m, nv, k)."""
+    columns = view.filtered(effect.columns(motion))
+    if effect.whole_robot:
+        return columns
+    out = np.zeros((columns.shape[0], view.nv, columns.shape[-1]))
+    out[:, effect.joint] = columns
+    return out
+
+
+def _columns(stats, chosen):
+    """Statistics of some columns."""
+    return replace(stats, G=stats.G[:, chosen][:, :, chosen], g=stats.g[:, chosen])

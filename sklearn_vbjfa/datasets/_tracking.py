@@ -68,7 +68,7 @@ def simulate_tracking(
     settle=1.0,
     substeps=1,
     random_state=None,
-):
+) -> TrackingResult:
     """Let a robot follow a motion by feedforward torques and low-gain feedback.
 
     Computed torque in the form of section 5.2 of [1]_: the identified model says the
@@ -120,8 +120,10 @@ def simulate_tracking(
 
     Examples
     --------
-    >>> from sklearn_vbjfa.datasets import make_closed_loop_recording
-    >>> from sklearn_vbjfa.datasets._tracking import simulate_tracking
+    >>> from sklearn_vbjfa.datasets import (
+    ...     make_closed_loop_recording,
+    ...     simulate_tracking,
+    ... )
     >>> robot = make_closed_loop_recording("head", duration=1.0, random_state=0)
     >>> result = simulate_tracking(
     ...     robot.plant, robot.motions[0], robot.plant.inverse_dynamics,

@@ -343,7 +343,7 @@ class EffectSearch:
         )
 
     def _prune(self, newest):
-        """Drop what the newest effect made superfluous, the least useful first."""
+        """Drop what became superfluous or took a wrong sign, the least useful first."""
         while True:
             worst, evidence = None, None
             for effect in self.accepted:
@@ -352,7 +352,8 @@ class EffectSearch:
                 rest = [e for e in self.accepted if e is not effect]
                 without = self.regression(rest).squares()
                 case = compare(*self._relevant(effect, without, self.before))
-                if case.significant(self.alpha, _SUPERFLUOUS):
+                likely = effect.plausible(self.coefficients(effect))
+                if likely and case.significant(self.alpha, _SUPERFLUOUS):
                     continue
                 if evidence is None or case.gain < evidence.gain:
                     worst, evidence = effect, case

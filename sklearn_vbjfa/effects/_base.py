@@ -116,6 +116,9 @@ class Effect(TransformerMixin, BaseEstimator):
         Shape parameters that take any value between those of `shapes`.
     positive : tuple of str
         Shape parameters that must be greater than zero.
+    nonnegative : tuple of str
+        Coefficients that are not negative in nature: what a search finds with another
+        sign is something else.
     visible : str
         What a recording must hold for the effect to show.
 
@@ -141,6 +144,7 @@ class Effect(TransformerMixin, BaseEstimator):
     needs = ()
     continuous = ()
     positive = ()
+    nonnegative = ()
     visible = "the joint moves"
     # True for a smooth function of time, which would fit whatever changes slowly.
     slow = False
@@ -181,8 +185,9 @@ class Effect(TransformerMixin, BaseEstimator):
         return ""
 
     def plausible(self, coef):
-        """Whether fitted coefficients agree with the shape parameters."""
-        return True
+        """Whether fitted coefficients are of the sign and size the effect has."""
+        fitted = dict(zip(self.coefficients, coef))
+        return all(fitted[name] >= 0 for name in self.nonnegative)
 
     def parameters(self, coef):
         """Return what an engineer calls the coefficients, symbol -> value."""

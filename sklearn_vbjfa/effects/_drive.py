@@ -39,6 +39,7 @@ class RotorInertia(Effect):
 
     name = "rotor_inertia"
     coefficients = ("Ir",)
+    nonnegative = ("Ir",)
     units = (("kg m^2", "kg"),)
     visible = "acceleration in poses with different link inertia"
 
@@ -153,6 +154,7 @@ class Elastic(Effect):
 
     name = "elastic"
     coefficients = ("compliance",)
+    nonnegative = ("compliance",)
     units = (("rad/(N m)", "m/N"),)
     needs = ("load", "time")
     visible = "motion near a tenth of the elastic mode's frequency and above"

@@ -57,6 +57,7 @@ class Viscous(Effect):
 
     name = "viscous"
     coefficients = ("Fv",)
+    nonnegative = ("Fv",)
     units = (_VISCOUS,)
     visible = "motion at several speeds"
 
@@ -93,6 +94,7 @@ class Coulomb(_Smoothed):
 
     name = "coulomb"
     coefficients = ("Fc",)
+    nonnegative = ("Fc",)
     units = (_TORQUE,)
     visible = "the joint reverses"
 
@@ -170,6 +172,7 @@ class Stribeck(Effect):
 
     name = "stribeck"
     coefficients = ("Fs",)
+    nonnegative = ("Fs",)
     units = (_TORQUE,)
     contains = ("coulomb", "viscous")
     continuous = ("vs",)
@@ -265,6 +268,7 @@ class LoadFriction(_Smoothed):
 
     name = "load_friction"
     coefficients = ("mu",)
+    nonnegative = ("mu",)
     units = (("", ""),)
     contains = ("coulomb", "viscous")
     needs = ("load",)

@@ -80,6 +80,7 @@ class Presliding(Effect):
 
     name = "presliding"
     coefficients = ("Fp",)
+    nonnegative = ("Fp",)
     units = (("N m", "N"),)
     contains = ("coulomb", "viscous")
     continuous = ("displacement",)

@@ -65,9 +65,12 @@ def parser(description):
     return arguments
 
 
-def publish(name, text, *, write):
-    """Print a report; write it to docs/tables/NAME.rst if asked to."""
-    command = f"python tests/benchmarks/bench_{name}.py"
+def publish(name, text, *, write, command=None):
+    """Print a report; write it to docs/tables/NAME.rst if asked to.
+
+    The command that made it is that of the benchmark of the same name unless given.
+    """
+    command = command or f"python tests/benchmarks/bench_{name}.py"
     text = f"{text.rstrip()}\n\nMade by ``{command}``, {environment()}.\n"
     print(text)
     if write:

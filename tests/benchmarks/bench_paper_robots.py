@@ -17,6 +17,8 @@ paper; methods that need the equations themselves then hold all of them in memor
 
 import multiprocessing
 import resource
+import shlex
+import sys
 import time
 import warnings
 from contextlib import contextmanager
@@ -226,6 +228,22 @@ def control(recording, feedforward, duration):
     return np.mean(figures, axis=0), reason
 
 
+def bare_loop(recording):
+    """Seconds of Pinocchio in a loop that computes the regressors and nothing else.
+
+    On the positions as they are, with velocities and accelerations of the same size.
+    """
+    import pinocchio as pin
+
+    model = recording.robot_model()
+    data, q = model.createData(), recording.q
+    v = np.gradient(q, recording.dt, axis=0)
+    started = time.perf_counter()
+    for i in range(q.shape[0]):
+        pin.computeJointTorqueRegressor(model, data, q[i], v[i], v[i])
+    return time.perf_counter() - started
+
+
 def record(name, seed, full=False, duration=60.0):
     """Record one drawn robot; six or twenty motions side by side."""
     rate = {"head": 420.0, "arm": 480.0}[name]
@@ -276,14 +294,15 @@ def run(
     -------
     rows : dict of str to tuple
         Name -> averages, reason of a stop, `Identification` or None.
-    seconds : float
-        Time of a simulated sample [microseconds].
+    seconds : tuple of float
+        Time of a simulated sample [microseconds], and of the regressors of all samples
+        in a bare loop [s].
     """
     started = time.perf_counter()
     recording = record(name, seed, full, duration)
     per_sample = 1e6 * (time.perf_counter() - started) / recording.n_samples
     plant, nominal = recording.plant, recording.nominal
-    rows = {}
+    loop, rows = bare_loop(recording), {}
 
     def add(label, feedforward, fit=None):
         rows[label] = (*control(recording, feedforward, tracked), fit)
@@ -306,7 +325,7 @@ def run(
         add(label, fit.model.predict, fit)
     # Without the actuators' lag: what a model of torques can reach at best.
     add("the robot itself", plant.inverse_dynamics)
-    return rows, per_sample
+    return rows, (per_sample, loop)
 
 
 HEADERS = [
@@ -379,7 +398,8 @@ def section(name, draws, times, *, full=False, duration=60.0, state_cutoff=None)
         rst_title(f"{name.capitalize()}: {size}, smoothing {states}, {drawn}", "~"),
         *tables(draws),
         *filter(None, [comparison(draws)]),
-        f"Simulation: {np.mean(times):.0f} microseconds a sample.",
+        "Simulation: {:.0f} microseconds a sample. A bare loop over the samples with "
+        "Pinocchio's regressor: {:.1f} s.".format(*np.mean(times, axis=0)),
     ]
 
 
@@ -430,6 +450,7 @@ def main():
         help="smooth to this [Hz] and filter nothing; auto: the package's choice",
     )
     arguments = arguments.parse_args()
+    given = [word for word in sys.argv[1:] if word != "--write"]
 
     def show(label, row):
         print(label, np.round(row[0], 4), row[1], flush=True)
@@ -442,7 +463,9 @@ def main():
         state_cutoffs=arguments.state_cutoff,
         on_row=show,
     )
-    publish("paper_robots", text, write=arguments.write)
+    name = "paper_robots_full" if arguments.full else "paper_robots"
+    command = shlex.join(["python", "tests/benchmarks/bench_paper_robots.py", *given])
+    publish(name, text, write=arguments.write, command=command)
 
 
 if __name__ == "__main__":

@@ -23,6 +23,14 @@ def spring(k, c=0.0):
     return lambda r: k * r.q[:, 0] + c
 
 
+def stribeck(size):
+    def torque(r):
+        v = r.v[:, 1]
+        return (1.0 + size * np.exp(-np.abs(v / 0.3))) * np.sign(v)
+
+    return torque
+
+
 def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
     robot = recording.robot() if robot is None else robot
     groups = np.zeros(torque.shape[0], int) if groups is None else groups
@@ -132,6 +140,28 @@ def test_steps_tell_the_story():
             )
             assert after < before
         assert step.effect not in [rival.effect for rival in step.rivals]
+
+
+def test_what_has_the_wrong_sign_is_something_else():
+    """Friction that falls towards standstill is no Stribeck friction."""
+    rising = CLEAN.torque(joint_2=stribeck(0.6))
+    falling = CLEAN.torque(joint_2=stribeck(-0.6))
+    friction = ("viscous", "coulomb")
+    for torque, expected in ((rising, [("stribeck", 1)]), (falling, [])):
+        robot = CLEAN.robot(friction=friction)
+        assert found(search(torque, ["stribeck"], robot=robot).run()) == expected
+
+
+def test_what_took_the_wrong_sign_beside_others_is_dropped():
+    robot = CLEAN.robot(friction=("viscous", "coulomb"))
+    now = search(CLEAN.torque(joint_2=stribeck(-0.6)), ["stribeck"], robot=robot)
+    now._refresh()
+    now.accepted = [effects.Stribeck(1, vs=0.3), effects.Spring(0)]
+    now._refresh()
+    now._prune(now.accepted[1])
+    assert [s.action for s in now.steps] == ["drop"]
+    assert now.steps[0].evidence.significant(0.05)
+    assert [e.name for e in now.accepted] == ["spring"]
 
 
 def test_coefficients_are_in_the_effects_own_units():

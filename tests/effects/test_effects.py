@@ -607,6 +607,17 @@ def test_unknown_settings_are_refused(effect):
         transform(effect)
 
 
+@pytest.mark.parametrize("cls", [effects.Coulomb, effects.LoadFriction])
+def test_friction_does_not_drive(cls):
+    assert cls().plausible([0.1])
+    assert not cls().plausible([-0.1])
+
+
+def test_a_spring_may_have_either_sign():
+    assert effects.Spring().plausible([-1.0, -1.0])
+    assert effects.ViscousQuadratic().plausible([-1.0])
+
+
 # -- an effect of one's own
 
 

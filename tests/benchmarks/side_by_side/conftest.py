@@ -1,0 +1,3 @@
+"""These scripts run in folders and interpreters of their own, see bench_figaroh.py."""
+
+collect_ignore_glob = ["*_user*.py"]

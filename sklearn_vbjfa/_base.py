@@ -7,7 +7,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core import _stats
+from sklearn_vbjfa._core import _rounding, _stats
 from sklearn_vbjfa._independent import fit_independent
 from sklearn_vbjfa._sklearn_compat import check_sample_weight
 
@@ -72,6 +72,16 @@ def resolve_input_noise(input_noise, n_features):
     )
 
 
+def _warn_lost_digits(name):
+    warnings.warn(
+        f"{name}.partial_fit loses digits: the inputs so far are too dependent, or y "
+        "too free of noise, for their scatter matrix, and earlier rows are not at hand "
+        "for a QR decomposition; fit all rows at once, or begin with a larger chunk.",
+        UserWarning,
+        stacklevel=3,
+    )
+
+
 class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
     """Validation, statistics, prediction; subclasses fit standardised moments."""
 
@@ -106,12 +116,15 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
             return self._fit(
                 _stats.standardise_data(X, y, weight, centred=self.fit_intercept)
             )
-        return self._fit_statistics(_stats.from_data(X, y, weight))
+        stats = _rounding.accumulate(X, y, weight, centred=self.fit_intercept)
+        return self._fit_statistics(stats)
 
     def partial_fit(self, X, y, sample_weight=None):
         """Add rows to those seen so far and refit from the merged statistics.
 
-        The result equals one `fit` on all rows together, in any order and chunking.
+        The result equals one `fit` on all rows together, in any chunking. With
+        `forgetting` below one, rows are in the order of time and count
+        ``forgetting ** age``, with the age in rows: the newest row has the age zero.
 
         Parameters
         ----------
@@ -138,9 +151,17 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         weight = None
         if sample_weight is not None:
             weight = check_sample_weight(sample_weight, X)
-        total = _stats.from_data(X, y, weight)
-        if not first:
-            total = _stats.merge(self.statistics_, total)
+        n = X.shape[0]
+        if self.forgetting < 1.0:
+            age = self.forgetting ** np.arange(n - 1.0, -1.0, -1.0)
+            weight = age if weight is None else age * weight
+        old = None if first else self.statistics_
+        new = _rounding.add(old, X, y, weight, centred=self.fit_intercept)
+        total = None if first else _stats.fade(self.statistics_, self.forgetting**n)
+        if new is not None:
+            total = _stats.merge(total, new)
+            if _rounding.loses_digits(total, X, y, weight, centred=self.fit_intercept):
+                _warn_lost_digits(type(self).__name__)
         return self._fit_statistics(total)
 
     def _accepts_data_moments(self):

@@ -74,7 +74,9 @@ def fit_correlated(data, noise, labels, *, select, settings):
         _warn_excess(m.S / m.n, psi, data, labels)
     if not select:
         psi = np.zeros((d, d)) if psi is None else psi
-        solution = _correlated.solve_correlated(m.S, m.xy, m.yy, m.n, psi, **settings)
+        solution = _correlated.solve_correlated(
+            m.S, m.xy, m.yy, m.n, psi, root=m.root, **settings
+        )
         cov = _correlated.posterior_covariance(m.S, m.n, psi, solution)
         return _result(
             data,
@@ -96,7 +98,14 @@ def fit_correlated(data, noise, labels, *, select, settings):
         psi[at, at] = np.diagonal(psi_kept)
     psi_kept = psi[np.ix_(at, at)]
     solution = _correlated.solve_correlated(
-        m.S[np.ix_(at, at)], m.xy[at], m.yy, m.n, psi_kept, common=True, **settings
+        m.S[np.ix_(at, at)],
+        m.xy[at],
+        m.yy,
+        m.n,
+        psi_kept,
+        common=True,
+        root=None if m.root is None else m.root.columns(at),
+        **settings,
     )
     cov = _correlated.posterior_covariance(m.S[np.ix_(at, at)], m.n, psi_kept, solution)
     copies = [found.copies[k] for k in np.flatnonzero(kept)]
@@ -146,6 +155,7 @@ def _relevant_inputs(m, basis, settings):
         m.yy,
         m.n,
         np.zeros((basis.size, basis.size)),
+        root=None if m.root is None else m.root.columns(basis),
         **settings,
     )
     state = solution.state

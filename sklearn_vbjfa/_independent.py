@@ -87,7 +87,7 @@ def _coefficient_covariance(data, hidden, precision):
     # Without a prior the null space of S_xx has no finite variance: the span's
     # covariance is reported and the affected inputs are marked infinite.
     values, vectors = linalg.eigh(moments.S / s)
-    keep = values > values[-1] * values.size * np.finfo(float).eps
+    keep = values > values[-1] * values.size * 4 * np.finfo(float).eps
     span = vectors[:, keep] / np.sqrt(values[keep])
     cov = span @ span.T
     lost = (vectors[:, ~keep] ** 2).sum(axis=1) > 1e-8

@@ -36,6 +36,10 @@ class JFARegressor(BaseJointFactorRegressor):
         Largest number of iterations.
     tol : float, default=1e-7
         Gain of the log-likelihood per sample below which the iteration stops.
+    forgetting : float, default=1.0
+        Weight that what `partial_fit` has seen keeps with each further row, in
+        (0, 1]: the memory is ``1 / (1 - forgetting)`` rows long. `fit` does not
+        forget.
 
     Attributes
     ----------
@@ -118,6 +122,7 @@ class JFARegressor(BaseJointFactorRegressor):
         "query": [StrOptions({"noiseless", "noisy"})],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
         "tol": [Interval(Real, 0, None, closed="left")],
+        "forgetting": [Interval(Real, 0, 1, closed="right")],
     }
 
     def __init__(
@@ -129,6 +134,7 @@ class JFARegressor(BaseJointFactorRegressor):
         query="noiseless",
         max_iter=20000,
         tol=1e-7,
+        forgetting=1.0,
     ):
         self.input_noise = input_noise
         self.initial_input_noise = initial_input_noise
@@ -136,6 +142,7 @@ class JFARegressor(BaseJointFactorRegressor):
         self.query = query
         self.max_iter = max_iter
         self.tol = tol
+        self.forgetting = forgetting
 
     def _fit(self, data):
         noise = resolve_input_noise(self.input_noise, data.active.shape[0])

@@ -4,7 +4,6 @@ from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.cluster import KMeans
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._sklearn_compat import Interval, StrOptions, check_sample_weight
@@ -120,6 +119,9 @@ class LocallyWeightedRegressor(RegressorMixin, BaseEstimator):
         Z = X / self.scale_
         first = _spread_points(Z[used], self.n_models)
         n_models = first.shape[0]
+        # Imported here: it brings eighty modules that nothing else needs.
+        from sklearn.cluster import KMeans
+
         means = KMeans(n_models, init=first, n_init=1)
         means.fit(Z[used], sample_weight=weight[used])
         centers = means.cluster_centers_

@@ -65,6 +65,10 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Largest number of iterations.
     tol : float, default=1e-7
         Gain of the bound per sample below which the iteration stops.
+    forgetting : float, default=1.0
+        Weight that what `partial_fit` has seen keeps with each further row, in
+        (0, 1]: the memory is ``1 / (1 - forgetting)`` rows long. `fit` does not
+        forget.
 
     Attributes
     ----------
@@ -191,6 +195,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         "query": [StrOptions({"noiseless", "noisy"})],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
         "tol": [Interval(Real, 0, None, closed="left")],
+        "forgetting": [Interval(Real, 0, 1, closed="right")],
     }
 
     def __init__(
@@ -207,6 +212,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         query="noiseless",
         max_iter=20000,
         tol=1e-7,
+        forgetting=1.0,
     ):
         self.latent = latent
         self.selection = selection
@@ -219,6 +225,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         self.query = query
         self.max_iter = max_iter
         self.tol = tol
+        self.forgetting = forgetting
 
     def _accepts_data_moments(self):
         return self.latent != "correlated"

@@ -2,14 +2,23 @@
 
 import csv
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from sklearn_vbjfa import EffectDiscovery
-from sklearn_vbjfa._cli import main
+from sklearn_vbjfa._cli import _close_loop, _signals, main
 from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.robot._model import load_model
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -123,6 +132,10 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     assert "shoulder" in page
     for matrix in identified(folder / "identified.urdf"):
         assert np.linalg.eigvalsh(matrix).min() > 0
+    # What was identified is a description to begin with.
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_model(folder / "identified.urdf")
 
 
 def test_parameters_are_a_table(good, urdf, capsys):
@@ -136,9 +149,36 @@ def test_parameters_are_a_table(good, urdf, capsys):
     assert not any("viscous" in name or "coulomb" in name for name in names)
     for row in rows:
         assert np.isfinite(float(row["value"])), row
-        assert float(row["std"]) >= 0, row
-        assert row["identifiable"] in ("0", "1"), row
+        assert row["identifiable"] in ("yes", "no"), row
         assert row["unit"], row
+        # a spreadsheet would read inf and nan as text
+        if row["std"]:
+            assert 0 <= float(row["std"]) < np.inf, row
+    assert {row["identifiable"] for row in rows} == {"yes", "no"}
+    assert all(row["std"] for row in rows if row["identifiable"] == "yes")
+
+
+def test_undetermined_parameters_have_no_deviation(tmp_path):
+    robot = SimpleNamespace(
+        parameter_names_=("a,b:m", "a:viscous"),
+        parameter_units_=("kg", "N m s/rad"),
+        theta_=np.array([1.0, 0.1 + 0.2]),
+        theta_std_=np.array([np.inf, 0.25]),
+        identifiable_=np.array([False, True]),
+    )
+    path = tmp_path / "parameters.csv"
+    _close_loop._write_parameters(robot, path)
+    assert path.read_text().splitlines() == [
+        "parameter,value,unit,std,identifiable",
+        '"a,b:m",1.0,kg,,no',
+        "a:viscous,0.30000000000000004,N m s/rad,0.25,yes",
+    ]
+    pandas = pytest.importorskip("pandas")
+    table = pandas.read_csv(path)
+    assert table["std"].dtype == float
+    assert table["std"].isna().tolist() == [True, False]
+    np.testing.assert_array_equal(table["value"], robot.theta_)
+    assert (table["identifiable"] == "yes").tolist() == [False, True]
 
 
 def test_options_reach_the_estimators(good, urdf, monkeypatch):
@@ -170,6 +210,193 @@ def test_an_interrupted_run_leaves_nothing(good, urdf, monkeypatch, capsys):
     assert captured.out == ""
     assert captured.err == "sklearn-vbjfa: interrupted, nothing was written\n"
     assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
+
+
+# -- joints ----------------------------------------------------------------------------
+
+# A gripper, one finger of which follows the other, and a wheel.
+HAND = """
+<link name="left"><inertial><mass value="0.2"/>
+  <inertia ixx="1e-4" iyy="1e-4" izz="1e-4" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="grip" type="prismatic"><parent link="lower"/><child link="left"/>
+  <axis xyz="0 1 0"/><limit lower="0" upper="0.04" effort="9" velocity="1"/></joint>
+<link name="right"/>
+<joint name="grip_2" type="prismatic"><parent link="lower"/><child link="right"/>
+  <axis xyz="0 -1 0"/><limit lower="0" upper="0.04" effort="9" velocity="1"/>
+  <mimic joint="grip"/></joint>
+<link name="wheel"/>
+<joint name="drive" type="continuous"><parent link="base"/><child link="wheel"/>
+  <axis xyz="0 1 0"/></joint>
+"""
+
+
+@pytest.fixture
+def with_hand(tmp_path):
+    path = tmp_path / "hand.urdf"
+    path.write_text(URDF.replace("</robot>", HAND + "</robot>"))
+    return path
+
+
+def test_more_joints_than_columns_are_named_with_the_option(good, with_hand, capsys):
+    line = refusal(capsys, good, "--urdf", with_hand)
+    assert "2 column(s) q for 5 joint(s)" in line
+    for name in ("shoulder", "elbow", "grip", "grip_2", "drive"):
+        assert name in line
+    assert "--joints" in line
+
+
+def test_joints_that_are_not_named_are_held_at_zero(
+    good, recording, urdf, with_hand, capsys
+):
+    def values(report):
+        with open(f"{report}/parameters.csv", newline="", encoding="utf-8") as file:
+            return {
+                row["parameter"]: (row["value"], row["std"])
+                for row in csv.DictReader(file)
+            }
+
+    common = ["--effects", "spring"]
+    joints = ["--joints", "shoulder,elbow"]
+    argv = ["close-loop", str(good), "--urdf", str(with_hand), *joints, *common]
+    assert main([*argv, "--out", "held"]) == 0
+    captured = capsys.readouterr()
+    assert captured.out.splitlines()[1] == "held at zero: grip, grip_2, drive"
+    assert captured.err == ""
+    assert main([*argv[:3], str(urdf), *common, "--out", "plain"]) == 0
+    held, plain = values("held"), values("plain")
+    assert list(held) == list(plain)
+    for name, (value, std) in plain.items():
+        # what the recording tells does not depend on what the model had there
+        if std and "elbow:I" not in name:
+            np.testing.assert_allclose(
+                float(held[name][0]), float(value), atol=1.0 * float(std)
+            )
+    identified("held/identified.urdf")
+    mode = os.stat("held/identified.urdf").st_mode
+    assert mode & 0o777 == with_hand.stat().st_mode & 0o666
+
+
+def test_joints_are_in_the_order_of_the_columns(good, recording, urdf, capsys):
+    q, tau = recording.q[:, ::-1], recording.tau[:, ::-1]
+    write_csv(good.parent / "turned.csv", recording, q=q, tau=tau)
+    common = ["--urdf", str(urdf), "--effects", "spring", "--out"]
+    assert main(["close-loop", str(good), *common, "a"]) == 0
+    options = ["--joints", "elbow,shoulder"]
+    assert main(["close-loop", "turned.csv", *options, *common, "b"]) == 0
+    captured = capsys.readouterr()
+    assert "held" not in captured.out
+    for name in ("parameters.csv", "identified.urdf"):
+        with open(f"a/{name}") as one, open(f"b/{name}") as other:
+            assert one.read() == other.read()
+
+
+@pytest.mark.parametrize(
+    ("joints", "message"),
+    [
+        ("shoulder,wrist", r"no movable joint 'wrist'; it has shoulder, elbow, grip"),
+        ("shoulder", r"2 column\(s\) q for 1 joint\(s\) \(shoulder\); leave out"),
+        ("shoulder,elbow,grip", r"2 column\(s\) q for 3 joint\(s\)"),
+        ("shoulder,shoulder", "--joints has shoulder twice"),
+        ("shoulder,,elbow", "--joints has an empty name"),
+    ],
+)
+def test_joints_that_cannot_be(joints, message, good, with_hand, capsys):
+    line = refusal(capsys, good, "--urdf", with_hand, "--joints", joints)
+    assert re.search(message, line), line
+
+
+# -- stopping --------------------------------------------------------------------------
+
+# Runs the command and says on stdout when the search has begun, or a file was written.
+STOPPABLE = """
+import os, sys, time
+from sklearn_vbjfa import EffectDiscovery
+from sklearn_vbjfa._cli import _close_loop, main
+
+when, argv = sys.argv[1], sys.argv[2:]
+fit, replace = EffectDiscovery.fit, os.replace
+
+def slow_fit(self, *arguments, **given):
+    print("now", flush=True)
+    time.sleep(60)
+    return fit(self, *arguments, **given)
+
+def slow_replace(*arguments):
+    replace(*arguments)
+    print("now", flush=True)
+    time.sleep(0.3)
+
+if when == "search":
+    EffectDiscovery.fit = slow_fit
+else:
+    os.replace = slow_replace
+sys.exit(main(argv))
+"""
+
+
+def stop(argv, when, number):
+    """Send a signal at a moment; exit code, stderr."""
+    process = subprocess.Popen(
+        [sys.executable, "-c", STOPPABLE, when, *map(str, argv)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout.readline() == "now\n"
+        process.send_signal(number)
+        _, err = process.communicate(timeout=60)
+    finally:
+        process.kill()
+    return process.returncode, err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_run_that_is_stopped_in_the_search_leaves_nothing(name, good, urdf):
+    number = getattr(signal, name)
+    argv = ["close-loop", good, "--urdf", urdf, "--effects", "spring"]
+    started = time.perf_counter()
+    code, err = stop(argv, "search", number)
+    assert time.perf_counter() - started < 50
+    assert code == 128 + number
+    how = "interrupted" if name == "SIGINT" else f"stopped ({name})"
+    assert err == f"sklearn-vbjfa: {how}, nothing was written\n"
+    assert sorted(path.name for path in good.parent.iterdir()) == ["arm.csv"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_run_that_is_stopped_while_it_writes_writes_all(good, urdf):
+    argv = ["close-loop", good, "--urdf", urdf, "--effects", "spring"]
+    code, err = stop(argv, "write", signal.SIGTERM)
+    assert code == 128 + signal.SIGTERM
+    assert err == "sklearn-vbjfa: stopped (SIGTERM), all files were written\n"
+    folder = good.parent / "arm-report"
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    json.loads((folder / "report.json").read_text(encoding="utf-8"))
+    assert (folder / "report.html").read_text(encoding="utf-8").endswith("</html>\n")
+    identified(folder / "identified.urdf")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_run_that_is_killed_leaves_no_half_a_file(good, urdf):
+    argv = ["close-loop", good, "--urdf", urdf, "--effects", "spring"]
+    code, _ = stop(argv, "write", signal.SIGKILL)
+    assert code == -signal.SIGKILL
+    for path in (good.parent / "arm-report").glob("[!.]*"):
+        assert path.name in FILES
+        assert path.stat().st_size > 100
+
+
+def test_signals_are_left_to_a_program_that_calls_main(capsys):
+    before = [signal.getsignal(number) for number in _signals._STOPS]
+    assert main(["effects"]) == 0
+    assert [signal.getsignal(number) for number in _signals._STOPS] == before
+    codes = []
+    thread = threading.Thread(target=lambda: codes.append(main(["effects"])))
+    thread.start()
+    thread.join()
+    assert codes == [0]
 
 
 # -- refusals: the file ----------------------------------------------------------------

@@ -65,6 +65,7 @@ IDENTIFIER = {
     **dict.fromkeys(
         [
             "check_sample_weights_not_an_array",
+            "check_sample_weights_pandas_series",
             "check_all_zero_sample_weights_error",
             "check_sample_weights_shape",
             "check_sample_weights_not_overwritten",
@@ -74,6 +75,7 @@ IDENTIFIER = {
             "check_regressor_multioutput",
             "check_regressors_no_decision_function",
             "check_regressors_int",
+            "check_estimators_partial_fit_n_features",
         ],
         _WIDTH,
     ),

@@ -1,6 +1,8 @@
 """The guide, the README and the code say the same, and their examples run."""
 
 import importlib.metadata
+import inspect
+import math
 import re
 import textwrap
 from collections import Counter
@@ -9,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import sklearn_vbjfa
-from sklearn_vbjfa import datasets, diagnosis, effects, physical
+from sklearn_vbjfa import datasets, diagnosis, distributed, effects, physical
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -70,7 +72,7 @@ def test_every_equation_tag_is_in_the_guide(folder, pages):
 
 
 def test_every_public_name_is_in_api_once():
-    modules = (sklearn_vbjfa, datasets, diagnosis, effects, physical)
+    modules = (sklearn_vbjfa, datasets, diagnosis, distributed, effects, physical)
     public = {name for module in modules for name in module.__all__}
     blocks = re.findall(
         r"\.\. autosummary::\n(?:    :.*\n)*\n((?:    \S+\n)+)", read(DOCS / "api.rst")
@@ -81,7 +83,7 @@ def test_every_public_name_is_in_api_once():
 
 
 def test_names_in_api_are_where_it_says():
-    modules = (sklearn_vbjfa, datasets, diagnosis, effects, physical)
+    modules = (sklearn_vbjfa, datasets, diagnosis, distributed, effects, physical)
     module = None
     for line in read(DOCS / "api.rst").splitlines():
         if line.startswith(".. currentmodule:: "):
@@ -103,6 +105,68 @@ def test_table_of_effects_agrees_with_the_classes():
         assert contains.strip() == ", ".join(effect.contains), name
         for symbol in effect.parameters([1.0] * len(effect.coefficients)):
             assert re.search(rf"\b{symbol}\b", torque), (name, symbol)
+
+
+def constants_of_the_loop():
+    """Phrases of the guide with the numbers that the code has."""
+    from sklearn_vbjfa.diagnosis import _blocks, _evidence, _gaps, _search, _transfer
+    from sklearn_vbjfa.effects import _base
+
+    defaults = inspect.signature(sklearn_vbjfa.EffectDiscovery).parameters
+    few, many = _blocks._WANTED
+    varies, any_case = _gaps.ABOVE_FLOOR
+    most = ("one", "two", "three", "four", "five", "six")[_transfer._MOST - 1]
+    share, stretch = (
+        ("whole", "half", "third", "quarter", "fifth", "sixth")[count - 1]
+        for count in (_transfer._MOST, _transfer._STRETCHES)
+    )
+    return [
+        f"fitted to the first {100 * _search._FORWARD:g} % of the search data",
+        f"of more than {most} recordings a {share} of them at a time",
+        f"of a single one each {stretch}",
+        f"last {100 * defaults['test_size'].default:g} % of each recording",
+        f"at the level ``alpha`` ({defaults['alpha'].default:g}) divided by",
+        f"{_blocks._CORRELATION_TIMES:g} times as long as the residual stays corr",
+        f"{few} to {many} blocks are aimed at, and {_blocks.FEWEST} are the fewest",
+        f"Every {_blocks._FOLDS}th block is predicted from the others",
+        f"save at least {100 * _evidence.SMALLEST_GAIN:g} % of the joint's squared",
+        f"at most {_search.AT_FLOOR:g} times its noise floor is left alone",
+        f"saves more than {100 * _search._CONTAINED:g} % of what the candidate saves",
+        f"costs less than {100 * _search._SUPERFLUOUS:g} % of the squared error",
+        f"above {varies:g} times the floor if it varies with any, above {any_case:g} t",
+        f"({100 * _base._FAST:g} % of its speeds are slower)",
+    ]
+
+
+def test_numbers_of_the_loop_are_those_of_the_code():
+    text = " ".join(read(DOCS / "effects.rst").split())
+    for phrase in constants_of_the_loop():
+        assert phrase in text, phrase
+
+
+def test_shapes_in_the_guide_are_those_that_are_tried():
+    from sklearn_vbjfa.effects import _drive, _friction, _hysteresis, _position, _time
+
+    degrees = [
+        round(math.degrees(x), 9) for x in (_position._SHORTEST, _position._LONGEST)
+    ]
+    tried = {
+        "smoothing": _friction._SMOOTHINGS,
+        "vs": _friction._STRIBECK,
+        "displacement": _hysteresis._DISPLACEMENTS,
+        "period": degrees,
+        "delay": _drive._DELAYS,
+        "T": _time._CONSTANTS,
+        "payload": [_time._INSTANTS],
+    }
+    text = read(DOCS / "effects.rst")
+    table = text[text.index("* - shape parameter") : text.index("Numbers on this page")]
+    rows = re.findall(r"\* - ([^*]+?)\n {6}- ([^\n]+)\n", table)
+    rows = dict(rows[1:])
+    for name, values in tried.items():
+        (own,) = [row for what, row in rows.items() if f"``{name}``" in what]
+        assert [float(x) for x in re.split(", | to ", own)] == list(values), name
+    assert len(rows) == len(tried)
 
 
 def test_setup_is_two_commands():

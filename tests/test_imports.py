@@ -13,7 +13,7 @@ import sklearn_vbjfa
 PACKAGE = "sklearn_vbjfa"
 ROOT = Path(sklearn_vbjfa.__file__).parent
 MODULES = sorted(ROOT.rglob("*.py"))
-OPTIONAL = {"pinocchio", "matplotlib"}
+OPTIONAL = {"pinocchio", "matplotlib", "dask", "distributed"}
 
 
 def name_of(path):
@@ -29,7 +29,8 @@ def layer_of(module):
         return "top"
     if parts[1] in {"_cli", "__main__"}:
         return "command line"
-    if parts[1] in {"_core", "physical", "effects", "datasets", "robot", "diagnosis"}:
+    folders = {"physical", "effects", "datasets", "robot", "diagnosis", "distributed"}
+    if parts[1] in folders | {"_core"}:
         return parts[1]
     return "estimators"
 
@@ -95,6 +96,7 @@ ALLOWED = {
     "effects": {"effects"},
     "robot": {"_core", "physical", "estimators", "effects", "robot"},
     "diagnosis": {"_core", "physical", "effects", "robot", "diagnosis"},
+    "distributed": {"_core", "estimators", "datasets", "robot", "distributed"},
     "command line": {
         "top",
         "physical",

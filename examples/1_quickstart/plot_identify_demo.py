@@ -19,6 +19,7 @@ import numpy as np
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa.diagnosis import ConvergenceDisplay, NoiseDisplay, ParameterDisplay
 
 recording = load_demo_recording()
 fitted, tested = recording.groups == 0, recording.groups == 1
@@ -60,26 +61,42 @@ truth_error = np.sqrt(np.mean((predicted - clean) ** 2, axis=0)) / clean.std(axi
 print(f"against the clean torque [%]: {(100 * truth_error).round(2)}")
 
 # %%
+# Noise
+# -----
+# What the fit found of it: the noise of the encoders, what that does to the torques
+# through the regressors (input noise), and the noise of the torque sensors. Of joint 2
+# more remains (output noise) than the sensors explain (noise floor): its friction
+# depends on the load, which the model does not say.
+# :ref:`sphx_glr_auto_examples_1_quickstart_plot_what_is_missing.py` finds that out.
+
+display = NoiseDisplay.from_estimator(robot).plot()
+
+# %%
 # Parameters
 # ----------
-# Inertial parameters act on the torques in combinations; those that the data determine
-# on their own, and the friction, can be compared one by one.
+# One panel a joint and unit. Inertial parameters act on the torques in combinations;
+# those that the data do not determine on their own have hollow marks. Before the
+# projection they are what regression happened to leave, after it they are completed
+# from the robot description, scaled to the data. What the data determine, and the
+# friction, can be compared with the truth (the intervals of joint 2 know nothing of
+# what the model lacks).
 
 truth = recording.theta(robot.friction)
-for name, unit, value, true, alone in zip(
-    robot.parameter_names_,
-    robot.parameter_units_,
-    robot.theta_,
-    truth,
-    robot.identifiable_,
-):
-    if alone:
-        print(f"{name:18s} {value:9.4f}  truth {true:9.4f}  {unit}")
+display = ParameterDisplay.from_estimator(
+    robot, nominal=truth, parameters=["joint_2", "joint_3", "joint_6"]
+).plot()
 
 # %%
 # Every body exists: its smallest pseudo-inertia eigenvalue is positive.
 
 print(robot.min_eigenvalues_)
+
+# %%
+# Convergence
+# -----------
+# The bound of the regression over its iterations, and what each of them gained.
+
+display = ConvergenceDisplay.from_estimator(robot).plot()
 
 # %%
 # Torques of the second joint

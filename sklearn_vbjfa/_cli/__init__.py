@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import signal
 import sys
 
 
@@ -16,24 +17,50 @@ def main(argv=None):
     Returns
     -------
     int
-        Exit code: 0; 2 for bad input (one line on stderr); 130 if interrupted.
+        Exit code: 0; 2 for bad input (one line on stderr); 128 and the signal's
+        number if the run was stopped, which is 130 for an interrupt.
     """
+    from sklearn_vbjfa._cli._signals import Stopped, stoppable
+    from sklearn_vbjfa.physical._threads import one_blas_thread
+
     parser = _parser()
     arguments = parser.parse_args(argv)
     try:
-        arguments.run(arguments)
-        sys.stdout.flush()
+        # The matrices are small: threads would but wait for each other.
+        with stoppable(), one_blas_thread():
+            arguments.run(arguments)
+            sys.stdout.flush()
     except BrokenPipeError:
         # The reader (head, less) has seen enough.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except KeyboardInterrupt:
-        print("sklearn-vbjfa: interrupted, nothing was written", file=sys.stderr)
-        return 130
+    except (KeyboardInterrupt, Stopped) as stop:
+        number = getattr(stop, "number", signal.SIGINT)
+        how = "interrupted" if number == signal.SIGINT else f"stopped ({stop})"
+        state = "all files" if arguments.written else "nothing"
+        _clear_progress()
+        print(
+            f"sklearn-vbjfa: {how}, {state} {'were' if arguments.written else 'was'} "
+            "written",
+            file=sys.stderr,
+        )
+        return 128 + number
+    except MemoryError:
+        print(
+            "sklearn-vbjfa: not enough memory; give a shorter recording or fewer "
+            "effects (--effects)",
+            file=sys.stderr,
+        )
+        return 2
     except (ValueError, OSError, ImportError) as error:
         message = " ".join(str(error).split())
         print(f"sklearn-vbjfa: {message}", file=sys.stderr)
         return 2
     return 0
+
+
+def _clear_progress():
+    if sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr)
 
 
 def _parser():
@@ -46,7 +73,7 @@ def _parser():
         "a command: close the loop on the recording that the package brings along.",
     )
     parser.add_argument("--version", action="version", version=__version__)
-    parser.set_defaults(run=_close_loop.run_demo)
+    parser.set_defaults(run=_close_loop.run_demo, written=False)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _close_loop.add_to(commands)
     identify = commands.add_parser(

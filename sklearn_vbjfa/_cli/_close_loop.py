@@ -7,8 +7,11 @@ import tempfile
 import warnings
 from pathlib import Path
 
+import numpy as np
+
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._identify import say_warnings
+from sklearn_vbjfa._cli._signals import undisturbed
 
 
 def add_to(commands):
@@ -29,6 +32,14 @@ def add_to(commands):
     )
     parser.add_argument(
         "--urdf", required=True, metavar="FILE", help="description of the robot"
+    )
+    parser.add_argument(
+        "--joints",
+        default=None,
+        metavar="NAMES",
+        help="joints of the robot in the order of the columns q1..qn, with commas "
+        "between them; joints that are not named (gripper, wheels) are held at zero; "
+        "by default all, in the order of the description",
     )
     parser.add_argument(
         "--dt", type=float, default=None, metavar="S", help="sample period [s]"
@@ -66,6 +77,7 @@ def add_to(commands):
 def run(arguments):
     """Close the loop on a user's recording and write the files."""
     from sklearn_vbjfa import effects
+    from sklearn_vbjfa.physical import ProjectionError
     from sklearn_vbjfa.robot import _friction
 
     source, urdf = Path(arguments.recording), Path(arguments.urdf)
@@ -77,10 +89,14 @@ def run(arguments):
         library = _input.names("--effects", library, effects.available())
     cutoff = _input.cutoff(arguments.cutoff)
     seed = _input.seed(arguments.seed)
-    with warnings.catch_warnings(record=True) as caught:
+    joints = _input.joint_names(arguments.joints)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        warnings.catch_warnings(record=True) as caught,
+    ):
         warnings.simplefilter("always")
-        _input.check_robot(urdf)
-        recording = _input.read(source, arguments.dt, urdf)
+        urdf, held = _input.robot(urdf, joints, Path(folder))
+        recording = _input.read(source, arguments.dt, urdf, joints)
         _input.check_nyquist(cutoff, recording, source)
         try:
             loop = _close(
@@ -91,12 +107,21 @@ def run(arguments):
                 cutoff=cutoff,
                 seed=seed,
             )
-        except ValueError as error:
+        except (ValueError, ProjectionError) as error:
             # The options are right: it is the recording.
             raise ValueError(f"{source}: {error}") from error
-    print(recording)
-    print(loop.report_)
-    written = _write(loop, out)
+        text = [str(recording), str(loop.report_)]
+        if held:
+            text.insert(1, f"held at zero: {', '.join(held)}")
+        try:
+            # Before anything is printed: a reader such as head may end the run.
+            with undisturbed():
+                written = _write(loop, out)
+                arguments.written = True
+        except OSError:
+            print("\n".join(text))
+            raise
+    print("\n".join(text))
     print(f"\nwritten: {', '.join(str(path) for path in written)}")
     say_warnings(caught)
 
@@ -126,25 +151,25 @@ def _close(recording, urdf, *, friction, effects="all", cutoff="auto", seed=0):
 
 def _write(loop, out):
     """Write all files, each at once: none is ever half there."""
-    out.mkdir(parents=True, exist_ok=True)
     report = loop.report_
     texts = {
         "report.html": report.to_html(),
         "report.json": json.dumps(report.to_dict(), indent=1, allow_nan=False),
     }
-    written = []
+    names = (*texts, "parameters.csv", "identified.urdf")
+    out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
         for name, text in texts.items():
             Path(folder, name).write_text(text, encoding="utf-8")
         _write_parameters(loop.identifier_, Path(folder, "parameters.csv"))
         loop.identifier_.to_urdf(Path(folder, "identified.urdf"))
-        for name in (*texts, "parameters.csv", "identified.urdf"):
+        for name in names:
             os.replace(Path(folder, name), out / name)
-            written.append(out / name)
-    return written
+    return [out / name for name in names]
 
 
 def _write_parameters(robot, path):
+    """Write one row per parameter; where the data tell nothing, no deviation."""
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(["parameter", "value", "unit", "std", "identifiable"])
@@ -156,6 +181,7 @@ def _write_parameters(robot, path):
             robot.identifiable_,
         ):
             name, value, unit, std, known = row
+            deviation = repr(float(std)) if np.isfinite(std) else ""
             table.writerow(
-                [name, repr(float(value)), unit, repr(float(std)), int(known)]
+                [name, repr(float(value)), unit, deviation, "yes" if known else "no"]
             )

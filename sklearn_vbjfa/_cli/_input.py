@@ -5,8 +5,6 @@ import math
 import os
 import sys
 import tempfile
-import zipfile
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +13,37 @@ import numpy as np
 _MIN_SAMPLES = 64
 
 
-def check_robot(urdf):
-    """Refuse a description that cannot be read, or whose inertias would be lost."""
-    from sklearn_vbjfa.robot._model import load_model
+def robot(urdf, joints, folder):
+    """Check a description, hold at zero the joints that were not recorded.
+
+    Parameters
+    ----------
+    urdf : Path
+        Description; one that cannot be read, or whose inertias would be lost, is
+        refused.
+    joints : tuple of str
+        Joints that were recorded; none for all.
+    folder : Path
+        Where a description of the robot with the other joints held is written.
+
+    Returns
+    -------
+    urdf : Path
+        Description in which only the recorded joints move.
+    held : tuple of str
+        The other joints.
+    """
+    from sklearn_vbjfa.robot import _model
 
     if not urdf.is_file():
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
     said = []
     try:
         with _parser_messages(said):
-            load_model(urdf)
+            if joints:
+                _model.load_reduced(urdf, joints)
+            else:
+                _model.load_model(urdf)
     except ValueError as error:
         where = "" if repr(str(urdf)) in str(error) else f"{urdf}: "
         reason = f" ({said[0]})" if said else ""
@@ -33,6 +52,27 @@ def check_robot(urdf):
     lost = [line for line in said if "nerti" in line]
     if lost:
         raise ValueError(f"{urdf}: {'; '.join(lost)}; correct the description.")
+    if not joints:
+        return urdf, ()
+    reduced = folder / urdf.name
+    held = _model.write_reduced(urdf, reduced, joints)
+    # What is written from this copy is as readable as the original.
+    reduced.chmod(urdf.stat().st_mode & 0o666)
+    return reduced, held
+
+
+def joint_names(text):
+    """Return the names in a list with commas, none for None."""
+    if text is None:
+        return ()
+    found = tuple(name.strip() for name in text.split(","))
+    if not all(found):
+        raise ValueError(
+            f"--joints has an empty name in {text!r}; expected names of the URDF's "
+            "joints with commas between them, in the order of the columns."
+        )
+    _refuse_twice("--joints", found)
+    return found
 
 
 @contextlib.contextmanager
@@ -54,20 +94,13 @@ def _parser_messages(said):
             said += dict.fromkeys(errors)
 
 
-def read(source, dt, urdf):
+def read(source, dt, urdf, joints):
     """Read a recording that is long enough."""
     from sklearn_vbjfa.datasets import read_recording
 
-    if source.is_dir():
-        raise ValueError(f"{source} is a folder; give a CSV, npz or parquet file.")
-    broken = f"{source}: is no whole npz file; save it anew with numpy.savez."
-    is_npz = source.suffix.lower() == ".npz" and source.is_file()
-    if is_npz and not zipfile.is_zipfile(source):
-        raise ValueError(broken)
-    try:
-        recording = read_recording(source, dt=dt, urdf=str(urdf))
-    except (zipfile.BadZipFile, zlib.error, EOFError) as error:
-        raise ValueError(broken) from error
+    recording = read_recording(
+        source, dt=dt, urdf=str(urdf), joint_names=joints or None
+    )
     longest = int(np.bincount(recording.groups).max())
     if longest < _MIN_SAMPLES:
         raise ValueError(
@@ -100,10 +133,14 @@ def names(option, text, known):
             f"{option} does not know {unknown[0] if unknown else text!r}; expected "
             f"names with commas between them, of {', '.join(known)}."
         )
+    _refuse_twice(option, found)
+    return found
+
+
+def _refuse_twice(option, found):
     twice = [name for k, name in enumerate(found) if name in found[:k]]
     if twice:
         raise ValueError(f"{option} has {twice[0]} twice; name it once.")
-    return found
 
 
 def cutoff(text):

@@ -9,44 +9,33 @@ O(d^3) an iteration. With Psi = 0, t is x and this is Bayesian linear regression
 automatic relevance determination.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 from scipy.special import digamma, gammaln
 
-from sklearn_vbjfa._core._solver import rounding_of_bound
+from sklearn_vbjfa._core._conditional import (
+    mean_and_noise,
+    noise_given_shape,
+    precisions_given_others,
+)
+from sklearn_vbjfa._core._latent import (
+    Latent,
+    LatentSums,
+    expect_latent,
+    infer_latent,
+)
+from sklearn_vbjfa._core._solver import rounding_of_bound, rounding_of_fit
+from sklearn_vbjfa._core._stats import SquareRoot
 
 _LOG_2PI = float(np.log(2 * np.pi))
 
 # Smallest output noise, as a share of the variance of y, that second moments can tell
 # from their own rounding: the residual is a difference of sums of products.
 OUTPUT_FLOOR = 1e-12
-
-
-@dataclass(frozen=True, kw_only=True)
-class Latent:
-    """Gaussian of the latent inputs given the observed ones.
-
-    Attributes
-    ----------
-    H : ndarray of shape (d, d)
-        E[t | x] = H x.
-    P : ndarray of shape (d, d)
-        Cov[t | x].
-    Sigma_t : ndarray of shape (d, d)
-        Covariance of t.
-    exact : bool
-        The noise is zero, so that t is x.
-    clipped : ndarray
-        Eigenvalues of S - Psi (relative to S) that were negative.
-    """
-
-    H: np.ndarray
-    P: np.ndarray
-    Sigma_t: np.ndarray
-    exact: bool
-    clipped: np.ndarray
+# The same for a triangular factor of the rows, whose residual is a sum of squares.
+FACTOR_FLOOR = OUTPUT_FLOOR**2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,81 +54,6 @@ class CorrelatedState:
         return self.alpha_shape / self.alpha_rate
 
 
-def infer_latent(S, n, psi, floor=1e-12):
-    """Split the covariance of x into that of t and the noise.
-
-    S : scatter (d, d) of x; psi : noise covariance (d, d). Where psi exceeds S along
-    some direction no latent signal is left there: the eigenvalue is set to zero.
-    """
-    covariance = S / n
-    d = covariance.shape[0]
-    if not psi.any():
-        eye = np.eye(d)
-        return Latent(
-            H=eye,
-            P=np.zeros((d, d)),
-            Sigma_t=covariance,
-            exact=True,
-            clipped=np.array([]),
-        )
-    values, vectors = linalg.eigh(covariance - psi)
-    clipped = values[values < -floor * max(values[-1], 0.0)]
-    Sigma_t = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    total = Sigma_t + psi
-    # Exactly redundant columns make `total` singular; the pseudo-inverse keeps to
-    # the span of the data, outside of which x never lies.
-    H = Sigma_t @ linalg.pinvh(total, rtol=floor)
-    P = Sigma_t - H @ Sigma_t
-    P = 0.5 * (P + P.T)
-    return Latent(H=H, P=P, Sigma_t=Sigma_t, exact=False, clipped=clipped)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _LatentSums:
-    S_tt: np.ndarray
-    S_ty: np.ndarray
-    bound: float
-
-
-def _expect_latent(S, xy, yy, n, latent, state):
-    """E-step over T: the sums of <tt'> and <t> y, and the data part of the bound."""
-    beta, s2 = state.beta_mean, state.psi_y
-    if latent.exact:
-        residual = yy - 2 * beta @ xy + beta @ S @ beta
-        spread = float(np.einsum("ij,ji->", state.beta_cov, S))
-        value = -0.5 * (n * (_LOG_2PI + np.log(s2)) + (residual + spread) / s2)
-        return _LatentSums(S_tt=S, S_ty=xy, bound=value)
-    d = beta.shape[0]
-    # The uncertainty of beta acts as further precision beta_cov / s2 on t.
-    inflate = np.eye(d) + latent.P @ state.beta_cov / s2
-    lu = linalg.lu_factor(inflate)
-    H = linalg.lu_solve(lu, latent.H)
-    P = linalg.lu_solve(lu, latent.P)
-    P = 0.5 * (P + P.T)
-    P_beta = P @ beta
-    q = s2 + beta @ P_beta
-    k = P_beta / q
-    c = H.T @ beta
-    S_c = S @ c
-    S_xe = xy - S_c
-    S_ee = yy - 2 * c @ xy + c @ S_c
-    HS = H @ S
-    H_xe = H @ S_xe
-    S_tt = (
-        HS @ H.T
-        + np.outer(H_xe, k)
-        + np.outer(k, H_xe)
-        + S_ee * np.outer(k, k)
-        + n * (P - q * np.outer(k, k))
-    )
-    S_ty = H @ xy + k * (yy - c @ xy)
-    # Collapsed data term: log N(y; c'x, q) and the price of beta's uncertainty.
-    logdet = np.log(np.abs(np.diagonal(lu[0]))).sum()
-    cost = np.einsum("ij,ji->", latent.H.T @ state.beta_cov @ H, S) / s2
-    value = -0.5 * (n * (_LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)
-    return _LatentSums(S_tt=0.5 * (S_tt + S_tt.T), S_ty=S_ty, bound=float(value))
-
-
 def _prior_bound(state, shape0, rate0, logdet_cov, shared):
     shape, rate = state.alpha_shape, state.alpha_rate
     E_alpha, E_log = state.E_alpha, digamma(shape) - np.log(rate)
@@ -152,31 +66,37 @@ def _prior_bound(state, shape0, rate0, logdet_cov, shared):
     return float((loadings + (prior + entropy) / shared).sum()) + 0.5 * logdet_cov
 
 
-def _square_root(S):
-    """Return R of shape (rank, d) with S = R'R, without the rounding of the null space.
+def _square_root(S, xy, yy):
+    """Square root of second moments, without the rounding of their null space.
 
     Eigenvalues below their own rounding are zero: left in, they would be information
     as soon as the noise is small enough.
     """
     values, vectors = linalg.eigh(S)
     keep = values > values[-1] * values.size * 4 * np.finfo(float).eps
-    return np.sqrt(values[keep])[:, None] * vectors[:, keep].T
+    R = np.sqrt(values[keep])[:, None] * vectors[:, keep].T
+    # y in the coordinates of R, whose rows are orthogonal
+    z = (R @ xy) / np.einsum("ij,ij->i", R, R)
+    return SquareRoot(R=R, z=z, rest=max(yy - z @ z, 0.0))
 
 
 # Where rounding of S_tt / s2 stays below this share of the prior precision, the
 # Cholesky factor of the posterior precision is safe; beyond, the square root is used.
 _SAFE_ROUNDING = 1e-8
+_HALF_DIGITS = np.sqrt(np.finfo(float).eps)
 
 
-def _posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root):
+def _posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
     """Posterior mean, covariance and log-determinant of beta, and <|y - beta't|^2>.
 
-    ``square_root()`` returns R with S_tt = R'R; it is asked for only where needed.
+    ``square_root()`` returns that of the moments; it is asked for only where needed,
+    or always.
     """
     prior = 1.0 / np.sqrt(alpha)
     d = prior.size
     A = S_tt * np.outer(prior, prior) / s2
-    if np.finfo(float).eps * d * np.diagonal(A).max() < _SAFE_ROUNDING:
+    rounding = np.finfo(float).eps * d * np.diagonal(A).max()
+    if rounding < _SAFE_ROUNDING and not always:
         A[np.diag_indices_from(A)] += 1.0
         factor = linalg.cholesky(A, lower=True)
         inverse = linalg.solve_triangular(factor, np.eye(d), lower=True)
@@ -187,20 +107,22 @@ def _posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root):
         residual = yy - 2 * mean @ S_ty + mean @ S_tt @ mean
         residual += np.einsum("ij,ij->", cov, S_tt)
         return mean, cov, float(logdet), float(residual)
-    R = square_root()
-    # y in the coordinates of R: S_ty = R' z
-    z = (R @ S_ty) / np.einsum("ij,ij->i", R, R)
-    U, sv, Vt = linalg.svd(R * prior, full_matrices=False)
+    root = square_root()
+    U, sv, Vt = linalg.svd(root.R * prior, full_matrices=False)
     share = s2 / (s2 + sv**2)
-    Uz = U.T @ z
+    Uz = U.T @ root.z
     mean = prior * (Vt.T @ (sv / (s2 + sv**2) * Uz))
     cov = (Vt.T * share) @ Vt
     if sv.size < d:
-        cov += np.eye(d) - Vt.T @ Vt
+        # The projector on what is left, squared: its diagonal must not be negative.
+        others = np.eye(d) - Vt.T @ Vt
+        cov += others @ others.T
     cov *= np.outer(prior, prior)
     logdet = np.log(share).sum() - np.log(alpha).sum()
     # In these coordinates the residual is a sum of squares: no cancellation.
-    residual = max(yy - z @ z, 0.0) + np.sum((share * Uz) ** 2) + share @ sv**2
+    outside = root.z - U @ Uz
+    residual = root.rest + outside @ outside
+    residual += np.sum((share * Uz) ** 2) + share @ sv**2
     return mean, cov, float(logdet), float(residual)
 
 
@@ -216,8 +138,185 @@ class CorrelatedSolution:
     fall: float
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Point:
+    """A state with all that the next step needs, and its bound."""
+
+    state: CorrelatedState
+    logdet: float
+    precisions: np.ndarray  # under which the posterior of beta was taken
+    sums: LatentSums
+    value: float
+
+
+class _Problem:
+    """The moments, and the steps from one state to the next."""
+
+    def __init__(self, S, xy, yy, n, psi, ard_shape, ard_rate, common, root):
+        self.S, self.xy, self.yy, self.n = S, xy, yy, n
+        self.latent = infer_latent(S, n, psi)
+        self.ard_shape, self.ard_rate, self.common = ard_shape, ard_rate, common
+        self.d = xy.shape[0]
+        self.shared = self.d if common else 1
+        # With exact inputs S_tt is S throughout: one decomposition serves all.
+        self.root = root if self.latent.exact else None
+        self.given = self.root is not None
+        self.floor = FACTOR_FLOOR if self.given else OUTPUT_FLOOR
+
+    def root_of(self, sums):
+        if not self.latent.exact:
+            return _square_root(sums.S_tt, sums.S_ty, self.yy)
+        if self.root is None:
+            self.root = _square_root(self.S, self.xy, self.yy)
+        return self.root
+
+    def start(self, *, fast):
+        """Ridge solution with <alpha> = 1, as in the paper, and all of y as noise."""
+        return self._start_from(np.ones(self.d), self.yy / self.n, fast=fast)
+
+    def start_from_least_squares(self, *, fast):
+        """Posterior with the precisions and the noise of least squares.
+
+        From the ridge solution a direction with a tiny share of the inputs' variance
+        is not found, though y may depend on it with hardly any noise.
+        """
+        sums = LatentSums(S_tt=self.S, S_ty=self.xy, bound=np.nan)
+        root = self.root_of(sums)
+        beta = np.linalg.lstsq(root.R, root.z, rcond=None)[0]
+        left = root.z - root.R @ beta
+        square = np.full(self.d, np.mean(beta**2)) if self.common else beta**2
+        shape = self.ard_shape + 0.5 * self.shared
+        alpha = shape / (self.ard_rate + 0.5 * self.shared * square)
+        return self._start_from(alpha, (left @ left + root.rest) / self.n, fast=fast)
+
+    def _start_from(self, alpha, s2, *, fast):
+        s2 = max(s2, self.floor)
+        shape = self.ard_shape + 0.5 * self.shared
+        sums = LatentSums(S_tt=self.S, S_ty=self.xy, bound=np.nan)
+        mean, cov, logdet, squares = self._posterior(sums, s2, alpha)
+        spread = self.d - alpha @ np.diagonal(cov)
+        if fast:
+            mean, cov, logdet, s2 = self._joint(mean, cov, logdet, squares, s2, alpha)
+        state = CorrelatedState(
+            beta_mean=mean,
+            beta_cov=cov,
+            alpha_shape=shape,
+            alpha_rate=shape / alpha,
+            psi_y=s2,
+        )
+        return self._evaluate(state, logdet, alpha, spread)
+
+    def _posterior(self, sums, s2, alpha):
+        return _posterior_beta(
+            sums.S_tt,
+            sums.S_ty,
+            self.yy,
+            s2,
+            alpha,
+            lambda: self.root_of(sums),
+            always=self.given,
+        )
+
+    def _joint(self, mean, cov, logdet, squares, s2, alpha):
+        """Maximise over the noise (and with it the mean) at a fixed cov / s2."""
+        shape = cov / s2
+        penalty = alpha @ np.diagonal(shape)
+        if self.latent.exact:
+            # tr(cov S) = s2 (d - alpha'diag(cov))
+            fit = max(squares - s2 * (self.d - s2 * penalty), 0.0)
+            new = noise_given_shape(fit, self.n, self.d, penalty)
+        else:
+            mean, new = mean_and_noise(
+                (self.S, self.xy, self.yy, self.n),
+                self.latent.H,
+                self.latent.P,
+                shape,
+                (mean, s2),
+                alpha,
+            )
+        new = max(new, self.floor)
+        return mean, shape * new, logdet + self.d * np.log(new / s2), new
+
+    def step(self, point, *, fast):
+        """Do the M-steps: beta, the noise, alpha; plain or jointly where possible."""
+        state = point.state
+        alpha = state.E_alpha
+        if fast and not self.common:
+            alpha = precisions_given_others(
+                state.beta_mean,
+                np.diagonal(state.beta_cov),
+                point.precisions,
+                self.ard_shape,
+                self.ard_rate,
+            )
+        s2 = state.psi_y
+        mean, cov, logdet, squares = self._posterior(point.sums, s2, alpha)
+        spread = self.d - alpha @ np.diagonal(cov)
+        if fast:
+            mean, cov, logdet, s2 = self._joint(mean, cov, logdet, squares, s2, alpha)
+        else:
+            spread *= s2 / max(squares / self.n, self.floor)
+            s2 = max(squares / self.n, self.floor)
+        square = mean**2 + np.diagonal(cov)
+        if self.common:
+            square = np.full(self.d, square.sum())
+        new = CorrelatedState(
+            beta_mean=mean,
+            beta_cov=cov,
+            alpha_shape=state.alpha_shape,
+            alpha_rate=self.ard_rate + 0.5 * square,
+            psi_y=s2,
+        )
+        return self._evaluate(new, logdet, alpha, spread)
+
+    def _evaluate(self, state, logdet, precisions, spread):
+        """E-step over T, and the bound."""
+        sums = expect_latent(self.S, self.xy, self.yy, self.n, self.latent, state)
+        if self.given:
+            # The squared residual of the factor instead of a difference of moments,
+            # and the identity tr(cov S) = s2 (d - alpha'diag(cov)), in which the huge
+            # variances of directions with little information do not cancel.
+            left = self.root.z - self.root.R @ state.beta_mean
+            data = self.n * (_LOG_2PI + np.log(state.psi_y)) + spread
+            data += (left @ left + self.root.rest) / state.psi_y
+            sums = replace(sums, bound=-0.5 * float(data))
+        value = sums.bound + _prior_bound(
+            state, self.ard_shape, self.ard_rate, logdet, self.shared
+        )
+        return _Point(
+            state=state, logdet=logdet, precisions=precisions, sums=sums, value=value
+        )
+
+    def resolution(self, point):
+        """Return the output variance in units of what cancels in the residual."""
+        size = np.linalg.norm(point.state.beta_mean)
+        if self.given:
+            # The residual itself is rounded, in units of the terms that cancel in it.
+            return np.sqrt(point.state.psi_y) / (1.0 + size)
+        # Its square is, a difference of products.
+        return point.state.psi_y / (1.0 + size**2)
+
+
+def _has_digits(S):
+    """Whether rounding is far below the smallest eigenvalue."""
+    values = linalg.eigvalsh(S)
+    return bool(values[0] > _HALF_DIGITS * values[-1])
+
+
 def solve_correlated(
-    S, xy, yy, n, psi, *, ard_shape, ard_rate, max_iter, tol, common=False
+    S,
+    xy,
+    yy,
+    n,
+    psi,
+    *,
+    ard_shape,
+    ard_rate,
+    max_iter,
+    tol,
+    common=False,
+    root=None,
+    accelerate=None,
 ):
     """Fit the model to standardised moments.
 
@@ -231,71 +330,59 @@ def solve_correlated(
         Input-noise covariance.
     common : bool
         One precision for all coefficients instead of one for each.
+    root : SquareRoot or None
+        Square root of the moments where it is known to more digits than they are;
+        used with exact inputs.
+    accelerate : bool, default=None
+        Maximise the bound jointly over what the plain iteration updates in turn. A
+        joint step that does not raise the bound is replaced by the plain one. Every
+        evaluation of the bound counts as an iteration. None does so where `root` is
+        given or the moments have the digits that joint steps need in all directions:
+        where the smallest eigenvalue of S is half their digits above rounding.
+        With exact inputs the bound of least squares is looked at in the end: where it
+        is higher, the iteration goes on from there.
     """
-    d = xy.shape[0]
-    shared = d if common else 1
-    latent = infer_latent(S, n, psi)
-    eps = OUTPUT_FLOOR
-    shape = ard_shape + 0.5 * shared
-    # <alpha> = 1 as in the paper; the noise starts at the whole variance of y, from
-    # which the first posterior is a ridge solution.
-    alpha_rate = np.full(d, shape)
-    s2 = max(yy / n, eps)
-    cached = []
-    before = None  # the state of the last bound in `history`
+    if accelerate is None:
+        accelerate = root is not None or (n > xy.shape[0] and _has_digits(S))
+    problem = _Problem(S, xy, yy, n, psi, ard_shape, ard_rate, common, root)
+    found = _climb(problem, problem.start(fast=accelerate), max_iter, tol, accelerate)
+    if not (problem.latent.exact and n > xy.shape[0]):
+        return found
+    used = found.n_iter + 1
+    other = problem.start_from_least_squares(fast=accelerate)
+    if other.value > found.history[-1] and used < max_iter:
+        found = _climb(problem, other, max_iter - used, tol, accelerate)
+        return replace(found, n_iter=used + found.n_iter - 1)
+    return replace(found, n_iter=used)
 
-    def root_of(S_tt):
-        # With exact inputs S_tt is S throughout: one decomposition serves all.
-        if not latent.exact:
-            return _square_root(S_tt)
-        if not cached:
-            cached.append(_square_root(S_tt))
-        return cached[0]
 
-    mean, cov, logdet, _ = _posterior_beta(
-        S, xy, yy, s2, shape / alpha_rate, lambda: _square_root(S)
-    )
-    state = CorrelatedState(
-        beta_mean=mean, beta_cov=cov, alpha_shape=shape, alpha_rate=alpha_rate, psi_y=s2
-    )
-    history = []
+def _climb(problem, point, max_iter, tol, accelerate):
+    """Iterate from one starting point."""
+    history, used = [point.value], 1
     status, fall = "max_iter", 0.0
-    for _ in range(max_iter):
-        sums = _expect_latent(S, xy, yy, n, latent, state)
-        value = sums.bound + _prior_bound(state, ard_shape, ard_rate, logdet, shared)
-        gain = value - history[-1] if history else np.inf
-        if gain < -rounding_of_bound(value, n, state.psi_y):
+    fast = accelerate
+    while used < max_iter:
+        new = problem.step(point, fast=fast)
+        used += 1
+        gain = new.value - point.value
+        if fast and not gain >= 0:
+            fast = False  # this once
+            continue
+        resolution = min(problem.resolution(new), problem.resolution(point))
+        if gain < -rounding_of_bound(new.value, problem.n, resolution):
             status, fall = "bound_decreased", -gain
-            state = before
             break
-        history.append(value)
-        if abs(gain) <= tol * n:
+        point, fast = new, accelerate
+        history.append(point.value)
+        # A gain within the residual's rounding is none, whatever `tol` asks for.
+        if abs(gain) <= problem.n * max(tol, rounding_of_fit(resolution)):
             status = "converged"
             break
-        before = state
-        mean, cov, logdet, residual = _posterior_beta(
-            sums.S_tt,
-            sums.S_ty,
-            yy,
-            state.psi_y,
-            state.E_alpha,
-            lambda: root_of(sums.S_tt),  # noqa: B023 - called at once
-        )
-        square = mean**2 + np.diagonal(cov)
-        if common:
-            square = np.full(d, square.sum())
-        state = CorrelatedState(
-            beta_mean=mean,
-            beta_cov=cov,
-            alpha_shape=shape,
-            alpha_rate=ard_rate + 0.5 * square,
-            psi_y=max(residual / n, eps),
-        )
     return CorrelatedSolution(
-        state=state,
-        latent=latent,
+        state=point.state,
+        latent=problem.latent,
         history=np.array(history),
-        n_iter=len(history),
+        n_iter=used,
         status=status,
         fall=fall,
     )

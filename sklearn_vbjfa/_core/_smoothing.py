@@ -14,7 +14,7 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.interpolate import BSpline
 
-_DEGREE = 5
+DEGREE = _DEGREE = 5
 # Of the penalised derivative. The steeper the gain, the less the motion is damped for
 # the same noise: accelerations of a 4 Hz motion come out two to three times better
 # than with the customary third derivative.
@@ -65,6 +65,18 @@ def _penalty(dt, cutoff):
     return 1.0 / _difference_gain(cutoff, h)
 
 
+def knots_and_penalty(dt, cutoff):
+    """Return the samples per knot and the factor of the penalty."""
+    if not np.isfinite(cutoff):
+        # Interpolation leaves the coefficients beyond the ends free: a penalty fixes
+        # them that the arithmetic resolves (with 1e-13 a straight line gets
+        # accelerations at its ends) and that changes white noise by some 1e-6 of its
+        # size.
+        return 1, 1e-9
+    step = knot_step(dt, cutoff)
+    return step, step * _penalty(dt, cutoff)
+
+
 def smooth(x, dt, cutoff, at=None):
     """Smooth equidistant samples and differentiate them twice.
 
@@ -86,8 +98,7 @@ def smooth(x, dt, cutoff, at=None):
         Smoothed samples, first and second derivatives.
     """
     n = x.shape[0]
-    interpolate = not np.isfinite(cutoff)
-    step = 1 if interpolate else knot_step(dt, cutoff)
+    step, lam = knots_and_penalty(dt, cutoff)
     # In units of the knot distance, with knots beyond both ends.
     u = np.arange(n) / step
     n_intervals = max(1, int(np.ceil(u[-1] - 1e-9)))
@@ -96,14 +107,8 @@ def smooth(x, dt, cutoff, at=None):
     design = BSpline.design_matrix(np.minimum(u, n_intervals), knots, _DEGREE).tocsr()
     n_coef = n_intervals + _DEGREE
     gram = (design.T @ design).todia()
-    differences = _difference_matrix(n_coef)
-    penalty = (differences.T @ differences).todia()
-    # Interpolation leaves the coefficients beyond the ends free: a penalty fixes them
-    # that the arithmetic resolves (with 1e-13 a straight line gets accelerations at
-    # its ends) and that changes white noise by some 1e-6 of its size.
-    lam = 1e-9 if interpolate else step * _penalty(dt, cutoff)
     offset = x.mean()
-    bands = _upper_bands(gram, n_coef) + lam * _upper_bands(penalty, n_coef)
+    bands = _upper_bands(gram, n_coef) + lam * penalty_bands(n_coef)
     coef = linalg.solveh_banded(bands, design.T @ (x - offset))
     spline = BSpline(knots, coef, _DEGREE)
     h = step * dt
@@ -116,13 +121,15 @@ def smooth(x, dt, cutoff, at=None):
     )
 
 
-def _difference_matrix(n_coef):
+def penalty_bands(n_coef):
+    """Upper bands of the penalty on the differences of n_coef coefficients."""
     stencil = np.poly(np.ones(_ORDER))
-    return sparse.diags_array(
+    differences = sparse.diags_array(
         [np.full(n_coef - _ORDER, c) for c in stencil],
         offsets=range(_ORDER + 1),
         shape=(n_coef - _ORDER, n_coef),
     ).tocsr()
+    return _upper_bands((differences.T @ differences).todia(), n_coef)
 
 
 def _upper_bands(matrix, size):
@@ -132,12 +139,52 @@ def _upper_bands(matrix, size):
     return bands
 
 
+# Shortest recording that has a spectrum.
+MIN_SPECTRUM = 16
+
+
+def fft_length(longest):
+    """Length of the transforms of second differences, for the longest recording."""
+    return 1 << int(np.ceil(np.log2(longest - 2)))
+
+
+def acceleration_power(x, dt, n_fft):
+    """Power of the second differences of one recording, to be summed over several.
+
+    Parameters
+    ----------
+    x : ndarray of shape (n,) or (n, k)
+        Samples.
+    dt : float
+        Sample period [s].
+    n_fft : int
+        Length of the transform.
+
+    Returns
+    -------
+    power : ndarray of shape (n_fft // 2 + 1,) or (n_fft // 2 + 1, k)
+        Squared amplitudes, zero for a recording too short to count.
+    energy : float
+        Energy of the taper, which they are to be divided by.
+    """
+    columns = x.reshape(x.shape[0], -1)
+    if x.shape[0] < MIN_SPECTRUM:
+        return np.zeros((n_fft // 2 + 1, *x.shape[1:])), 0.0
+    # Second differences first: they whiten the enormous range between a slow motion
+    # and the noise, which would leak through any taper.
+    d = np.ascontiguousarray(np.diff(columns, 2, axis=0).T) / dt**2
+    d -= d.mean(axis=1, keepdims=True)
+    taper = np.hanning(d.shape[1] + 2)[1:-1]
+    power = np.abs(np.fft.rfft(d * taper, n_fft)) ** 2
+    return power.T.reshape(-1, *x.shape[1:]), float(taper @ taper)
+
+
 def acceleration_spectra(segments, dt):
     """Power of the second differences of all segments, and of white noise in them.
 
     Parameters
     ----------
-    segments : list of ndarray of shape (n_i,)
+    segments : list of ndarray of shape (n_i,) or (n_i, k)
         Samples of separate recordings.
     dt : float
         Sample period [s].
@@ -146,31 +193,30 @@ def acceleration_spectra(segments, dt):
     -------
     frequency : ndarray of shape (m,)
         Frequencies [Hz].
-    power : ndarray of shape (m,)
+    power : ndarray of shape (m,) or (m, k)
         Power of the second derivative per frequency bin.
     noise_gain : ndarray of shape (m,)
         Power that white noise of variance 1 in the samples would have there.
     """
-    # Second differences first: they whiten the enormous range between a slow motion
-    # and the noise, which would leak through any taper.
-    usable = [np.diff(x, 2) / dt**2 for x in segments if x.shape[0] >= 16]
-    if not usable:
-        longest = max((x.shape[0] for x in segments), default=0)
+    longest = max((x.shape[0] for x in segments), default=0)
+    if longest < MIN_SPECTRUM:
         raise ValueError(
-            "Choosing the cut-off from the data needs a recording of at least 16 "
-            f"samples, got {longest}; give cutoff in Hz."
+            "Choosing the cut-off from the data needs a recording of at least "
+            f"{MIN_SPECTRUM} samples, got {longest}; give cutoff in Hz."
         )
-    longest = max(x.shape[0] for x in usable)
-    n_fft = 1 << int(np.ceil(np.log2(longest)))
-    power = np.zeros(n_fft // 2 + 1)
-    total = 0.0
-    for x in usable:
-        taper = np.hanning(x.shape[0] + 2)[1:-1]
-        power += np.abs(np.fft.rfft((x - x.mean()) * taper, n_fft)) ** 2
-        total += taper @ taper
+    n_fft = fft_length(longest)
+    power, energy = 0.0, 0.0
+    for x in segments:
+        more = acceleration_power(x, dt, n_fft)
+        power, energy = power + more[0], energy + more[1]
+    return spectrum(power, energy, n_fft, dt)
+
+
+def spectrum(power, energy, n_fft, dt):
+    """Frequencies, power and gain of noise out of sums of `acceleration_power`."""
     frequency = np.fft.rfftfreq(n_fft, dt)
     noise_gain = (2 * np.sin(np.pi * frequency * dt)) ** 4 / dt**4
-    return frequency[1:], power[1:] / total, noise_gain[1:]
+    return frequency[1:], power[1:] / energy, noise_gain[1:]
 
 
 # Neighbouring ordinates that are averaged before the median, and how many independent
@@ -203,28 +249,37 @@ _STANDS_OUT = 8.0
 def choose_cutoff(frequency, power, noise_gain, dt):
     """Cut-off that minimises the estimated error of the second derivative.
 
+    `power` may have a second axis, one spectrum a column, and so do then the results.
+
     For the gain G the expected squared error at a frequency is (1 - G)^2 times the
     signal's power plus G^2 times the noise's; the signal's power is the measured one
     minus the noise's (Mallows' C_p), where it stands out of the noise.
 
     Returns
     -------
-    cutoff : float
+    cutoff : float or ndarray
         Cut-off [Hz], at most a third of the sampling rate.
-    noise_variance : float
+    noise_variance : float or ndarray
         White-noise variance of the samples.
     """
-    variance = white_noise_variance(frequency, power, noise_gain)
-    noise = variance * noise_gain
+    columns = power.reshape(power.shape[0], -1)
+    variance = np.array(
+        [white_noise_variance(frequency, column, noise_gain) for column in columns.T]
+    )
+    noise = variance * noise_gain[:, None]
     # The noise of an acceleration grows as the fourth power of the frequency: where
     # nothing but noise is, a tenth of it taken for signal would outweigh the motion.
-    signal = np.where(power > _STANDS_OUT * noise, power - noise, 0.0)
+    signal = np.where(columns > _STANDS_OUT * noise, columns - noise, 0.0)
     candidates = np.geomspace(max(frequency[0], 1e-3 / dt), 1.0 / (3 * dt), 120)
-    risks = np.empty(candidates.size)
+    risks = np.empty((candidates.size, columns.shape[1]))
     for i, cutoff in enumerate(candidates):
+        # The gains are the same for all spectra.
         G = gain(frequency, dt, cutoff)
-        risks[i] = np.sum((1 - G) ** 2 * signal + G**2 * noise)
-    return float(candidates[np.argmin(risks)]), variance
+        risks[i] = (1 - G) ** 2 @ signal + (G**2 @ noise_gain) * variance
+    cutoffs = candidates[np.argmin(risks, axis=0)]
+    if power.ndim == 1:
+        return float(cutoffs[0]), float(variance[0])
+    return cutoffs, variance
 
 
 def velocity_bandwidth(frequency, power, noise_gain, variance, cutoff, share=0.99):

@@ -1,11 +1,14 @@
 """The loop: start, iterate, watch the bound, stop."""
 
+from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from sklearn_vbjfa._core._bound import bound
-from sklearn_vbjfa._core._state import State
+from sklearn_vbjfa._core._coordinates import from_vector, slope, to_vector
+from sklearn_vbjfa._core._state import HiddenExpectations, State
+from sklearn_vbjfa._core._stats import exact_fit
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     expect_hidden,
@@ -24,8 +27,12 @@ def rounding_of_bound(value, n, output_variance):
     (a difference of terms of size 1 per sample, in standardised units) does to the
     bound when the residual itself is tiny.
     """
-    residual = 64 * np.finfo(float).eps / output_variance
-    return _RELATIVE_FALL * max(abs(value), n) + n * residual
+    return _RELATIVE_FALL * max(abs(value), n) + n * rounding_of_fit(output_variance)
+
+
+def rounding_of_fit(output_variance):
+    """Return the bound's rounding per sample from that of the squared residual."""
+    return 64 * np.finfo(float).eps / output_variance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,135 +92,199 @@ def start(moments, prior, input_noise):
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Point:
+    """A state with its bound, and the iteration's next state."""
+
+    state: State
+    value: float
+    hidden: HiddenExpectations
+
+    def plain_step(self, moments, prior):
+        new = update_loadings(self.state, self.hidden, prior)
+        new = update_precisions(new, prior)
+        return update_noise(moments, self.state, new, self.hidden, prior)
+
+
+def _evaluate(moments, state, prior):
+    hidden = expect_hidden(moments, state)
+    return _Point(
+        state=state, value=bound(moments, state, hidden, prior), hidden=hidden
+    )
+
+
 def iterate(moments, state, prior):
     """Do one whole iteration; return the new state and the bound of the old one."""
-    hidden = expect_hidden(moments, state)
-    value = bound(moments, state, hidden, prior)
-    new = update_loadings(state, hidden, prior)
-    new = update_precisions(new, prior)
-    new = update_noise(moments, state, new, hidden, prior)
-    return new, value
+    point = _evaluate(moments, state, prior)
+    return point.plain_step(moments, prior), point.value
 
 
-def _coordinates(state):
-    """State as one vector in which any real values make a state."""
-    return np.concatenate(
-        [
-            state.w_z_mean,
-            state.w_x_mean,
-            np.log(np.maximum(state.w_z_var, _TINY)),
-            np.log(np.maximum(state.w_x_var, _TINY)),
-            np.log(state.alpha_rate),
-            np.log(state.psi_z),
-            np.log(state.psi_x),
-            [np.log(state.psi_y)],
-        ]
-    )
+# Pairs of steps and changes of the gradient that are kept: the usual number of
+# limited-memory quasi-Newton methods (Nocedal and Wright, 2006, section 7.2).
+_MEMORY = 10
+# Share of the gain that the slope promises which a step must bring (their c1).
+_ENOUGH = 1e-4
+# Trials along one direction before the plain step is taken instead.
+_TRIALS = 4
 
 
-_TINY = float(np.finfo(float).tiny)
-# Largest extrapolation: exp of it must stay a number.
-_LARGEST_LOG = 300.0
+# Points of the search lie on a grid of this share of the output's deviation. A
+# quasi-Newton method multiplies the rounding of the sums from step to step; on the grid
+# it is rounded away, and the same data in another order give the same estimate. What
+# the grid costs of the bound, some 1e-12 per sample and input, is far below `tol`.
+_GRID = 2.0**-20
 
 
-def _from_coordinates(vector, like):
-    """Return the state with these coordinates; zero variances stay zero."""
-    d = like.w_z_mean.size
-    w_z, w_x, z_var, x_var, rate, psi_z, psi_x = vector[: 7 * d].reshape(7, d)
-    clip = np.clip(vector[-1], -_LARGEST_LOG, _LARGEST_LOG)
-
-    def positive(log):
-        return np.exp(np.clip(log, -_LARGEST_LOG, _LARGEST_LOG))
-
-    return replace(
-        like,
-        w_z_mean=w_z,
-        w_x_mean=w_x,
-        w_z_var=np.where(like.w_z_var > 0, positive(z_var), 0.0),
-        w_x_var=np.where(like.w_x_var > 0, positive(x_var), 0.0),
-        alpha_rate=positive(rate),
-        psi_z=np.maximum(positive(psi_z), VARIANCE_FLOOR),
-        psi_x=np.maximum(positive(psi_x), VARIANCE_FLOOR),
-        psi_y=max(float(np.exp(clip)), VARIANCE_FLOOR),
-    )
+def _on_grid(vector, point):
+    """Round coordinates to the grid of a point, whose width is a power of two."""
+    deviation = np.sqrt(min(point.hidden.y_var, 1.0))
+    width = _GRID * 2.0 ** np.floor(np.log2(deviation))
+    return np.round(vector / width) * width
 
 
-# Longest extrapolation. Longer ones save iterations, but multiply the rounding of the
-# sums by their square each time: the same data in another order would end elsewhere.
-_LONGEST_STEP = 4.0
+class _Curvature:
+    """Inverse curvature of the bound: that of an EM step, corrected by past steps.
 
-
-def _extrapolate(before, between, after):
-    """SQUAREM step (S3 of Varadhan and Roland, 2008) from three successive states.
-
-    Returns None where the iteration stands still.
+    The quasi-Newton acceleration of EM by Jamshidian and Jennrich (1997), with the
+    two-loop recursion in place of a matrix.
     """
-    x0, x1, x2 = (_coordinates(state) for state in (before, between, after))
-    r = x1 - x0
-    v = x2 - x1 - r
-    size = np.linalg.norm(v)
-    if size == 0:
-        return None
-    length = min(max(np.linalg.norm(r) / size, 1.0), _LONGEST_STEP)
-    if length == 1.0:
-        return None
-    return _from_coordinates(x0 + 2 * length * r + length**2 * v, after)
+
+    def __init__(self):
+        self.steps, self.changes = deque(maxlen=_MEMORY), deque(maxlen=_MEMORY)
+
+    def learn(self, step, before, after):
+        """Add a pair, unless the bound is not concave along it."""
+        change = before.gradient - after.gradient
+        along = step @ change
+        size = np.sqrt(
+            (change @ (after.scale * change)) * (step @ (step / after.scale))
+        )
+        if along > np.sqrt(np.finfo(float).eps) * size:
+            self.steps.append(step)
+            self.changes.append(change)
+
+    def forget(self):
+        """Start again."""
+        self.steps.clear()
+        self.changes.clear()
+
+    def direction(self, slope):
+        """Newton's direction with what is known, or None if nothing is."""
+        if not self.steps:
+            return None
+        rest, parts = slope.gradient.copy(), []
+        for step, change in zip(reversed(self.steps), reversed(self.changes)):
+            parts.append((step @ rest) / (step @ change))
+            rest -= parts[-1] * change
+        step, change = self.steps[-1], self.changes[-1]
+        length = (step @ change) / (change @ (slope.scale * change))
+        found = length * slope.scale * rest
+        for step, change in zip(self.steps, self.changes):
+            found += step * (parts.pop() - (change @ found) / (step @ change))
+        found[slope.gradient == 0.0] = 0.0  # variances that rest on their floor
+        return found if found @ slope.gradient > 0 else None
+
+
+def _search(moments, point, start, direction, promised, prior, trials):
+    """Return the first point along the direction that gains enough, and the trials."""
+    length = 1.0
+    for k in range(trials):
+        vector = _on_grid(start + length * direction, point)
+        state = from_vector(vector, point.state, prior)
+        trial = _evaluate(moments, state, prior)
+        if trial.value >= point.value + _ENOUGH * length * promised:
+            return trial, k + 1
+        # The parabola through both values and the slope, within [0.1, 0.5].
+        short = 2 * (point.value + length * promised - trial.value)
+        share = length * promised / short if np.isfinite(short) else 0.1
+        length *= min(max(share, 0.1), 0.5)
+    return None, trials
+
+
+def _solve_plain(moments, state, prior, max_iter, tol):
+    """Do the iteration as it stands."""
+    history, before = [], state
+    for used in range(1, max_iter + 1):
+        new, value = iterate(moments, state, prior)
+        gain = value - history[-1] if history else np.inf
+        if gain < -rounding_of_bound(value, moments.n, state.psi_y):
+            return before, history, used, "bound_decreased", -gain
+        history.append(value)
+        before, state = state, new
+        if abs(gain) <= tol * moments.n:
+            return state, history, used, "converged", 0.0
+    return state, history, max_iter, "max_iter", 0.0
+
+
+def _solve_fast(moments, state, prior, max_iter, tol):
+    """Do quasi-Newton steps where they raise the bound, else those of the iteration."""
+    point, used = _evaluate(moments, state, prior), 1
+    history = [point.value]
+    curvature, here, quiet = _Curvature(), None, 0
+    while used < max_iter:
+        new = None
+        # An (all but) exact fit: gradients are rounding, more than the grid absorbs.
+        known = here is not None and rounding_of_fit(point.hidden.y_var) <= _GRID
+        direction = curvature.direction(here) if known else None
+        if direction is not None:
+            start = to_vector(point.state, prior)
+            promised = direction @ here.gradient
+            trials = min(_TRIALS, max_iter - used)
+            new, spent = _search(
+                moments, point, start, direction, promised, prior, trials
+            )
+            used += spent
+        if new is None:
+            if used >= max_iter:
+                break
+            curvature.forget()
+            plain = point.plain_step(moments, prior)
+            vector = _on_grid(to_vector(plain, prior), point)
+            new = _evaluate(moments, from_vector(vector, plain, prior), prior)
+            if not new.value >= point.value:
+                new = _evaluate(moments, plain, prior)
+                used += 1
+            used += 1
+        gain = new.value - point.value
+        if gain < -rounding_of_bound(new.value, moments.n, new.state.psi_y):
+            return point.state, history, used, "bound_decreased", -gain
+        there = slope(moments, new.state, new.hidden, prior)
+        if here is not None:
+            step = to_vector(new.state, prior) - to_vector(point.state, prior)
+            curvature.learn(step, here, there)
+        point, here = new, there
+        history.append(point.value)
+        # One short step may be a poor direction; two are the end.
+        quiet = quiet + 1 if gain <= tol * moments.n else 0
+        if quiet == 2:
+            return point.state, history, used, "converged", 0.0
+    return point.state, history, used, "max_iter", 0.0
 
 
 def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
     """Iterate until the bound gains less than `tol` per sample.
 
-    The plain iteration crawls along flat directions. Between every two plain steps and
-    the next, the state is extrapolated (SQUAREM); an extrapolated state is kept only
-    if its bound is not lower, so that the bound never falls and the fixed points are
+    The plain iteration crawls along flat directions. Its step is that of a Newton
+    method with a diagonal curvature that is much too large; correcting that by what
+    past steps tell of the bound's curvature (a limited-memory quasi-Newton method)
+    takes far fewer iterations. A step is kept only if it raises the
+    bound, else the plain one is done: the bound never falls, and the fixed points are
     those of the plain iteration.
 
-    The loop holds nothing of the size of the data beyond `moments`.
+    An iteration, in `max_iter` and `n_iter`, is one evaluation of the bound with its
+    expectations, whether or not the step that asked for it is kept. The loop holds
+    nothing of the size of the data beyond `moments`.
     """
     if prior.psi_x_fixed is not None:
         prior = replace(
             prior, psi_x_fixed=np.maximum(prior.psi_x_fixed, VARIANCE_FLOOR)
         )
-    history = []
-    status, fall = "max_iter", 0.0
-    used = 0
-    before = state  # the state of the last bound in `history`
-    recent = [state]  # since the last extrapolation
-    cycle_start = -np.inf
-    while used < max_iter:
-        new_state, value = iterate(moments, state, prior)
-        used += 1
-        if history:
-            gain = value - history[-1]
-            if gain < -rounding_of_bound(value, moments.n, state.psi_y):
-                status, fall = "bound_decreased", -gain
-                state = before
-                break
-        history.append(value)
-        before, state = state, new_state
-        recent.append(state)
-        if not accelerate:
-            if len(history) > 1 and abs(gain) <= tol * moments.n:
-                status = "converged"
-                break
-            continue
-        if len(recent) < 3:
-            continue
-        # Two plain steps since the last check: their gain and the extrapolation's.
-        if value - cycle_start <= tol * moments.n:
-            status = "converged"
-            break
-        cycle_start = value
-        trial = _extrapolate(*recent)
-        recent = [state]
-        if trial is None or used >= max_iter:
-            continue
-        trial_next, trial_value = iterate(moments, trial, prior)
-        used += 1
-        if np.isfinite(trial_value) and trial_value >= value:
-            history.append(trial_value)
-            before, state = trial, trial_next
-            recent = [state]
+        state = replace(state, psi_x=prior.psi_x_fixed)
+    # Without a prior an exact fit has no highest likelihood, and nothing to
+    # extrapolate to but rounding.
+    exact = not prior.ard and exact_fit(moments, VARIANCE_FLOOR)
+    run = _solve_fast if accelerate and not exact else _solve_plain
+    state, history, used, status, fall = run(moments, state, prior, max_iter, tol)
     floor = 2 * VARIANCE_FLOOR
     fixed = prior.psi_x_fixed is not None
     at_floor = {

@@ -5,8 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 
 # Rounding of a column that ought to be constant is a few units in the last place
-# of its values; a spread below this fraction of the largest value carries no data.
+# of its values; a spread below this fraction of its mean carries no data.
 CONSTANT_COLUMN = 32 * np.finfo(np.float64).eps
+
+
+def is_constant(spread, mean):
+    """Whether columns are constant up to rounding, whatever their unit.
+
+    spread, mean : root mean square deviation from the mean, and the mean; about zero,
+    the root mean square and zero: then a column is constant only if it is zero.
+    """
+    noise = CONSTANT_COLUMN * np.abs(mean)
+    return spread <= np.maximum(noise, np.finfo(np.float64).tiny)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,7 +77,7 @@ def standardize(X, weight, *, center):
             mean += shift
     values *= np.sqrt(weight)[:, np.newaxis]
     length = np.sqrt(np.einsum("ij,ij->j", values, values))
-    constant = length <= CONSTANT_COLUMN * np.sqrt(total)
+    constant = is_constant(length / np.sqrt(total), mean)
     values[:, constant] = 0.0
     length[constant] = 1.0
     values /= length

@@ -48,9 +48,7 @@ def expect_hidden(moments, state):
     c = w_z * w_x / B
     h = w_x / B
     # e = y - c'x and its products with x
-    S_c = moments.dot(c)
-    S_xe = moments.xy - S_c
-    S_ee = max(moments.yy - c @ (moments.xy + S_xe), 0.0)
+    S_xe, S_ee = moments.residual(c)
     b = M / s
     rb = rM / s
 

@@ -151,7 +151,7 @@ def make_closed_loop_recording(
     torque="measured",
     plant=None,
     random_state=None,
-):
+) -> ClosedLoopRecording:
     """Simulate a robot with more dynamics than its model, moved by a controller.
 
     As in the experiments of [1]_: sinusoids in all joints are tracked by the inverse

@@ -57,15 +57,9 @@ def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin
     if urdf is None and name in _BUILDERS:
         model = _BUILDERS[name](pin)
     else:
-        urdf = urdf or _from_robot_descriptions(name)
-        full = pin.buildModelFromUrdf(urdf)
-        # Joint 0 is the universe.
-        locked = [
-            full.getJointId(joint)
-            for joint in list(full.names)[1:]
-            if joint not in joint_names
-        ]
-        model = pin.buildReducedModel(full, locked, pin.neutral(full))
+        from sklearn_vbjfa.robot._model import load_reduced
+
+        model = load_reduced(urdf or _from_robot_descriptions(name), joint_names)
     names = list(model.names)[1:]
     if names != list(joint_names) or model.nq != model.nv:
         raise ValueError(

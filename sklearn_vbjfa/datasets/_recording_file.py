@@ -46,8 +46,9 @@ def read_recording(
         Description of the robot: gives the joints' names and order, which must agree
         with the columns.
     joint_names : sequence of str, default=None
-        Joints in the order of the columns; with `urdf` some of its joints, the others
-        then count as fixed at zero. None takes those of `urdf`, or joint_1, ...
+        Joints in the order of the columns; with `urdf` some of its joints (the others,
+        such as wheels and fingers, are then held at zero). None takes all of `urdf`,
+        or joint_1, ...
     name : str, default=None
         Name of the recording; None is that of the file.
 
@@ -64,8 +65,10 @@ def read_recording(
     ImportError
         If a parquet file is to be read without pyarrow, or `urdf` without Pinocchio.
     ValueError
-        If columns are missing or of the wrong number, a value is no finite number,
-        time stands still or runs backwards, or there is neither t nor `dt`.
+        If the file is damaged or not what its ending says, columns are missing or of
+        the wrong number, a value is no finite number, time stands still or runs
+        backwards, or there is neither t nor `dt`. The message names the file, what
+        was expected and what to do.
 
     Warns
     -----
@@ -88,17 +91,18 @@ def read_recording(
     if dt is not None:
         _check_dt(dt)
     table = read_table(path)
-    model_names, prismatic = _robot(urdf)
     if joint_names is None and "joint_names" in table.scalars:
-        joint_names = [str(x) for x in table.scalars["joint_names"]]
-    names = _strings(joint_names) or model_names
+        joint_names = [str(x) for x in np.atleast_1d(table.scalars["joint_names"])]
+    names = _strings(joint_names)
+    model_names, prismatic = _robot(urdf, names)
+    names = names or model_names
     channels, taken = {}, set()
     for kind in ("q", "tau", "v", "a"):
         values, used = _channel(table, kind, names)
         taken |= used
         if values is not None:
             channels[kind] = values
-    names = _check_joints(table, channels, names, model_names)
+    names = _check_joints(table, channels, names)
     if model_names:
         # The order of the model, whatever that of the file.
         order = sorted(range(len(names)), key=lambda j: model_names.index(names[j]))
@@ -141,13 +145,16 @@ def _strings(joint_names):
     return names
 
 
-def _robot(urdf):
-    """Return joint names and which are prismatic, empty without a description."""
+def _robot(urdf, names):
+    """Return joint names and which are prismatic, empty without a description.
+
+    Of the description's joints only those with `names` count, if there are any.
+    """
     if urdf is None:
         return (), ()
     from sklearn_vbjfa.robot import _model
 
-    model = _model.load_model(urdf)
+    model = _model.load_reduced(urdf, names) if names else _model.load_model(urdf)
     return _model.joint_names(model), _model.is_prismatic(model)
 
 
@@ -201,7 +208,7 @@ def _numbers(table: Table, column: str):
     return values
 
 
-def _check_joints(table: Table, channels, names, model_names):
+def _check_joints(table: Table, channels, names):
     """Check the number of joints, return their names."""
     for kind, what in (("q", "positions"), ("tau", "torques")):
         if kind not in channels:
@@ -219,16 +226,16 @@ def _check_joints(table: Table, channels, names, model_names):
     if not names:
         return tuple(f"joint_{k + 1}" for k in range(nv))
     if len(names) != nv:
+        remedy = (
+            "leave out surplus columns, or name one joint per column in joint_names"
+            if nv > len(names)
+            else "name those recorded, in the order of the columns, in joint_names "
+            f"(command line: --joints {','.join(names[:nv])}), the others are then "
+            "held at zero"
+        )
         raise ValueError(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
-            f"({', '.join(names)}); leave out surplus columns, or name the recorded "
-            "joints in joint_names (the others count as fixed)."
-        )
-    unknown = [x for x in names if model_names and x not in model_names]
-    if unknown:
-        raise ValueError(
-            f"{table.path}: the robot has no joint {unknown[0]!r}; its joints are "
-            f"{', '.join(model_names)}."
+            f"({', '.join(names)}); {remedy}."
         )
     return names
 
@@ -272,9 +279,15 @@ def _signals(table: Table, taken, notes):
 
 def _given_period(table: Table, dt, t):
     """Return the period given by the caller or the file; refuse to go without."""
-    if dt is None and "dt" in table.scalars and table.scalars["dt"].size == 1:
-        dt = float(table.scalars["dt"].reshape(-1)[0])
-        _check_dt(dt)
+    if dt is None and "dt" in table.scalars:
+        entry = table.scalars["dt"]
+        dt = entry.item() if entry.size == 1 and entry.dtype.kind in "iuf" else None
+        if dt is None or not 0 < dt < np.inf:
+            raise ValueError(
+                f"{table.path}: dt must be a positive number of seconds, got {entry}; "
+                "correct it in the file."
+            )
+        dt = float(dt)
     if dt is None and t is None:
         raise ValueError(
             f"{table.path}: no column t and no dt; add time stamps [s] as column t, "

@@ -153,7 +153,7 @@ def make_robot_recording(
     inertial=None,
     undeclared=None,
     random_state=None,
-):
+) -> SimulatedRecording:
     """Simulate the recording of a robot: a smooth motion, noisy encoders and torques.
 
     Parameters
@@ -302,7 +302,7 @@ def _friction_torque(coefficients, q, v, a):
     return total
 
 
-def load_demo_recording():
+def load_demo_recording() -> SimulatedRecording:
     """Simulate the recording of a made-up six-axis arm that comes with the package.
 
     Simulated on the spot, always the same: two motions of 20 s up to 1 Hz at 200 Hz,

@@ -52,7 +52,7 @@ def make_noisy_regression(
     output_snr=5.0,
     n_test=2000,
     random_state=None,
-):
+) -> NoisyRegression:
     """Generate the data of section 5.1 of the paper.
 
     The relevant inputs are Gaussian with a random covariance, the output has the

@@ -1,5 +1,11 @@
 """Columns with names out of CSV, npz and parquet files."""
 
+import csv
+import struct
+import tokenize
+import zipfile
+import zlib
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,6 +14,21 @@ import numpy as np
 
 # Endings that are read as text with separators.
 _TEXT = (".csv", ".tsv", ".txt", ".dat")
+# What numpy lets through of a file that is no whole zip archive of arrays.
+_BROKEN_ARCHIVE = (
+    EOFError,
+    OSError,
+    OverflowError,
+    RuntimeError,
+    ValueError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)
+# Separators that are guessed, and others that a header in one piece may have.
+_MARKS = (";", "\t", ",")
+_OTHER_MARKS = ("|", ":", "/")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,15 +70,31 @@ def read_table(path) -> Table:
     -------
     Table
         At least one column and one row.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ImportError
+        If a parquet file is to be read without pyarrow.
+    ValueError
+        If the file is not what its ending says, or holds no table.
     """
     path = Path(path)
+    if path.is_dir():
+        raise ValueError(f"{path} is a folder; give a CSV, npz or parquet file.")
     if not path.is_file():
         raise FileNotFoundError(
             f"{path}: no such file; expected a recording as CSV, npz or parquet."
         )
     ending = path.suffix.lower()
     if ending in _TEXT:
-        table = _read_text(path)
+        try:
+            table = _read_text(path)
+        except csv.Error as error:
+            raise ValueError(
+                f"{path}: is no table of numbers ({error}); save it as CSV in UTF-8."
+            ) from error
     elif ending == ".npz":
         table = _read_npz(path)
     elif ending in (".parquet", ".pq"):
@@ -88,6 +125,8 @@ def _read_text(path: Path) -> Table:
             f"{path}: is no UTF-8 text ({error.reason} at byte {error.start}); save it "
             "as CSV in UTF-8."
         ) from error
+    if any("\0" in line for line in lines):
+        raise ValueError(f"{path}: is no text but binary; save it as CSV in UTF-8.")
     full = [k for k, line in enumerate(lines) if line.split("#")[0].strip()]
     if not full:
         raise ValueError(f"{path}: no rows of data; expected one row per sample.")
@@ -97,7 +136,11 @@ def _read_text(path: Path) -> Table:
         raise ValueError(f"{path}: only a header and no rows of data.")
     try:
         values = np.loadtxt(
-            [lines[k] for k in rows], delimiter=separator, comments="#", ndmin=2
+            [lines[k] for k in rows],
+            delimiter=separator,
+            comments="#",
+            quotechar='"',
+            ndmin=2,
         )
         columns = dict(zip(names, values.T))
         fast = values.shape[1] == len(names)
@@ -130,6 +173,12 @@ def _header(path, lines, full):
     text = lines[header].strip().lstrip("#").split("#")[0]
     separator = _separator(text)
     names = [cell.strip("\"' ") for cell in _split(text, separator)]
+    marks = [mark for mark in _OTHER_MARKS if mark in text]
+    if len(names) == 1 and marks:
+        raise ValueError(
+            f"{path}: line {header + 1} is one cell, with {marks[0]!r} in it; separate "
+            "the columns by comma, semicolon, tab or blanks."
+        )
     while names and not names[-1]:
         names.pop()
     for k, name in enumerate(names):
@@ -148,14 +197,20 @@ def _header(path, lines, full):
 
 def _separator(line: str) -> str | None:
     """Guess the separator; None is white space."""
-    for mark in (";", "\t", ","):
+    for mark in _MARKS:
         if mark in line:
             return mark
     return None
 
 
 def _split(line, separator):
-    return [cell.strip() for cell in line.split("#")[0].strip(" \r\n").split(separator)]
+    """Return the cells of a line; in quotes a separator is none."""
+    line = line.split("#")[0].strip(" \r\n")
+    if separator is None:
+        cells = line.split()
+    else:
+        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    return [cell.strip("\"' ") for cell in cells]
 
 
 def _is_number(cell: str) -> bool:
@@ -174,23 +229,32 @@ def _cells(path, lines, rows, names, separator):
         while len(cells) > len(names) and not cells[-1]:
             cells.pop()
         if len(cells) != len(names):
-            hint = (
-                "; numbers with decimal commas need ; as separator"
-                if separator == "," and len(cells) > len(names)
-                else ""
-            )
             raise ValueError(
                 f"{path}: line {k + 1} has {len(cells)} cells, the header names "
-                f"{len(names)} columns{hint}."
+                f"{len(names)} columns; {_remedy(lines[k], cells, names, separator)}."
             )
         table.append(cells)
+    return _typed(path, rows, names, table, separator)
+
+
+def _remedy(line, cells, names, separator):
+    """Say what to do about a line with more or fewer cells than the header."""
+    if len(cells) == 1 and _separator(line) != separator:
+        return "separate the columns as the header does"
+    if separator == "," and len(cells) > len(names):
+        return "numbers with decimal commas need ; as separator"
+    return "correct or remove that line"
+
+
+def _typed(path, rows, names, table, separator):
+    """Turn columns of cells into numbers where the first cell is one."""
     columns = {}
     for name, cells in zip(names, zip(*table)):
         if separator != ",":
             cells = [cell.replace(",", ".", 1) for cell in cells]
         filled = [cell for cell in cells if cell]
         if filled and not _is_number(filled[0]):
-            columns[name] = np.array([cell.strip("\"'") for cell in cells])
+            columns[name] = np.array(cells)
             continue
         values = np.full(len(cells), np.nan)
         for row, cell in enumerate(cells):
@@ -210,14 +274,7 @@ def _cells(path, lines, rows, names, separator):
 
 def _read_npz(path: Path) -> Table:
     """Read arrays; a matrix such as q becomes the columns q1, q2, ..."""
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (ValueError, OSError) as error:
-        raise ValueError(
-            f"{path}: cannot be read as npz of plain arrays ({error}); save numeric "
-            "arrays with numpy.savez."
-        ) from error
+    arrays = _arrays(path)
     lengths = {
         name: len(array)
         for name, array in arrays.items()
@@ -250,6 +307,35 @@ def _read_npz(path: Path) -> Table:
     return Table(path=path, columns=columns, scalars=scalars, where=_row)
 
 
+def _arrays(path: Path) -> dict[str, np.ndarray]:
+    """Return the arrays of an npz file, which may be damaged."""
+    broken = f"{path}: is no whole npz file; save it anew with numpy.savez."
+    # numpy.load would read other formats under this name.
+    if not zipfile.is_zipfile(path):
+        raise ValueError(broken)
+    arrays, name = {}, ""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            for name in archive.files:
+                arrays[name] = archive[name]
+    except MemoryError as error:
+        raise ValueError(
+            f"{path}: array {name!r} does not fit into memory or is damaged ({error}); "
+            "save a shorter recording, or this one anew."
+        ) from error
+    except _BROKEN_ARCHIVE as error:
+        if name and "allow_pickle" in str(error):
+            raise ValueError(
+                f"{path}: array {name!r} holds Python objects and not numbers; save "
+                "numeric arrays of one row per sample with numpy.savez."
+            ) from error
+        raise ValueError(broken) from error
+    # A zip archive of other files, such as a spreadsheet, yields bytes.
+    if not all(isinstance(array, np.ndarray) for array in arrays.values()):
+        raise ValueError(broken)
+    return arrays
+
+
 def _is_channel(name: str) -> bool:
     """Whether a name begins like a position or a torque."""
     return name.lower().startswith(("q", "tau"))
@@ -265,12 +351,19 @@ def _read_parquet(path: Path) -> Table:
             'pip install "sklearn-vbjfa[parquet]"'
         ) from error
     try:
-        read = parquet.read_table(path)
-    except (ArrowException, OSError) as error:
+        with parquet.ParquetFile(path) as file:
+            read = file.read()
+        arrays = [column.to_numpy() for column in read.columns]
+    except (ArrowException, OSError, UnicodeDecodeError) as error:
+        reason = str(error).splitlines()[0].rstrip(".")
         raise ValueError(
-            f"{path}: cannot be read as parquet ({error}); write it anew."
+            f"{path}: is no whole parquet file of plain columns ({reason}); write it "
+            "anew."
         ) from error
-    columns = {
-        name: column.to_numpy() for name, column in zip(read.column_names, read.columns)
-    }
+    twice = [name for name, count in Counter(read.column_names).items() if count > 1]
+    if twice:
+        raise ValueError(
+            f"{path}: has column {twice[0]!r} twice; each column needs its own name."
+        )
+    columns = dict(zip(read.column_names, arrays))
     return Table(path=path, columns=columns, scalars={}, where=_row)

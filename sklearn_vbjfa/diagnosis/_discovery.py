@@ -1,7 +1,7 @@
 """The loop: residual, effect, refit, and the error on data that was not touched."""
 
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.base import BaseEstimator, clone
 from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
@@ -14,19 +14,21 @@ from sklearn_vbjfa.diagnosis._recording_view import RecordingView
 from sklearn_vbjfa.diagnosis._report import Report
 from sklearn_vbjfa.diagnosis._search import EffectSearch
 from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.robot._channel_checks import inspect_channels
 from sklearn_vbjfa.robot._groups import check_clock, check_dt
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._model import joint_names, load_model
 from sklearn_vbjfa.robot._recording_checks import check_widths
+from sklearn_vbjfa.robot._recording_score import RecordingRegressorMixin
 
 # A channel with these faults is reported and not searched: what would be found is the
 # fault.
 _NO_INFORMATION = ("coarse_torque", "still_joint")
 
 
-class EffectDiscovery(RegressorMixin, BaseEstimator):
+class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     """Find what a robot model lacks: close the loop with measured data.
 
     Fits the declared model, looks at what it leaves of the torques on data that it
@@ -59,8 +61,8 @@ class EffectDiscovery(RegressorMixin, BaseEstimator):
         Accepted effects in the order in which they were found; each has `name`,
         `joint` (from zero), `parameters`, `units`, `intervals`, `rivals`.
     rounds_ : tuple of Round
-        Every step: what was added, replaced, dropped or refused, on what evidence,
-        and the rivals.
+        Every step: what was added, replaced, dropped, refused or withdrawn, on what
+        evidence, and the rivals.
     error_before_, error_after_ : ndarray of shape (nv,)
         Root mean square of the torque residual over the standard deviation of the
         torque, on the untouched part, without and with the effects.
@@ -93,6 +95,9 @@ class EffectDiscovery(RegressorMixin, BaseEstimator):
     effect waits for it; of those that blocks cannot tell apart the simplest is taken
     and the others are reported as rivals; what later additions make superfluous is
     dropped; and what does not hold on the last quarter of the search part is refused.
+    At the end each recording of several (or third of one) is predicted from the
+    others with physically consistent parameters, and effects that make that worse are
+    withdrawn.
 
     Examples
     --------
@@ -127,13 +132,7 @@ class EffectDiscovery(RegressorMixin, BaseEstimator):
         self.random_state = random_state
         self.verbose = verbose
 
-    def __sklearn_tags__(self):
-        """Tags of a regressor with several outputs."""
-        tags = super().__sklearn_tags__()
-        tags.target_tags.multi_output = True
-        tags.target_tags.single_output = True
-        return tags
-
+    @one_blas_thread()
     def fit(self, X, y, groups=None, sample_weight=None, t=None):
         """Close the loop.
 

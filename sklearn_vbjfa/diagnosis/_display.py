@@ -1,10 +1,9 @@
 """Torque residuals over what an engineer plots them against."""
 
-import importlib
-
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_vbjfa.diagnosis._display_parts import check_attributes, import_pyplot
 from sklearn_vbjfa.robot._effect_columns import make_motion
 from sklearn_vbjfa.robot._groups import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
@@ -111,6 +110,12 @@ class ResidualDisplay:
         if isinstance(estimator, RobotIdentifier):
             robot, models = estimator, (estimator,)
         else:
+            check_attributes(
+                estimator,
+                ("declared_", "identifier_"),
+                "ResidualDisplay",
+                "a RobotIdentifier or an EffectDiscovery",
+            )
             robot = estimator.declared_
             models = (robot, estimator.identifier_)
         names = robot.joint_names_
@@ -176,14 +181,7 @@ class ResidualDisplay:
                     f"column a signal; got {axes.size}."
                 )
             return axes.reshape(rows, columns)
-        try:
-            # By name, so that nothing here imports an optional package.
-            pyplot = importlib.import_module("matplotlib.pyplot")
-        except ImportError as error:
-            raise ImportError(
-                "ResidualDisplay.plot needs matplotlib; install it with "
-                'pip install "sklearn-vbjfa[plot]".'
-            ) from error
+        pyplot = import_pyplot("ResidualDisplay")
         _, axes = pyplot.subplots(
             rows,
             columns,

@@ -71,8 +71,9 @@ class Round:
 
     Attributes
     ----------
-    action : {"add", "replace", "drop", "refuse"}
-        What was done; a refused candidate did not hold on later data.
+    action : {"add", "replace", "drop", "refuse", "withdraw"}
+        What was done; a refused candidate did not hold on later data, a withdrawn
+        effect did harm on motion that it was not fitted to.
     name : str
         Effect.
     joint : int
@@ -190,7 +191,8 @@ class Outcome:
     settings : dict
         Thresholds, split, blocks, seed, versions.
     curves : dict
-        Residuals and signals for pictures.
+        Residuals and signals for pictures; "seconds" is the time in the untouched
+        part, its recordings joined [s].
     """
 
     declared: dict

@@ -72,7 +72,7 @@ def _effects(loop, search, names, prismatic):
     covariances = effect_covariances(search)
     rivals = {}
     for step in search.steps:
-        if step.action != "drop":
+        if step.action not in {"drop", "withdraw"}:
             rivals[step.effect.key()] = tuple(c.effect.name for c in step.rivals)
     at = loop.declared_.theta_.size
     for effect, covariance in zip(search.accepted, covariances):
@@ -201,8 +201,12 @@ def _curves(loop, before, after):
     """Residuals of the untouched part with their signals, thinned for pictures."""
     every = max(1, before.torque.shape[0] // _POINTS)
     rows = slice(None, None, every)
+    index = before.index[rows]
+    # Without a sample period, rows need not be equidistant.
+    dt = loop.identifier_.dt
     return {
-        "index": before.index[rows],
+        "index": index,
+        **({} if dt is None else {"seconds": index * dt}),
         "before": before.residual[rows],
         "after": after.residual[rows],
         "weight": before.weight[rows],

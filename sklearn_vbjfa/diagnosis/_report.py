@@ -34,11 +34,12 @@ class Report:
     joints : tuple of JointVerdict
         Verdict on each joint.
     status : {"complete", "nothing", "partial", "exhausted", "unsettled", "unknown", \
-            "worse", "no data"}
+            "worse", "failed", "no data"}
         Effects found and only noise left; nothing was missing; effects found and
         something remains; nothing found though something is missing; at the noise
         floor in the search but not on untouched data; no noise floor to compare with;
-        a joint got worse on untouched data; nothing to judge by.
+        a joint got worse on untouched data; a joint is predicted worse than by its
+        mean torque; nothing to judge by.
     headline, verdict : str
         The same in words, without and with the mean errors.
 
@@ -67,16 +68,17 @@ class Report:
         if len(head) > 3:
             errors = _verdict.errors_text(self.outcome)
             head = _wrapped(self.headline, 2) + _wrapped(errors, 1)
-        tail = self._closing()
+        tail, _ = self._closing(0)
         lists = {
             "joints": self._joint_order(),
             "effects": list(self.outcome.effects),
-            "unexplained": self._unexplained_order(),
+            "unexplained": lines.unexplained_groups(self._unexplained_order()),
         }
         room = _HEIGHT - len(head) - len(tail) - 1
         share = _share_out({k: len(v) for k, v in lists.items()}, room)
         # A second line for what does not fit one, as long as there is room.
         spare = room - sum(share.values()) - 2
+        tail, spare = self._closing(spare)
         effects, spare = self._effect_lines(lists["effects"], share["effects"], spare)
         unexplained, _ = self._unexplained_lines(
             lists["unexplained"], share["unexplained"], spare
@@ -89,9 +91,11 @@ class Report:
 
     def _joint_order(self):
         """Joints, those with something to say first where not all can be shown."""
-        rank = {"worse": 0, "unexplained": 1, "above": 2, "unknown": 3, "no data": 4}
+        rank = ("failed", "worse", "unexplained", "above", "unknown", "no data")
+        first = {status: k for k, status in enumerate(rank)}
         return sorted(
-            self.joints, key=lambda v: (rank.get(v.status, 5), -v.n_effects, v.joint)
+            self.joints,
+            key=lambda v: (first.get(v.status, len(rank)), -v.n_effects, v.joint),
         )
 
     def _unexplained_order(self):
@@ -166,11 +170,11 @@ class Report:
             )
         return out, spare
 
-    def _unexplained_lines(self, unexplained, count, spare):
-        shown, rest = _cut(unexplained, count)
+    def _unexplained_lines(self, groups, count, spare):
+        shown, rest = _cut(groups, count)
         out = []
-        for u in shown:
-            full = f"? {lines.unexplained_line(u, self.outcome.joint_names)}"
+        for group in shown:
+            full = f"? {lines.unexplained_line(group, self.outcome.joint_names)}"
             pieces = textwrap.wrap(full, _WIDTH, subsequent_indent="    ")
             if len(pieces) == 2 and spare > 0:
                 spare -= 1
@@ -178,31 +182,48 @@ class Report:
             else:
                 out.append(words.clip(full, _WIDTH))
         if rest:
-            more = "joint" if len(rest) == 1 else "joints"
-            out.append(f"... and {len(rest)} more {more}, {_SEE}")
+            more = words.plural(sum(map(len, rest)), "more joint")
+            out.append(f"... and {more}, {_SEE}")
         return out, spare
 
-    def _closing(self):
-        """Say what to record next, what is wrong with channels, what was split."""
-        out = []
+    def _closing(self, spare):
+        """Say what to record next, what is wrong with channels, what was split.
+
+        Lines that are to spare go to what would be cut, what matters most first;
+        returned are the lines and what is still to spare.
+        """
+        channels = " ".join(self.outcome.channels[:1]).split()
+        more = len(self.outcome.channels) - 1
         advice = lines.next_recording(self.outcome)
-        if advice:
-            out += _wrapped(f"Record next: {words.join(advice, 3)}.", 2)
         hidden = lines.hidden_lines(self.outcome.hidden, self.outcome.joint_names)
-        out += _wrapped(" ".join(hidden), 2)
-        out += _wrapped(lines.refused_line(self.outcome), 1)
-        channels = self.outcome.channels
-        if channels:
-            more = f" (and {len(channels) - 1} more)" if len(channels) > 1 else ""
-            out += [
-                words.clip(
-                    f"Channel: {' '.join(channels[0].split())}", _WIDTH - len(more)
-                )
-                + more
-            ]
-        for line in lines.settings_lines(self.outcome.settings):
-            out += [words.clip(line, _WIDTH)]
-        return out
+        # Text, the lines it has at least, and its rank.
+        entries = [
+            (lines.causes_line(self.joints), 2, 0),
+            (f"Record next: {words.join(advice, 3)}." if advice else "", 2, 2),
+            (" ".join(hidden), 2, 3),
+            (lines.refused_line(self.outcome), 1, 4),
+            (
+                (f"Channel ({more} more): " if more > 0 else "Channel: ")
+                + " ".join(channels)
+                if channels
+                else "",
+                1,
+                1,
+            ),
+            *((line, 1, 5) for line in lines.settings_lines(self.outcome.settings)),
+        ]
+        most = [least for _, least, _ in entries]
+        for k in sorted(range(len(entries)), key=lambda k: entries[k][2]):
+            short = len(textwrap.wrap(entries[k][0], _WIDTH)) - most[k]
+            extra = min(max(short, 0), max(spare, 0))
+            most[k] += extra
+            spare -= extra
+        out = [
+            line
+            for (text, *_), count in zip(entries, most)
+            for line in _wrapped(text, count)
+        ]
+        return out, spare
 
     # -- other forms ----------------------------------------------------------------
 

@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_vbjfa.diagnosis import _report_lines as lines
 from sklearn_vbjfa.diagnosis import _report_words as words
 from sklearn_vbjfa.diagnosis import _verdict
-from sklearn_vbjfa.diagnosis._report_pictures import residual_picture
+from sklearn_vbjfa.diagnosis._report_pictures import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis._report_style import STYLE
 
 _COLOURS = {
@@ -18,19 +18,22 @@ _COLOURS = {
     "unsettled": "warn",
     "unknown": "warn",
     "worse": "bad",
+    "failed": "bad",
     "no data": "bad",
 }
-_JOINT_COLOURS = {"floor": "good", "worse": "bad", "no data": "bad"}
+_JOINT_COLOURS = {"floor": "good", "worse": "bad", "failed": "bad", "no data": "bad"}
 _ACTIONS = {
     "add": "added",
     "replace": "replaced",
     "drop": "dropped as superfluous",
     "refuse": "refused: does not hold on later data",
+    "withdraw": "withdrawn: does harm on motion that it was not fitted to",
 }
-# Columns that are not broken.
+# Columns that are not broken, and names, which may be long.
 _CELLS = dict.fromkeys(
-    ("joint", "p", "parameters (90 %)", "saved", "squared error saved"), ' class="n"'
+    ("p", "parameters (90 %)", "saved", "squared error saved"), ' class="n"'
 )
+_CELLS |= dict.fromkeys(("joint", "effect"), ' class="name"')
 # Candidates of a round that are listed; to_dict() has all.
 _TRIED = 8
 
@@ -83,8 +86,13 @@ def _header(report):
         f'<header class="{_COLOURS[report.status]}"><p class="kicker">'
         f"{_text(f'What the declared model of {robot} lacks')}</p>"
         f"<h1>{_text(report.headline)}</h1>"
-        f'<div class="totals">{boxes}</div></header>'
+        f'<div class="totals">{boxes}</div>{_causes(report)}</header>'
     )
+
+
+def _causes(report):
+    text = lines.causes_line(report.joints)
+    return f'<p class="causes">{_text(text)}</p>' if text else ""
 
 
 def _joints(report):
@@ -176,7 +184,8 @@ def _effects(report):
 def _open_questions(report):
     outcome = report.outcome
     names = outcome.joint_names
-    rest = [lines.unexplained_line(u, names) for u in outcome.unexplained]
+    groups = lines.unexplained_groups(outcome.unexplained)
+    rest = [lines.unexplained_line(group, names) for group in groups]
     advice = lines.next_recording(outcome)
     hidden = lines.hidden_lines(outcome.hidden, names, most=20)
     out = ""
@@ -197,6 +206,12 @@ def _pictures(report):
     if not {"before", "after", "weight", "torque"} <= set(outcome.curves):
         return ""
     figures = []
+    axis = time_axis(outcome.curves)
+    time = (
+        "Untouched part, one recording after the other, over time in seconds"
+        if axis
+        else "Untouched part in the order of its samples"
+    )
     for v in report.joints:
         svg, limit = residual_picture(outcome.curves, v.joint, outcome.floor[v.joint])
         if svg:
@@ -204,7 +219,7 @@ def _pictures(report):
             figures.append(
                 f"<figure><figcaption><b>{_text(v.label)}</b>"
                 f"<span>&#177;{words.number(limit, 2)} {_text(unit)}</span>"
-                f"</figcaption>{svg}</figure>"
+                f"</figcaption>{svg}{axis}</figure>"
             )
     if not figures:
         return ""
@@ -213,8 +228,7 @@ def _pictures(report):
         '<p class="note"><i class="key" style="background:var(--before)"></i>before'
         '<i class="key" style="background:var(--after)"></i>after'
         '<i class="key" style="background:var(--floor);opacity:.5"></i>noise floor, '
-        "one standard deviation. Untouched part in the order of time; gaps where the "
-        "joint stands still.</p>"
+        f"one standard deviation. {time}; gaps where the joint stands still.</p>"
     )
 
 
@@ -278,14 +292,10 @@ def _tried(step, names):
 
 def _settings(report):
     outcome = report.outcome
-    settings, declared = outcome.settings, outcome.declared
+    settings = outcome.settings
     items = {
         "Split and thresholds": " ".join(lines.settings_lines(settings)),
-        "Declared model": ", ".join(
-            f"{key} {_short(declared[key])}"
-            for key in ("robot", "friction", "n_parameters", "cutoff")
-            if key in declared
-        ),
+        "Declared model": lines.declared_line(outcome.declared),
         "Looked for": _short(settings.get("effects", ())),
         "Seed": settings.get("random_state", ""),
         "Versions": ", ".join(
@@ -328,4 +338,6 @@ def _text(value):
 
 
 def _nice(text):
-    return text.replace("+-", "&#177;")
+    for plain, sign in (("+-", "&#177;"), ("^2", "&#178;"), ("^3", "&#179;")):
+        text = text.replace(plain, sign)
+    return text

@@ -1,5 +1,7 @@
 """Sentences of a report, one for each thing that was found."""
 
+import math
+
 from sklearn_vbjfa.diagnosis import _report_words as words
 from sklearn_vbjfa.diagnosis._gaps import ABOVE_FLOOR
 
@@ -58,13 +60,23 @@ def _rivals(rivals):
     return [*forms, words.plural(len(rivals), "rival")]
 
 
-def unexplained_line(rest, names):
-    """Say what remains of a joint's residual and what it varies with."""
-    label = words.joint_label(names, rest.joint)
+def unexplained_groups(unexplained):
+    """Put joints together of which one thing is to say: nothing, beyond how much."""
+    silent = [u for u in unexplained if u.floor > 0 and not u.signals]
+    groups = [[u] for u in unexplained if u not in silent[1:]]
+    return [silent if group == silent[:1] else group for group in groups]
+
+
+def unexplained_line(group, names):
+    """Say what remains of joints' residuals and what it varies with."""
+    rest = group[0]
+    label = words.joint_list(names, [u.joint for u in group])
+    shares = [words.whole_percent(share) for share in sorted(u.share for u in group)]
+    share = " to ".join(dict.fromkeys([shares[0], shares[-1]]))
     if not rest.floor > 0:
         head = f"{label}: noise floor unknown"
     else:
-        head = f"{label}: {words.whole_percent(rest.share)} of what remains has no name"
+        head = f"{label}: {share} of what remains has no name"
     signals = [
         f"{words.signal_label(s.signal, names, rest.joint)} "
         f"({words.whole_percent(s.share)})"
@@ -122,6 +134,37 @@ def next_recording(outcome):
     ]
 
 
+def causes_line(verdicts):
+    """Say what makes a fit worse than the mean torque; empty if none is."""
+    if all(v.status != "failed" for v in verdicts):
+        return ""
+    return (
+        "Likely causes of an error of 100 % or more: wrong sign, order or unit of the "
+        "columns; a coupling between joints that is not in the model; motion too slow "
+        "or too small, so that noise outweighs the torques, or that ends at rest."
+    )
+
+
+def declared_line(declared):
+    """Say what the model had before the search."""
+    parts = []
+    if declared.get("robot"):
+        parts.append(str(declared["robot"]))
+    if "friction" in declared:
+        names = ", ".join(map(str, declared["friction"])) or "none"
+        parts.append(f"friction: {names}")
+    if "n_parameters" in declared:
+        parts.append(f"{declared['n_parameters']} parameters")
+    if "cutoff" in declared:
+        cutoff = declared["cutoff"]
+        parts.append(
+            f"low-pass {words.number(cutoff)} Hz"
+            if math.isfinite(cutoff)
+            else "no low-pass"
+        )
+    return "; ".join(parts)
+
+
 def refused_line(outcome):
     """Say which steps were taken back; empty if none was."""
     names = outcome.joint_names
@@ -129,6 +172,7 @@ def refused_line(outcome):
     for action, what in (
         ("refuse", "Refused, as it did not hold on later data"),
         ("drop", "Dropped as superfluous"),
+        ("withdraw", "Withdrawn, as it did harm on motion that it was not fitted to"),
     ):
         own = [
             f"{words.effect_label(r.name, r.shape, names)} on "

@@ -47,10 +47,16 @@ def markdown(report):
         ]
         heads = ["joint", "effect", "parameters", "saved", "p", "cannot be told from"]
         out += _table(heads, rows)
+    causes = lines.causes_line(report.joints)
+    if causes:
+        out += ["", _safe(causes)]
     for title, items in (
         (
             "Unexplained",
-            [lines.unexplained_line(u, names) for u in outcome.unexplained],
+            [
+                lines.unexplained_line(group, names)
+                for group in lines.unexplained_groups(outcome.unexplained)
+            ],
         ),
         ("Record next", lines.next_recording(outcome)),
         (

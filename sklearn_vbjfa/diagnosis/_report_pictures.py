@@ -2,9 +2,15 @@
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis import _report_words as words
+
 _WIDTH, _HEIGHT = 360, 110
 # Residuals beyond this quantile are cut off, or a spike would flatten the rest.
 _QUANTILE = 0.998
+# A step of this many usual ones, as between recordings, interrupts a line.
+_BREAK = 1.5
+# Most steps of a time axis.
+_TICKS = 5
 
 
 def residual_picture(curves, joint, floor):
@@ -13,7 +19,8 @@ def residual_picture(curves, joint, floor):
     Parameters
     ----------
     curves : dict of str to ndarray
-        ``"before"``, ``"after"``, ``"weight"``, ``"torque"``: arrays (m, nv).
+        ``"before"``, ``"after"``, ``"weight"``, ``"torque"``: arrays (m, nv);
+        ``"seconds"``, where it is known: (m,), rising.
     joint : int
         Joint, from zero.
     floor : float
@@ -39,8 +46,9 @@ def residual_picture(curves, joint, floor):
         return "", np.nan
     torque = np.asarray(curves["torque"], dtype=float)[used, joint]
     band = _band(floor * torque.std(), limit)
+    x = _places(curves, before.size)
     grey, colour = (
-        _shape(np.where(used, values, np.nan), limit, kind)
+        _shape(x, np.where(used, values, np.nan), limit, kind)
         for values, kind in ((before, "before"), (after, "after"))
     )
     middle = _HEIGHT / 2
@@ -64,25 +72,60 @@ def _band(half, limit):
     )
 
 
-def _shape(values, limit, kind):
+def time_axis(curves):
+    """Return the seconds below a picture as HTML; empty if they are not known."""
+    seconds = np.asarray(curves.get("seconds", ()), dtype=float)
+    if seconds.size < 2:
+        return ""
+    length = seconds[-1] - seconds[0]
+    power = 10.0 ** np.floor(np.log10(length / _TICKS))
+    # The finest of 1, 2, 5, 10, ... with no more ticks than there is room for.
+    step = next(
+        k * power for k in (1, 2, 5, 10) if length / (k * power) <= _TICKS + 1e-9
+    )
+    ticks = step * np.arange(int(length / step + 1e-9) + 1)
+    # The end says the unit; a tick close to it would be overwritten.
+    ticks = ticks[ticks < length - 0.75 * step]
+    places = [(100 * tick / length, words.number(tick, 4)) for tick in ticks]
+    places.append((100.0, f"{words.number(length)} s"))
+    spans = "".join(
+        f'<span style="left:{place:.1f}%">{text}</span>' for place, text in places
+    )
+    return f'<div class="axis">{spans}</div>'
+
+
+def _places(curves, count):
+    """Horizontal places of the samples, in proportion to time where it is known."""
+    seconds = np.asarray(curves.get("seconds", np.arange(count)), dtype=float)
+    return _WIDTH * (seconds - seconds[0]) / (seconds[-1] - seconds[0])
+
+
+def _shape(x, values, limit, kind):
     """Draw a line, or the envelope of one with more points than the picture has."""
     y = _HEIGHT / 2 * (1 - np.clip(values / limit, -1, 1))
     if y.size <= _WIDTH:
-        x = np.linspace(0, _WIDTH, y.size)
-        return f'<path class="line {kind}" d="{_path(x, y)}"/>'
-    label = np.arange(y.size) * _WIDTH // y.size
+        steps = np.diff(x)
+        breaks = np.flatnonzero(steps > _BREAK * np.median(steps)) + 1
+        runs = zip(np.split(x, breaks), np.split(y, breaks))
+        path = "".join(_path(*run) for run in runs)
+        return f'<path class="line {kind}" d="{path}"/>'
+    label = np.minimum(x.astype(int), _WIDTH - 1)
     starts = np.flatnonzero(np.r_[True, np.diff(label) > 0])
+    column = label[starts]
     top = np.fmin.reduceat(y, starts)
     bottom = np.fmax.reduceat(y, starts)
     pieces = []
     seen = np.isfinite(top)
-    for run in np.split(np.arange(seen.size), np.flatnonzero(np.diff(seen)) + 1):
+    # Neither where nothing counts nor where nothing was recorded.
+    ends = np.flatnonzero((np.diff(seen) != 0) | (np.diff(column) > 1)) + 1
+    for run in np.split(np.arange(seen.size), ends):
         if seen[run[0]]:
-            x = np.r_[run, run[-1] + 1, run[-1] + 1, run[::-1]]
+            at = column[run]
             edge = np.r_[
                 top[run] - 0.4, top[run[-1]] - 0.4, bottom[run[-1]], bottom[run[::-1]]
             ]
-            pieces.append(_path(x, edge) + "Z")
+            outline = np.r_[at, at[-1] + 1, at[-1] + 1, at[::-1]]
+            pieces.append(_path(outline, edge) + "Z")
     return f'<path class="area {kind}" d="{"".join(pieces)}"/>'
 
 

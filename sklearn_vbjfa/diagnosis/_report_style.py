@@ -54,6 +54,7 @@ border-bottom:1px solid var(--line);background:none;color:inherit}
 .vbjfa tr:last-child td{border-bottom:0}
 .vbjfa th{color:var(--soft);font-weight:500;font-size:13px}
 .vbjfa td.n{font-variant-numeric:tabular-nums;white-space:nowrap}
+.vbjfa td.name{min-width:5.5em;max-width:16em;overflow-wrap:anywhere}
 .vbjfa ul{margin:6px 0;padding-left:20px}
 .vbjfa .pictures{display:grid;gap:12px;
 grid-template-columns:repeat(auto-fill,minmax(min(100%,300px),1fr))}
@@ -69,6 +70,12 @@ border-radius:10px;padding:10px 12px}
 .vbjfa .area.before{fill:var(--before)}
 .vbjfa .area.after{fill:var(--after);fill-opacity:.85}
 .vbjfa .floor{fill:var(--floor);fill-opacity:.3}
+.vbjfa .axis{position:relative;height:16px;margin-top:2px;color:var(--soft);
+font-size:11px;line-height:16px;font-variant-numeric:tabular-nums}
+.vbjfa .axis span{position:absolute;white-space:nowrap;transform:translateX(-50%)}
+.vbjfa .axis span:first-child{transform:none}
+.vbjfa .axis span:last-child{transform:translateX(-100%)}
+.vbjfa .causes{color:var(--bad);margin:12px 0 0}
 .vbjfa .zero{stroke:var(--soft);stroke-width:.6;fill:none}
 .vbjfa details{margin:8px 0}
 .vbjfa summary{cursor:pointer;color:var(--soft)}
@@ -77,12 +84,12 @@ font-size:14px}
 .vbjfa dt{color:var(--soft)}
 .vbjfa dd{margin:0;overflow-wrap:anywhere}
 @media (max-width:760px){.vbjfa .joint{grid-template-columns:1fr}
-.vbjfa .bar{grid-template-columns:1fr 128px}
+.vbjfa .bar{grid-template-columns:1fr 148px}
 .vbjfa table.stack,.vbjfa .stack tbody,.vbjfa .stack tr,.vbjfa .stack td{display:block}
 .vbjfa .stack thead{display:none}
 .vbjfa .stack tr{padding:8px 0;border-bottom:1px solid var(--line)}
 .vbjfa .stack tr:last-child{border-bottom:0}
-.vbjfa .stack td{border:0;padding:1px 0;white-space:normal}
+.vbjfa .stack td{border:0;padding:1px 0;white-space:normal;max-width:none}
 .vbjfa .stack td[data-name]:not(:empty)::before{content:attr(data-name) ": ";
 color:var(--soft)}
 .vbjfa dl{grid-template-columns:1fr}.vbjfa dd{margin-bottom:4px}}

@@ -219,5 +219,11 @@ def plural(count, noun):
 
 
 def clip(text, width):
-    """Shorten a text to a width."""
-    return text if len(text) <= width else text[: max(width - 3, 0)].rstrip() + "..."
+    """Shorten a text to a width, between words where there are any."""
+    if len(text) <= width:
+        return text
+    kept = text[: max(width - 3, 0)]
+    space = kept.rfind(" ")
+    if space > width // 2 and text[len(kept)] != " ":
+        kept = kept[:space]
+    return kept.rstrip(" ,;:(") + "..."

@@ -9,6 +9,8 @@ from sklearn_vbjfa.diagnosis._gaps import ABOVE_FLOOR
 
 # A refit moves the errors of all joints; by less than this it did no harm.
 _WORSE = 1.05
+# The error of whoever predicts the mean of the untouched torque and no more.
+_MEAN_TORQUE = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,8 +25,8 @@ class JointVerdict:
         What it is called in a sentence.
     status : str
         ``"floor"`` (only noise is left), ``"unexplained"``, ``"above"`` (above the
-        floor on the untouched part only), ``"unknown"`` (no floor), ``"worse"`` or
-        ``"no data"``.
+        floor on the untouched part only), ``"unknown"`` (no floor), ``"worse"``,
+        ``"failed"`` (an error of 100 % or more) or ``"no data"``.
     n_effects : int
         Accepted effects.
     text : str
@@ -62,6 +64,8 @@ def _judge(outcome, j, rest):
     floor = outcome.floor[j]
     if not np.isfinite(after):
         return "no data", "no samples that count"
+    if after >= _MEAN_TORQUE:
+        return "failed", "WORSE than its mean torque"
     low, high = interval(outcome, "difference", j)
     # Without an interval the errors themselves decide.
     surely = not np.isfinite(low) or low > 0
@@ -77,11 +81,11 @@ def _judge(outcome, j, rest):
     near, far = (factor * floor for factor in ABOVE_FLOOR)
     # The floor does not know the error of the parameters, which untouched data shows.
     if after > far and least > near:
-        return "above", "above the floor on untouched data"
+        return "above", "above floor on untouched data"
     if after > near and least > floor:
         return "floor", f"near the noise floor ({after / floor:.1f} x)"
     if any(e.joint == j for e in outcome.effects) and np.isfinite(high) and high >= 0:
-        return "floor", "at the noise floor; gain within chance"
+        return "floor", "at the floor, gain within chance"
     return "floor", "at the noise floor"
 
 
@@ -117,11 +121,13 @@ def status(outcome, verdicts):
     missing), ``"partial"`` (effects found, something remains), ``"exhausted"``
     (nothing found, something remains), ``"unsettled"`` (at the floor where it was
     fitted, above it on untouched data), ``"unknown"`` (no floor to compare with),
-    ``"worse"`` or ``"no data"``.
+    ``"worse"``, ``"failed"`` (worse than the mean torque) or ``"no data"``.
     """
     kinds = {v.status for v in verdicts}
     if kinds <= {"no data"}:
         return "no data"
+    if "failed" in kinds:
+        return "failed"
     if "worse" in kinds:
         return "worse"
     if "unexplained" in kinds:
@@ -160,6 +166,14 @@ def headline(outcome, verdicts):
     near = "near" if any(v.text.startswith("near") for v in verdicts) else "at"
     if kind == "no data":
         return "No verdict: no joint has samples that count in the untouched part."
+    if kind == "failed":
+        joints, one = where("failed")
+        text = (
+            f"{joints} {'is' if one else 'are'} predicted worse than by "
+            f"{'its' if one else 'their'} mean torque: do not trust the model there, "
+            "check the recording."
+        )
+        return f"{found} added, but {text}" if count else text[0].upper() + text[1:]
     if kind == "nothing":
         return f"Nothing is missing: the residual is {near} the noise floor."
     if kind == "complete":

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa.physical import body_scales, min_eigenvalue
-from sklearn_vbjfa.robot._model import nominal_parameters
+from sklearn_vbjfa.robot._model import nominal_parameters, solid_bodies
 
 
 def consistent_anchor(model, theta, metric, per_joint):
@@ -55,8 +54,7 @@ def _robot_length(model):
 
 def _complete(bodies, length):
     """Replace bodies that no mass distribution has by solid balls."""
-    mass, size = body_scales(bodies)
-    good = min_eigenvalue(bodies, mass_scale=mass, length_scale=size) > 1e-6
+    good = solid_bodies(bodies)
     ball_mass = bodies[good, 0].mean() if good.any() else 1.0
     radius = 0.25 * length
     moment = 0.4 * ball_mass * radius**2

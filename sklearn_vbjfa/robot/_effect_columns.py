@@ -124,6 +124,15 @@ def _pieces(features, n):
     return [slice(i, min(i + rows, n)) for i in range(0, n, rows)]
 
 
+def _rigid_support(features):
+    """Entries of the features that some motion makes, (nv, p), bool."""
+    nv = features.n_joints_
+    entries = np.zeros((nv, nv, _width(features)), dtype=bool)
+    entries[:, :, :10] = features._regressor.carried[:, :, None] & ~features._zeros
+    entries[np.arange(nv), np.arange(nv), 10:] = True
+    return entries.reshape(nv, -1)
+
+
 class RegressorRows:
     """Regressor matrices of any stretch of rows, with the effects' columns appended.
 
@@ -134,12 +143,19 @@ class RegressorRows:
     ----------
     features : RigidBodyFeatures
         Loaded features.
-    states : ndarray of shape (n, 3 * nv)
+    states : ndarray of shape (n, 3 * nv) or SplineStates
         States.
     effects : tuple of Effect
         Effects.
     motion : Motion or None
         Their signals; None without effects.
+
+    Attributes
+    ----------
+    n_joints, n_parameters : int
+        Size of a regressor matrix.
+    support : ndarray of shape (n_joints, n_parameters), bool
+        Entries that are not zero in every motion.
     """
 
     def __init__(self, features, states, effects=(), motion=None):
@@ -151,10 +167,29 @@ class RegressorRows:
                 raise ValueError(
                     f"effects holds {effect.name} on joint {effect.joint}: {reason}."
                 )
-        self._columns = [(effect, effect.columns(motion)) for effect in effects]
-        extra = sum(len(effect.coefficients) for effect in effects)
+        self._set_columns([(effect, effect.columns(motion)) for effect in effects])
+
+    def _set_columns(self, columns):
+        self._columns = columns
+        features = self._features
+        extra = sum(len(effect.coefficients) for effect, _ in columns)
         self.n_joints = features.n_joints_
         self.n_parameters = features.n_parameters_ + extra
+        self.support = np.zeros((self.n_joints, self.n_parameters), dtype=bool)
+        self.support[:, : features.n_parameters_] = _rigid_support(features)
+        at = features.n_parameters_
+        for effect, values in columns:
+            stop = at + values.shape[-1]
+            joints = slice(None) if effect.whole_robot else effect.joint
+            self.support[joints, at:stop] = True
+            at = stop
+
+    def part(self, rows):
+        """Regressor matrices of one recording alone, numbered from zero."""
+        other = object.__new__(RegressorRows)
+        other._features, other._states = self._features, self._states[rows]
+        other._set_columns([(effect, values[rows]) for effect, values in self._columns])
+        return other
 
     def __call__(self, piece):
         """Regressor matrices (n, nv, p) of a slice of rows."""

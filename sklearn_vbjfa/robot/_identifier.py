@@ -1,38 +1,18 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.base import BaseEstimator
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.robot import _friction
-from sklearn_vbjfa.robot._consistency import (
-    identifiable,
-    min_eigenvalues,
-    project_beside,
-)
-from sklearn_vbjfa.robot._effect_columns import (
-    RegressorRows,
-    check_effects,
-    effect_names,
-    fit_passes,
-    make_motion,
-    needs_load,
-)
-from sklearn_vbjfa.robot._equations import (
-    away_from_ends,
-    filtered_equations,
-    unexcited_entries,
-)
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._groups import check_dt, contiguous_groups
-from sklearn_vbjfa.robot._joint_statistics import split_residual
+from sklearn_vbjfa.robot import _friction, _identification, _online
+from sklearn_vbjfa.robot._effect_columns import fit_passes, needs_load
+from sklearn_vbjfa.robot._groups import contiguous_groups
+from sklearn_vbjfa.robot._identification import IdentificationSteps
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._model import joint_names
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
-    check_count,
     check_input_noise,
     check_length,
     check_time_stamps,
@@ -41,16 +21,12 @@ from sklearn_vbjfa.robot._recording_checks import (
     resolve_cutoff,
     resolve_standstill,
 )
-from sklearn_vbjfa.robot._residuals import collect_residuals
-from sklearn_vbjfa.robot._states import fit_states, smooth_to
+from sklearn_vbjfa.robot._recording_score import RecordingRegressorMixin
 from sklearn_vbjfa.robot._torque_noise import torque_noise
 from sklearn_vbjfa.robot._urdf import write_identified
 
-# Rows of the feature matrix that are in memory at once.
-_CHUNK_BYTES = 64 << 20
 
-
-class RobotIdentifier(RegressorMixin, BaseEstimator):
+class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimator):
     """Identify a robot: joint positions and torques in, rigid-body model out.
 
     The whole chain: states from positions, regressor matrices, parallel low-pass of
@@ -183,6 +159,8 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         block_noise=False,
         input_noise="auto",
         period=None,
+        n_jobs=None,
+        forgetting=1.0,
     ):
         self.model = model
         self.dt = dt
@@ -197,13 +175,8 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self.block_noise = block_noise
         self.input_noise = input_noise
         self.period = period
-
-    def __sklearn_tags__(self):
-        """Tags of a regressor with several outputs."""
-        tags = super().__sklearn_tags__()
-        tags.target_tags.multi_output = True
-        tags.target_tags.single_output = True
-        return tags
+        self.n_jobs = n_jobs
+        self.forgetting = forgetting
 
     def fit(self, X, y, groups=None, sample_weight=None, t=None):
         """Identify the robot.
@@ -231,13 +204,8 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         self : object
             Fitted estimator.
         """
-        self.features_ = RigidBodyFeatures(self.model, friction=self.friction)._load()
-        self._nv = self.features_.n_joints_
-        self.joint_names_ = joint_names(self.features_._model)
-        self.effects_ = check_effects(self.effects, self._nv)
-        names, units = effect_names(self.effects_, self.features_._model)
-        self.parameter_names_ = self.features_.parameter_names_ + names
-        self.parameter_units_ = self.features_.parameter_units_ + units
+        self._online = None
+        self._load_robot()
         X, y = self._validate(X, y)
         check_input_noise(self.input_noise)
         parts = contiguous_groups(groups, X.shape[0])
@@ -245,65 +213,72 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         clock = resolve_clock(t, self.dt, parts, self.effects_)
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         periods = measure_periods(self, X, y, groups, weight)
-        states, halves = self._fit_states(X, groups, periods)
-        check_channels(self.joint_names_, states[:, : self._nv], y)
+        states, halves, facts = self._fit_states(X, groups, parts, periods)
+        check_channels(self.joint_names_, np.stack([facts.lowest, facts.highest]), y)
         self.cutoff_ = resolve_cutoff(
             self.cutoff, parts, self.dt, self.state_estimator_
         )
-        self.standstill_ = resolve_standstill(
-            self.standstill, states[:, self._nv : 2 * self._nv]
-        )
+        self.standstill_ = resolve_standstill(self.standstill, facts.fast())
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         if periods is None:
             check_length(parts, lowpass, self.cutoff_)
             self.torque_noise_ = torque_noise(
                 [y[part] for part in parts], self.dt, self.cutoff_
             )
-            equations = states, y, weight, parts, lowpass, halves, clock
+            recordings = states, y, weight, parts, halves, clock
         else:
             self.torque_noise_ = periods.filtered_torque_noise(lowpass)
-            equations = periods.equations(states, lowpass, halves)
-        self._load_theta = None
+            recordings = periods.equations(states, lowpass, halves)
         for effects in fit_passes(self.effects_):
             if needs_load(effects):
                 self._load_theta = self.theta_[: self.features_.n_parameters_]
             self._active_effects = effects
-            self._fit_equations(self._filtered(*equations, ends=periods is None))
+            stretches = self._stretches(*recordings, ends=periods is None)
+            self._fit_stretches(stretches, lowpass)
         return self
 
-    def _halves(self, X, groups):
-        """States from the even and from the odd samples, where the noise is asked."""
-        if self.input_noise is None or self.state_estimator_ is None:
-            return None
-        return self.state_estimator_.split_transform(X, groups=groups)
+    def partial_fit(self, X, y, sample_weight=None, *, refit=True):
+        """Take in rows of a robot that is running, forgetting older ones.
 
-    def _corrects_noise(self):
-        """Whether the regressor takes a measured covariance of the input noise."""
-        return self.regressor is None or (
-            getattr(self.regressor, "latent", None) == "correlated"
-            and self.regressor.input_noise is None
-        )
+        A row counts ``forgetting ** age``, with the age in rows. Nothing is filtered
+        in time: give states that the robot measures or estimates itself, and torques
+        of the same delay. The first call after a `fit` begins anew and takes over
+        only `standstill_`: unfiltered rows and the filtered ones of a fit do not have
+        the same noise.
 
-    def _fit_equations(self, pieces):
-        """Estimate from filtered (index, Phi, tau, weight), which may be a stream."""
-        self.estimator_ = JointTorqueRegressor(
-            None if self.regressor is None else clone(self.regressor),
-            joint_weights=self.joint_weights,
-            block_noise=self.block_noise,
-            dt=self.dt,
-            cutoff=self.cutoff_ if np.isfinite(self.cutoff_) else None,
-        )
-        self.estimator_._begin()
-        for _, *equations in pieces:
-            self.estimator_._accumulate(*equations)
-        stats = self.estimator_._stats
-        check_count(stats, self.standstill_, stats.g.shape[1])
-        self.estimator_._forget(unexcited_entries(stats, self.features_.n_parameters_))
-        self.estimator_._finish()
-        self._constrain()
-        return self
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, 3 * nv) or (3 * nv,)
+            Further rows of states [q | v | a], in the order of time.
+        y : array-like of shape (n_samples, nv) or (nv,)
+            Their torques [N m] or forces [N].
+        sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
+                default=None
+            Weights besides those of age; zero leaves a row (of one joint) out.
+        refit : bool, default=True
+            Whether to estimate the parameters anew. False only accumulates, fast
+            enough for every cycle of a control loop; see ``docs/large_data.rst`` for
+            what either costs.
 
-    # -- input -----------------------------------------------------------------
+        Returns
+        -------
+        self : object
+            The estimator, fitted if `refit`.
+
+        Raises
+        ------
+        ValueError
+            If X holds no states, settings need more than second moments (effects,
+            `period`, `block_noise`, other regressors), `standstill` is ``"auto"`` and
+            nothing was fitted before, or a refit is asked for with fewer equations
+            than parameters.
+        """
+        if getattr(self, "_online", None) is None:
+            self._online = _online.begin(self)
+            self.n_features_in_ = 3 * self._nv
+        self._online.forgetting = float(self.forgetting)
+        self._online.add(*_online.check_rows(self, X, y, sample_weight))
+        return self._fit_statistics(self._online.statistics()) if refit else self
 
     def _validate(self, X, y):
         X, y = validate_data(
@@ -312,90 +287,6 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
         return X, y
-
-    def _fit_states(self, X, groups, periods):
-        """States, and two measurements of them where the noise is asked, or None."""
-        self.state_estimator_ = None
-        if X.shape[1] == self._nv:
-            source = (X, groups) if periods is None else periods.both_starts()
-            self.state_estimator_ = self._new_state_estimator(*source)
-        if periods is not None:
-            even, odd = periods.states(self.state_estimator_)
-            # smoothing is linear: these are the states of the mean
-            halves = None if self.input_noise is None else (even, odd)
-            return 0.5 * (even + odd), halves
-        halves = self._halves(X, groups)
-        if self.state_estimator_ is None:
-            return X, halves
-        return self.state_estimator_.transform(X, groups=groups), halves
-
-    def _new_state_estimator(self, X, groups):
-        return fit_states(check_dt(self.dt), self.state_cutoff, X, groups)
-
-    def _states(self, X, groups, *, in_band=False):
-        """States of a query; `in_band` smooths to the band that was identified."""
-        if X.shape[1] == 3 * self._nv:
-            return X
-        estimator = self.state_estimator_
-        if estimator is None:
-            estimator = self._new_state_estimator(X, groups)
-        if in_band:
-            estimator = smooth_to(estimator, self.cutoff_, X, groups)
-        return estimator.transform(X, groups=groups)
-
-    # -- computation -----------------------------------------------------------
-
-    def _filtered(
-        self, states, y, weight, parts, lowpass, halves=None, t=None, *, ends=True
-    ):
-        """Yield the equations of what moves, see `filtered_equations`."""
-        speed = np.abs(states[:, self._nv : 2 * self._nv])
-        smoother = self.state_estimator_ if ends else None
-        inside = away_from_ends(parts, y.shape[0], smoother)
-        weight = weight * (speed > self.standstill_) * inside[:, None]
-        average = halves is not None and self._corrects_noise()
-        return filtered_equations(
-            None if average else self._rows(states, parts, t),
-            y,
-            weight,
-            parts,
-            lowpass,
-            None if halves is None else [self._rows(half, parts, t) for half in halves],
-            chunk_bytes=_CHUNK_BYTES,
-        )
-
-    def _rows(self, states, parts, t):
-        """Regressor matrices of states, with the effects' columns."""
-        motion, effects = None, self._active_effects
-        if effects:
-            signals = states, t, parts, self._load_theta, self.cutoff_
-            motion = make_motion(self.features_, *signals)
-        return RegressorRows(self.features_, states, effects, motion)
-
-    def _constrain(self):
-        """Project, and derive what the data determine."""
-        self.theta_unconstrained_ = self.estimator_.theta_unconstrained_
-        self.theta_std_ = self.estimator_.theta_std_
-        metric = self.estimator_.metric_
-        self.identifiable_ = identifiable(metric)
-        self.theta_ = self.theta_unconstrained_
-        self.projector_ = None
-        if self.projector is not None:
-            self.projector_, self.theta_ = project_beside(
-                self.projector,
-                self.features_._model,
-                self.theta_unconstrained_,
-                metric,
-                _friction.check_names(self.friction),
-            )
-        self.min_eigenvalues_ = min_eigenvalues(self._bodies())
-        noise = split_residual(self.estimator_.statistics_, self.theta_)
-        self.input_noise_torque_, self.output_noise_ = noise
-        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
-
-    def _bodies(self):
-        """Parameters of the features, (nv, 10 + number of friction columns)."""
-        return self.theta_[: self.features_.n_parameters_].reshape(self._nv, -1)
 
     def predict(self, X, groups=None, t=None):
         """Predict the joint torques.
@@ -422,7 +313,9 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         parts = contiguous_groups(groups, X.shape[0])
         clock = resolve_clock(t, self.dt, parts, self.effects_)
         rows = self._rows(states, parts, clock)
-        count = max(1, _CHUNK_BYTES // (8 * self._nv * self.theta_.size))
+        count = max(
+            1, _identification._CHUNK_BYTES // (8 * self._nv * self.theta_.size)
+        )
         return np.concatenate(
             [
                 rows(slice(i, i + count)) @ self.theta_
@@ -471,9 +364,6 @@ class RobotIdentifier(RegressorMixin, BaseEstimator):
         return self._residuals_of(
             self._filtered(states, y, weight, parts, lowpass, t=clock)
         )
-
-    def _residuals_of(self, pieces):
-        return collect_residuals(pieces, self.theta_)
 
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.

@@ -9,6 +9,8 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sklearn_vbjfa._base import BaseJointFactorRegressor
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._vbjfa import VBJFARegressor
+from sklearn_vbjfa.robot._block_filter import averaging, decimate
+from sklearn_vbjfa.robot._forwarding import ForwardingMixin, labels_of_equations
 from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._joint_statistics import (
     block_precisions,
@@ -24,7 +26,7 @@ _BLOCK_ROWS = 10
 _MASK_SHARE = 0.5
 
 
-class JointTorqueRegressor(RegressorMixin, BaseEstimator):
+class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     """Estimate one parameter vector from the torques of all joints.
 
     The last step of a pipeline that begins with `RigidBodyFeatures`: takes the wide
@@ -99,6 +101,14 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
        with input and output noise", Neural Networks 24(1), 2011.
        :doi:`10.1016/j.neunet.2010.08.011`
+
+    Notes
+    -----
+    `sample_weight` multiplies the equations, whether the regressor takes weights or
+    not. With metadata routing enabled (`sklearn.set_config`) a regressor that requests
+    `sample_weight` gets the weights of the equations instead, and one that requests
+    `groups`, such as ``LassoCV(cv=GroupKFold())``, the label of each equation's
+    recording.
 
     Examples
     --------
@@ -184,15 +194,20 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
                     f"{instruments.shape}."
                 )
         lowpass = self._begin()
+        labels = None if groups is None else np.asarray(groups)
         for part in contiguous_groups(groups, X.shape[0]):
             Phi = X[part].reshape(-1, nv, X.shape[1] // nv)
             Z = None if instruments is None else instruments[part].reshape(Phi.shape)
             self._accumulate(
-                lowpass(Phi),
-                lowpass(tau[part]),
+                decimate(lowpass, Phi),
+                decimate(lowpass, tau[part]),
                 filter_weight(lowpass, weight[part]),
-                None if Z is None else lowpass(Z),
+                None if Z is None else decimate(lowpass, Z),
             )
+            if labels is not None:
+                # one for each piece that was kept, which a short one is not
+                new = len(self._rows) - len(self._labels)
+                self._labels += [labels[part.start]] * new
         return self._finish()
 
     @staticmethod
@@ -219,6 +234,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         """Design the filter and forget what was accumulated."""
         self._stats = None
         self._rows = []
+        self._labels = []
         regressor = self.regressor
         if regressor is None:
             regressor = VBJFARegressor(latent="correlated")
@@ -283,7 +299,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         self.theta_std_ = std
         self.statistics_ = stats
         self.theta_ = self._project(theta)
-        del self._stats, self._rows
+        del self._stats, self._rows, self._labels
         return self
 
     def _weight_blocks(self):
@@ -361,7 +377,12 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         b = self._stacked(1, None) / y_scale
         weight = np.concatenate([rows[2][rows[2] > 0] for rows in self._rows])
         fit_params = {}
-        if not np.all(weight == weight[0]):
+        forwarded = {"sample_weight": weight / weight.mean()}
+        if self._labels:
+            counted = [rows[2] > 0 for rows in self._rows]
+            forwarded["groups"] = labels_of_equations(self._labels, counted)
+        forwarded = self._forwarded(forwarded)
+        if "sample_weight" not in forwarded and not np.all(weight == weight[0]):
             # Weights go into the rows: not every regressor takes sample_weight.
             root = np.sqrt(weight / weight.mean())
             A, b = A * root[:, None], b * root
@@ -377,7 +398,8 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
             # with its mirror image: the means are zero and nothing is lost.
             A, b = _mirror(A), _mirror(b)
             fit_params = {k: _mirror(v) for k, v in fit_params.items()}
-        self.regressor_.fit(A, b, **fit_params)
+            forwarded = {k: np.repeat(v, 2) for k, v in forwarded.items()}
+        self.regressor_.fit(A, b, **fit_params, **forwarded)
         theta = self._read_coefficients(A[:50])
         std = getattr(self.regressor_, "coef_std_", None)
         unit = y_scale / scale
@@ -448,6 +470,9 @@ def _mirror(rows):
 
 def filter_weight(lowpass, weight):
     """Count filtered rows as independent samples; zero where too little counts."""
-    average = lowpass.average(weight)
-    full = lowpass.average((weight > 0).astype(float))
-    return np.where(full >= _MASK_SHARE, lowpass.efficiency * average, 0.0)
+    smoother = averaging(lowpass)
+    average = decimate(smoother, weight)
+    full = decimate(smoother, (weight > 0).astype(float))
+    # A tie must not depend on the order in which the taps were summed.
+    counts = full > _MASK_SHARE - 1e-9
+    return np.where(counts, lowpass.efficiency * average, 0.0)

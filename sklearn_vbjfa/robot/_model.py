@@ -1,10 +1,20 @@
 """Robot models: loading, and what this package asks of them."""
 
 import os
+import warnings
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
 import numpy as np
+
+from sklearn_vbjfa.physical import body_scales, min_eigenvalue
+
+# A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
+# below which the body has next to no extension in some direction; and below which it is
+# told of. (What was identified and projected lies between the two.)
+_SOLID, _POSSIBLE = 1e-6, 1e-12
+# What a joint has no use for once it is fixed.
+_MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
 
 INERTIAL_NAMES = (
     "m",
@@ -54,18 +64,73 @@ def load_model(model):
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If a joint has not exactly one degree of freedom, or there is no joint.
+        If a joint has not exactly one degree of freedom, there is no joint, or a link
+        has a negative mass.
+
+    Warns
+    -----
+    UserWarning
+        If something in the URDF does not enter the model: a joint that mimics another
+        one counts as a joint of its own, and a body without mass or with an inertia
+        that no solid body has is completed by a ball (see `solid_bodies`).
     """
     pin = import_pinocchio()
     if isinstance(model, (str, os.PathLike)):
-        loaded = _read_urdf(pin, Path(model))
-    elif isinstance(model, pin.Model):
-        loaded = model.copy()
-    else:
-        raise TypeError(
-            "model must be the path of a URDF file or a pinocchio.Model, got "
-            f"{type(model).__name__}."
-        )
+        path = Path(model)
+        return _from_description(pin, _parse(path), path)
+    if isinstance(model, pin.Model):
+        return _check_joints(model.copy())
+    raise TypeError(
+        "model must be the path of a URDF file or a pinocchio.Model, got "
+        f"{type(model).__name__}."
+    )
+
+
+def load_reduced(path, moving):
+    """Return the model of a URDF of which only some joints move.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        URDF file.
+    moving : sequence of str
+        Names of the joints that move, in any order; the others are held at zero, of
+        whatever kind they are, and what they carry is one body with its parent.
+
+    Returns
+    -------
+    pinocchio.Model
+        As from `load_model`.
+    """
+    path = Path(path)
+    tree = _parse(path)
+    _hold_others(tree, path, moving)
+    return _from_description(import_pinocchio(), tree, path)
+
+
+def write_reduced(path, target, moving):
+    """Write a copy of a URDF in which all but some joints are fixed at zero.
+
+    Parameters
+    ----------
+    path, target : str or os.PathLike
+        Files to read and to write.
+    moving : sequence of str
+        Names of the joints that move.
+
+    Returns
+    -------
+    tuple of str
+        Names of the joints that were fixed.
+    """
+    tree = _parse(Path(path))
+    held = _hold_others(tree, Path(path), moving)
+    tree.write(target, encoding="utf-8", xml_declaration=True)
+    return held
+
+
+def _check_joints(loaded):
+    """Refuse a model with joints of other than one degree of freedom, or none."""
     if loaded.nv == 0:
         raise ValueError(
             "The robot model has no moving joint; expected a tree of revolute or "
@@ -82,24 +147,104 @@ def load_model(model):
             + ", ".join(wrong)
             + ". Fix the base (no floating base), split spherical joints into three "
             "revolute ones, and lock what does not move with "
-            "pinocchio.buildReducedModel."
+            "pinocchio.buildReducedModel (command line: --joints)."
         )
     return loaded
 
 
-def _read_urdf(pin, path):
+def _parse(path):
     if not path.is_file():
         raise FileNotFoundError(
             f"No robot description at {str(path)!r}; expected the path of a URDF file."
         )
     try:
-        tree = ElementTree.parse(path)
+        return ElementTree.parse(path)
     except ElementTree.ParseError as error:
         raise ValueError(
             f"{str(path)!r} is not readable as URDF (XML): {error}. "
             "A xacro file must be expanded first."
         ) from error
-    for joint in tree.iter("joint"):
+
+
+def _hold_others(tree, path, moving):
+    """Fix all joints of a URDF but some; return the names of those fixed."""
+    joints = {
+        joint.get("name"): joint
+        for joint in tree.getroot().findall("joint")
+        if joint.get("type") != "fixed"
+    }
+    unknown = [name for name in moving if name not in joints]
+    if unknown:
+        raise ValueError(
+            f"{str(path)!r}: the robot has no movable joint {unknown[0]!r}; it has "
+            f"{', '.join(joints) or 'none'}."
+        )
+    held = tuple(name for name in joints if name not in moving)
+    for name in held:
+        joints[name].set("type", "fixed")
+        for child in list(joints[name]):
+            if child.tag in _MOTION:
+                joints[name].remove(child)
+    return held
+
+
+def _from_description(pin, tree, path):
+    """Build and check a model; say what of its description does not enter it."""
+    _check_masses(tree, path)
+    loaded = _check_joints(_build(pin, tree, path))
+    left_out = _left_out(tree, loaded)
+    if left_out:
+        warnings.warn(
+            f"The robot description {path.name!r}: {'; '.join(left_out)}.",
+            UserWarning,
+            stacklevel=3,
+        )
+    return loaded
+
+
+def _check_masses(tree, path):
+    for link in tree.getroot().findall("link"):
+        for mass in link.findall("inertial/mass"):
+            try:
+                value = float(mass.get("value", "nan"))
+            except ValueError:
+                # The parser says what is wrong.
+                continue
+            if value < 0:
+                raise ValueError(
+                    f"{str(path)!r}: link {link.get('name')!r} has the mass {value:g} "
+                    "kg; correct the description."
+                )
+
+
+def _left_out(tree, model):
+    """Sentences on what of a description does not enter the model."""
+    names = joint_names(model)
+    found = []
+    followers = [
+        joint.get("name")
+        for joint in tree.getroot().findall("joint")
+        if joint.get("name") in names and joint.find("mimic") is not None
+    ]
+    if followers:
+        found.append(
+            f"that {', '.join(followers)} mimic(s) another joint is not modelled, each "
+            "counts as a joint with a torque of its own (to hold such joints at zero, "
+            "leave them out of joint_names or --joints)"
+        )
+    possible = solid_bodies(nominal_parameters(model), _POSSIBLE)
+    wrong = [name for name, good in zip(names, possible) if not good]
+    if wrong:
+        found.append(
+            f"what {', '.join(wrong)} move(s) has no mass or an inertia that no solid "
+            "body has, a ball stands for it where the recording cannot tell (correct "
+            "the inertial element of its link)"
+        )
+    return found
+
+
+def _build(pin, tree, path):
+    for joint in tree.getroot().findall("joint"):
         if joint.get("type") == "continuous":
             joint.set("type", "revolute")
             limit = joint.find("limit")
@@ -137,3 +282,17 @@ def nominal_parameters(model):
     kg m^2], about the joint frame.
     """
     return np.array([body.toDynamicParameters() for body in model.inertias[1:]])
+
+
+def solid_bodies(bodies, least=_SOLID):
+    """Return which bodies have mass and extension, ndarray of shape (nv,) of bool.
+
+    Parameters
+    ----------
+    bodies : ndarray of shape (nv, 10)
+        Inertial parameters.
+    least : float
+        Least eigenvalue of the pseudo-inertia, in units of the body's mass and length.
+    """
+    mass, size = body_scales(bodies)
+    return min_eigenvalue(bodies, mass_scale=mass, length_scale=size) > least

@@ -162,8 +162,8 @@ class PeriodAverages:
 
         Returns
         -------
-        states, torque, weight, parts, lowpass, halves
-            Arguments of `RobotIdentifier._filtered`.
+        states, torque, weight, parts, halves
+            Arguments of `RobotIdentifier._stretches`.
         """
         rows, parts = self.repeated(lowpass.half)
         if halves is not None:
@@ -173,7 +173,6 @@ class PeriodAverages:
             self.torque[rows],
             self.weight[rows],
             parts,
-            lowpass,
             halves,
         )
 

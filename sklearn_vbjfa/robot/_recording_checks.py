@@ -101,9 +101,12 @@ def resolve_cutoff(cutoff, parts, dt, state_estimator):
     return float(frequency) if frequency < 0.4 / dt else np.inf
 
 
-def resolve_standstill(standstill, velocities):
-    """Return the speeds (nv,) at or below which a joint counts as standing still."""
-    nv = velocities.shape[1]
+def resolve_standstill(standstill, fast):
+    """Return the speeds (nv,) at or below which a joint counts as standing still.
+
+    `fast` (nv,) are the 99.5th percentiles of the joints' speeds.
+    """
+    nv = fast.size
     if standstill is None:
         return np.full(nv, -1.0)
     if isinstance(standstill, str):
@@ -111,7 +114,7 @@ def resolve_standstill(standstill, velocities):
             raise ValueError(
                 f"standstill must be 'auto', a speed, or None; got {standstill!r}."
             )
-        return STANDSTILL_SHARE * np.quantile(np.abs(velocities), 0.995, axis=0)
+        return STANDSTILL_SHARE * fast
     value = np.asarray(standstill, dtype=float)
     if value.shape not in {(), (nv,)} or not (value >= 0).all():
         raise ValueError(

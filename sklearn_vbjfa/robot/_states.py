@@ -4,7 +4,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core import _smoothing
+from sklearn_vbjfa._core import _smoothing, _splines
 from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_groups
 
 # Shortest recording that the spline can be fitted to.
@@ -97,7 +97,21 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         dt = check_dt(self.dt)
         X = validate_data(self, X, dtype=np.float64)
         parts = contiguous_groups(groups, X.shape[0])
-        nv = X.shape[1]
+        longest = max(part.stop - part.start for part in parts)
+        moving, spectra = None, None
+        if longest >= 2 * _MIN_SAMPLES:
+            segments = [X[part] for part in parts]
+            moving = np.any([np.ptp(x, axis=0) > 0 for x in segments], axis=0)
+            spectra = _smoothing.acceleration_spectra(segments, dt)
+        return self._choose(longest, moving, spectra)
+
+    def _choose(self, longest, moving, spectra):
+        """Choose the cut-offs, from the length of the longest recording and spectra.
+
+        `moving` (nv,) tells which joints do, `spectra` what `acceleration_spectra`
+        says of all of them; None where all recordings are too short.
+        """
+        dt, nv = check_dt(self.dt), self.n_features_in_
         self.noise_variance_ = np.full(nv, np.nan)
         self.bandwidth_ = np.zeros(nv)
         auto = isinstance(self.cutoff, str)
@@ -107,16 +121,13 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 f"{self.cutoff!r}."
             )
         chosen = np.full(nv, np.inf)
-        if max(part.stop - part.start for part in parts) >= 2 * _MIN_SAMPLES:
-            for j in range(nv):
-                segments = [X[part, j] for part in parts]
-                chosen[j] = self._analyse(j, segments, dt)
+        if spectra is not None:
+            chosen = self._analyse(moving, spectra, dt)
         elif auto:
             raise ValueError(
                 f"cutoff='auto' needs a recording of at least {2 * _MIN_SAMPLES} "
-                "samples; the longest has "
-                f"{max(part.stop - part.start for part in parts)} "
-                "(1 sample or a few are not enough). Give cutoff in Hz."
+                f"samples; the longest has {longest} (1 sample or a few are not "
+                "enough). Give cutoff in Hz."
             )
         if not auto:
             given = np.asarray(self.cutoff, dtype=object)
@@ -130,18 +141,21 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         self.cutoff_ = chosen
         return self
 
-    def _analyse(self, j, segments, dt):
-        """Noise, bandwidth and best cut-off of one joint."""
-        spread = max(np.ptp(x) for x in segments)
-        if spread == 0:
-            self.noise_variance_[j] = 0.0
-            return np.inf
-        frequency, power, noise_gain = _smoothing.acceleration_spectra(segments, dt)
-        cutoff, variance = _smoothing.choose_cutoff(frequency, power, noise_gain, dt)
-        self.noise_variance_[j] = variance
-        self.bandwidth_[j] = _smoothing.velocity_bandwidth(
-            frequency, power, noise_gain, variance, cutoff
+    def _analyse(self, moving, spectra, dt):
+        """Noise, bandwidth and best cut-off of each joint."""
+        frequency, power, noise_gain = spectra
+        nv = moving.size
+        self.noise_variance_, self.bandwidth_ = np.zeros((2, nv))
+        cutoff = np.full(nv, np.inf)
+        if not moving.any():
+            return cutoff
+        cutoff[moving], self.noise_variance_[moving] = _smoothing.choose_cutoff(
+            frequency, power[:, moving], noise_gain, dt
         )
+        for j in np.flatnonzero(moving):
+            self.bandwidth_[j] = _smoothing.velocity_bandwidth(
+                frequency, power[:, j], noise_gain, self.noise_variance_[j], cutoff[j]
+            )
         return cutoff
 
     def transform(self, X, groups=None):
@@ -164,17 +178,9 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         n, nv = X.shape
         states = np.empty((n, 3, nv))
         for part in contiguous_groups(groups, n):
-            length = part.stop - part.start
-            if length < _MIN_SAMPLES:
-                raise ValueError(
-                    f"A recording must have at least {_MIN_SAMPLES} samples to be "
-                    f"differentiated; the one at row {part.start} has {length}. "
-                    "Leave it out, or check groups."
-                )
-            for j in range(nv):
-                states[part, :, j] = _smoothing.smooth(
-                    X[part, j], self.dt, self.cutoff_[j]
-                ).T
+            states[part] = _evaluate(
+                self._splines(X[part], part.start), part.stop - part.start
+            )
         return states.reshape(n, 3 * nv)
 
     def split_transform(self, X, groups=None):
@@ -199,26 +205,42 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         X = validate_data(self, X, dtype=np.float64, reset=False)
         n, nv = X.shape
         halves = np.empty((2, n, 3, nv))
-        highest = 1.0 / (6 * self.dt)
         for part in contiguous_groups(groups, n):
-            length = part.stop - part.start
-            if length < 2 * _MIN_SAMPLES:
-                raise ValueError(
-                    f"A recording must have at least {2 * _MIN_SAMPLES} samples to be "
-                    f"split; the one at row {part.start} has {length}."
-                )
-            times = np.arange(length) * self.dt
-            for k in range(2):
-                samples = X[part][k::2]
-                for j in range(nv):
-                    cutoff = self.cutoff_[j]
-                    halves[k, part, :, j] = _smoothing.smooth(
-                        samples[:, j],
-                        2 * self.dt,
-                        min(cutoff, highest) if np.isfinite(cutoff) else cutoff,
-                        at=times - k * self.dt,
-                    ).T
+            for k, splines in enumerate(self._half_splines(X[part], part.start)):
+                halves[k, part] = _evaluate(splines, part.stop - part.start)
         return halves[0].reshape(n, -1), halves[1].reshape(n, -1)
+
+    def _splines(self, x, start):
+        """Fit a spline to each joint of the recording from row `start` on."""
+        if x.shape[0] < _MIN_SAMPLES:
+            raise ValueError(
+                f"A recording must have at least {_MIN_SAMPLES} samples to be "
+                f"differentiated; the one at row {start} has {x.shape[0]}. "
+                "Leave it out, or check groups."
+            )
+        return [
+            _splines.fit(column, self.dt, cutoff)
+            for column, cutoff in zip(np.ascontiguousarray(x.T), self.cutoff_)
+        ]
+
+    def _half_splines(self, x, start):
+        """Fit splines to the even and to the odd samples of a recording."""
+        if x.shape[0] < 2 * _MIN_SAMPLES:
+            raise ValueError(
+                f"A recording must have at least {2 * _MIN_SAMPLES} samples to be "
+                f"split; the one at row {start} has {x.shape[0]}."
+            )
+        highest = 1.0 / (6 * self.dt)
+        lower = np.where(
+            np.isfinite(self.cutoff_), np.minimum(self.cutoff_, highest), np.inf
+        )
+        return tuple(
+            [
+                _splines.fit(column, 2 * self.dt, cutoff, every=2, shift=k)
+                for column, cutoff in zip(np.ascontiguousarray(x[k::2].T), lower)
+            ]
+            for k in range(2)
+        )
 
     def fit_transform(self, X, y=None, groups=None):
         """Choose the cut-offs and estimate the states.
@@ -253,31 +275,85 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             Names.
         """
         check_is_fitted(self)
-        if input_features is None:
-            input_features = getattr(
-                self, "feature_names_in_", [str(j) for j in range(self.n_features_in_)]
+        seen = getattr(self, "feature_names_in_", None)
+        names = seen if input_features is None else input_features
+        if names is None:
+            names = [str(j) for j in range(self.n_features_in_)]
+        if len(names) != self.n_features_in_:
+            raise ValueError(
+                "input_features should have length equal to number of features "
+                f"({self.n_features_in_}), got {len(names)}."
+            )
+        if seen is not None and list(names) != list(seen):
+            raise ValueError(
+                f"input_features is not equal to feature_names_in_, {list(seen)}; "
+                f"got {list(names)}."
             )
         return np.array(
-            [f"{kind}_{name}" for kind in "qva" for name in input_features],
+            [f"{kind}_{name}" for kind in "qva" for name in names],
             dtype=object,
         )
 
 
+def _evaluate(splines, n):
+    """States (n, 3, nv) of a whole recording."""
+    return SplineStates(splines, n)[:].reshape(-1, 3, len(splines))
+
+
+class SplineStates:
+    """States of one recording, evaluated for the rows that are asked for.
+
+    Takes a slice of rows as an array of states would, and keeps the coefficients of
+    the splines only.
+
+    Parameters
+    ----------
+    splines : list of Spline
+        One a joint.
+    n : int
+        Number of rows.
+    """
+
+    def __init__(self, splines, n):
+        self._splines = splines
+        self.shape = n, 3 * len(splines)
+
+    def __getitem__(self, rows):
+        """States [q | v | a] of a slice of rows, (n, 3 * nv)."""
+        return np.column_stack([self.derivative(rows, order) for order in range(3)])
+
+    def derivative(self, rows, order):
+        """Positions, velocities or accelerations of a slice of rows, (n, nv)."""
+        start, stop, _ = rows.indices(self.shape[0])
+        columns = np.empty((len(self._splines), stop - start))
+        for column, spline in zip(columns, self._splines):
+            column[:] = spline(start, stop, order)
+        return columns.T
+
+
 def fit_states(dt, cutoff, X, groups):
     """Fit a state estimator for identification; its own choice is raised a little."""
-    estimator = StateEstimator(dt, cutoff=cutoff).fit(X, groups=groups)
-    if not isinstance(cutoff, str):
+    return lighter(StateEstimator(dt, cutoff=cutoff).fit(X, groups=groups))
+
+
+def lighter(estimator):
+    """Raise the cut-offs that a fitted state estimator chose itself a little."""
+    if not isinstance(estimator.cutoff, str):
         return estimator
-    lighter = np.minimum(_LIGHTER_SMOOTHING * estimator.cutoff_, 1 / (3 * dt))
-    chosen = [
-        lower if np.isfinite(own) else None
-        for lower, own in zip(lighter, estimator.cutoff_)
-    ]
-    return StateEstimator(dt, cutoff=chosen).fit(X, groups=groups)
+    raised = np.minimum(_LIGHTER_SMOOTHING * estimator.cutoff_, 1 / (3 * estimator.dt))
+    finite = np.isfinite(estimator.cutoff_)
+    return _with_cutoffs(estimator, np.where(finite, raised, np.inf))
 
 
-def smooth_to(estimator, cutoff, X, groups):
-    """Fit a copy of a state estimator that passes no more than a band [Hz]."""
-    cutoffs = np.minimum(estimator.cutoff_, cutoff)
-    chosen = [c if np.isfinite(c) else None for c in cutoffs]
-    return StateEstimator(estimator.dt, cutoff=chosen).fit(X, groups=groups)
+def _with_cutoffs(estimator, cutoffs):
+    """Copy a fitted state estimator, with other cut-offs [Hz]."""
+    given = [c if np.isfinite(c) else None for c in cutoffs]
+    other = StateEstimator(estimator.dt, cutoff=given)
+    fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
+    vars(other).update(fitted, cutoff_=cutoffs)
+    return other
+
+
+def smooth_to(estimator, cutoff):
+    """Copy a fitted state estimator so that it passes no more than a band [Hz]."""
+    return _with_cutoffs(estimator, np.minimum(estimator.cutoff_, cutoff))

@@ -2,47 +2,58 @@
 
 Run as ``python tests/benchmarks/bench_speed.py``. All models see the same array in the
 same process; ratios are taken within a round, so that a busy machine slows both sides.
+A second array has five times as many columns as rows, a third table holds the figures
+against the targets.
 """
 
 import time
 import tracemalloc
 
 import numpy as np
-from _report import parser, publish, rst_table
-from sklearn.linear_model import ARDRegression, LinearRegression, Ridge
+from _growth_problems import FACTORS, RELEVANT, SEED, LinearProblem
+from _report import parser, publish, rst_table, rst_title
+from sklearn.cross_decomposition import PLSRegression
+from sklearn.linear_model import (
+    ARDRegression,
+    BayesianRidge,
+    LassoCV,
+    LinearRegression,
+    Ridge,
+)
 
 from sklearn_vbjfa import JFARegressor, VBJFARegressor
 
-_SEED = 0
-_FACTORS = 20
-_RELEVANT = 10
+OURS = "VBJFARegressor()"
+RIDGE = "Ridge (scikit-learn)"
+LEAST_SQUARES = "LinearRegression (scikit-learn)"
+ARD = "ARDRegression (scikit-learn)"
+LASSO = "LassoCV (scikit-learn)"
+# Ratio of times in the first table -> the two models, bound, whether a lower one.
+TARGETS = {
+    "VB-JFA / Ridge": ((OURS, RIDGE), 1.5, False),
+    "LinearRegression / VB-JFA": ((LEAST_SQUARES, OURS), 8.0, True),
+    "ARDRegression / VB-JFA": ((ARD, OURS), 8.0, True),
+    "LassoCV / VB-JFA": ((LASSO, OURS), 40.0, True),
+}
+# More columns than rows: VB-JFA faster than ARDRegression, and below this memory.
+WIDE_MEGABYTES = 4096.0
 
 
 def make_data(n_samples, n_features):
-    """Correlated columns: 20 common factors plus noise of half their deviation.
-
-    x = F B + 0.5 E with standard normal F (n, 20), E (n, d) and B (20, d) scaled by
-    1 / sqrt(20); y depends on ten columns, with noise of half its deviation.
-    """
-    rng = np.random.default_rng(_SEED)
-    mixing = rng.normal(size=(_FACTORS, n_features)) / np.sqrt(_FACTORS)
-    X = rng.normal(size=(n_samples, n_features))
-    X *= 0.5
-    X += rng.normal(size=(n_samples, _FACTORS)) @ mixing
-    coef = np.zeros(n_features)
-    chosen = rng.choice(n_features, size=min(_RELEVANT, n_features), replace=False)
-    coef[chosen] = rng.normal(size=chosen.size)
-    clean = X @ coef
-    return X, clean + 0.5 * clean.std() * rng.normal(size=n_samples)
+    """Return X and y of `LinearProblem` with exact columns."""
+    return LinearProblem(n_samples, n_features).arrays()
 
 
 def models():
     """Name -> estimator; the first is the unit of the ratios."""
     return {
-        "Ridge (scikit-learn)": Ridge(),
-        "LinearRegression (scikit-learn)": LinearRegression(),
-        "ARDRegression (scikit-learn)": ARDRegression(),
-        "VBJFARegressor()": VBJFARegressor(),
+        RIDGE: Ridge(),
+        LEAST_SQUARES: LinearRegression(),
+        "BayesianRidge (scikit-learn)": BayesianRidge(),
+        ARD: ARDRegression(),
+        LASSO: LassoCV(),
+        "PLSRegression (scikit-learn)": PLSRegression(),
+        OURS: VBJFARegressor(),
         'VBJFARegressor(latent="correlated", input_noise=0.0)': VBJFARegressor(
             latent="correlated", input_noise=0.0
         ),
@@ -54,9 +65,14 @@ def models():
     }
 
 
-def measure(X, y, rounds):
+def wide_models():
+    """Name -> estimator for more columns than rows."""
+    names = (RIDGE, LEAST_SQUARES, ARD, LASSO, OURS)
+    return {name: models()[name] for name in names}
+
+
+def measure(X, y, rounds, chosen):
     """Seconds (rounds, n_models), iterations and peak memory [MB] of every model."""
-    chosen = models()
     seconds = np.empty((rounds, len(chosen)))
     iterations, memory = [], []
     for k in range(rounds):
@@ -73,10 +89,8 @@ def measure(X, y, rounds):
     return seconds, iterations, memory
 
 
-def report(n_samples=500_000, n_features=110, rounds=3):
-    """Table of all models."""
-    X, y = make_data(n_samples, n_features)
-    seconds, iterations, memory = measure(X, y, rounds)
+def model_table(chosen, seconds, iterations, memory):
+    """Table of all models on one array."""
     ratio = np.median(seconds / seconds[:, :1], axis=0)
     rows = [
         [
@@ -86,17 +100,68 @@ def report(n_samples=500_000, n_features=110, rounds=3):
             "" if iterations[i] is None else int(np.max(iterations[i])),
             f"{memory[i]:.0f}",
         ]
-        for i, name in enumerate(models())
+        for i, name in enumerate(chosen)
     ]
-    table = rst_table(
+    return rst_table(
         rows, ["model", "time [s]", "time / Ridge", "iterations", "peak memory [MB]"]
     )
+
+
+def met(value, bound, at_least):
+    """Cells of a target: what was asked, and whether it was met."""
+    reached = value >= bound if at_least else value <= bound
+    asked = f"{'>=' if at_least else '<='} {bound:g}"
+    return asked, "yes" if reached else "no"
+
+
+def target_table(seconds, wide_seconds, wide_memory):
+    """Ratios of times, and memory, against their targets."""
+    names, wide_names = list(models()), list(wide_models())
+    rows = []
+    for what, (pair, bound, at_least) in TARGETS.items():
+        slow, fast = (seconds[:, names.index(name)] for name in pair)
+        value = np.median(slow / fast)
+        rows.append([f"{what}, time", f"{value:.2f}", *met(value, bound, at_least)])
+    ours, ard = wide_names.index(OURS), wide_names.index(ARD)
+    value = np.median(wide_seconds[:, ard] / wide_seconds[:, ours])
+    wide = "ARDRegression / VB-JFA, more columns than rows, time"
+    rows.append([wide, f"{value:.2f}", *met(value, 1.0, True)])
+    value = wide_memory[ours]
+    wide = "VB-JFA, more columns than rows, peak memory [MB]"
+    rows.append([wide, f"{value:.0f}", *met(value, WIDE_MEGABYTES, False)])
+    return rst_table(rows, ["figure", "measured", "target", "met"])
+
+
+def describe(X, rounds):
+    """Return the size of an array and how its times were taken."""
+    times = f"medians of {rounds} rounds" if rounds > 1 else "those of one fit"
     return (
-        f"{table}\n\n{n_samples} samples, {n_features} columns made of {_FACTORS} "
-        f"common factors and noise, {_RELEVANT} of them relevant, seed {_SEED}; the "
-        f"array takes {X.nbytes / 2**20:.0f} MB. Times and ratios are medians of "
-        f"{rounds} rounds in one process. Peak memory is what a fit allocates through "
-        "NumPy beyond the data (tracemalloc)."
+        f"{X.shape[0]} samples, {X.shape[1]} columns made of {FACTORS} common factors "
+        f"and noise, {RELEVANT} of them relevant, seed {SEED}; the array takes "
+        f"{X.nbytes / 2**20:.0f} MB. Times and ratios are {times} in one process."
+    )
+
+
+def report(
+    n_samples=500_000, n_features=110, rounds=3, wide=(1_000, 5_000), wide_rounds=1
+):
+    """Tables of all models, of the wide array and of the targets."""
+    X, y = make_data(n_samples, n_features)
+    tall = measure(X, y, rounds, models())
+    tall_text = describe(X, rounds)
+    X, y = make_data(*wide)
+    broad = measure(X, y, wide_rounds, wide_models())
+    return "\n\n".join(
+        [
+            model_table(models(), *tall),
+            f"{tall_text} Peak memory is what a fit allocates through NumPy beyond the "
+            "data (tracemalloc).",
+            rst_title("More columns than rows", "~"),
+            model_table(wide_models(), *broad),
+            describe(X, wide_rounds),
+            rst_title("Targets", "~"),
+            target_table(tall[0], broad[0], broad[2]),
+        ]
     )
 
 
@@ -105,8 +170,15 @@ def main(argv=None):
     arguments = parser(__doc__.splitlines()[0])
     arguments.add_argument("--samples", type=int, default=500_000)
     arguments.add_argument("--features", type=int, default=110)
+    arguments.add_argument("--rounds", type=int, default=3)
+    arguments.add_argument("--wide-rounds", type=int, default=1)
     arguments = arguments.parse_args(argv)
-    text = report(arguments.samples, arguments.features)
+    text = report(
+        arguments.samples,
+        arguments.features,
+        arguments.rounds,
+        wide_rounds=arguments.wide_rounds,
+    )
     publish("speed", text, write=arguments.write)
 
 

@@ -26,11 +26,14 @@ def residuals(scale, index, tau):
 @pytest.mark.parametrize(
     "name",
     [
+        "conditioning",
         "discovery",
         "discovery_measured",
         "errors_in_variables",
         "feedforward",
+        "growth",
         "identification",
+        "iterations",
         "measured_robots",
         "noise_floor",
         "paper_robots",
@@ -158,7 +161,7 @@ def test_projection_at_small_size():
 def test_speed_at_small_size():
     import bench_speed as bench
 
-    text = bench.report(n_samples=300, n_features=12, rounds=1)
+    text = bench.report(n_samples=300, n_features=12, rounds=1, wide=(20, 50))
     for name in bench.models():
         assert name in text
 

@@ -8,8 +8,16 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa._core import _predict, _solver
 from sklearn_vbjfa._core._bound import bound
+from sklearn_vbjfa._core._coordinates import Slope, from_vector, slope, to_vector
 from sklearn_vbjfa._core._state import Prior
-from sklearn_vbjfa._core._updates import VARIANCE_FLOOR, expect_hidden
+from sklearn_vbjfa._core._stats import from_data, standardise
+from sklearn_vbjfa._core._updates import (
+    VARIANCE_FLOOR,
+    expect_hidden,
+    update_loadings,
+    update_precisions,
+)
+from sklearn_vbjfa.datasets import make_noisy_regression
 from tests.core import _problems
 
 MODELS = ["jfa", "paper", "noise"]
@@ -30,10 +38,13 @@ class FailingMoments:
         self.n, self.xx = moments.n, moments.xx
         self.xy, self.yy = moments.xy, moments.yy
 
-    def dot(self, v):
-        """Return S_xx v, or three times as much."""
+    def residual(self, c):
+        """Return S_xe and S_ee, or those for three times S_xx."""
         self.left -= 1
-        return self.moments.dot(v) * (1.0 if self.left >= 0 else 3.0)
+        wrong = 0.0 if self.left >= 0 else 2.0
+        S_xe, S_ee = self.moments.residual(c)
+        S_c = self.moments.dot(c)
+        return S_xe - wrong * S_c, S_ee + wrong * c @ S_c
 
 
 def test_start_is_the_documented_one():
@@ -153,43 +164,117 @@ def test_variances_at_the_floor_are_listed():
     assert solution.state.psi_x[0] >= VARIANCE_FLOOR
 
 
-def test_coordinates_give_the_state_back():
-    state = _problems.make_state(8, 4)
-    again = _solver._from_coordinates(_solver._coordinates(state), state)
-    for name in ("w_z_mean", "w_z_var", "w_x_var", "alpha_rate", "psi_z", "psi_x"):
+@pytest.mark.parametrize("model", MODELS)
+def test_gradient_is_that_of_the_bound(model):
+    X, y, _ = _problems.make_data(8, 3)
+    moments, prior = _problems.as_gram(X, y), _problems.make_prior(model, 25, 3)
+    state = _problems.make_state(8, 3, ard=prior.ard, coupled=prior.coupled)
+    shape = prior.ard_shape + (1.0 if prior.coupled else 0.5)
+    state = update_precisions(replace(state, alpha_shape=shape), prior)
+    start = to_vector(state, prior)
+
+    def value(vector):
+        moved = from_vector(vector, state, prior)
+        return bound(moments, moved, expect_hidden(moments, moved), prior)
+
+    step = 1e-5 * np.eye(start.size)
+    numerical = [(value(start + e) - value(start - e)) / 2e-5 for e in step]
+    found = slope(moments, state, expect_hidden(moments, state), prior)
+    # Central differences: the bound of size 1e2 is rounded to 1e-14 / 1e-5.
+    assert_allclose(found.gradient, numerical, atol=1e-6)
+    assert np.all(found.scale > 0)
+
+
+@pytest.mark.parametrize("model", MODELS)
+def test_scaled_gradient_is_the_plain_step(model):
+    # Near a fixed point, where the update of one block hardly moves the others.
+    moments, _, _ = make_standardised(9, 3)
+    prior = _problems.make_prior(model, 200, 3)
+    state = _solver.start(moments, prior, np.full(3, 0.3))
+    state = _solver.solve(moments, state, prior, max_iter=500, tol=1e-12).state
+    here = expect_hidden(moments, state)
+    found = slope(moments, state, here, prior)
+    loadings = slice(0, 6)
+    moved = update_loadings(state, here, prior)
+    step = to_vector(moved, prior) - to_vector(state, prior)
+    assert_allclose((found.scale * found.gradient)[loadings], step[loadings], atol=1e-9)
+
+
+def test_slope_leaves_variances_on_their_floor_alone():
+    moments, _, _ = make_standardised(10, 2)
+    state = _solver.start(moments, Prior(), np.full(2, 0.3))
+    state = replace(state, psi_z=np.full(2, VARIANCE_FLOOR), psi_y=VARIANCE_FLOOR)
+    found = slope(moments, state, expect_hidden(moments, state), Prior())
+    assert np.isfinite(found.gradient).all()
+    assert found.gradient[4:6].min() >= 0
+    assert found.gradient[-1] >= 0
+
+
+@pytest.mark.parametrize("model", ["jfa", "noise"])
+def test_coordinates_give_the_state_back(model):
+    prior = _problems.make_prior(model, 25, 4)
+    state = _problems.make_state(8, 4, ard=prior.ard, coupled=prior.coupled)
+    again = from_vector(to_vector(state, prior), state, prior)
+    for name in ("w_z_mean", "w_z_var", "w_x_mean", "w_x_var", "psi_z", "psi_x"):
         assert_allclose(getattr(again, name), getattr(state, name), rtol=1e-14)
     assert_allclose(again.psi_y, state.psi_y, rtol=1e-14)
-    point = _problems.make_state(8, 4, ard=False)
-    again = _solver._from_coordinates(_solver._coordinates(point), point)
-    assert_array_equal(again.w_z_var, np.zeros(4))
+    if not prior.ard:
+        assert_array_equal(again.w_z_var, np.zeros(4))
 
 
-def make_sequence(rate):
-    """Three states that approach a fourth one, each by the factor `rate`."""
-    limit = _problems.make_state(9, 3)
-    far = replace(_problems.make_state(10, 3), alpha_shape=limit.alpha_shape)
-    end, start = (_solver._coordinates(state) for state in (limit, far))
-    sequence = [
-        _solver._from_coordinates(end + rate**k * (start - end), limit)
-        for k in range(3)
-    ]
-    return sequence, limit
+def test_direction_is_that_of_the_dense_update():
+    # The inverse BFGS update of the scaled EM curvature, written out.
+    rng = np.random.default_rng(11)
+    d, n_pairs = 6, 4
+    root = rng.normal(size=(d, d))
+    hessian = root @ root.T + np.eye(d)
+    scale = rng.uniform(0.5, 2.0, d)
+    curvature = _solver._Curvature()
+    pairs = []
+    for _ in range(n_pairs):
+        step = rng.normal(size=d)
+        before = Slope(gradient=rng.normal(size=d), scale=scale)
+        after = Slope(gradient=before.gradient - hessian @ step, scale=scale)
+        curvature.learn(step, before, after)
+        pairs.append((step, hessian @ step))
+    step, change = pairs[-1]
+    inverse = np.diag(scale) * (step @ change) / (change @ (scale * change))
+    for step, change in pairs:
+        left = np.eye(d) - np.outer(step, change) / (step @ change)
+        inverse = left @ inverse @ left.T + np.outer(step, step) / (step @ change)
+    gradient = rng.normal(size=d)
+    found = curvature.direction(Slope(gradient=gradient, scale=scale))
+    assert_allclose(found, inverse @ gradient, rtol=1e-10)
+    curvature.forget()
+    assert curvature.direction(Slope(gradient=gradient, scale=scale)) is None
 
 
-def test_extrapolation_finds_the_limit_of_a_geometric_sequence():
-    # One rate for all coordinates: the step 1 / (1 - rate) = 2.5 is exact.
-    sequence, limit = make_sequence(0.6)
-    found = _solver._extrapolate(*sequence)
-    for name in ("w_z_mean", "w_z_var", "w_x_mean", "alpha_rate", "psi_z", "psi_x"):
-        assert_allclose(getattr(found, name), getattr(limit, name), rtol=1e-9)
-    assert_allclose(found.psi_y, limit.psi_y, rtol=1e-9)
+def test_a_pair_without_concavity_is_not_learnt():
+    curvature = _solver._Curvature()
+    before = Slope(gradient=np.ones(2), scale=np.ones(2))
+    after = Slope(gradient=np.array([2.0, 1.0]), scale=np.ones(2))
+    curvature.learn(np.array([1.0, 0.0]), before, after)
+    assert not curvature.steps
 
 
-def test_extrapolation_has_a_longest_step():
-    # The exact step would be 10; with 4 a coordinate goes (1 + 4 (rate - 1))^2 = 0.36
-    # of the way that is left.
-    sequence, limit = make_sequence(0.9)
-    found = _solver._coordinates(_solver._extrapolate(*sequence))
-    start, end = _solver._coordinates(sequence[0]), _solver._coordinates(limit)
-    assert_allclose(found - end, 0.36 * (start - end), atol=1e-9)
-    assert _solver._extrapolate(limit, limit, limit) is None
+@pytest.mark.parametrize("model", MODELS)
+def test_a_fifth_of_the_iterations_is_enough(model):
+    # A cell of the synthetic study, with exact dependencies.
+    data = make_noisy_regression(
+        1000, n_redundant=60, n_irrelevant=30, input_snr=2.0, random_state=0
+    )
+    moments = standardise(from_data(data.X, data.y), centred=True).moments
+    prior = Prior()
+    if model != "jfa":
+        prior = replace(
+            _problems.make_prior(model, 1000, 100), ard_shape=1e-6, ard_rate=1e-6
+        )
+    state = _solver.start(moments, prior, np.full(100, 0.3))
+    fast = _solver.solve(moments, state, prior, max_iter=20_000, tol=1e-7)
+    assert fast.status == "converged"
+    assert np.diff(fast.history).min() >= 0
+    short = 5 * fast.n_iter
+    plain = _solver.solve(
+        moments, state, prior, max_iter=short, tol=0.0, accelerate=False
+    )
+    assert plain.history[-1] < fast.history[-1] - 1e-6 * moments.n

@@ -1,7 +1,10 @@
 """Recordings of one's own: columns, units and time stamps, and what is refused."""
 
+import csv as csv_module
+import re
 import sys
 import warnings
+import zipfile
 
 import numpy as np
 import pytest
@@ -132,6 +135,118 @@ def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):
         read_recording(path)
 
 
+def save(path, n=N, **extra):
+    """Write a recording of two joints in the format of the ending."""
+    columns = table(n=n) | extra
+    if path.suffix == ".csv":
+        write(path, columns)
+    elif path.suffix == ".npz":
+        np.savez(path, **columns)
+    else:
+        pyarrow = pytest.importorskip("pyarrow")
+        from pyarrow import parquet
+
+        parquet.write_table(pyarrow.table(columns), path)
+    return path
+
+
+def refused(path):
+    """Return the message: one line that names the file."""
+    with pytest.raises(ValueError, match=re.escape(str(path))) as caught:
+        read_recording(path)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+WHOLE = {
+    ".npz": "is no whole npz file; save it anew with numpy.savez",
+    ".parquet": "is no whole parquet file of plain columns",
+}
+
+
+@pytest.mark.parametrize("ending", WHOLE)
+@pytest.mark.parametrize("keep", [0, 1, 3, 40, 0.3, 0.9])
+def test_truncated_files_are_refused(tmp_path, ending, keep):
+    path = save(tmp_path / f"arm{ending}")
+    content = path.read_bytes()
+    path.write_bytes(content[: keep if keep >= 1 else int(keep * len(content))])
+    assert WHOLE[ending] in refused(path)
+
+
+@pytest.mark.parametrize("ending", WHOLE)
+def test_text_under_another_ending_is_refused(tmp_path, ending):
+    if ending == ".parquet":
+        pytest.importorskip("pyarrow")
+    path = save(tmp_path / "arm.csv")
+    path = path.rename(tmp_path / f"arm{ending}")
+    assert WHOLE[ending] in refused(path)
+
+
+@pytest.mark.parametrize("ending", [".csv", ".npz", ".parquet"])
+def test_random_damage_never_ends_in_another_error(tmp_path, ending):
+    path = save(tmp_path / f"arm{ending}")
+    content = path.read_bytes()
+    rng = np.random.default_rng(0)
+    messages = []
+    for _ in range(150):
+        damaged = bytearray(content)
+        # The headers are at the beginning, those of archives also at the end.
+        for at in rng.integers(300, size=2) * rng.choice([1, -1]):
+            damaged[at] = rng.integers(256)
+        path.write_bytes(damaged)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                read_recording(path)
+        except ValueError as error:
+            messages.append(str(error))
+    assert len(messages) > 75
+    for message in messages:
+        assert str(path) in message
+        assert "\n" not in message
+
+
+def test_other_things_in_an_npz_are_refused(tmp_path):
+    objects = np.array([None] * N)
+    path = save(tmp_path / "arm.npz", mode=objects)
+    assert "array 'mode' holds Python objects and not numbers; save" in refused(path)
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("q", "a spreadsheet is a zip archive as well")
+    assert "is no whole npz file" in refused(path)
+    with path.open("wb") as file:
+        np.save(file, np.zeros(3))
+    assert "is no whole npz file" in refused(path)
+    for dt in ("fast", -0.01, np.nan):
+        save(path, dt=np.array(dt))
+        assert f"dt must be a positive number of seconds, got {dt}" in refused(path)
+
+
+def test_a_name_that_comes_twice_is_refused_in_parquet(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    path = tmp_path / "arm.parquet"
+    column = pyarrow.array(np.arange(N) * DT)
+    twice = pyarrow.Table.from_arrays([column] * 3, names=["q1", "tau1", "q1"])
+    parquet.write_table(twice, path)
+    assert "column 'q1' twice; each column needs its own name" in refused(path)
+
+
+def test_a_folder_is_no_recording(tmp_path):
+    assert "is a folder; give a CSV, npz or parquet file" in refused(tmp_path)
+
+
+def test_cells_in_quotes_are_numbers(tmp_path):
+    columns = table(1)
+    path = tmp_path / "arm.csv"
+    with path.open("w", newline="") as file:
+        writer = csv_module.writer(file, quoting=csv_module.QUOTE_ALL)
+        writer.writerow([*columns, "what, where"])
+        writer.writerows(zip(*columns.values(), ["run, fast"] * N))
+    with pytest.warns(UserWarning, match=r"column\(s\) what, where hold no"):
+        assert_same(read_recording(path), columns, nv=1)
+
+
 # -- columns ---------------------------------------------------------------------------
 
 
@@ -205,7 +320,7 @@ def test_recording_of_the_described_robot(csv, tmp_path):
     assert tuple(recording.robot_model().names)[1:] == (first, last)
     with pytest.raises(ValueError, match=r"2 column\(s\) q for 6 joint"):
         read_recording(path, dt=arm.dt, urdf=demo_arm_urdf())
-    with pytest.raises(ValueError, match="the robot has no joint 'nose'"):
+    with pytest.raises(ValueError, match="no movable joint 'nose'"):
         read_recording(
             path, dt=arm.dt, urdf=demo_arm_urdf(), joint_names=["nose", last]
         )
@@ -274,6 +389,9 @@ def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
         ("t,,tau1\n0,1,2\n", "column 2 has no name in line 1"),
         ("t,q1,tau1\n0,1,2\n0.1,1\n", "line 3 has 2 cells, the header names 3"),
         ("t,q1,tau1\n0,0,1,0,2,0\n", "decimal commas need ;"),
+        ("t|q1|tau1\n0|1|2\n", r"line 1 is one cell, with '\|' in it; separate"),
+        ("t,q1,tau1\n0;1;2\n", "line 2 has 1 cells.*separate.*as the header does"),
+        ("t,q1,tau1\n0,1,\0\n", "is no text but binary"),
         ("t,angle,tau1\n0,1,2\n", "no positions: expected columns q1, q2"),
         ("t,q1,force\n0,1,2\n", "no torques: expected columns tau1, tau2"),
         ("t,q1,q3,tau1\n0,1,2,3\n", "column 'q2' is missing beside q1, q3"),
@@ -294,7 +412,7 @@ def test_files_that_are_none(tmp_path):
         read_recording(tmp_path / "none.csv")
     for name, content, message in (
         ("arm.xlsx", b"", "unknown ending '.xlsx'"),
-        ("arm.npz", b"no archive", "cannot be read as npz"),
+        ("arm.npz", b"no archive", "is no whole npz file"),
         ("arm.csv", b"\xff\xfeq", "is no UTF-8 text"),
     ):
         path = tmp_path / name

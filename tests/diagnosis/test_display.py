@@ -2,6 +2,7 @@ import sys
 
 import numpy as np
 import pytest
+from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
@@ -77,6 +78,13 @@ def test_states_velocity_is_that_of_the_model(loop, recording):
     velocity = np.gradient(recording.q, recording.dt, axis=0)[index]
     error = display.signals["velocity [rad/s]"] - velocity
     assert np.median(np.abs(error)) < 0.1 * velocity.std()
+
+
+def test_the_wrong_kind_of_estimator_is_refused(recording):
+    plain = LinearRegression().fit(recording.q, recording.tau)
+    message = "shows a RobotIdentifier or an EffectDiscovery; got LinearRegression"
+    with pytest.raises(ValueError, match=message):
+        ResidualDisplay.from_estimator(plain, recording.q, recording.tau)
 
 
 @pytest.mark.parametrize("joints", [[], [6], [-1]])

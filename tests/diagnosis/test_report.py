@@ -1,5 +1,6 @@
 import json
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import _report_words as words
 from sklearn_vbjfa.diagnosis._report import Report
+from sklearn_vbjfa.diagnosis._report_pictures import residual_picture, time_axis
 from sklearn_vbjfa.effects import Coulomb, available
 from tests.diagnosis._outcomes import make_effect, make_outcome, make_round
 
@@ -30,6 +32,21 @@ CASES = {
 @pytest.fixture(params=CASES, name="outcome")
 def fixture_outcome(request):
     return make_outcome(**CASES[request.param])
+
+
+def test_joints_that_vary_with_nothing_share_a_line():
+    outcome = make_outcome(nv=6, n_effects=0, unexplained=(0, 1, 2, 4))
+    shares = (0.98, 0.991, 0.75, 0.95)
+    rest = [
+        replace(u, share=share, signals=u.signals if share == 0.75 else ())
+        for u, share in zip(outcome.unexplained, shares)
+    ]
+    report = Report(replace(outcome, unexplained=tuple(rest)))
+    for text in (str(report), report.to_markdown(), report.to_html()):
+        flat = re.sub(r"\s+", " ", text)
+        assert flat.count("of what remains has no name") == 2
+        assert "joints 1, 2 and 5: 95 % to 99 % of what remains has no name" in flat
+        assert "joint 3: 75 % of what remains has no name; varies with" in flat
 
 
 def test_text_fits_a_terminal(outcome):
@@ -92,6 +109,49 @@ def test_status():
     assert status(error_before=0.5 * floor, intervals={}) == "worse"
     nothing = np.full(6, np.nan)
     assert status(error_before=nothing, error_after=nothing) == "no data"
+
+
+def test_worse_than_the_mean_torque_is_said_with_its_causes():
+    outcome = make_outcome(nv=3, n_effects=0)
+    after = np.array([0.05, 1.0, 1.3])
+    report = Report(
+        make_outcome(
+            nv=3,
+            n_effects=0,
+            error_before=after,
+            error_after=after,
+            # even where the noise floor is as high
+            floor=np.array([0.05, 1.0, 1.3]),
+            intervals={},
+            channels=(),
+        )
+    )
+    assert report.status == "failed"
+    assert [v.status for v in report.joints] == ["floor", "failed", "failed"]
+    assert "oints 2 and 3 are predicted worse than by their mean" in report.headline
+    for text in (str(report), report.to_markdown(), report.to_html()):
+        text = " ".join(text.split())
+        assert not any(claim in text for claim in SUCCESS)
+        for cause in ("sign", "order", "unit", "coupling", "slow", "noise"):
+            assert cause in text[text.index("Likely causes") :]
+    assert "Likely causes" not in str(Report(outcome))
+    almost = make_outcome(nv=1, n_effects=0, error_after=np.array([0.999]))
+    assert Report(almost).status != "failed"
+
+
+def test_what_to_do_about_a_channel_is_not_cut_off():
+    message = f"The torque of joint 1 is {'very ' * 30}wrong: multiply it by -1."
+    text = str(Report(make_outcome(nv=2, n_effects=1, channels=(message,))))
+    assert f"Channel: {message}" in " ".join(text.split())
+    many = str(Report(make_outcome(channels=(message,) * 3)))
+    assert "Channel (2 more): The torque of joint 1" in many
+
+
+def test_a_text_is_cut_between_words():
+    assert words.clip("short", 10) == "short"
+    assert words.clip("some words, and more of them", 19) == "some words, and..."
+    assert words.clip("some words, and more of them", 14) == "some words..."
+    assert words.clip("x" * 30, 10) == "xxxxxxx..."
 
 
 @pytest.mark.parametrize(
@@ -204,6 +264,68 @@ def test_page_shows_every_joint_and_effect():
     assert html.count("<svg ") == 12
     assert html.index("<h1>") < html.index('class="joint"')
     assert len(html) < 400_000
+
+
+def axis_of(seconds):
+    """Texts of a time axis and their places in per cent."""
+    html = time_axis({"seconds": np.asarray(seconds, dtype=float)})
+    found = re.findall(r'<span style="left:([0-9.]+)%">([^<]+)</span>', html)
+    return [text for _, text in found], np.array([float(place) for place, _ in found])
+
+
+@pytest.mark.parametrize(
+    ("length", "texts"),
+    [
+        (5.0, ["0", "1", "2", "3", "4", "5 s"]),
+        (9.28, ["0", "2", "4", "6", "9.28 s"]),
+        (0.37, ["0", "0.1", "0.2", "0.37 s"]),
+        (100.0, ["0", "20", "40", "60", "80", "100 s"]),
+        (3600.0, ["0", "1000", "2000", "3600 s"]),
+    ],
+)
+def test_residuals_have_a_time_axis(length, texts):
+    found, places = axis_of(7.0 + np.linspace(0.0, length, 50))
+    assert found == texts
+    seconds = np.array([float(text.split()[0]) for text in texts])
+    np.testing.assert_allclose(places, 100 * seconds / length, atol=0.06)
+
+
+def test_the_page_has_an_axis_where_time_is_known():
+    outcome = make_outcome(nv=2)
+    assert 'class="axis"' not in Report(outcome).to_html()
+    seconds = 0.02 * outcome.curves["index"]
+    curves = outcome.curves | {"seconds": seconds}
+    html = Report(make_outcome(nv=2, curves=curves)).to_html()
+    assert html.count('class="axis"') == 2
+    assert ">30 s<" in html
+    assert "time in seconds" in html
+
+
+@pytest.mark.parametrize("count", [100, 4000])
+def test_residuals_are_drawn_over_time_with_the_gaps_between_recordings(count):
+    # two recordings of a quarter of the time each, and nothing in between
+    seconds = np.r_[np.linspace(0, 10, count // 2), np.linspace(30, 40, count // 2)]
+    values = np.sin(seconds)[:, None]
+    curves = {
+        "before": values,
+        "after": values,
+        "weight": np.ones((count, 1)),
+        "torque": values,
+        "seconds": seconds,
+    }
+    svg, _ = residual_picture(curves, 0, 0.1)
+    paths = re.findall(r'class="(?:line|area) after" d="([^"]+)"', svg)
+    assert len(paths) == 1
+    pieces = paths[0].split("M")[1:]
+    assert len(pieces) == 2
+    x = [
+        [float(point.split()[0]) for point in re.split("[LZ]", piece) if point]
+        for piece in pieces
+    ]
+    assert min(x[0]) == 0
+    assert max(x[0]) < 0.26 * 360
+    assert min(x[1]) > 0.74 * 360
+    assert 359 < max(x[1]) <= 360
 
 
 def test_page_escapes_what_it_is_given():

@@ -14,7 +14,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Effect
-from sklearn_vbjfa.robot import _effect_columns, _identifier
+from sklearn_vbjfa.robot import _effect_columns, _identification
 from tests.effects._arms import (
     arm,
     dahl_in_small_steps,
@@ -318,7 +318,7 @@ def test_pieces_do_not_matter(monkeypatch, cutoff):
     whole = fit(MIXED, *SEVERAL, cutoff=cutoff)
     predicted = whole.predict(STATES)
     residual = whole.residuals(STATES, DECLARED + MIXED).residual
-    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", 1 << 16)
+    monkeypatch.setattr(_identification, "_CHUNK_BYTES", 1 << 16)
     monkeypatch.setattr(_effect_columns, "_LOAD_BYTES", 1 << 16)
     pieces = fit(MIXED, *SEVERAL, cutoff=cutoff)
     assert_allclose(pieces.predict(STATES), predicted, atol=1e-7)

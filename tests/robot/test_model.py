@@ -1,7 +1,9 @@
 """Robot models: what is read, what is refused, and how."""
 
+import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +17,10 @@ from sklearn_vbjfa.robot._model import (  # noqa: E402
     is_prismatic,
     joint_names,
     load_model,
+    load_reduced,
     nominal_parameters,
+    solid_bodies,
+    write_reduced,
 )
 from tests.robot._robots import random_tree  # noqa: E402
 
@@ -133,6 +138,89 @@ def test_refuses_what_is_no_robot(write, tmp_path):
         load_model(write(ONE_JOINT.format(kind="fixed", limit="")))
     with pytest.raises(ValueError, match="no moving joint"):
         load_model(pin.Model())
+
+
+def two_joints(second="revolute", extra="", inertial=True):
+    """URDF of a bar on a hinge, and of a second bar at its end."""
+    first = ONE_JOINT.format(kind="revolute", limit=LIMIT)
+    bar = first[first.index('<link name="bar">') : first.index("</robot>")]
+    end = bar.replace('"bar"', '"end"') if inertial else '<link name="end"/>'
+    joint = (
+        f'<joint name="second" type="{second}"><parent link="bar"/>'
+        '<child link="end"/><origin xyz="0.2 0.1 0.4" rpy="0.3 0.2 0.1"/>'
+        f'<axis xyz="0 0 1"/>{LIMIT}{extra}</joint>'
+    )
+    return first.replace("</robot>", end + joint + "</robot>")
+
+
+def quiet(load, *arguments):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        return load(*arguments)
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic", "floating"])
+def test_a_held_joint_makes_one_body_of_two(write, kind):
+    # by hand: the second body's inertia, seen from the first joint, is added
+    both = quiet(load_model, write(two_joints()))
+    expected = both.inertias[1] + both.jointPlacements[2].act(both.inertias[2])
+    model = quiet(load_reduced, write(two_joints(kind)), ["hinge"])
+    assert joint_names(model) == ("hinge",)
+    np.testing.assert_allclose(
+        nominal_parameters(model)[0], expected.toDynamicParameters(), atol=1e-14
+    )
+
+
+def test_a_reduced_description_is_the_reduced_model(write, tmp_path):
+    source = write(two_joints(extra='<mimic joint="hinge"/>'))
+    held = write_reduced(source, tmp_path / "held.urdf", ["hinge"])
+    assert held == ("second",)
+    np.testing.assert_array_equal(
+        nominal_parameters(quiet(load_model, tmp_path / "held.urdf")),
+        nominal_parameters(quiet(load_reduced, source, ["hinge"])),
+    )
+    assert "mimic" in source.read_text()
+    assert write_reduced(source, tmp_path / "all.urdf", ["second", "hinge"]) == ()
+    with pytest.raises(ValueError, match="no movable joint 'third'; it has hinge, sec"):
+        load_reduced(source, ["hinge", "third"])
+
+
+def test_what_is_fixed_belongs_to_its_parent_without_a_word(write):
+    model = quiet(load_model, write(two_joints("fixed")))
+    assert joint_names(model) == ("hinge",)
+    assert nominal_parameters(model)[0, 0] == pytest.approx(4.0)
+    # a massless flange or camera frame is nothing to tell of
+    model = quiet(load_model, write(two_joints("fixed", inertial=False)))
+    assert nominal_parameters(model)[0, 0] == pytest.approx(2.0)
+
+
+def test_a_mimic_is_told_of(write):
+    path = write(two_joints(extra='<mimic joint="hinge"/>'))
+    with pytest.warns(UserWarning, match=r"that second mimic\(s\) another.*own"):
+        assert load_model(path).nv == 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.replace('<mass value="2"/>', '<mass value="0"/>'),
+        # moments that break the triangle inequality
+        lambda text: text.replace('izz="0.15"', 'izz="0.9"'),
+        lambda text: re.sub("<inertial>.*?</inertial>", "", text, flags=re.DOTALL),
+    ],
+)
+def test_a_body_that_cannot_be_is_told_of(write, change):
+    text = change(ONE_JOINT.format(kind="revolute", limit=LIMIT))
+    with pytest.warns(UserWarning, match=r"what hinge move\(s\) has no mass or an in"):
+        model = load_model(write(text))
+    assert not solid_bodies(nominal_parameters(model)).any()
+
+
+def test_a_negative_mass_is_refused(write):
+    text = ONE_JOINT.format(kind="revolute", limit=LIMIT)
+    text = text.replace('<mass value="2"/>', '<mass value="-2"/>')
+    with pytest.raises(ValueError, match="link 'bar' has the mass -2 kg; correct"):
+        load_model(write(text))
 
 
 def test_fitted_features_keep_their_robot():

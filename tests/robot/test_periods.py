@@ -156,7 +156,7 @@ def test_filter_stands_on_each_sample_once():
     q = np.tile(rng.normal(size=(100, 1)), (2, 1))
     periods = average_periods(q, q, 100)
     lowpass = _lowpass.design(DT, 10.0, 1)
-    _, torque, _, parts, _, _ = periods.equations(
+    _, torque, _, parts, _ = periods.equations(
         np.zeros((100, 3)), lowpass, (np.zeros((100, 3)),) * 2
     )
     assert [part.stop for part in parts] == [100 + 2 * lowpass.half]

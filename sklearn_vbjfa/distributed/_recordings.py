@@ -1,0 +1,307 @@
+"""Identification of a robot from recordings in many files.
+
+The passes are those of `RobotIdentifier.fit`, each of them a sum over recordings: how
+long they are; the spectra that the cut-offs come from; the speeds that tell standstill;
+the second moments of the filtered equations. Every pass reads the files again, so that
+no worker holds more than the recordings that it is working on.
+"""
+
+import operator
+from functools import partial
+from os import PathLike, fspath
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_vbjfa._core import _lowpass, _smoothing
+from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
+from sklearn_vbjfa.distributed._quantiles import (
+    BitCounts,
+    bit_counts,
+    candidates,
+    merge_candidates,
+    quantile,
+)
+from sklearn_vbjfa.robot import _torque_noise
+from sklearn_vbjfa.robot._equations import accumulate
+from sklearn_vbjfa.robot._groups import check_dt, contiguous_groups
+from sklearn_vbjfa.robot._identification import _CHUNK_BYTES, smooth_recording
+from sklearn_vbjfa.robot._motion_facts import MotionFacts, merge_all, n_fastest
+from sklearn_vbjfa.robot._recording_checks import (
+    check_channels,
+    check_input_noise,
+    check_length,
+    check_widths,
+    resolve_cutoff,
+    resolve_standstill,
+)
+from sklearn_vbjfa.robot._states import StateEstimator, lighter
+
+_SUFFIXES = (".csv", ".npz", ".parquet", ".txt")
+# Relative difference of sample periods that counts as another one.
+_DT_TOLERANCE = 0.002
+# The noise between jumps of friction is read off this quantile.
+_QUARTILE = 0.25
+
+
+def fit_recordings(identifier, source):
+    """Identify a robot from recordings in files, with Dask.
+
+    The result is that of `RobotIdentifier.fit` on all recordings in memory, one group
+    each, in the order of the files' names, up to rounding.
+
+    Parameters
+    ----------
+    identifier : RobotIdentifier
+        Identifier with `dt`; it is fitted itself.
+    source : str, os.PathLike or sequence of those
+        Folder with CSV, npz or parquet files as `read_recording` reads them, or a list
+        of files, in paths that the workers can read. Each file holds one recording,
+        or several by its column `segment`.
+
+    Returns
+    -------
+    identifier : RobotIdentifier
+        The fitted identifier.
+
+    Raises
+    ------
+    ImportError
+        If Dask is not installed.
+    FileNotFoundError
+        If the folder holds no recording.
+    ValueError
+        If a file cannot be read, its sample period or number of joints is another one,
+        or settings need more than second moments (effects, `period`, `block_noise`,
+        other regressors).
+
+    Notes
+    -----
+    The computation runs where Dask says: on the cluster of the current
+    `distributed.Client`, or else in threads. A task returns its own sums and changes
+    nothing, so that one that is lost with its worker is run again and counts once.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from sklearn_vbjfa import RobotIdentifier
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> from sklearn_vbjfa.distributed import fit_recordings
+    >>> recording = load_demo_recording()
+    >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     for name in recording.group_names:
+    ...         part = recording.select(name)
+    ...         file = pathlib.Path(folder) / f"{part.groups[0]}-{name}.npz"
+    ...         np.savez(file, q=part.q, tau=part.tau, dt=part.dt)
+    ...     robot = fit_recordings(robot, folder)
+    >>> bool((robot.min_eigenvalues_ > 0).all())
+    True
+    """
+    dask = import_dask()
+    files = _files(source)
+    dt = check_dt(identifier.dt)
+    check_input_noise(identifier.input_noise)
+    identifier._load_robot()
+    _check_settings(identifier)
+    urdf = identifier.model if isinstance(identifier.model, (str, PathLike)) else None
+    load = partial(
+        _load, dt=dt, urdf=urdf and fspath(urdf), names=identifier.joint_names_
+    )
+
+    def sums(function, merge, *arguments):
+        """Run a pass over the files; what it needs besides is sent once."""
+        task = dask.delayed(function, pure=False)
+        shared = [dask.delayed(x, traverse=False, pure=False) for x in arguments]
+        return merge_tree(merge, [task(load, file, *shared) for file in files])
+
+    (extent,) = dask.compute(sums(_measure, _merge_extents))
+    longest = max(extent["lengths"])
+    n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM))
+    (power,) = dask.compute(sums(_spectra, _add_pairs, dt, n_fft))
+    identifier.n_features_in_ = identifier._nv
+    estimator = StateEstimator(dt, cutoff=identifier.state_cutoff)
+    estimator.n_features_in_ = identifier._nv
+    spectra = _smoothing.spectrum(*power, n_fft, dt) if power[1] else None
+    estimator._choose(longest, extent["moving"], spectra)
+    identifier.state_estimator_ = estimator = lighter(estimator)
+    stops = np.cumsum(extent["lengths"]).tolist()
+    parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
+    identifier.cutoff_ = resolve_cutoff(identifier.cutoff, parts, dt, estimator)
+    lowpass = _lowpass.design(dt, identifier.cutoff_)
+    check_length(parts, lowpass, identifier.cutoff_)
+    keep = n_fastest(stops[-1])
+    bins = extent["counts"].bins(_QUARTILE)
+    (facts,) = dask.compute(
+        sums(
+            _summarise, partial(_merge_facts, keep), estimator, keep, dt,
+            identifier.cutoff_, bins,
+        )
+    )  # fmt: skip
+    motion, noise, between = facts
+    ranges = np.stack([motion.lowest, motion.highest])
+    check_channels(identifier.joint_names_, ranges, extent["torques"])
+    identifier.standstill_ = resolve_standstill(identifier.standstill, motion.fast())
+    identifier.torque_noise_ = np.full(identifier._nv, np.nan)
+    if noise is not None:
+        quartile = quantile(extent["counts"], between, _QUARTILE)
+        identifier.torque_noise_ = _torque_noise.filtered_noise(
+            *noise, quartile, dt, identifier.cutoff_
+        )
+    (stats,) = dask.compute(sums(_statistics, _add, identifier, lowpass))
+    return identifier._fit_statistics(stats)
+
+
+def _files(source):
+    """Return the paths of the files, sorted if a folder is given."""
+    if isinstance(source, (str, PathLike)):
+        folder = Path(source)
+        if not folder.is_dir():
+            raise FileNotFoundError(
+                f"source must be a folder or a list of files; {folder} is no folder."
+            )
+        files = sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
+        if not files:
+            raise FileNotFoundError(
+                f"No recording in {folder}; expected files {', '.join(_SUFFIXES)}."
+            )
+    else:
+        files = [Path(p) for p in source]
+        if not files:
+            raise ValueError("source must name at least one file; got none.")
+    return [str(p) for p in files]
+
+
+def _check_settings(identifier):
+    asked = {
+        "effects": len(identifier.effects_) > 0,
+        "period": identifier.period is not None,
+        "block_noise or regressor": not identifier._takes_statistics(),
+    }
+    refused = [name for name, is_asked in asked.items() if is_asked]
+    if refused:
+        raise ValueError(
+            f"fit_recordings cannot do with {', '.join(refused)}: the workers return "
+            "second moments of the rigid bodies and their friction only. Use "
+            "effects=(), period=None, block_noise=False and a VBJFARegressor or "
+            "JFARegressor, or fit in memory."
+        )
+
+
+# -- what a worker does with one file --------------------------------------------------
+
+
+def _load(file, *, dt, urdf, names):
+    """Positions and torques of each recording in a file."""
+    # A period given beside a file is taken before the file's own, which is to agree.
+    given = None if _has_period(file) else dt
+    recording = read_recording(file, dt=given, urdf=urdf)
+    if abs(recording.dt / dt - 1) > _DT_TOLERANCE:
+        raise ValueError(
+            f"{file} has a sample period of {recording.dt:.6g} s, the identifier "
+            f"dt={dt:.6g} s. Resample it, or leave it out."
+        )
+    check_widths(names, recording.q, recording.tau)
+    parts = contiguous_groups(recording.groups, recording.n_samples)
+    return [(recording.q[part], recording.tau[part]) for part in parts]
+
+
+def _has_period(file):
+    if Path(file).suffix.lower() != ".npz":
+        return False
+    with np.load(file) as arrays:
+        return "dt" in arrays.files
+
+
+def _measure(load, file):
+    """Lengths, range of torques, which joints move, counts of torque differences."""
+    recordings = load(file)
+    torques = [tau for _, tau in recordings]
+    whole = np.concatenate(torques)
+    return {
+        "lengths": [len(tau) for tau in torques],
+        "torques": np.stack([whole.min(axis=0), whole.max(axis=0)]),
+        "moving": np.any([np.ptp(q, axis=0) > 0 for q, _ in recordings], axis=0),
+        "counts": sum(
+            (bit_counts(_torque_noise.high_differences(tau)) for tau in torques),
+            start=BitCounts.empty(whole.shape[1]),
+        ),
+    }
+
+
+def _merge_extents(first, second):
+    low, high = np.stack([first["torques"], second["torques"]], axis=1)
+    return {
+        "lengths": first["lengths"] + second["lengths"],
+        "torques": np.stack([low.min(axis=0), high.max(axis=0)]),
+        "moving": first["moving"] | second["moving"],
+        "counts": first["counts"] + second["counts"],
+    }
+
+
+def _spectra(load, file, dt, n_fft):
+    powers = [_smoothing.acceleration_power(q, dt, n_fft) for q, _ in load(file)]
+    power, energy = zip(*powers)
+    return sum(power), sum(energy)
+
+
+def _add_pairs(first, second):
+    return first[0] + second[0], first[1] + second[1]
+
+
+def _summarise(load, file, estimator, keep, dt, cutoff, bins):
+    """Motion, and the noise of the torques above the band of the fit, if seen."""
+    recordings = load(file)
+    facts = [
+        smooth_recording(q, 0, estimator, keep, halves=False)[2] for q, _ in recordings
+    ]
+    motion = merge_all(facts, keep)
+    if not _torque_noise.seen(dt, cutoff):
+        return motion, None, None
+    bands = [_torque_noise.band_power(tau, dt, cutoff) for _, tau in recordings]
+    power, weight = zip(*bands)
+    between = [
+        candidates(_torque_noise.high_differences(tau), bins) for _, tau in recordings
+    ]
+    return motion, (sum(power), sum(weight)), merge_candidates(*between)
+
+
+def _merge_facts(keep, first, second):
+    motion = MotionFacts.merge(first[0], second[0], keep)
+    if first[1] is None:
+        return motion, None, None
+    return (
+        motion,
+        _add_pairs(first[1], second[1]),
+        merge_candidates(first[2], second[2]),
+    )
+
+
+def _statistics(load, file, identifier, lowpass):
+    """Second moments of the filtered equations of one file, None if there are none."""
+    recordings = load(file)
+    halves = identifier.input_noise is not None
+    made = [
+        smooth_recording(q, 0, identifier.state_estimator_, 1, halves=halves)
+        for q, _ in recordings
+    ]
+    states, both, _ = map(list, zip(*made))
+    stops = np.cumsum([len(q) for q, _ in recordings]).tolist()
+    parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
+    torque = np.concatenate([tau for _, tau in recordings])
+    stretches = identifier._stretches(
+        states,
+        torque,
+        np.ones(torque.shape),
+        parts,
+        tuple(map(list, zip(*both))) if halves else None,
+    )
+    return accumulate(stretches, lowpass, chunk_bytes=_CHUNK_BYTES)
+
+
+def _add(first, second):
+    if first is None or second is None:
+        return second if first is None else first
+    return operator.add(first, second)

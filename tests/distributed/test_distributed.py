@@ -1,0 +1,280 @@
+"""Fits on a cluster of processes, one of which dies, against fits in memory."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.linear_model import Ridge
+
+pytest.importorskip("pinocchio")
+pytest.importorskip("distributed")
+
+import dask.array as da
+import distributed
+
+from sklearn_vbjfa import JFARegressor, RobotIdentifier, VBJFARegressor
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.distributed import (
+    _quantiles,
+    fit_array,
+    fit_recordings,
+)
+from sklearn_vbjfa.distributed import _recordings as passes
+
+FITTED = (
+    "cutoff_",
+    "standstill_",
+    "torque_noise_",
+    "noise_floor_",
+    "theta_unconstrained_",
+    "theta_",
+)
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Two processes of one thread; started once, since that takes seconds."""
+    with (
+        distributed.LocalCluster(
+            processes=True, n_workers=2, threads_per_worker=1, dashboard_address=None
+        ) as local,
+        distributed.Client(local) as client,
+    ):
+        yield client
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return make_robot_recording(
+        duration=16.0, dt=0.01, frequency=1.0, n_recordings=4, random_state=1
+    )
+
+
+def save(recording, folder):
+    """One file a recording, but the last two in one."""
+    for k in range(3):
+        own = recording.groups == k if k < 2 else recording.groups >= 2
+        more = {"segment": recording.groups[own]} if k == 2 else {}
+        np.savez(
+            folder / f"{k}.npz",
+            q=recording.q[own],
+            tau=recording.tau[own],
+            dt=recording.dt,
+            **more,
+        )
+    return folder
+
+
+@pytest.fixture
+def folder(recording, tmp_path):
+    return save(recording, tmp_path)
+
+
+def robot(recording, **settings):
+    return RobotIdentifier(recording.urdf, dt=recording.dt, **settings)
+
+
+def in_memory(recording, **settings):
+    return robot(recording, **settings).fit(
+        recording.q, recording.tau, groups=recording.groups
+    )
+
+
+def assert_same(found, expected):
+    for name in FITTED:
+        values, reference = getattr(found, name), getattr(expected, name)
+        size = np.abs(reference).max()
+        # rounding, in parameters that the data hardly tell apart
+        rtol = 1e-7 if name.startswith("theta") else 1e-10
+        assert_allclose(values, reference, rtol=0, atol=rtol * size, err_msg=name)
+    apart = found.theta_ - expected.theta_
+    metric = expected.estimator_.metric_
+    torque = expected.theta_ @ metric @ expected.theta_
+    assert abs(apart @ metric @ apart) <= 1e-18 * torque
+    for name in ("n", "n_rows", "yy", "g", "G", "noise"):
+        values = getattr(found.estimator_.statistics_, name)
+        reference = getattr(expected.estimator_.statistics_, name)
+        if reference is None:
+            assert values is None
+            continue
+        size = np.abs(reference).max()
+        assert_allclose(values, reference, rtol=0, atol=1e-10 * size, err_msg=name)
+
+
+# -- recordings
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {},
+        {"cutoff": 4.0, "state_cutoff": 6.0, "standstill": 0.01},
+        {"cutoff": None, "input_noise": None, "standstill": None},
+    ],
+)
+def test_files_are_the_recordings_in_memory(recording, folder, settings):
+    found = fit_recordings(robot(recording, **settings), folder)
+    assert_same(found, in_memory(recording, **settings))
+    assert found.n_features_in_ == 6
+    assert found.predict(recording.q[:50]).shape == (50, 6)
+
+
+def test_a_list_of_files_in_any_order(recording, folder):
+    files = sorted(folder.iterdir())[::-1]
+    assert_same(fit_recordings(robot(recording), files), in_memory(recording))
+
+
+def dying(function, marker):
+    """Let the process that is first to finish a task die before it can tell."""
+
+    def run(*arguments):
+        result = function(*arguments)
+        try:
+            marker.touch(exist_ok=False)
+        except FileExistsError:
+            return result
+        os.kill(os.getpid(), signal.SIGKILL)
+        raise AssertionError("the process must have died")
+
+    return run
+
+
+def test_a_worker_that_dies_changes_nothing(
+    monkeypatch, cluster, recording, folder, tmp_path_factory
+):
+    marker = tmp_path_factory.mktemp("killed") / "marker"
+    workers = set(cluster.scheduler_info()["workers"])
+    monkeypatch.setattr(passes, "_statistics", dying(passes._statistics, marker))
+    found = fit_recordings(robot(recording), folder)
+    assert marker.exists()
+    assert_same(found, in_memory(recording))
+    # the nanny has put another process in its place, at another address
+    cluster.wait_for_workers(2, timeout=60)
+    assert set(cluster.scheduler_info()["workers"]) != workers
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"period": 1.0}, "cannot do with period"),
+        ({"regressor": Ridge()}, "cannot do with block_noise or regressor"),
+        ({"block_noise": True}, "cannot do with block_noise or regressor"),
+        ({"dt": 0.02}, "sample period of 0.01 s, the identifier dt=0.02 s"),
+    ],
+)
+def test_what_cannot_be_is_refused(recording, folder, settings, message):
+    with pytest.raises(ValueError, match=message):
+        fit_recordings(robot(recording).set_params(**settings), folder)
+
+
+def test_sources_without_recordings_are_refused(recording, tmp_path):
+    with pytest.raises(FileNotFoundError, match="No recording in"):
+        fit_recordings(robot(recording), tmp_path)
+    with pytest.raises(FileNotFoundError, match="is no folder"):
+        fit_recordings(robot(recording), tmp_path / "elsewhere")
+    with pytest.raises(ValueError, match="at least one file"):
+        fit_recordings(robot(recording), [])
+
+
+def test_a_file_of_another_robot_is_named(recording, folder):
+    q = np.random.default_rng(0).normal(size=(100, 2))
+    np.savez(folder / "9.npz", q=q, tau=q, dt=recording.dt)
+    with pytest.raises(ValueError, match=r"2|joints"):
+        fit_recordings(robot(recording), folder)
+
+
+# -- arrays
+
+
+def rows(n=1000):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(n, 4)) + [0.0, 10.0, -3.0, 0.5]
+    y = X @ [1.0, -2.0, 0.5, 0.0] + 0.1 * rng.normal(size=n)
+    return X, y, rng.uniform(0.0, 2.0, n)
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize(
+    "model", [JFARegressor(input_noise=0.1), VBJFARegressor(input_noise=0.0)]
+)
+@pytest.mark.parametrize("chunks", [(100, 4), ((1, 99, 900), (2, 2)), (1000, 1)])
+def test_arrays_are_the_rows_in_memory(model, chunks, weighted):
+    X, y, weight = rows()
+    arrays = [da.from_array(X, chunks=chunks), da.from_array(y, chunks=137)]
+    if weighted:
+        weight[:100] = 0.0  # a block without weight
+        arrays.append(da.from_array(weight, chunks=250))
+    found = fit_array(model.__class__(**model.get_params()), *arrays)
+    whole = model.__class__(**model.get_params())
+    whole.fit(X, y, sample_weight=weight if weighted else None)
+    for name in ("n_rows", "n_samples", "x_mean", "y_mean", "S_xx", "S_xy", "S_yy"):
+        expected = getattr(whole.statistics_, name)
+        atol = 1e-10 * np.abs(expected).max()
+        assert_allclose(getattr(found.statistics_, name), expected, rtol=0, atol=atol)
+    assert_allclose(found.coef_, whole.coef_, rtol=0, atol=1e-8)
+    assert_array_equal(found.predict(X[:3]).shape, (3,))
+
+
+def test_arrays_on_the_cluster(cluster):
+    X, y, _ = rows()
+    found = fit_array(
+        JFARegressor(input_noise=0.1),
+        da.from_array(X, chunks=(100, 4)),
+        da.from_array(y, chunks=100),
+    )
+    whole = JFARegressor(input_noise=0.1).fit(X, y)
+    assert_allclose(found.coef_, whole.coef_, rtol=0, atol=1e-8)
+
+
+def test_bad_arrays_are_refused():
+    X, y, weight = rows()
+    blocks = da.from_array(X, chunks=(100, 4)), da.from_array(y, chunks=100)
+    with pytest.raises(TypeError, match="X must be a Dask array, got ndarray"):
+        fit_array(JFARegressor(), X, blocks[1])
+    with pytest.raises(TypeError, match="VBJFARegressor or JFARegressor"):
+        fit_array(Ridge(), *blocks)
+    with pytest.raises(ValueError, match="y must have the shape"):
+        fit_array(JFARegressor(), blocks[0], blocks[1][:-1])
+    with pytest.raises(ValueError, match="NaN"):
+        fit_array(JFARegressor(), da.where(blocks[0] > 11, np.nan, blocks[0]), y_of(y))
+    with pytest.raises(ValueError, match="at least 2 rows"):
+        fit_array(JFARegressor(), *blocks, da.zeros_like(blocks[1]))
+    with pytest.raises(ValueError, match=r"[Nn]egative"):
+        fit_array(JFARegressor(), *blocks, -da.from_array(weight, chunks=100))
+
+
+def y_of(y):
+    return da.from_array(y, chunks=100)
+
+
+# -- quantiles
+
+
+@settings(max_examples=40, derandomize=True, deadline=None)
+@given(
+    sizes=st.lists(st.integers(0, 60), min_size=1, max_size=5),
+    q=st.sampled_from([0.0, 0.25, 0.5, 0.995, 1.0]),
+    seed=st.integers(0, 1000),
+    digits=st.sampled_from([1, 12]),
+)
+def test_quantiles_of_pieces_are_exact(sizes, q, seed, digits):
+    rng = np.random.default_rng(seed)
+    scale = 10.0 ** rng.integers(-300, 300, 2)
+    parts = [np.round(np.abs(rng.normal(size=(n, 2))), digits) * scale for n in sizes]
+    counts = sum(
+        (_quantiles.bit_counts(p) for p in parts), start=_quantiles.BitCounts.empty(2)
+    )
+    assert counts.n == sum(sizes)
+    found = _quantiles.merge_candidates(
+        *[_quantiles.candidates(p, counts.bins(q)) for p in parts]
+    )
+    result = _quantiles.quantile(counts, found, q)
+    whole = np.concatenate(parts)
+    if len(whole) == 0:
+        assert np.isnan(result).all()
+        return
+    assert_allclose(result, np.quantile(whole, q, axis=0), rtol=1e-15)

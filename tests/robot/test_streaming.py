@@ -1,0 +1,219 @@
+"""Statistics piece by piece against those of the whole regressor matrix."""
+
+import itertools
+
+import joblib
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose, assert_array_equal
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.effects import Ripple
+from sklearn_vbjfa.robot import _block_filter, _identification
+from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._motion_facts import MotionFacts, merge_all, n_fastest
+
+FRICTION = ("viscous", "coulomb")
+MOMENTS = ("n", "n_rows", "yy", "g", "G", "noise")
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return make_robot_recording(
+        duration=12.0, dt=0.01, frequency=1.0, n_recordings=3, random_state=11
+    )
+
+
+def fit(recording, X=None, **settings):
+    settings = {"dt": recording.dt, "friction": FRICTION, **settings}
+    robot = RobotIdentifier(recording.urdf, **settings)
+    X = recording.q if X is None else X
+    return robot.fit(X, recording.tau, groups=recording.groups)
+
+
+@pytest.fixture(scope="module")
+def whole(recording):
+    return fit(recording)
+
+
+def statistics(robot):
+    stats = robot.estimator_.statistics_
+    return {name: getattr(stats, name) for name in MOMENTS}
+
+
+def assert_same(robot, other, rtol=1e-10):
+    """Statistics and parameters agree, each relative to its own largest entry."""
+    expected = statistics(other)
+    for name, values in statistics(robot).items():
+        if expected[name] is None:
+            assert values is None
+            continue
+        size = np.abs(expected[name]).max()
+        assert_allclose(values, expected[name], rtol=0, atol=rtol * size, err_msg=name)
+    for name in ("noise_floor_", "standstill_"):
+        values, reference = getattr(robot, name), getattr(other, name)
+        size = np.abs(reference).max()
+        assert_allclose(values, reference, rtol=0, atol=rtol * size, err_msg=name)
+    # Parameters that the data hardly tell apart may move by more than the torques
+    # that all of them make together, which is what rounding leaves unchanged.
+    metric = other.estimator_.metric_
+    for name in ("theta_unconstrained_", "theta_"):
+        values, reference = getattr(robot, name), getattr(other, name)
+        apart = values - reference
+        torque = reference @ metric @ reference
+        assert abs(apart @ metric @ apart) <= (10 * rtol) ** 2 * torque, name
+        assert_allclose(values, reference, rtol=0, atol=1e-6, err_msg=name)
+
+
+def matrix_statistics(robot, recording):
+    """Second moments of one matrix of all equations: nothing in pieces.
+
+    The matrices come from Pinocchio by way of `RigidBodyFeatures.transform`, the
+    filter is SciPy's.
+    """
+    nv = 6
+    lowpass = robot.estimator_.lowpass_
+    features = RigidBodyFeatures(recording.urdf, friction=FRICTION)
+    states = robot.state_estimator_.transform(recording.q, groups=recording.groups)
+    halves = robot.state_estimator_.split_transform(
+        recording.q, groups=recording.groups
+    )
+    even, odd = (features.fit_transform(half).reshape(-1, nv, 72) for half in halves)
+    moves = np.abs(states[:, nv : 2 * nv]) > robot.standstill_
+    rows = []
+    edge = int(1.0 / (robot.state_estimator_.cutoff_.min() * recording.dt))
+    for label in np.unique(recording.groups):
+        own = recording.groups == label
+        counts = moves[own].astype(float)
+        short = min(edge, len(counts) // 20)
+        counts[:short] = counts[len(counts) - short :] = 0.0
+        kept = lowpass.average(counts)
+        weight = np.where(kept >= 0.5, lowpass.efficiency * kept, 0.0)
+        mean, apart = lowpass(0.5 * (even + odd)[own]), lowpass((even - odd)[own])
+        rows.append((mean, apart, lowpass(recording.tau[own]), weight))
+    Phi, apart, tau, w = (np.concatenate(x) for x in zip(*rows))
+    return {
+        "n": w.sum(axis=0),
+        "n_rows": (w > 0).sum(axis=0),
+        "yy": (w * tau**2).sum(axis=0),
+        "g": np.einsum("nj,njp,nj->jp", w, Phi, tau),
+        "G": np.einsum("nj,njp,njr->jpr", w, Phi, Phi),
+        "noise": 0.25 * np.einsum("nj,njp,njr->jpr", w, apart, apart),
+    }
+
+
+def test_equal_to_the_whole_matrix(whole, recording):
+    expected = matrix_statistics(whole, recording)
+    for name, values in statistics(whole).items():
+        size = np.abs(expected[name]).max()
+        assert_allclose(values, expected[name], rtol=0, atol=1e-10 * size, err_msg=name)
+
+
+@pytest.mark.parametrize(
+    ("chunk", "n_jobs"), [(1, None), (1 << 18, 2), (1 << 20, None), (1 << 30, 2)]
+)
+def test_pieces_and_jobs_do_not_matter(monkeypatch, recording, whole, chunk, n_jobs):
+    monkeypatch.setattr(_identification, "_CHUNK_BYTES", chunk)
+    assert_same(fit(recording, n_jobs=n_jobs), whole)
+
+
+@settings(max_examples=2, derandomize=True, deadline=None)
+@given(chunk=st.integers(1 << 18, 1 << 22), block=st.integers(1 << 16, 1 << 20))
+def test_any_pieces_and_blocks(recording, chunk, block):
+    with pytest.MonkeyPatch.context() as patch:
+        # without a low-pass the memory of a block decides on its length
+        settings = {"cutoff": None, "state_cutoff": 10.0}
+        expected = fit(recording, **settings)
+        patch.setattr(_identification, "_CHUNK_BYTES", chunk)
+        patch.setattr(_block_filter, "_BLOCK_BYTES", block)
+        assert_same(fit(recording, **settings), expected)
+
+
+@pytest.mark.parametrize("backend", ["threading", "loky"])
+def test_jobs_give_the_same_bits(recording, whole, backend):
+    with joblib.parallel_config(backend=backend, n_jobs=2):
+        parallel = fit(recording)
+    for name, values in statistics(parallel).items():
+        assert_array_equal(values, statistics(whole)[name], err_msg=name)
+    assert_array_equal(parallel.theta_, whole.theta_)
+    assert_array_equal(parallel.noise_floor_, whole.noise_floor_)
+
+
+@pytest.mark.parametrize("settings", [{"cutoff": 4.0}, {}])
+def test_states_are_streamed_as_well(monkeypatch, recording, settings):
+    expected = fit(recording, recording.states, **settings)
+    monkeypatch.setattr(_identification, "_CHUNK_BYTES", 1 << 18)
+    assert_same(fit(recording, recording.states, n_jobs=2, **settings), expected)
+
+
+def test_effects_are_streamed_as_well(monkeypatch, recording):
+    settings = {"effects": (Ripple(joint=1),)}
+    expected = fit(recording, **settings)
+    monkeypatch.setattr(_identification, "_CHUNK_BYTES", 1 << 20)
+    assert_same(fit(recording, n_jobs=2, **settings), expected)
+
+
+def test_workers_return_no_regressors(monkeypatch, recording):
+    sizes = []
+    run = _identification.run
+
+    def watched(function, tasks, n_jobs):
+        for result in run(function, tasks, n_jobs):
+            sizes.append(result)
+            yield result
+
+    monkeypatch.setattr(_identification, "run", watched)
+    monkeypatch.setattr("sklearn_vbjfa.robot._equations.run", watched)
+    robot = fit(recording)
+    held = [r for r in sizes if hasattr(r, "G")]
+    assert len(held) == 3
+    n = recording.q.shape[0]
+    for stats in held:
+        assert all(n not in np.shape(getattr(stats, name)) for name in MOMENTS)
+    assert robot.theta_.shape == (72,)
+
+
+def test_regressor_of_the_pipeline_takes_the_same_equations(recording):
+    # JointTorqueRegressor on the wide matrix, by its own filter.
+    settings = {"dt": recording.dt, "cutoff": 4.0}
+    robot = fit(
+        recording, recording.states, standstill=None, projector=None, cutoff=4.0
+    )
+    wide = RigidBodyFeatures(recording.urdf, friction=FRICTION).fit_transform(
+        recording.states
+    )
+    alone = JointTorqueRegressor(**settings)
+    alone.fit(wide, recording.tau, groups=recording.groups)
+    for name in ("n", "yy", "g", "G"):
+        expected = getattr(alone.statistics_, name)
+        size = np.abs(expected).max()
+        assert_allclose(statistics(robot)[name], expected, rtol=0, atol=1e-10 * size)
+
+
+# -- what is known of all recordings before
+
+
+@settings(max_examples=40, derandomize=True, deadline=None)
+@given(
+    n=st.integers(1, 900),
+    cuts=st.lists(st.integers(1, 899), max_size=5, unique=True),
+    seed=st.integers(0, 1000),
+)
+def test_fastest_speeds_merge_to_the_quantile(n, cuts, seed):
+    rng = np.random.default_rng(seed)
+    q, v = rng.normal(size=(2, n, 3))
+    v = np.round(v, 2)  # ties
+    keep = n_fastest(n)
+    edges = [0, *sorted(c for c in cuts if c < n), n]
+    parts = [MotionFacts.of(q[a:b], v[a:b], keep) for a, b in itertools.pairwise(edges)]
+    facts = merge_all(parts, keep)
+    assert facts.fastest.shape[0] <= keep
+    expected = np.quantile(np.abs(v), 0.995, axis=0)
+    assert_allclose(facts.fast(), expected, rtol=1e-15)
+    assert_array_equal(facts.lowest, q.min(axis=0))
+    assert_array_equal(facts.highest, q.max(axis=0))

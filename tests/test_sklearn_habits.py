@@ -1,0 +1,323 @@
+"""What users of scikit-learn expect beside its checks: frames, copies, notebooks."""
+
+import inspect
+import pickle
+import re
+import typing
+from importlib import resources
+
+import numpy as np
+import pytest
+import sklearn
+from sklearn.base import clone
+from sklearn.linear_model import LinearRegression
+from sklearn.pipeline import Pipeline
+from sklearn.utils import get_tags
+
+import sklearn_vbjfa
+from sklearn_vbjfa import (
+    EffectDiscovery,
+    InstrumentalVariables,
+    JFARegressor,
+    JointTorqueRegressor,
+    LocallyWeightedRegressor,
+    PhysicalProjector,
+    RigidBodyFeatures,
+    RobotIdentifier,
+    StateEstimator,
+    StepwiseRegressor,
+    TotalLeastSquares,
+    VBJFARegressor,
+    datasets,
+    diagnosis,
+    effects,
+    physical,
+)
+from sklearn_vbjfa.datasets import make_robot_recording
+
+pin = pytest.importorskip("pinocchio")
+
+BODY = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3, -0.1]
+
+
+@pytest.fixture(scope="module", name="recording")
+def fixture_recording():
+    return make_robot_recording(duration=6.0, dt=0.02, n_recordings=2, random_state=0)
+
+
+@pytest.fixture(scope="module", name="states")
+def fixture_states():
+    """States of two joints."""
+    return np.random.default_rng(0).normal(size=(40, 6))
+
+
+def two_joints():
+    """Model of a planar arm."""
+    model = pin.Model()
+    first = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "shoulder")
+    place = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.4]))
+    second = model.addJoint(first, pin.JointModelRY(), place, "elbow")
+    for number in (first, second):
+        model.inertias[number] = pin.Inertia(
+            2.0, np.array([0.1, 0.0, 0.3]), np.diag([0.1, 0.1, 0.05])
+        )
+    return model
+
+
+# -- frames ---------------------------------------------------------------------------
+
+
+def transformers():
+    model = two_joints()
+    return {
+        "features": (RigidBodyFeatures(model, friction=("viscous", "offset")), "qva"),
+        "states": (StateEstimator(0.01, cutoff=20.0), "q"),
+        "projector": (PhysicalProjector(), "theta"),
+        "viscous": (effects.Viscous(joint=1), "qva"),
+        "ripple": (effects.Ripple(joint=0), "qva"),
+    }
+
+
+@pytest.mark.parametrize("name", transformers())
+@pytest.mark.parametrize("given", ["array", "frame"])
+def test_transformers_return_frames(name, given, states):
+    pandas = pytest.importorskip("pandas")
+    transformer, takes = transformers()[name]
+    X = {"qva": states, "q": states[:, :2], "theta": np.array([BODY, BODY])}[takes]
+    if given == "frame":
+        names = [f"column {j}" for j in range(X.shape[1])]
+        X = pandas.DataFrame(X, columns=names, index=np.arange(len(X)) + 100)
+    plain = clone(transformer).fit(X).transform(X)
+    assert isinstance(plain, np.ndarray)
+    transformer.set_output(transform="pandas")
+    frame = transformer.fit_transform(X)
+    assert isinstance(frame, pandas.DataFrame)
+    assert list(frame.columns) == list(transformer.get_feature_names_out())
+    assert len(set(frame.columns)) == plain.shape[1]
+    np.testing.assert_array_equal(frame.to_numpy(), plain)
+    if given == "frame":
+        assert list(frame.index) == list(X.index)
+
+
+def test_effects_of_time_and_load_return_frames(states):
+    pandas = pytest.importorskip("pandas")
+    signals = {"t": np.arange(40.0), "load": states[:, :2]}
+    for effect in (effects.Drift(), effects.LoadFriction(joint=1)):
+        effect.set_output(transform="pandas").fit(states)
+        frame = effect.transform(states, **signals)
+        assert isinstance(frame, pandas.DataFrame)
+        assert list(frame.columns) == list(effect.get_feature_names_out())
+
+
+def test_frames_all_through_the_chain(recording):
+    pandas = pytest.importorskip("pandas")
+    q = pandas.DataFrame(recording.q, columns=recording.joint_names)
+
+    def chain():
+        return Pipeline(
+            [
+                ("states", StateEstimator(recording.dt)),
+                ("features", RigidBodyFeatures(recording.urdf)),
+                ("torque", JointTorqueRegressor(LinearRegression())),
+            ]
+        )
+
+    plain = chain().fit(recording.q, recording.tau)
+    framed = chain().set_output(transform="pandas").fit(q, recording.tau)
+    np.testing.assert_array_equal(plain["torque"].theta_, framed["torque"].theta_)
+    assert list(framed["features"].feature_names_in_[:2]) == ["q_joint_1", "q_joint_2"]
+    names = framed[:-1].get_feature_names_out()
+    assert list(framed["torque"].feature_names_in_) == list(names)
+    np.testing.assert_array_equal(plain.predict(recording.q), framed.predict(q))
+
+
+def test_names_of_states_are_checked(states):
+    pandas = pytest.importorskip("pandas")
+    positions = states[:, :2]
+    plain = StateEstimator(0.01, cutoff=20.0).fit(positions)
+    assert plain.get_feature_names_out()[:3].tolist() == ["q_0", "q_1", "v_0"]
+    assert plain.get_feature_names_out(["a", "b"])[2] == "v_a"
+    with pytest.raises(ValueError, match=r"number of features \(2\), got 3"):
+        plain.get_feature_names_out(["a", "b", "c"])
+    named = clone(plain).fit(pandas.DataFrame(positions, columns=["a", "b"]))
+    assert named.get_feature_names_out()[-1] == "a_b"
+    with pytest.raises(ValueError, match="not equal to feature_names_in_"):
+        named.get_feature_names_out(["a", "c"])
+
+
+# -- tags, text, notebooks, copies ----------------------------------------------------
+
+
+def estimators():
+    """One of each, with models as path and as object."""
+    model = two_joints()
+    robot = RobotIdentifier(model, dt=0.01)
+    return [
+        EffectDiscovery(robot, effects=["coulomb"]),
+        InstrumentalVariables(),
+        JFARegressor(input_noise=[0.1, 0.2]),
+        JointTorqueRegressor(VBJFARegressor(), projector=PhysicalProjector()),
+        LocallyWeightedRegressor(LinearRegression()),
+        PhysicalProjector(metric=np.eye(22)),
+        RigidBodyFeatures(model),
+        robot,
+        RobotIdentifier("arm.urdf", effects=(effects.Coulomb(joint=1),)),
+        StateEstimator(0.01),
+        StepwiseRegressor(),
+        TotalLeastSquares(),
+        VBJFARegressor(input_noise=np.eye(3)),
+        *effects.resolve(),
+    ]
+
+
+def name_of(estimator):
+    return type(estimator).__name__
+
+
+def test_every_estimator_is_looked_at():
+    public = {
+        name
+        for name in sklearn_vbjfa.__all__
+        if hasattr(getattr(sklearn_vbjfa, name), "get_params")
+    }
+    assert public <= {name_of(estimator) for estimator in estimators()}
+
+
+@pytest.mark.parametrize("estimator", estimators(), ids=name_of)
+def test_tags(estimator):
+    tags = get_tags(estimator)
+    transforms = hasattr(estimator, "transform")
+    assert tags.estimator_type == (None if transforms else "regressor")
+    assert (tags.transformer_tags is not None) == transforms
+    assert (tags.regressor_tags is not None) != transforms
+    assert tags.target_tags.required != transforms
+    several = isinstance(
+        estimator, (EffectDiscovery, JointTorqueRegressor, RobotIdentifier)
+    )
+    assert tags.target_tags.multi_output == several
+    assert not tags.input_tags.allow_nan
+    assert not tags.input_tags.sparse
+
+
+@pytest.mark.parametrize("estimator", estimators(), ids=name_of)
+def test_text_and_notebooks_are_short(estimator):
+    text = repr(estimator)
+    assert text.startswith(name_of(estimator) + "(")
+    assert len(text) < 1200
+    html = estimator._repr_html_()
+    body = re.sub(r"<(style|script)>.*?</\1>", "", html, flags=re.DOTALL)
+    assert name_of(estimator) in body
+    # parameters are folded away; unfolded they are still no more than a page
+    assert len(re.sub(r"<[^>]+>", "", body).split()) < 600
+    with sklearn.config_context(display="text"):
+        bundle = estimator._repr_mimebundle_()
+    assert list(bundle) == ["text/plain"]
+
+
+def test_a_discovery_shows_its_identifier():
+    html = estimators()[0]._repr_html_()
+    assert "identifier: RobotIdentifier" in html
+
+
+def assert_same(one, other):
+    """Compare the parameters of two estimators, one level after the other."""
+    assert type(one) is type(other)
+    theirs = other.get_params(deep=False)
+    for name, value in one.get_params(deep=False).items():
+        if hasattr(value, "get_params"):
+            assert_same(value, theirs[name])
+        elif isinstance(value, tuple) and any(hasattr(v, "get_params") for v in value):
+            assert len(value) == len(theirs[name])
+            for mine, its in zip(value, theirs[name]):
+                assert_same(mine, its)
+        else:
+            assert np.all(value == theirs[name]), name
+
+
+@pytest.mark.parametrize("estimator", estimators(), ids=name_of)
+@pytest.mark.parametrize(
+    "copy", [clone, lambda e: pickle.loads(pickle.dumps(e))], ids=["clone", "pickle"]
+)
+def test_copies(estimator, copy):
+    found = copy(estimator)
+    assert found is not estimator
+    assert_same(estimator, found)
+
+
+@pytest.mark.parametrize("kind", ["path", "model"])
+def test_fitted_identifiers_are_pickled(recording, kind, tmp_path):
+    model = recording.urdf if kind == "path" else recording.robot_model()
+    robot = RobotIdentifier(model, dt=recording.dt)
+    robot.fit(recording.q, recording.tau, groups=recording.groups)
+    found = pickle.loads(pickle.dumps(robot))
+    np.testing.assert_array_equal(found.theta_, robot.theta_)
+    groups = recording.groups
+    np.testing.assert_array_equal(
+        found.predict(recording.q, groups=groups),
+        robot.predict(recording.q, groups=groups),
+    )
+    one, other = (
+        r.residuals(recording.q, recording.tau, groups) for r in (robot, found)
+    )
+    np.testing.assert_array_equal(one.residual, other.residual)
+    again = clone(found).fit(recording.q, recording.tau, groups=groups)
+    np.testing.assert_array_equal(again.theta_, robot.theta_)
+    if kind == "path":
+        robot.to_urdf(tmp_path / "one.urdf")
+        found.to_urdf(tmp_path / "other.urdf")
+        first, second = (tmp_path / f"{n}.urdf" for n in ("one", "other"))
+        assert first.read_text() == second.read_text()
+    body = re.sub(r"<(style|script)>.*?</\1>", "", robot._repr_html_(), flags=re.DOTALL)
+    assert len(re.sub(r"<[^>]+>", "", body).split()) < 900
+
+
+def test_fitted_discoveries_are_pickled(recording):
+    robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
+    loop = EffectDiscovery(robot, effects=["coulomb"], max_effects=1, random_state=0)
+    loop.fit(recording.q, recording.tau, groups=recording.groups)
+    found = pickle.loads(pickle.dumps(loop))
+    assert str(found.report_) == str(loop.report_)
+    assert [e.name for e in found.effects_] == [e.name for e in loop.effects_]
+    np.testing.assert_array_equal(
+        found.predict(recording.q[:50]), loop.predict(recording.q[:50])
+    )
+
+
+# -- types ----------------------------------------------------------------------------
+
+
+def annotated():
+    """Public functions, methods and constructors that carry annotations."""
+    found = {}
+    for module in (sklearn_vbjfa, datasets, diagnosis, effects, physical):
+        for name in module.__all__:
+            thing = getattr(module, name)
+            if inspect.isfunction(thing):
+                found[name] = thing
+                continue
+            for key, value in vars(thing).items():
+                if inspect.isfunction(value) and (
+                    key == "__init__" or not key.startswith("_")
+                ):
+                    found[f"{name}.{key}"] = value
+    return {name: f for name, f in found.items() if f.__annotations__}
+
+
+def test_the_package_says_that_it_is_typed():
+    assert resources.files("sklearn_vbjfa").joinpath("py.typed").is_file()
+    assert len(annotated()) > 20
+
+
+@pytest.mark.parametrize("name", annotated())
+def test_annotations_name_what_exists(name):
+    function = annotated()[name]
+    hints = typing.get_type_hints(function, localns={"pin": pin})
+    assert set(hints) <= {*inspect.signature(function).parameters, "return"}
+
+
+def test_loaders_say_what_they_return():
+    for name, function in vars(datasets).items():
+        if name.startswith(("load_", "make_", "fetch_", "read_", "simulate_")):
+            assert "return" in function.__annotations__, name
+    found = typing.get_type_hints(datasets.load_demo_recording)["return"]
+    assert isinstance(datasets.load_demo_recording(), found)

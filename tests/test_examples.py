@@ -29,6 +29,8 @@ def run(path):
     matplotlib.use("Agg")
     import matplotlib.pyplot as plt
 
+    # Figures that other tests left open do not count.
+    plt.close("all")
     started = time.process_time()
     runpy.run_path(str(path), run_name="__main__")
     figures = plt.get_fignums()

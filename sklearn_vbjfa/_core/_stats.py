@@ -260,6 +260,9 @@ class Moments(Protocol):
     def residual(self, c):
         """Return S_xe and S_ee."""
 
+    def without_last_digits(self):
+        """Return moments that do not depend on the order of summation."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SquareRoot:
@@ -299,6 +302,20 @@ class GramMoments:
             return self.S @ v
         return self.root.R.T @ (self.root.R @ v)
 
+    def without_last_digits(self):
+        """Return the moments on a grid of 2^-36 of the samples' number.
+
+        Summed in another order the same rows give moments that differ by rounding,
+        some 1e-15; on the grid they are nearly always the same to the bit. The grid
+        itself is far below what n samples determine.
+        """
+        if self.root is not None:
+            return self
+        width = 2.0 ** (np.floor(np.log2(self.n)) - 36)
+        S, xy = (np.round(x / width) * width for x in (self.S, self.xy))
+        yy = float(np.round(self.yy / width) * width)
+        return replace(self, S=S, xy=xy, yy=yy, xx=np.diagonal(S).copy())
+
     def residual(self, c):
         """Return S_xe and S_ee for e = y - c'x."""
         if self.root is None:
@@ -316,6 +333,10 @@ class DataMoments:
     xy: np.ndarray
     yy: float
     xx: np.ndarray
+
+    def without_last_digits(self):
+        """Return the moments as they are: rows come in one order only."""
+        return self
 
     def dot(self, v):
         """Return S_xx v."""

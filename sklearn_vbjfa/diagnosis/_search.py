@@ -352,8 +352,8 @@ class EffectSearch:
                 rest = [e for e in self.accepted if e is not effect]
                 without = self.regression(rest).squares()
                 case = compare(*self._relevant(effect, without, self.before))
-                likely = effect.plausible(self.coefficients(effect))
-                if likely and case.significant(self.alpha, _SUPERFLUOUS):
+                natural = effect.natural(self.coefficients(effect))
+                if natural and case.significant(self.alpha, _SUPERFLUOUS):
                     continue
                 if evidence is None or case.gain < evidence.gain:
                     worst, evidence = effect, case

@@ -186,6 +186,10 @@ class Effect(TransformerMixin, BaseEstimator):
 
     def plausible(self, coef):
         """Whether fitted coefficients are of the sign and size the effect has."""
+        return self.natural(coef)
+
+    def natural(self, coef):
+        """Whether no coefficient is negative that cannot be; see `nonnegative`."""
         fitted = dict(zip(self.coefficients, coef))
         return all(fitted[name] >= 0 for name in self.nonnegative)
 

@@ -110,6 +110,11 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
     base : RobotIdentifier
         The fitted identifier of the first method.
     """
+    if identifier.period is not None:
+        raise ValueError(
+            "Methods are compared on recordings as they are: identifier must have "
+            f"period=None; got {identifier.period!r}."
+        )
     base = clone(identifier).fit(train[0], train[1], groups=train[2])
     train_pieces = _pieces(base, *train)
     measured_pieces = _pieces(base, *train, measure_noise=True)

@@ -48,7 +48,7 @@ def rst_table(rows, headers, n_labels=1):
 
 def fixed(values, digits=1):
     """Numbers with the same digits; a dash for what does not exist."""
-    return [f"{v:.{digits}f}" if v == v else "-" for v in values]
+    return [f"{v:.{digits}f}" if v == v else "–" for v in values]
 
 
 def rst_title(text, mark="-"):

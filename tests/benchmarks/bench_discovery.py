@@ -135,7 +135,7 @@ def clean(n, seed):
 
 
 def _share(flags):
-    return f"{100 * np.mean(flags):.0f} %" if len(flags) else "-"
+    return f"{100 * np.mean(flags):.0f} %" if len(flags) else "–"
 
 
 def row(label, verdicts, target):
@@ -146,9 +146,9 @@ def row(label, verdicts, target):
         len(verdicts),
         _share([v.named for v in verdicts]),
         _share([v.listed for v in verdicts]),
-        target or "-",
+        target or "–",
         _share([v.extra for v in verdicts]),
-        f"{100 * np.median(errors):.1f} %" if errors else "-",
+        f"{100 * np.median(errors):.1f} %" if errors else "–",
         f"{np.nanmedian([v.floor_ratio for v in verdicts]):.2f}",
         f"{np.median([v.seconds for v in verdicts]):.1f}",
     ]

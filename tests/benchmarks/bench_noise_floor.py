@@ -31,7 +31,7 @@ HEADERS = [
 
 def _figures(values):
     """Numbers with three digits; a dash for what does not exist."""
-    return [f"{v:.3g}" if np.isfinite(v) else "-" for v in values]
+    return [f"{v:.3g}" if np.isfinite(v) else "–" for v in values]
 
 
 def measure(name, data_home):

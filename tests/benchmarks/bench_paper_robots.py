@@ -353,8 +353,8 @@ def tables(draws):
         reasons = [reason for _, reason, _ in rows if reason]
         notes += [f"{label}: {reason}." for reason in sorted(set(reasons))]
         average = np.mean([figures for figures, *_ in rows], axis=0)
-        cells = [f"{x:.4f}" if x == x else "-" for x in average[:3]]
-        missed = f"{average[3]:.1f}" if average[3] == average[3] else "-"
+        cells = [f"{x:.4f}" if x == x else "–" for x in average[:3]]
+        missed = f"{average[3]:.1f}" if average[3] == average[3] else "–"
         stop = f"{len(reasons)} of {len(rows)}" if reasons else "no"
         control_rows.append([label, *cells, missed, stop])
         fits = [fit for *_, fit in rows if fit is not None]

@@ -43,6 +43,9 @@ from sklearn_vbjfa._core._lowpass import Lowpass
 from sklearn_vbjfa.datasets import make_closed_loop_recording, simulate_tracking
 from sklearn_vbjfa.datasets._plant import draw_motion, rigid_torques
 from sklearn_vbjfa.physical import ProjectionError
+from sklearn_vbjfa.robot import _identification
+from sklearn_vbjfa.robot._block_filter import BlockFilter
+from sklearn_vbjfa.robot._states import SplineStates
 
 FRICTION = ("viscous",)
 FULL_SAMPLES = 500_000
@@ -54,8 +57,11 @@ STAGES = ("states", "features", "statistics", "fit", "projection", "other")
 # Which calls make up a stage; time counts for the innermost.
 CALLS = (
     ("states", StateEstimator, ("fit", "transform", "split_transform")),
+    ("states", SplineStates, ("__getitem__", "derivative")),
     ("features", RigidBodyFeatures, ("_compute",)),
     ("statistics", Lowpass, ("__call__",)),
+    ("statistics", BlockFilter, ("add",)),
+    ("statistics", _identification, ("accumulate",)),
     ("statistics", JointTorqueRegressor, ("_accumulate",)),
     ("fit", JointTorqueRegressor, ("_finish",)),
     ("projection", PhysicalProjector, ("fit", "transform")),

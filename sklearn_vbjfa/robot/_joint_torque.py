@@ -237,7 +237,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         self._labels = []
         regressor = self.regressor
         if regressor is None:
-            regressor = VBJFARegressor(latent="correlated")
+            regressor = VBJFARegressor(latent="correlated", query="noiseless")
         self.regressor_ = clone(regressor)
         self._from_statistics = isinstance(self.regressor_, BaseJointFactorRegressor)
         if self.cutoff is None:
@@ -350,7 +350,8 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             # What was measured, or else nothing: rigid-body regressors are far too
             # correlated for an assumed noise.
             noise = 0.0 if measured is None else measured
-            self.regressor_.set_params(input_noise=noise)
+            # The parameters are those of the motion without its noise.
+            self.regressor_.set_params(input_noise=noise, query="noiseless")
         self.regressor_._validate_params()
         self.regressor_._fit_statistics(total)
         return self.regressor_.coef_.copy(), self.regressor_.coef_std_.copy()

@@ -41,8 +41,8 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         `sklearn.cross_decomposition.PLSRegression`; a pipeline of scaler and
         regressor will do. It is fitted without intercept (an offset is a column of
         its own), to columns and torques of unit mean square. None is
-        ``VBJFARegressor(latent="correlated")``: Bayesian regression with automatic
-        relevance determination.
+        ``VBJFARegressor(latent="correlated", query="noiseless")``: Bayesian regression
+        with automatic relevance determination.
     projector : PhysicalProjector, default=None
         Transformer of parameter vectors; None does not project. Where its `metric` is
         None the weighted Gram matrix of the fit is used (eq. 35 of [1]_).

@@ -135,11 +135,20 @@ def measure(recording, **settings):
     return rows, theta, errors, loop
 
 
+def in_words(effect):
+    """Name an effect with its parameters."""
+    values = [
+        f"{key} = {value:.3g}" if isinstance(value, float) else f"{key} = {value}"
+        for key, value in effect.parameters.items()
+    ]
+    return f"{effect.name} ({', '.join(values)})"
+
+
 def report(recording, **settings):
     """Text of the table."""
     rows, theta, errors, loop = measure(recording, **settings)
     agrees = np.allclose(errors, PUBLISHED_ERRORS, atol=0.005)
-    found = ", ".join(f"{e.name} {e.parameters}" for e in loop.effects_) or "nothing"
+    found = ", ".join(map(in_words, loop.effects_)) or "nothing"
     sizes = [recording.select(name).n_samples for name in (FITTED, JUDGED)]
     return "\n\n".join(
         [

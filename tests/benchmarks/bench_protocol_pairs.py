@@ -349,9 +349,11 @@ and of speed were fitted."""
 
 
 def _union(ranges, names):
-    """Range of several recordings, (2, nv)."""
-    found = np.array([ranges[name] for name in names])
-    return np.array([np.nanmin(found[:, 0], axis=0), np.nanmax(found[:, 1], axis=0)])
+    """Range of several recordings, (2, nv); an empty one of joints that never move."""
+    low, high = np.moveaxis([ranges[name] for name in names], 1, 0)
+    low = np.where(np.isnan(low), np.inf, low).min(axis=0)
+    high = np.where(np.isnan(high), -np.inf, high).max(axis=0)
+    return np.array([low, high])
 
 
 def _columns(values, which, reduce):

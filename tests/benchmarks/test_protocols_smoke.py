@@ -87,6 +87,20 @@ def test_covered_is_a_share_of_the_judged_range():
     np.testing.assert_allclose(pairs.covered(fitted, judged), [0.5, 0.0, 0.25, 1.0])
 
 
+def test_a_joint_that_never_moves_is_not_counted():
+    nan = np.full((2, 1), np.nan)
+    some = np.array([[0.0], [1.0]])
+    scale = pairs.Scale(
+        spread=np.ones(1),
+        torque={"moves": some, "rests": nan},
+        speed={"moves": some, "rests": nan},
+    )
+    np.testing.assert_array_equal(scale.overlap(("moves", "rests"), ("moves",)), 1.0)
+    assert np.isnan(scale.overlap(("moves",), ("rests",))).all()
+    assert not (scale.overlap(("moves",), ("rests",)) >= pairs.OVERLAP).any()
+    np.testing.assert_array_equal(scale.overlap(("rests",), ("moves",)), 0.0)
+
+
 def test_last_share_is_what_a_search_leaves_alone(demo):
     from sklearn_vbjfa.diagnosis._split import split_in_time
 
@@ -244,6 +258,12 @@ def test_tx40_protocol_on_the_demo(monkeypatch):
     assert after[1] < 0.8 * before[1]
     missed = (recording.tau[4000:] - loop.predict(recording.q[4000:]))[tx40.COMPARED]
     np.testing.assert_allclose(after, np.sqrt((missed**2).mean(axis=0)))
+    filtered = tx40.filtered_prediction(
+        loop.identifier_, recording.q[4000:], recording.tau[4000:]
+    )
+    assert filtered.shape == (4000, 6)
+    found = loop.identifier_.residuals(recording.q[4000:], recording.tau[4000:])
+    np.testing.assert_allclose(filtered[found.index], found.predicted)
 
 
 def test_figaroh_is_judged_by_the_same_rows(demo, monkeypatch):

@@ -72,6 +72,9 @@ class Verdict:
         What was found.
     seconds : float
         Time of the search.
+    same_rows : bool
+        Whether the report's error is that of the rows that are taken for reported here,
+        over the spread of their torque.
     """
 
     judged: str
@@ -84,6 +87,7 @@ class Verdict:
     overlap: np.ndarray
     effects: tuple
     seconds: float
+    same_rows: bool
 
     @property
     def counted(self):
@@ -184,6 +188,9 @@ def judge(recording, identifier, scale, label, fitted, judged, **settings):
         overlap=scale.overlap(fitted, judged),
         effects=tuple(f"{e.name} {e.joint + 1}" for e in loop.effects_),
         seconds=seconds,
+        same_rows=np.allclose(
+            reported[1].normalised_error(), loop.error_after_, equal_nan=True
+        ),
     )
 
 
@@ -321,6 +328,11 @@ def section(name, recording, scale, verdicts, failed, friction=None):
     units = recording.torque_units
     cells = [row for verdict in verdicts for row in rows_of(verdict, scale.spread)]
     out = [f"{v.judged} j{j + 1}" for v in verdicts for j in np.flatnonzero(~v.counted)]
+    other = [v.judged for v in verdicts if not v.same_rows]
+    note = (
+        "The report's error after is no longer that of the last quarter over the "
+        f"spread of its torque: {', '.join(other)}."
+    )
     spread = ", ".join(f"{x:.3g}" for x in scale.spread)
     return [
         rst_title(name, "~"),
@@ -329,6 +341,7 @@ def section(name, recording, scale, verdicts, failed, friction=None):
         f"{spread} (unit: {', '.join(dict.fromkeys(units))}, in the table N m).",
         rst_table(cells, HEADERS, n_labels=2),
         f"Not counted, range not fitted: {', '.join(out) or 'none'}.",
+        *([note] if other else []),
         *[f"Failed: {message}" for message in failed],
         "\n".join(
             f"- {v.judged}: {', '.join(v.effects) or 'nothing'} ({v.seconds:.0f} s)"

@@ -159,12 +159,14 @@ def test_spread_of_the_set_counts_what_moves(demo):
 
 def test_section_lists_what_is_not_counted(judged_pairs):
     recording, scale, verdicts, _ = judged_pairs
-    narrow = replace(verdicts[0], overlap=np.full((2, 6), 0.79))
+    narrow = replace(verdicts[0], overlap=np.full((2, 6), 0.79), same_rows=False)
     text = "\n".join(
         pairs.section("kuka_kr300", recording, scale, [narrow, verdicts[1]], ["x: y"])
     )
     assert f"{narrow.judged} j1" in text.partition("Not counted")[2]
     assert "Failed: x: y" in text
+    note = next(line for line in text.splitlines() if "no longer" in line)
+    assert narrow.judged in note
     total = pairs.summary("kuka_kr300", [narrow, verdicts[1]], scale.spread)
     assert total[1] == "12"
     assert int(total[2]) == verdicts[1].counted.sum()

@@ -373,6 +373,8 @@ HEADERS = [
     "gone",
     "before, that joint [N m]",
     "after",
+    "as recorded, before",
+    "as recorded, after",
     "before, mean [%]",
     "after",
     "s",
@@ -393,10 +395,11 @@ def row(answer, reference):
         named = [_words(answer.names()), "–"]
     cells = [case.label, should, text, *fixed([value], 4), *named]
     if answer.message:
-        return [*cells[:4], answer.message, *["–"] * 5, f"{answer.seconds:.0f}"]
-    own = [np.nan, np.nan]
+        return [*cells[:4], answer.message, *["–"] * 7, f"{answer.seconds:.0f}"]
+    own = [np.nan] * 4
     if case.joint is not None:
-        own = [answer.before[case.joint], answer.after[case.joint]]
+        errors = answer.before, answer.after, reference.before, reference.after
+        own = [error[case.joint] for error in errors]
     mean = [100 * np.nanmean(x / answer.spread) for x in (answer.before, answer.after)]
     return [*cells, *fixed(own, 3), *fixed(mean), f"{answer.seconds:.0f}"]
 
@@ -456,6 +459,7 @@ changed. Verdict: named is the right effect on the right joint with its value wi
 recording as it is. Errors: root mean square on the last quarter of every recording,
 which the search leaves alone, in N m on the joint that was changed, and the mean of all
 joints in per cent of the torque's spread in the moving time of the whole recording.
+"As recorded" are the errors of the same joint where nothing was put in.
 Stamps are off by white noise, rows are lost at random, never two in a row; both then
 come through a file, as a user's recording does. Seed {SEED}."""
 

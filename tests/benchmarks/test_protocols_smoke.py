@@ -19,6 +19,9 @@ import bench_protocol_tx40 as tx40
 
 from sklearn_vbjfa.datasets import Recording, load_demo_recording
 
+# What comes through a file was jittered on purpose.
+pytestmark = pytest.mark.filterwarnings("ignore:.*time stamps are irregular")
+
 HERE = Path(__file__).resolve().parent
 
 
@@ -375,6 +378,11 @@ def test_cases_begin_with_the_recording_as_it_is(answers):
     shift = found[1].case.q - recording.q
     np.testing.assert_allclose(shift[:, truth.JOINT], np.deg2rad(4.0))
     assert found[1].case.value == pytest.approx(np.deg2rad(4.0))
+    rows = [truth.row(answer, found[0]) for answer in found]
+    assert {len(row) for row in rows} == {len(truth.HEADERS)}
+    columns = [truth.HEADERS.index(f"as recorded, {x}") for x in ("before", "after")]
+    expected = [f"{x[truth.JOINT]:.3f}" for x in (found[0].before, found[0].after)]
+    assert [rows[1][column] for column in columns] == expected
     text = "\n".join(truth.section("ur5", found, recording))
     assert "position 3 shifted by 4 degrees" in text
     assert "joint_zero 3, 0.06981" in text
@@ -455,6 +463,7 @@ def test_a_refused_recording_is_a_row(demo):
     assert "constant" in answer.message
     assert truth.verdict(answer, answer)[0] == "refused"
     assert answer.message in truth.row(answer, answer)
+    assert len(truth.row(answer, answer)) == len(truth.HEADERS)
 
 
 def test_totals_count_verdicts():

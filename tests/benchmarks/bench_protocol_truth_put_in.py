@@ -397,7 +397,7 @@ def row(answer, reference):
     if answer.message:
         return [*cells[:4], answer.message, *["–"] * 7, f"{answer.seconds:.0f}"]
     own = [np.nan] * 4
-    if case.joint is not None:
+    if case.joint is not None and not reference.message:
         errors = answer.before, answer.after, reference.before, reference.after
         own = [error[case.joint] for error in errors]
     mean = [100 * np.nanmean(x / answer.spread) for x in (answer.before, answer.after)]

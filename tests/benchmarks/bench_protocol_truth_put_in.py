@@ -339,7 +339,10 @@ def verdict(answer, reference):
         return "–", np.nan
     expected, read = EXPECTED[case.kind]
     if expected is None:
-        return ("other names" if added(answer, reference) else "nothing added"), np.nan
+        if added(answer, reference):
+            return "other names", np.nan
+        lost = gone(answer, reference)
+        return ("names gone" if lost else "nothing added"), np.nan
     for effect in answer.effects:
         there = case.joint is None or effect.joint == case.joint
         if effect.name != expected or not there:

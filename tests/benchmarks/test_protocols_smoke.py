@@ -431,7 +431,8 @@ class Named:
         ("gain", 2, 1.25, [Named("torque_gain", 2, gain=1.0)], "named, value off"),
         ("tilt", None, 0.05, [Named("base_tilt", 0, roll=0.04, pitch=0.03)], "named"),
         ("temperature", 1, -0.2, [Named("signal", 1)], "named"),
-        ("rows", None, np.nan, [], "nothing added"),
+        ("rows", None, np.nan, [Named("load_friction", 1)], "nothing added"),
+        ("rows", None, np.nan, [], "names gone"),
         ("rows", None, np.nan, [Named("spring", 0)], "other names"),
     ],
 )

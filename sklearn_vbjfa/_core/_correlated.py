@@ -381,6 +381,8 @@ def solve_correlated(
     if accelerate:
         joint = root is not None or (n > xy.shape[0] and _has_digits(S))
         climb = partial(_climb, joint=joint)
+    if accelerate and problem.latent.exact and common and n <= xy.shape[0]:
+        return _highest_of_two(problem, climb, max_iter, tol, joint=joint)
     found = climb(problem, problem.start(fast=joint), max_iter, tol)
     if not (problem.latent.exact and n > xy.shape[0]):
         return found
@@ -392,6 +394,28 @@ def solve_correlated(
     return replace(found, n_iter=used)
 
 
+# Evaluations of the bound after which two ways up are compared.
+_GLANCE = 100
+
+
+def _highest_of_two(problem, climb, max_iter, tol, *, joint):
+    """Go up from the exact fit or from the ridge solution, whichever gets higher.
+
+    Fewer samples than inputs can be fitted exactly, or taken for noise altogether;
+    often both are maxima, and the way from one to the other is long and flat.
+    """
+    glance = min(_GLANCE, max_iter)
+    exact = climb(problem, problem.start_from_least_squares(fast=joint), glance, tol)
+    noisy = climb(problem, problem.start(fast=joint), glance, tol)
+    best = exact if exact.history[-1] > noisy.history[-1] else noisy
+    used = exact.n_iter + noisy.n_iter
+    if best.status != "max_iter" or used >= max_iter:
+        return replace(best, n_iter=min(used, max_iter))
+    make = problem.start_from_least_squares if best is exact else problem.start
+    best = climb(problem, make(fast=joint), max_iter - used, tol)
+    return replace(best, n_iter=used + best.n_iter)
+
+
 # Steps and changes of the step that Anderson's method keeps (its usual number is 5 to
 # 20; beyond that its least-squares problem is made of rounding).
 _MEMORY = 20
@@ -401,12 +425,15 @@ _SETTLED = 1e-10
 # ... or where steps have been no smaller for this many steps than they were: they are
 # rounding then.
 _PATIENCE = 15
+# Longest extrapolation of a precision or the noise, as a logarithm.
+_LARGEST_STRETCH = 5.0
 
 
 class _Anderson:
     """Anderson's extrapolation of a fixed-point iteration (Walker and Ni, 2011)."""
 
-    def __init__(self):
+    def __init__(self, n_logs):
+        self.n_logs = n_logs
         self.points, self.steps = deque(maxlen=_MEMORY), deque(maxlen=_MEMORY)
 
     def forget(self):
@@ -423,7 +450,12 @@ class _Anderson:
             return image
         dx, df = (np.diff(np.array(x), axis=0) for x in (self.points, self.steps))
         share = np.linalg.lstsq(df.T, step, rcond=1e-10)[0]
-        return image - share @ (dx + df)
+        further = share @ (dx + df)
+        # Coordinates are logarithms: beyond some powers of ten nothing is linear.
+        if not np.abs(further[: self.n_logs]).max() < _LARGEST_STRETCH:
+            self.forget()
+            return image
+        return image - further
 
 
 def _verdict(problem, new, point, tol):
@@ -474,7 +506,7 @@ def _climb(problem, point, max_iter, tol, *, joint):
     """
     history, used, status = [point.value], 1, "max_iter"
     fast = joint
-    anderson, at, smallest, idle = _Anderson(), None, np.inf, 0
+    anderson, at, smallest, idle = _Anderson(problem.d + 1), None, np.inf, 0
     while used < max_iter:
         start = point if at is None else problem.moved(point, at)
         new = problem.step(start, fast=fast)
@@ -491,8 +523,8 @@ def _climb(problem, point, max_iter, tol, *, joint):
         if fell:
             fall = point.value - new.value
             return _solution(problem, point, history, used, "bound_decreased", fall)
-        if quiet:
-            status = "converged"
+        # An extrapolated point may happen to gain nothing, on the way to another.
+        status = "converged" if quiet else "max_iter"
         if not joint:
             here, there = problem.coordinates(start), problem.coordinates(new)
             length = np.abs(there - here)[: problem.d + 1].max()
@@ -502,7 +534,7 @@ def _climb(problem, point, max_iter, tol, *, joint):
         joint = joint and not quiet
         fast, point = joint, new
         history.append(point.value)
-        if status == "converged" and (smallest <= _SETTLED or idle >= _PATIENCE):
+        if quiet and (smallest <= _SETTLED or idle >= _PATIENCE):
             break
     return _solution(problem, point, history, used, status)
 

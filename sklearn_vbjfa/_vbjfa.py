@@ -17,7 +17,8 @@ from sklearn_vbjfa._sklearn_compat import Interval, StrOptions
 NOISE_PRIOR_MODE = 0.2
 NOISE_PRIOR_WEIGHT = 0.1
 
-# Samples per input from which on the correlated model is the default.
+# Samples per input from which on each input has a precision of its own, and second
+# moments say something of the inputs' noise.
 SAMPLES_PER_INPUT = 2
 
 
@@ -41,7 +42,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
     latent : {"auto", "independent", "correlated"}, default="auto"
         ``"independent"``: the paper's model, one hidden input of its own for each
         observed input. ``"correlated"``: the hidden inputs share a full covariance.
-        ``"auto"``: correlated with more than two samples per input, else (and with
+        ``"auto"``: correlated with more samples than inputs, else (and with
         ``prior="paper"``) independent.
     selection : "auto" or bool, default="auto"
         Correlated latents and noiseless queries only. Whether inputs that are exact
@@ -282,11 +283,9 @@ class VBJFARegressor(BaseJointFactorRegressor):
             return self.latent
         if self.prior == "paper":
             return "independent"
-        # With hardly more samples than inputs the smallest eigenvalues, on which the
-        # correlated model rests, are those of chance.
-        enough = self._enough_samples(data)
         gram = isinstance(data.moments, GramMoments)
-        return "correlated" if enough and gram else "independent"
+        more = data.moments.n > data.x_scale.size
+        return "correlated" if more and gram else "independent"
 
     @staticmethod
     def _enough_samples(data):
@@ -296,7 +295,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
         if not isinstance(self.selection, str):
             return bool(self.selection)
         if noise is None:
-            # Without, every input is a combination of the others: ARD regression.
+            # With hardly more samples than inputs the smallest eigenvalues, which bound
+            # the noise, are those of chance: regression on inputs taken as exact.
             return self._enough_samples(data)
         # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
         return np.ndim(noise) < 2 and bool(np.any(noise))

@@ -210,6 +210,25 @@ def test_price_of_the_anchor_is_what_less_pull_saves():
     assert max(found) < 1.0
 
 
+@pytest.mark.parametrize(("condition", "rank"), [(1e8, None), (1e3, 30)])
+def test_last_digits_of_the_data_do_not_decide(condition, rank):
+    seen, size = [], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        theta, anchor = inconsistent_robot(rng, 6), robot(rng, 6)
+        A = metric(rng, theta.size, condition, rank)
+        options = {"parameters_per_joint": 11, "anchor": anchor}
+        first = project(theta, A, **options).theta
+        for _ in range(3):
+            rounding = 8 * np.finfo(float).eps * rng.normal(size=theta.size)
+            step = project(theta * (1 + rounding), A, **options).theta - first
+            # The distance of two answers in the metric is that of their predictions.
+            seen.append(np.sqrt((step @ A @ step) / (theta @ A @ theta)))
+            size.append(np.abs(step).max() / np.abs(theta).max())
+    assert max(seen) <= 2e-13
+    assert max(size) <= 1e-10
+
+
 def test_transform_does_not_price_the_anchor():
     rng = np.random.default_rng(0)
     theta = inconsistent_robot(rng, 2)

@@ -3,6 +3,7 @@
 from sklearn_vbjfa._instrumental_variables import InstrumentalVariables
 from sklearn_vbjfa._jfa import JFARegressor
 from sklearn_vbjfa._locally_weighted import LocallyWeightedRegressor
+from sklearn_vbjfa._replicates import NoiseCovariance, replicate_noise
 from sklearn_vbjfa._stepwise import StepwiseRegressor
 from sklearn_vbjfa._total_least_squares import TotalLeastSquares
 from sklearn_vbjfa._vbjfa import VBJFARegressor
@@ -13,13 +14,14 @@ from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._states import StateEstimator
 
-__version__ = "0.1.0.dev0"
+__version__ = "0.2.0.dev0"
 __all__ = [
     "EffectDiscovery",
     "InstrumentalVariables",
     "JFARegressor",
     "JointTorqueRegressor",
     "LocallyWeightedRegressor",
+    "NoiseCovariance",
     "PhysicalProjector",
     "RigidBodyFeatures",
     "RobotIdentifier",
@@ -27,4 +29,5 @@ __all__ = [
     "StepwiseRegressor",
     "TotalLeastSquares",
     "VBJFARegressor",
+    "replicate_noise",
 ]

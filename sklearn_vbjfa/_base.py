@@ -8,6 +8,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _rounding, _stats
+from sklearn_vbjfa._core._predict import LinearModel
 from sklearn_vbjfa._independent import fit_independent
 from sklearn_vbjfa._sklearn_compat import check_sample_weight
 
@@ -188,11 +189,9 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         state = result.solution.state
         units = np.log(data.y_scale) + np.log(data.x_scale).sum()
         self._set_loop_attributes(result.solution, data, units)
-        self._set_linear_model(result.coef, result.coef_noisy, result.coef_cov, data)
+        self._set_linear_models(result.noisy, result.noiseless, data)
         x2, y2 = data.x_scale**2, data.y_scale**2
         self.input_noise_ = data.expand(state.psi_x * x2)
-        self.output_noise_ = result.output_noise * y2
-        self._noisy_query_noise = result.noisy_query_noise * y2
         self.psi_y_ = state.psi_y * y2
         self.psi_z_ = data.expand(state.psi_z * y2)
         self.w_x_mean_ = data.expand(state.w_x_mean * data.x_scale)
@@ -227,10 +226,11 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         d = data.active.shape[0]
         zero = np.zeros(data.x_scale.size)
         cov = np.zeros((zero.size, zero.size))
-        self._set_linear_model(zero, zero, cov, data)
+        model = LinearModel(coef=zero, cov=cov, noise=float(data.y_scale > 0))
+        self._set_linear_models(model, model, data)
         self.input_noise_, self.psi_z_ = np.zeros(d), np.zeros(d)
         self.w_x_mean_, self.w_z_mean_ = np.zeros(d), np.zeros(d)
-        self.psi_y_ = self.output_noise_ = self._noisy_query_noise = data.y_scale**2
+        self.psi_y_ = data.y_scale**2
         self.relevant_ = np.zeros(d, dtype=bool)
         self.heywood_ = np.zeros(d, dtype=bool)
         self.alpha_ = np.full(d, np.inf)
@@ -266,20 +266,36 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
                 stacklevel=4,
             )
 
-    def _set_linear_model(self, coef, noisy, cov, data):
+    def _set_linear_models(self, noisy, noiseless, data):
+        """Set what the two kinds of queries need, and which of them `predict` takes."""
         unit = data.y_scale / data.x_scale
-        self.coef_ = data.expand(coef * unit)
-        self.coef_noisy_ = data.expand(noisy * unit)
+        y2 = data.y_scale**2
+        self.coef_noisy_ = data.expand(noisy.coef * unit)
+        self.coef_noiseless_ = data.expand(noiseless.coef * unit)
+        self.output_noise_ = noiseless.noise * y2
+        answer = noisy if self.query == "noisy" else noiseless
+        self.coef_ = (
+            self.coef_noisy_ if self.query == "noisy" else self.coef_noiseless_
+        ).copy()
         # A column without variation tells nothing of its coefficient.
         d = data.active.shape[0]
         self.coef_cov_ = np.zeros((d, d))
         self.coef_cov_[~data.active, ~data.active] = np.inf
-        self.coef_cov_[np.ix_(data.active, data.active)] = cov * np.outer(unit, unit)
+        self.coef_cov_[np.ix_(data.active, data.active)] = answer.cov * np.outer(
+            unit, unit
+        )
         # Without noise a variance is zero to rounding, on either side.
         self.coef_std_ = np.sqrt(np.maximum(np.diagonal(self.coef_cov_), 0.0))
-        self.intercept_ = float(data.y_offset - data.x_offset @ self.coef_)
-        self.intercept_noisy_ = float(data.y_offset - data.x_offset @ self.coef_noisy_)
+        self.intercept_, self.intercept_noisy_, self.intercept_noiseless_ = (
+            float(data.y_offset - data.x_offset @ coef)
+            for coef in (self.coef_, self.coef_noisy_, self.coef_noiseless_)
+        )
         self._x_offset = data.x_offset
+        self._query_noise = answer.noise * y2
+        # The mean of y is known from n samples.
+        self._mean_variance = 0.0
+        if self.fit_intercept:
+            self._mean_variance = self._query_noise / data.moments.n
 
     def predict(self, X, return_std=False):
         """Predict the output.
@@ -287,8 +303,8 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : array-like of shape (n_samples, n_features)
-            Query inputs; noiseless ones with ``query="noiseless"``, inputs as noisy
-            as those of the fit with ``query="noisy"``.
+            Query inputs: as noisy as those of the fit with ``query="noisy"``,
+            noiseless ones with ``query="noiseless"``.
         return_std : bool, default=False
             Whether to return the standard deviation of the predicted outputs too.
 
@@ -297,14 +313,12 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         y_mean : ndarray of shape (n_samples,)
             Predicted outputs.
         y_std : ndarray of shape (n_samples,)
-            Standard deviations, of parameters and output noise together; only with
-            `return_std`.
+            Standard deviations of new outputs, from the uncertainty of coefficients
+            and intercept and the noise together; only with `return_std`.
         """
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        noisy = self.query == "noisy"
-        coef = self.coef_noisy_ if noisy else self.coef_
-        mean = X @ coef + (self.intercept_noisy_ if noisy else self.intercept_)
+        mean = X @ self.coef_ + self.intercept_
         if not return_std:
             return mean
         Xc = X - self._x_offset
@@ -315,5 +329,5 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         cov = self.coef_cov_[np.ix_(finite, finite)]
         parameters = np.einsum("ij,ij->i", known @ cov, known)
         parameters = np.where(Xc[:, ~finite].any(axis=1), np.inf, parameters)
-        noise = self._noisy_query_noise if noisy else self.output_noise_
+        noise = self._query_noise + self._mean_variance
         return mean, np.sqrt(np.maximum(parameters, 0.0) + noise)

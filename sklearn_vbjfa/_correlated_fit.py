@@ -8,48 +8,52 @@ from scipy import linalg
 
 from sklearn_vbjfa._core import _correlated
 from sklearn_vbjfa._core._dependencies import find_dependencies
+from sklearn_vbjfa._core._predict import LinearModel
 
 # An input is relevant when its coefficient is more than this many posterior standard
 # deviations away from zero.
 RELEVANT_DEVIATIONS = 2.0
-# Share of the largest noise fraction that the moments permit which is believed, and
-# the largest fraction that is believed whatever they permit. The second moments only
-# bound the noise from above; see `noise_fraction`.
-NOISE_OF_BOUND = 0.9
-LARGEST_FRACTION = 0.3
+# Largest fraction of an input's variance that the prior takes for noise: an input that
+# someone measured in order to predict with it is signal for two thirds at least.
+LARGEST_FRACTION = 1 / 3
+# Fractions at which the mixture over an unknown one is evaluated (Gauss-Legendre; an
+# odd number has the mean among them).
+_FRACTIONS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
 class CorrelatedFit:
-    """Solution in standardised units, spread over all active columns."""
+    """Solutions in standardised units, spread over all active columns.
 
-    solution: _correlated.CorrelatedSolution
-    coef: np.ndarray
-    coef_noisy: np.ndarray
-    coef_cov: np.ndarray
+    `noisy` and `noiseless` are the linear models for the two kinds of queries, with
+    the solutions that they come from; alpha, relevant (d,) and psi (d, d) are the
+    precisions, the relevant inputs and the input noise.
+    """
+
+    noisy: LinearModel
+    noiseless: LinearModel
+    noisy_solution: _correlated.CorrelatedSolution
+    noiseless_solution: _correlated.CorrelatedSolution
     alpha: np.ndarray
     relevant: np.ndarray
     psi: np.ndarray
-    output_noise: float
-    noisy_query_noise: float
+    largest_fraction: float
     rule: str
 
 
-def noise_fraction(R, r):
-    """Input-noise fraction, from the correlations of inputs (d, d) and output (d,).
+def largest_noise_fraction(R, r):
+    """Largest input-noise fraction that correlations R (d, d), r (d,) admit.
 
     Without noise in the inputs' covariance R and in the output what is left must be
-    positive semidefinite; even with an output that is all signal, no common fraction
-    can exceed the smallest eigenvalue of R - r r', the covariance of the inputs given
-    the output. Strongly correlated latent inputs make the bound nearly sharp; for
-    weakly correlated ones it says little, hence the cap.
+    positive semidefinite: no common fraction can exceed the smallest eigenvalue of
+    R - r r', the covariance of the inputs given an output that is all signal.
     """
     given_output = R - np.outer(r, r)
     smallest = linalg.eigvalsh(given_output, subset_by_index=[0, 0])[0]
-    return float(min(LARGEST_FRACTION, NOISE_OF_BOUND * max(smallest, 0.0)))
+    return float(min(LARGEST_FRACTION, max(smallest, 0.0)))
 
 
-def fit_correlated(data, noise, labels, *, select, settings):
+def fit_correlated(data, noise, labels, *, select, settings, dof=np.inf):
     """Fit the model.
 
     Parameters
@@ -61,69 +65,136 @@ def fit_correlated(data, noise, labels, *, select, settings):
     labels : sequence
         Names of the columns for messages.
     select : bool
-        Reduce exactly dependent inputs to their generators and fit only relevant
-        ones, with one precision in common.
+        For noiseless queries: reduce exactly dependent inputs to their generators and
+        fit only relevant ones, with one precision in common. Noisy queries are then
+        answered by all inputs as they are.
     settings : dict
-        ard_shape, ard_rate, max_iter, tol.
+        common, ard_shape, ard_rate, max_iter, tol, accelerate; `common` is one
+        precision for all inputs.
+    dof : float
+        Degrees of freedom with which the user's noise was estimated.
     """
     m = data.moments
     d = m.xx.size
-    unit = np.outer(data.x_scale, data.x_scale)
-    psi = _standard_noise(noise, data, unit)
+    psi = _standard_noise(noise, data)
     if psi is not None:
         _warn_excess(m.S / m.n, psi, data, labels)
     if not select:
-        psi = np.zeros((d, d)) if psi is None else psi
-        solution = _correlated.solve_correlated(
-            m.S, m.xy, m.yy, m.n, psi, root=m.root, **settings
-        )
-        cov = _correlated.posterior_covariance(m.S, m.n, psi, solution)
-        return _result(
-            data,
-            solution,
-            cov,
-            psi,
-            np.arange(d),
-            [np.array([j]) for j in range(d)],
-            "all inputs",
-        )
+        return _fit_all(m, np.zeros((d, d)) if psi is None else psi, settings, dof)
     R, r = m.S / m.n, m.xy / m.n
+    everything = _fit_all(m, np.zeros((d, d)), settings)
     found = find_dependencies(R)
     basis = found.basis
-    kept, variance = _relevant_inputs(m, basis, settings)
+    kept, variance = _relevant_inputs(m, basis, everything, settings)
     at = basis[kept]
+    largest = 0.0
     if psi is None:
-        psi_kept = noise_fraction(R[np.ix_(at, at)], r[at]) * np.eye(at.size)
+        largest = largest_noise_fraction(R[np.ix_(at, at)], r[at])
         psi = np.zeros((d, d))
-        psi[at, at] = np.diagonal(psi_kept)
-    psi_kept = psi[np.ix_(at, at)]
-    solution = _correlated.solve_correlated(
-        m.S[np.ix_(at, at)],
-        m.xy[at],
-        m.yy,
-        m.n,
-        psi_kept,
-        common=True,
-        root=None if m.root is None else m.root.columns(at),
-        **settings,
-    )
-    cov = _correlated.posterior_covariance(m.S[np.ix_(at, at)], m.n, psi_kept, solution)
+        psi[at, at] = 0.5 * largest
+    few = m.columns(at)
+    common = {**settings, "common": True}
+    if largest == 0.0:
+        noiseless, solution = _known_noise(few, psi[np.ix_(at, at)], common, dof)
+    else:
+        noiseless, solution = _unknown_fraction(few, largest, common)
     copies = [found.copies[k] for k in np.flatnonzero(kept)]
-    result = _result(data, solution, cov, psi, at, copies, found.rule)
+    spread = _spread(R, at, copies)
+    full = spread @ noiseless.cov @ spread.T
     # An input that was switched off keeps the deviation of the test that did it; one
     # that others generate has the coefficient zero by convention.
     off = basis[~kept]
-    result.coef_cov[off, off] = variance[~kept]
-    return result
+    full[off, off] = variance[~kept]
+    relevant = np.zeros(d, dtype=bool)
+    relevant[np.concatenate(copies)] = True
+    return CorrelatedFit(
+        noisy=everything.noisy,
+        noiseless=LinearModel(
+            coef=spread @ noiseless.coef, cov=full, noise=noiseless.noise
+        ),
+        noisy_solution=everything.noisy_solution,
+        noiseless_solution=solution,
+        alpha=everything.alpha,
+        relevant=relevant,
+        psi=psi,
+        largest_fraction=largest,
+        rule=found.rule,
+    )
 
 
-def _standard_noise(noise, data, unit):
+def _fit_all(m, psi, settings, dof=np.inf):
+    """Fit all inputs with a known noise covariance (d, d)."""
+    noiseless, solution = _known_noise(m, psi, settings, dof)
+    state = solution.state
+    return CorrelatedFit(
+        noisy=noiseless if solution.latent.exact else _noisy_model(m, solution),
+        noiseless=noiseless,
+        noisy_solution=solution,
+        noiseless_solution=solution,
+        alpha=state.E_alpha,
+        relevant=state.beta_mean**2
+        > RELEVANT_DEVIATIONS**2 * np.diagonal(noiseless.cov),
+        psi=psi,
+        largest_fraction=0.0,
+        rule="all inputs",
+    )
+
+
+def _noisy_model(m, solution):
+    """Model of y given noisy inputs, c = H'beta, and its posterior given the variance.
+
+    y | x ~ N(x'H'beta, v) with v = psi_y + beta'P beta and the prior of beta.
+    """
+    state, H = solution.state, solution.latent.H
+    noise = state.psi_y + state.beta_mean @ solution.latent.P @ state.beta_mean
+    prior = 1.0 / np.sqrt(state.E_alpha)
+    A = (H @ m.S @ H.T) * np.outer(prior, prior) / noise
+    A[np.diag_indices_from(A)] += 1.0
+    factor = linalg.cholesky(A, lower=True)
+    half = linalg.solve_triangular(factor, prior[:, None] * H, lower=True)
+    return LinearModel(coef=H.T @ state.beta_mean, cov=half.T @ half, noise=noise)
+
+
+def _known_noise(m, psi, settings, dof=np.inf):
+    """Fit inputs whose noise covariance (d, d) is known; model and solution."""
+    solution = _correlated.solve_correlated(
+        m.S, m.xy, m.yy, m.n, psi, root=m.root, **settings
+    )
+    cov = _correlated.posterior_covariance(m.S, m.n, psi, solution, dof)
+    state = solution.state
+    return LinearModel(coef=state.beta_mean, cov=cov, noise=state.psi_y), solution
+
+
+def _unknown_fraction(m, largest, settings):
+    """Fit inputs with a common noise fraction, uniform on [0, largest].
+
+    The likelihood is the same for all fractions f, as (R - f I) beta_f = R beta_0: the
+    posterior of beta is the mixture over f, with its mean and its covariance, that
+    between the fractions included. The solution is that of the mean fraction.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(_FRACTIONS)
+    fits = [
+        _known_noise(m, 0.5 * largest * (1.0 + node) * np.eye(m.xy.size), settings)
+        for node in nodes
+    ]
+    weights = 0.5 * weights
+    coef = sum(w * model.coef for w, (model, _) in zip(weights, fits))
+    cov = sum(
+        w * (model.cov + np.outer(model.coef - coef, model.coef - coef))
+        for w, (model, _) in zip(weights, fits)
+    )
+    noise = sum(w * model.noise for w, (model, _) in zip(weights, fits))
+    return LinearModel(coef=coef, cov=cov, noise=noise), fits[_FRACTIONS // 2][1]
+
+
+def _standard_noise(noise, data):
+    """Noise covariance (d, d) of the standardised active columns; None is unknown."""
     if noise is None:
         return None
-    d = data.x_scale.size
     if np.ndim(noise) == 0:
-        return noise * np.eye(d)
+        return noise * np.eye(data.x_scale.size)
     full = np.diag(noise) if np.ndim(noise) == 1 else noise
+    unit = np.outer(data.x_scale, data.x_scale)
     return full[np.ix_(data.active, data.active)] / unit
 
 
@@ -143,57 +214,32 @@ def _warn_excess(R, psi, data, labels):
         )
 
 
-def _relevant_inputs(m, basis, settings):
+def _relevant_inputs(m, basis, everything, settings):
     """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations.
 
     Asked of the noisy inputs on purpose: an input that has nothing to do with y has a
     zero coefficient there too, and the test has not lost power to the correction.
     """
-    solution = _correlated.solve_correlated(
-        m.S[np.ix_(basis, basis)],
-        m.xy[basis],
-        m.yy,
-        m.n,
-        np.zeros((basis.size, basis.size)),
-        root=None if m.root is None else m.root.columns(basis),
-        **settings,
-    )
-    state = solution.state
-    limit = RELEVANT_DEVIATIONS**2 * np.diagonal(state.beta_cov)
-    kept = state.beta_mean**2 > limit
+    if basis.size == m.xx.size:
+        state = everything.noisy_solution.state
+    else:
+        exact = np.zeros((basis.size, basis.size))
+        state = _known_noise(m.columns(basis), exact, settings)[1].state
+    variance = np.diagonal(state.beta_cov)
+    kept = state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance
     if not kept.any():
-        kept[np.argmax(state.beta_mean**2 / np.diagonal(state.beta_cov))] = True
-    return kept, np.diagonal(state.beta_cov)
+        kept[np.argmax(state.beta_mean**2 / variance)] = True
+    return kept, variance
 
 
-def _result(data, solution, cov, psi, at, copies, rule):
-    """Spread the solution of columns `at` over all active ones, copies sharing."""
-    d = data.x_scale.size
-    state, latent = solution.state, solution.latent
-    noisy = latent.H.T @ state.beta_mean
-    # Exact copies have nothing to tell them apart: in standardised columns each
-    # takes the same part, with the sign of its correlation.
-    spread = np.zeros((d, at.size))
-    R = getattr(data.moments, "S", None)
+def _spread(R, at, copies):
+    """Matrix (d, k) that gives the columns `at` and their exact copies their shares.
+
+    Nothing tells copies apart: in standardised columns each takes the same part, with
+    the sign of its correlation.
+    """
+    spread = np.zeros((R.shape[0], at.size))
     for k, (j, group) in enumerate(zip(at, copies)):
         sign = np.ones(1) if group.size == 1 else np.sign(R[j, group])
         spread[group, k] = sign / group.size
-    alpha = np.full(d, np.inf)
-    relevant = np.zeros(d, dtype=bool)
-    significant = state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * np.diagonal(cov)
-    for k, group in enumerate(copies):
-        alpha[group] = state.E_alpha[k]
-        relevant[group] = significant[k] if rule == "all inputs" else True
-    excess = state.beta_mean @ latent.P @ state.beta_mean
-    return CorrelatedFit(
-        solution=solution,
-        coef=spread @ state.beta_mean,
-        coef_noisy=spread @ noisy,
-        coef_cov=spread @ cov @ spread.T,
-        alpha=alpha,
-        relevant=relevant,
-        psi=psi,
-        output_noise=state.psi_y,
-        noisy_query_noise=state.psi_y + excess,
-        rule=rule,
-    )
+    return spread

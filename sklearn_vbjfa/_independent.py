@@ -17,12 +17,8 @@ class IndependentFit:
 
     solution: _solver.Solution
     retained: np.ndarray
-    coef: np.ndarray
-    coef_noisy: np.ndarray
-    coef_cov: np.ndarray
-    psi_x: np.ndarray
-    output_noise: float
-    noisy_query_noise: float
+    noisy: _predict.LinearModel
+    noiseless: _predict.LinearModel
 
 
 def noise_shares(noise, data, names):
@@ -138,10 +134,14 @@ def fit_independent(data, prior, initial_noise, *, max_iter, tol):
     return IndependentFit(
         solution=solution,
         retained=retained,
-        coef=_predict.coefficients_noiseless(state, retained),
-        coef_noisy=_predict.coefficients_noisy(state),
-        coef_cov=cov,
-        psi_x=state.psi_x,
-        output_noise=float(state.psi_y + state.psi_z.sum()),
-        noisy_query_noise=float(hidden.y_var),
+        noisy=_predict.LinearModel(
+            coef=_predict.coefficients_noisy(state),
+            cov=cov_noisy,
+            noise=float(hidden.y_var),
+        ),
+        noiseless=_predict.LinearModel(
+            coef=_predict.coefficients_noiseless(state, retained),
+            cov=cov,
+            noise=float(state.psi_y + state.psi_z.sum()),
+        ),
     )

@@ -29,9 +29,12 @@ class JFARegressor(BaseJointFactorRegressor):
         when `input_noise` is given. See Notes: the likelihood does not move it.
     fit_intercept : bool, default=True
         Whether the means of X and y are free.
-    query : {"noiseless", "noisy"}, default="noiseless"
-        Which queries `predict` expects: noiseless inputs (planned motions), or
-        inputs as noisy as those of the fit.
+    query : {"noisy", "noiseless"}, default="noisy"
+        Which queries `predict` answers: inputs as noisy as those of the fit, or
+        noiseless ones (planned motions).
+
+        .. versionchanged:: 0.2
+           The default was ``"noiseless"``.
     max_iter : int, default=20000
         Largest number of iterations.
     tol : float, default=1e-7
@@ -44,8 +47,9 @@ class JFARegressor(BaseJointFactorRegressor):
     Attributes
     ----------
     coef_ : ndarray of shape (n_features,)
-        Coefficients for noiseless queries, w_z / w_x (eq. 29), unit of y / unit of
-        X_j.
+        Coefficients that `predict` uses, unit of y / unit of X_j: one of the two below.
+    coef_noiseless_ : ndarray of shape (n_features,)
+        Coefficients for noiseless queries, w_z / w_x (eq. 29).
     coef_noisy_ : ndarray of shape (n_features,)
         Coefficients for noisy queries, w_z w_x / (w_x^2 + psi_x) (eq. 27).
     coef_std_ : ndarray of shape (n_features,)
@@ -53,8 +57,8 @@ class JFARegressor(BaseJointFactorRegressor):
         input whose coefficient the data cannot tell from those of others.
     coef_cov_ : ndarray of shape (n_features, n_features)
         Their covariance.
-    intercept_, intercept_noisy_ : float
-        Intercepts that go with the two coefficient vectors.
+    intercept_, intercept_noiseless_, intercept_noisy_ : float
+        Intercepts that go with the coefficient vectors.
     input_noise_ : ndarray of shape (n_features,)
         Input-noise variances psi_x (eq. 16), unit of X_j squared.
     output_noise_ : float
@@ -109,10 +113,10 @@ class JFARegressor(BaseJointFactorRegressor):
     >>> y = t @ [1.0, -2.0] + 0.1 * rng.normal(size=2000)
     >>> X = t + 0.5 * rng.normal(size=t.shape)
     >>> model = JFARegressor(input_noise=[0.25, 0.25]).fit(X, y)
-    >>> model.coef_.round(1)
-    array([ 1., -2.])
-    >>> model.coef_noisy_.round(1)
+    >>> model.coef_.round(1)  # for inputs as noisy as these
     array([ 0.8, -1.6])
+    >>> model.coef_noiseless_.round(1)
+    array([ 1., -2.])
     """
 
     _parameter_constraints: dict = {  # noqa: RUF012
@@ -131,7 +135,7 @@ class JFARegressor(BaseJointFactorRegressor):
         input_noise=None,
         initial_input_noise=0.3,
         fit_intercept=True,
-        query="noiseless",
+        query="noisy",
         max_iter=20000,
         tol=1e-7,
         forgetting=1.0,

@@ -27,6 +27,15 @@ class VBJFARegressor(BaseJointFactorRegressor):
     Linear regression with noise in inputs and output, automatic relevance
     determination, and coefficients for noiseless queries [1]_.
 
+    For predictions from inputs as noisy as those of the fit, the default, this is
+    Bayesian regression with a precision for each input: as good as least squares with
+    many rows, where noise in the inputs is no reason to do anything else, and better
+    where inputs are many, correlated or irrelevant. What goes beyond that are queries
+    without noise: motions that are planned, instruments better than those of the fit,
+    coefficients that mean something (a mass, a dose). They need the input noise. Give
+    it (`input_noise`) where you know it or can measure it (`replicate_noise`); without,
+    the data only bound it, and the intervals say how much that leaves open.
+
     Parameters
     ----------
     latent : {"auto", "independent", "correlated"}, default="auto"
@@ -35,9 +44,10 @@ class VBJFARegressor(BaseJointFactorRegressor):
         ``"auto"``: correlated with more than two samples per input, else (and with
         ``prior="paper"``) independent.
     selection : "auto" or bool, default="auto"
-        Correlated latents only. Whether inputs that are exact combinations of others
-        are reduced to those that generate them, only relevant inputs are fitted, and
-        their coefficients share one precision. ``"auto"``: yes, unless `input_noise`
+        Correlated latents and noiseless queries only. Whether inputs that are exact
+        combinations of others are reduced to those that generate them, only relevant
+        inputs are fitted, and their coefficients share one precision. Noisy queries are
+        then answered by all inputs. ``"auto"``: yes, unless `input_noise`
         is zero (then this is Bayesian ARD regression on all inputs) or a full
         covariance (then dependencies are part of what is known).
     prior : {"noise", "paper"}, default="noise"
@@ -49,8 +59,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
     input_noise : float or array-like, default=None
         What is known of the input noise: its share of each input's variance, in
         [0, 1), its variances, shape (n_features,) [unit of X_j squared], or
-        (correlated latents) its covariance, shape (n_features, n_features).
-        ``None``: estimated, see Notes.
+        (correlated latents) its covariance, shape (n_features, n_features), or what
+        `replicate_noise` returns. ``None``: unknown, see Notes.
     initial_input_noise : float, default=0.3
         Share of each input's variance that is noise at the start; not used when
         `input_noise` is given.
@@ -58,13 +68,19 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Gamma prior of the precisions alpha, for standardised X and y.
     fit_intercept : bool, default=True
         Whether the means of X and y are free.
-    query : {"noiseless", "noisy"}, default="noiseless"
-        Which queries `predict` expects: noiseless inputs (planned motions), or
-        inputs as noisy as those of the fit.
+    query : {"noisy", "noiseless"}, default="noisy"
+        Which queries `predict` answers: inputs as noisy as those of the fit, or
+        noiseless ones (planned motions).
+
+        .. versionchanged:: 0.2
+           The default was ``"noiseless"``, which is worse than least squares wherever
+           queries are as noisy as the data, and with them in cross-validation.
     max_iter : int, default=20000
         Largest number of iterations.
     tol : float, default=1e-7
-        Gain of the bound per sample below which the iteration stops.
+        Gain of the bound per sample below which the iteration has converged. With
+        correlated latents it goes on from there to the fixed point, which a few
+        extrapolated steps reach.
     forgetting : float, default=1.0
         Weight that what `partial_fit` has seen keeps with each further row, in
         (0, 1]: the memory is ``1 / (1 - forgetting)`` rows long. `fit` does not
@@ -73,24 +89,31 @@ class VBJFARegressor(BaseJointFactorRegressor):
     Attributes
     ----------
     coef_ : ndarray of shape (n_features,)
-        Coefficients for noiseless queries (eq. 29), unit of y / unit of X_j; zero
-        for inputs that are not relevant.
+        Coefficients that `predict` uses, unit of y / unit of X_j: `coef_noisy_` or
+        `coef_noiseless_`, by `query`.
+    coef_noiseless_ : ndarray of shape (n_features,)
+        Coefficients for noiseless queries (eq. 29); zero for inputs that are not
+        relevant (with `selection`).
     coef_noisy_ : ndarray of shape (n_features,)
         Coefficients for noisy queries (eq. 27).
     coef_std_ : ndarray of shape (n_features,)
-        Posterior standard deviations of `coef_`, given the noise variances; infinite
-        for an input that never varies.
+        Posterior standard deviations of `coef_`; infinite for an input that never
+        varies. For noiseless queries and correlated latents they hold the uncertainty
+        of the input noise: that of its estimate (`replicate_noise`), or of the whole
+        range that the data permit. With independent latents they are given the noise.
     coef_cov_ : ndarray of shape (n_features, n_features)
         Their posterior covariance.
-    intercept_, intercept_noisy_ : float
-        Intercepts that go with the two coefficient vectors.
+    intercept_, intercept_noiseless_, intercept_noisy_ : float
+        Intercepts that go with the coefficient vectors.
     input_noise_ : ndarray of shape (n_features,) or (n_features, n_features)
-        Input-noise variances, or covariance with correlated latents.
+        Input-noise variances, or covariance with correlated latents: where it is
+        unknown, the mean of what the data permit.
     output_noise_ : float
         Variance of y given noiseless inputs, unit of y squared.
     alpha_ : ndarray of shape (n_features,)
         Posterior means of the ARD precisions, 1 / unit of y squared; infinite for
-        an input that never varies.
+        an input that never varies. With hardly more samples than inputs, and correlated
+        latents, all inputs share one.
     relevant_ : ndarray of shape (n_features,), bool
         Inputs that matter. Independent latents: the posterior means of both loadings
         are more than two posterior standard deviations away from zero. Correlated
@@ -102,7 +125,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         constants of the likelihood: of X and y with independent latents, of y given X
         with correlated ones.
     n_iter_ : int
-        Number of iterations.
+        Number of iterations of the fit behind `coef_`.
     converged_ : bool
         Whether the gain fell below `tol`.
     basis_rule_ : {"full rank", "rays", "volume", "all inputs"}
@@ -127,6 +150,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
     See Also
     --------
     JFARegressor : The same model by EM, without priors.
+    replicate_noise : The input noise from repeated measurements.
     sklearn.linear_model.ARDRegression : Noiseless inputs.
 
     Notes
@@ -136,13 +160,15 @@ class VBJFARegressor(BaseJointFactorRegressor):
     only bound the noise from above. So the split comes from `input_noise` if given,
     else from a prior, which is documented and free of units:
 
-    - Correlated latents: all relevant inputs have the same fraction of noise in their
-      variances, 0.9 of the smallest eigenvalue of the correlation matrix of the
-      relevant inputs given the output (no common fraction can exceed it), at most
-      0.3. Strongly correlated inputs make that bound nearly sharp, and so does an
-      output that depends on them almost without noise. Exact, weakly correlated
-      inputs with a very noisy output get coefficients that are too large, by a factor
-      of 1 / (1 - 0.3) at most: give ``input_noise=0`` if you know that they are exact.
+    - Correlated latents: all relevant inputs have the same fraction f of noise in
+      their variances. With R the correlations of the inputs and :math:`b_0` the
+      coefficients for noisy queries, :math:`(R - f I) b_f = R b_0` for every f that
+      the data admit, from zero to the smallest eigenvalue of the correlations of the
+      inputs given the output; an input is taken to be signal for two thirds at least.
+      f is uniform on that interval; `coef_noiseless_` is the mean over it, and
+      `coef_cov_` holds its spread, which more rows do not reduce. Exact inputs thus
+      get coefficients that are a little too large: give ``input_noise=0`` if you know
+      that they are exact.
     - Independent latents with ``prior="noise"``: an inverse-gamma on each psi_x with
       its mode at 0.2 of the input's variance and the weight of 0.1 of the samples.
     - ``prior="paper"``: the starting point and the shared alpha_m, under which both
@@ -177,7 +203,9 @@ class VBJFARegressor(BaseJointFactorRegressor):
     >>> y = t @ [1.0, -2.0, 0.0] + 0.1 * rng.normal(size=2000)
     >>> X = t + 0.5 * rng.normal(size=t.shape)
     >>> model = VBJFARegressor(input_noise=[0.25, 0.25, 0.25]).fit(X, y)
-    >>> model.coef_.round(1)
+    >>> model.coef_.round(1)  # for inputs as noisy as these
+    array([ 0.8, -1.6, -0. ])
+    >>> model.coef_noiseless_.round(1)
     array([ 1., -2.,  0.])
     >>> model.relevant_
     array([ True,  True, False])
@@ -209,7 +237,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         ard_shape=1e-6,
         ard_rate=1e-6,
         fit_intercept=True,
-        query="noiseless",
+        query="noisy",
         max_iter=20000,
         tol=1e-7,
         forgetting=1.0,
@@ -285,20 +313,24 @@ class VBJFARegressor(BaseJointFactorRegressor):
             self._feature_labels(),
             select=self._resolve_selection(noise, data),
             settings={
+                # Hardly more samples than inputs do not tell a precision for each.
+                "common": not self._enough_samples(data),
                 "ard_shape": self.ard_shape,
                 "ard_rate": self.ard_rate,
                 "max_iter": self.max_iter,
                 "tol": self.tol,
             },
+            dof=getattr(self.input_noise, "dof", np.inf),
         )
         y2 = data.y_scale**2
-        self._set_loop_attributes(result.solution, data, np.log(data.y_scale))
-        self._set_linear_model(result.coef, result.coef_noisy, result.coef_cov, data)
+        solution = result.noiseless_solution
+        if self.query == "noisy":
+            solution = result.noisy_solution
+        self._set_loop_attributes(solution, data, np.log(data.y_scale))
+        self._set_linear_models(result.noisy, result.noiseless, data)
         unit = np.outer(data.x_scale, data.x_scale)
         self.input_noise_ = np.zeros((d, d))
         self.input_noise_[np.ix_(data.active, data.active)] = result.psi * unit
-        self.output_noise_ = result.output_noise * y2
-        self._noisy_query_noise = result.noisy_query_noise * y2
         self.alpha_ = data.expand(result.alpha / y2, fill=np.inf)
         self.relevant_ = data.expand(result.relevant).astype(bool)
         self.heywood_ = np.zeros(d, dtype=bool)

@@ -37,7 +37,7 @@ def assert_same_fit(model, other, *, x_unit=1.0, y_unit=1.0, rtol=1e-6):
         ours, theirs = getattr(model, name) / unit, getattr(other, name)
         np.testing.assert_array_equal(np.isfinite(ours), np.isfinite(theirs))
         assert_allclose(ours[finite], theirs[finite], rtol=rtol, atol=rtol * scale)
-    y_scale = np.sqrt(other._noisy_query_noise) + abs(other.intercept_)
+    y_scale = np.sqrt(other._query_noise) + abs(other.intercept_)
     shift = (model.intercept_ / y_unit - other.intercept_) / y_scale
     assert abs(shift) < rtol
     noise = model.input_noise_

@@ -21,10 +21,12 @@ SWING = str(Path(__file__).parent / "robot" / "swing.urdf")
 
 ESTIMATORS = [
     JFARegressor(),
-    JFARegressor(query="noisy"),
+    JFARegressor(query="noiseless"),
     VBJFARegressor(),
+    VBJFARegressor(query="noiseless"),
     VBJFARegressor(prior="paper"),
     VBJFARegressor(latent="correlated"),
+    VBJFARegressor(latent="correlated", query="noiseless"),
     JointTorqueRegressor(),
     JointTorqueRegressor(LinearRegression(), joint_weights=None),
 ]

@@ -29,14 +29,14 @@ def params_of(model):
 def test_history_ends_at_the_likelihood_in_the_users_units():
     X, y, _ = make_regression(0)
     X = X * [0.1, 1.0, 5.0, 2.0] + 7.0
-    model = JFARegressor(tol=1e-12).fit(X, y)
+    model = JFARegressor(query="noiseless", tol=1e-12).fit(X, y)
     expected = ref.jfa_loglik(params_of(model), X - X.mean(axis=0), y - y.mean())
     assert_allclose(model.elbo_history_[-1], expected, rtol=1e-9)
 
 
 def test_coefficients_follow_from_the_loadings():
     X, y, _ = make_regression(1)
-    model = JFARegressor().fit(X, y)
+    model = JFARegressor(query="noiseless").fit(X, y)
     params = params_of(model)
     noisy = ref.beta_noise_closed(params.w_z, params.w_x, params.psi_x)
     assert_allclose(model.coef_noisy_, noisy, rtol=1e-12)
@@ -47,14 +47,16 @@ def test_coefficients_follow_from_the_loadings():
 @pytest.mark.parametrize("initial", [0.05, 0.3, 0.8])
 def test_noisy_coefficients_are_least_squares_at_convergence(initial):
     X, y, _ = make_regression(2, 500)
-    model = JFARegressor(initial_input_noise=initial, tol=1e-13).fit(X, y)
+    model = JFARegressor(query="noiseless", initial_input_noise=initial, tol=1e-13).fit(
+        X, y
+    )
     # A gain of 1e-13 per sample is left, whose root is 3e-7.
     assert_allclose(model.coef_noisy_, least_squares(X, y), rtol=1e-5)
 
 
 def test_exact_inputs_give_least_squares():
     X, y, _ = make_regression(3)
-    model = JFARegressor(input_noise=0, tol=1e-13).fit(X, y)
+    model = JFARegressor(query="noiseless", input_noise=0, tol=1e-13).fit(X, y)
     ols = least_squares(X, y)
     assert_allclose(model.coef_, ols, rtol=1e-5)
     assert_allclose(model.coef_noisy_, ols, rtol=1e-5)
@@ -64,7 +66,9 @@ def test_exact_inputs_give_least_squares():
 
 def test_known_noise_recovers_the_coefficients():
     X, y, coef = make_regression(4, 20_000, noise=0.5)
-    model = JFARegressor(input_noise=np.full(4, 0.25), tol=1e-10).fit(X, y)
+    model = JFARegressor(
+        query="noiseless", input_noise=np.full(4, 0.25), tol=1e-10
+    ).fit(X, y)
     # Noise of y given x has a variance of 0.2 |coef|^2 + 0.09, less than 1.5: a
     # deviation of sqrt(1.5 / 20000) * 1.25 = 0.011, of which four.
     assert_allclose(model.coef_, coef, atol=0.045)
@@ -74,7 +78,7 @@ def test_known_noise_recovers_the_coefficients():
 
 def test_covariance_is_the_curvature_of_the_likelihood():
     X, y, _ = make_regression(5, 60, 3)
-    model = JFARegressor(input_noise=0.2).fit(X, y)
+    model = JFARegressor(query="noiseless", input_noise=0.2).fit(X, y)
     X, y, params = X - X.mean(axis=0), y - y.mean(), params_of(model)
     variance = params.w_x**2 + params.psi_x
     s = params.psi_y + np.sum(params.psi_z + params.w_z**2 * params.psi_x / variance)
@@ -127,9 +131,11 @@ def test_units_signs_and_order(seed, x_power, y_power, order, flips):
     order, x_unit = np.array(order), np.array(flips)
     x_unit[seed % 4] *= 10.0**x_power
     y_unit = -(10.0**y_power)
-    plain = JFARegressor(tol=1e-9).fit(X, y)
+    plain = JFARegressor(query="noiseless", tol=1e-9).fit(X, y)
     rows = np.random.default_rng(seed).permutation(80)
-    model = JFARegressor(tol=1e-9).fit((X * x_unit)[rows][:, order], y[rows] * y_unit)
+    model = JFARegressor(query="noiseless", tol=1e-9).fit(
+        (X * x_unit)[rows][:, order], y[rows] * y_unit
+    )
     for name in ("coef_", "coef_noisy_", "coef_std_", "input_noise_"):
         back = np.empty(4)
         back[order] = getattr(model, name)
@@ -139,8 +145,12 @@ def test_units_signs_and_order(seed, x_power, y_power, order, flips):
 
 def test_history_in_other_units_is_shifted_by_their_logarithm():
     X, y, _ = make_regression(6)
-    plain = JFARegressor().fit(X, y).elbo_history_[-1]
-    scaled = JFARegressor().fit(X * [10.0, 1.0, 1.0, 1.0], y / 100).elbo_history_[-1]
+    plain = JFARegressor(query="noiseless").fit(X, y).elbo_history_[-1]
+    scaled = (
+        JFARegressor(query="noiseless")
+        .fit(X * [10.0, 1.0, 1.0, 1.0], y / 100)
+        .elbo_history_[-1]
+    )
     # a density in a unit ten times smaller is ten times smaller
     assert_allclose(scaled, plain + 300 * (np.log(100) - np.log(10)), rtol=1e-9)
 
@@ -149,8 +159,8 @@ def test_history_in_other_units_is_shifted_by_their_logarithm():
 def test_chunks_in_any_order_equal_the_whole(chunks):
     X, y, _ = make_regression(7, 100)
     weight = np.random.default_rng(7).uniform(0.5, 2.0, 100)
-    whole = JFARegressor(tol=1e-9).fit(X, y, sample_weight=weight)
-    model = JFARegressor(tol=1e-9)
+    whole = JFARegressor(query="noiseless", tol=1e-9).fit(X, y, sample_weight=weight)
+    model = JFARegressor(query="noiseless", tol=1e-9)
     for rows in reversed(np.array_split(np.arange(100), chunks)):
         model.partial_fit(X[rows], y[rows], sample_weight=weight[rows])
     assert_same_fit(model, whole)
@@ -159,15 +169,19 @@ def test_chunks_in_any_order_equal_the_whole(chunks):
 def test_weights_are_repetitions():
     X, y, _ = make_regression(8, 60)
     count = np.random.default_rng(8).integers(0, 3, 60)
-    weighted = JFARegressor(tol=1e-9).fit(X, y, sample_weight=count.astype(float))
+    weighted = JFARegressor(query="noiseless", tol=1e-9).fit(
+        X, y, sample_weight=count.astype(float)
+    )
     rows = np.repeat(np.arange(60), count)
-    assert_same_fit(weighted, JFARegressor(tol=1e-9).fit(X[rows], y[rows]))
+    assert_same_fit(
+        weighted, JFARegressor(query="noiseless", tol=1e-9).fit(X[rows], y[rows])
+    )
 
 
 def test_large_offset():
     X, y, _ = make_regression(9)
-    centred = JFARegressor().fit(X, y)
-    model = JFARegressor().fit(X + 1e8, y - 1e3)
+    centred = JFARegressor(query="noiseless").fit(X, y)
+    model = JFARegressor(query="noiseless").fit(X + 1e8, y - 1e3)
     # Columns of spread 1 at 1e8 are themselves rounded to 1.5e-8.
     assert_allclose(model.coef_, centred.coef_, rtol=1e-6)
     assert_allclose(model.coef_noisy_, centred.coef_noisy_, rtol=1e-6)
@@ -176,7 +190,9 @@ def test_large_offset():
 
 def test_without_intercept_moments_are_about_zero():
     X, y, _ = make_regression(10)
-    model = JFARegressor(fit_intercept=False, input_noise=0, tol=1e-13).fit(X + 1, y)
+    model = JFARegressor(
+        query="noiseless", fit_intercept=False, input_noise=0, tol=1e-13
+    ).fit(X + 1, y)
     assert model.intercept_ == model.intercept_noisy_ == 0.0
     expected = np.linalg.lstsq(X + 1, y, rcond=None)[0]
     assert_allclose(model.coef_, expected, rtol=1e-4)
@@ -184,14 +200,16 @@ def test_without_intercept_moments_are_about_zero():
 
 def test_queries_and_their_deviations():
     X, y, _ = make_regression(11, 5000)
-    model = JFARegressor(input_noise=np.full(4, 0.16), tol=1e-10).fit(X, y)
+    model = JFARegressor(
+        query="noiseless", input_noise=np.full(4, 0.16), tol=1e-10
+    ).fit(X, y)
     mean, std = model.predict(X, return_std=True)
     assert_allclose(mean, X @ model.coef_ + model.intercept_)
     # 5000 samples for four coefficients: 1e-3 of the noise, at three deviations 1e-2,
     # and twice as much again in the noise's own share.
     assert_allclose(std**2, model.output_noise_, rtol=0.1)
     assert (std**2 > model.output_noise_).all()
-    model.set_params(query="noisy")
+    model.set_params(query="noisy").fit(X, y)
     mean, std = model.predict(X, return_std=True)
     assert_allclose(mean, X @ model.coef_noisy_ + model.intercept_noisy_)
     # The deviation of the training residuals, to the square root of 2 / 5000.
@@ -200,8 +218,8 @@ def test_queries_and_their_deviations():
 
 def test_constant_column_is_left_out():
     X, y, _ = make_regression(12)
-    without = JFARegressor().fit(X, y)
-    model = JFARegressor().fit(np.insert(X, 2, 0.1, axis=1), y)
+    without = JFARegressor(query="noiseless").fit(X, y)
+    model = JFARegressor(query="noiseless").fit(np.insert(X, 2, 0.1, axis=1), y)
     assert model.coef_[2] == model.coef_noisy_[2] == 0.0
     assert np.isinf(model.coef_std_[2])
     kept = [0, 1, 3, 4]
@@ -215,7 +233,7 @@ def test_constant_column_is_left_out():
 
 def test_duplicate_columns_stay_finite():
     X, y, _ = make_regression(13)
-    model = JFARegressor().fit(np.column_stack([X, X[:, 0]]), y)
+    model = JFARegressor(query="noiseless").fit(np.column_stack([X, X[:, 0]]), y)
     assert np.isfinite(model.coef_).all()
     assert_allclose(model.coef_[0], model.coef_[4], rtol=1e-9)
     assert_array_equal(np.isinf(model.coef_std_), [True, False, False, False, True])
@@ -227,7 +245,7 @@ def test_duplicate_columns_stay_finite():
 @pytest.mark.parametrize("value", [0.0, 0.1, -1e9 / 3])
 def test_constant_output_is_the_intercept(value):
     X, _, _ = make_regression(14)
-    model = JFARegressor().fit(X, np.full(300, value))
+    model = JFARegressor(query="noiseless").fit(X, np.full(300, value))
     assert_array_equal(model.coef_, np.zeros(4))
     assert_allclose(model.predict(X), value, rtol=1e-14)
     assert model.output_noise_ == 0.0
@@ -237,10 +255,12 @@ def test_constant_output_is_the_intercept(value):
 def test_more_features_than_samples_keeps_rows_and_no_statistics(monkeypatch):
     monkeypatch.setattr(_base, "_GRAM_FEATURES", 0)
     X, y, _ = make_regression(15, 10, 15)
-    model = JFARegressor(input_noise=0.2).fit(X, y)
+    model = JFARegressor(query="noiseless", input_noise=0.2).fit(X, y)
     assert model.statistics_ is None
     assert np.isfinite(model.coef_).all()
-    through_statistics = JFARegressor(input_noise=0.2).partial_fit(X, y)
+    through_statistics = JFARegressor(query="noiseless", input_noise=0.2).partial_fit(
+        X, y
+    )
     assert_allclose(model.coef_noisy_, through_statistics.coef_noisy_, atol=1e-4)
     with pytest.raises(ValueError, match=r"fewer samples than features.*partial_fit"):
         model.partial_fit(X, y)
@@ -264,14 +284,14 @@ def test_more_features_than_samples_keeps_rows_and_no_statistics(monkeypatch):
 def test_bad_input_noise(noise, message):
     X, y, _ = make_regression(16)
     with pytest.raises(ValueError, match=message):
-        JFARegressor(input_noise=noise).fit(X, y)
+        JFARegressor(query="noiseless", input_noise=noise).fit(X, y)
 
 
 def test_diagonal_covariance_is_its_variances():
     X, y, _ = make_regression(17)
     noise = np.array([0.1, 0.05, 0.2, 0.15])
-    first = JFARegressor(input_noise=noise).fit(X, y)
-    second = JFARegressor(input_noise=np.diag(noise)).fit(X, y)
+    first = JFARegressor(query="noiseless", input_noise=noise).fit(X, y)
+    second = JFARegressor(query="noiseless", input_noise=np.diag(noise)).fit(X, y)
     assert_array_equal(first.coef_, second.coef_)
     assert_allclose(first.input_noise_, noise, rtol=1e-12)
 
@@ -280,7 +300,7 @@ def test_noise_beyond_the_variance_is_named():
     X, y, _ = make_regression(18)
     noise = np.array([0.1, 5.0, 0.1, 5.0])
     with pytest.warns(UserWarning, match=r"whole variance of 2 input\(s\) \(1, 3\)"):
-        model = JFARegressor(input_noise=noise).fit(X, y)
+        model = JFARegressor(query="noiseless", input_noise=noise).fit(X, y)
     assert_array_equal(model.coef_ == 0, [False, True, False, True])
     assert np.isfinite(model.coef_noisy_).all()
 
@@ -288,7 +308,7 @@ def test_noise_beyond_the_variance_is_named():
 def test_too_few_iterations_are_reported():
     X, y, _ = make_regression(19)
     with pytest.warns(ConvergenceWarning, match=r"max_iter=3 iterations with a gain"):
-        model = JFARegressor(max_iter=3, tol=0).fit(X, y)
+        model = JFARegressor(query="noiseless", max_iter=3, tol=0).fit(X, y)
     assert not model.converged_
     assert model.n_iter_ == 3
 
@@ -297,7 +317,7 @@ def test_heywood_case_is_named():
     # Started almost exact, and exact: the inputs' noise is not above its floor.
     X, y, _ = make_regression(20, noise=0.0)
     with pytest.warns(UserWarning, match=r"input\(s\) \(0, 1, 2, 3\) went to zero"):
-        model = JFARegressor(initial_input_noise=1e-16).fit(X, y)
+        model = JFARegressor(query="noiseless", initial_input_noise=1e-16).fit(X, y)
     assert_array_equal(model.heywood_, [True] * 4)
 
 
@@ -305,6 +325,6 @@ def test_default_fit_is_silent():
     X, y, _ = make_regression(21)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        model = JFARegressor().fit(X, y)
+        model = JFARegressor(query="noiseless").fit(X, y)
     assert model.converged_
     assert len(model.elbo_history_) <= model.n_iter_

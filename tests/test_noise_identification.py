@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.linear_model import ARDRegression, LassoCV, LinearRegression
 
 from sklearn_vbjfa import VBJFARegressor
-from sklearn_vbjfa._correlated_fit import LARGEST_FRACTION, noise_fraction
+from sklearn_vbjfa._correlated_fit import LARGEST_FRACTION, largest_noise_fraction
 from sklearn_vbjfa.datasets import make_noisy_regression
 
 
@@ -27,7 +27,7 @@ def test_beats_rivals_on_the_synthetic_study(snr, redundant):
             input_snr=snr,
             random_state=seed,
         )
-        ours.append(nmse(VBJFARegressor().fit(data.X, data.y), data))
+        ours.append(nmse(VBJFARegressor(query="noiseless").fit(data.X, data.y), data))
         rivals.append(
             [
                 nmse(model.fit(data.X, data.y), data)
@@ -38,7 +38,7 @@ def test_beats_rivals_on_the_synthetic_study(snr, redundant):
 
 
 @pytest.mark.parametrize("snr", [2.0, 5.0])
-def test_noise_fraction_is_near_the_truth_for_correlated_inputs(snr):
+def test_largest_fraction_is_near_the_truth_for_correlated_inputs(snr):
     fractions = []
     for seed in range(5):
         data = make_noisy_regression(
@@ -47,25 +47,26 @@ def test_noise_fraction_is_near_the_truth_for_correlated_inputs(snr):
         X, y = data.X - data.X.mean(axis=0), data.y - data.y.mean()
         R = np.corrcoef(X, rowvar=False)
         r = X.T @ y / np.sqrt((X**2).sum(axis=0) * (y @ y))
-        fractions.append(noise_fraction(R, r))
+        fractions.append(largest_noise_fraction(R, r))
     truth = 1 / (1 + snr)
-    # 0.9 of a nearly sharp upper bound, and never above the cap.
+    # No fraction below the truth is excluded (to the error of 20,000 rows), and with
+    # strongly correlated inputs hardly any above it is not; never above the cap.
     assert max(fractions) <= LARGEST_FRACTION
-    assert 0.75 * truth < np.mean(fractions) < 1.02 * truth
+    assert 0.98 * truth < np.mean(fractions) < 1.2 * truth
 
 
 def test_exact_relation_means_exact_inputs():
     rng = np.random.default_rng(0)
     X = rng.normal(size=(500, 4))
     coef = np.array([1.0, -2.0, 3.0, 0.5])
-    model = VBJFARegressor().fit(X, X @ coef)
+    model = VBJFARegressor(query="noiseless").fit(X, X @ coef)
     # Without residual there is no room for input noise: the bound is zero.
     assert_allclose(model.coef_, coef, rtol=1e-6)
 
 
 def test_irrelevant_inputs_are_switched_off():
     data = make_noisy_regression(input_snr=2.0, random_state=1)
-    model = VBJFARegressor().fit(data.X, data.y)
+    model = VBJFARegressor(query="noiseless").fit(data.X, data.y)
     assert model.relevant_[data.relevant].mean() >= 0.8
     assert model.relevant_[data.irrelevant].mean() <= 0.05
     assert_array_equal(model.coef_[~model.relevant_], 0.0)
@@ -75,7 +76,7 @@ def test_only_generators_of_redundant_inputs_are_relevant():
     data = make_noisy_regression(
         n_redundant=30, n_irrelevant=60, input_snr=5.0, random_state=2
     )
-    model = VBJFARegressor().fit(data.X, data.y)
+    model = VBJFARegressor(query="noiseless").fit(data.X, data.y)
     redundant = ~data.relevant & ~data.irrelevant
     assert model.basis_rule_ == "rays"
     assert not model.relevant_[redundant].any()
@@ -86,8 +87,10 @@ def test_exact_copies_share_their_coefficient():
     t = rng.normal(size=(800, 2))
     y = t @ [2.0, -1.0] + 0.1 * rng.normal(size=800)
     x = t + 0.3 * rng.normal(size=t.shape)
-    alone = VBJFARegressor().fit(x, y)
-    copied = VBJFARegressor().fit(np.column_stack([x, x[:, 0], -3 * x[:, 0]]), y)
+    alone = VBJFARegressor(query="noiseless").fit(x, y)
+    copied = VBJFARegressor(query="noiseless").fit(
+        np.column_stack([x, x[:, 0], -3 * x[:, 0]]), y
+    )
     assert_array_equal(copied.relevant_, [True, True, True, True])
     # In standardised columns a third each, with the sign of the copy.
     expected = alone.coef_[0] / 3 * np.array([1.0, 1.0, -1 / 3])
@@ -100,8 +103,8 @@ def test_order_of_columns_does_not_matter():
         300, n_relevant=5, n_redundant=5, n_irrelevant=5, random_state=4
     )
     order = np.random.default_rng(0).permutation(15)
-    first = VBJFARegressor().fit(data.X, data.y)
-    second = VBJFARegressor().fit(data.X[:, order], data.y)
+    first = VBJFARegressor(query="noiseless").fit(data.X, data.y)
+    second = VBJFARegressor(query="noiseless").fit(data.X[:, order], data.y)
     assert_allclose(second.coef_, first.coef_[order], rtol=1e-6, atol=1e-9)
 
 
@@ -111,8 +114,8 @@ def test_units_do_not_matter(scale):
         300, n_relevant=5, n_redundant=5, n_irrelevant=5, random_state=5
     )
     unit = np.where(np.arange(15) % 2, scale, 1.0)
-    first = VBJFARegressor().fit(data.X, data.y)
-    second = VBJFARegressor().fit(data.X * unit, data.y * scale)
+    first = VBJFARegressor(query="noiseless").fit(data.X, data.y)
+    second = VBJFARegressor(query="noiseless").fit(data.X * unit, data.y * scale)
     assert_allclose(second.coef_ * unit / scale, first.coef_, rtol=1e-6, atol=1e-9)
 
 
@@ -120,7 +123,9 @@ def test_given_noise_is_used():
     data = make_noisy_regression(
         20_000, n_relevant=4, n_irrelevant=2, input_snr=3.0, random_state=6
     )
-    model = VBJFARegressor(input_noise=data.input_noise).fit(data.X, data.y)
+    model = VBJFARegressor(query="noiseless", input_noise=data.input_noise).fit(
+        data.X, data.y
+    )
     off = np.linalg.norm(model.coef_[:4] - data.coef) / np.linalg.norm(data.coef)
     plain = LinearRegression().fit(data.X, data.y)
     worse = np.linalg.norm(plain.coef_[:4] - data.coef) / np.linalg.norm(data.coef)
@@ -138,7 +143,10 @@ def test_intervals_cover_for_known_noise():
         y = t @ [1.0, -2.0] + 0.5 * rng.normal(size=400)
         X = t + 0.4 * rng.normal(size=t.shape)
         model = VBJFARegressor(
-            latent="correlated", input_noise=0.16 * np.eye(2), selection=False
+            query="noiseless",
+            latent="correlated",
+            input_noise=0.16 * np.eye(2),
+            selection=False,
         ).fit(X, y)
         z = (model.coef_ - [1.0, -2.0]) / model.coef_std_
         inside.append(np.abs(z) < 1.645)

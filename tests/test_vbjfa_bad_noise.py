@@ -37,7 +37,7 @@ OFF_DIAGONAL = np.eye(4, k=1) + np.eye(4, k=-1)
 def test_noise_that_cannot_be(latent, noise, message):
     X, y, _ = make_regression(30)
     with pytest.raises(ValueError, match=message):
-        VBJFARegressor(latent=latent, input_noise=noise).fit(X, y)
+        VBJFARegressor(query="noiseless", latent=latent, input_noise=noise).fit(X, y)
 
 
 @pytest.mark.parametrize("share", [-0.1, 0.0, 1.0, np.nan, "some"])
@@ -54,7 +54,9 @@ def test_rounding_of_a_covariance_is_no_asymmetry(scale):
     psi = 0.1 * scale * (np.eye(4) + 0.3)
     psi[0, 1] *= 1 + 1e-12
     unit = np.sqrt(scale)
-    model = VBJFARegressor(latent="correlated", input_noise=psi).fit(unit * X, y)
+    model = VBJFARegressor(query="noiseless", latent="correlated", input_noise=psi).fit(
+        unit * X, y
+    )
     assert_array_equal(model.input_noise_, model.input_noise_.T)
     assert_allclose(model.input_noise_, psi, rtol=1e-11)
 
@@ -66,7 +68,9 @@ def test_semidefinite_covariance_is_allowed():
     psi = np.outer(direction, direction)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        model = VBJFARegressor(latent="correlated", input_noise=psi).fit(X, y)
+        model = VBJFARegressor(
+            query="noiseless", latent="correlated", input_noise=psi
+        ).fit(X, y)
     assert_allclose(model.input_noise_, psi, rtol=0, atol=1e-12)
     assert np.isfinite(model.coef_).all()
 
@@ -76,7 +80,9 @@ def test_covariance_beyond_the_data_names_the_columns():
     factor = np.array([0.5, 1.5, 0.5, 2.0])
     psi = np.cov(X, rowvar=False) * np.outer(factor, factor)
     with pytest.warns(UserWarning, match=r"of 2 input\(s\) \(1, 3\): no signal.*units"):
-        model = VBJFARegressor(latent="correlated", input_noise=psi).fit(X, y)
+        model = VBJFARegressor(
+            query="noiseless", latent="correlated", input_noise=psi
+        ).fit(X, y)
     assert np.isfinite(model.coef_).all()
     assert np.isfinite(model.output_noise_)
 
@@ -85,7 +91,9 @@ def test_covariance_beyond_the_data_in_everything_leaves_nothing():
     X, y, _ = make_regression(35)
     psi = 2 * np.cov(X, rowvar=False)
     with pytest.warns(UserWarning, match=r"of 4 input\(s\) \(0, 1, 2, 3\)"):
-        model = VBJFARegressor(latent="correlated", input_noise=psi).fit(X, y)
+        model = VBJFARegressor(
+            query="noiseless", latent="correlated", input_noise=psi
+        ).fit(X, y)
     assert_allclose(model.coef_noisy_, 0.0, atol=1e-9)
     # Without signal all of y is noise.
     assert_allclose(model.output_noise_, y.var(), rtol=1e-6)
@@ -101,7 +109,9 @@ def test_covariance_beyond_the_data_in_a_combination_only():
     psi = np.array([[0.5, -0.4], [-0.4, 0.5]])
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        model = VBJFARegressor(latent="correlated", input_noise=psi).fit(X, y)
+        model = VBJFARegressor(
+            query="noiseless", latent="correlated", input_noise=psi
+        ).fit(X, y)
     assert np.isfinite(model.coef_).all()
     assert np.isfinite(model.predict(X)).all()
     # In standardised columns the difference, nearly, is all noise and the sum is
@@ -119,7 +129,7 @@ def test_noise_of_a_constant_column_is_of_no_account():
     noise = [0.16, 0.16, 0.16, 0.16, 1.0]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        model = VBJFARegressor(input_noise=noise).fit(constant, y)
-    alone = VBJFARegressor(input_noise=noise[:4]).fit(X, y)
+        model = VBJFARegressor(query="noiseless", input_noise=noise).fit(constant, y)
+    alone = VBJFARegressor(query="noiseless", input_noise=noise[:4]).fit(X, y)
     assert_allclose(model.coef_[:4], alone.coef_, rtol=1e-6)
     assert model.coef_[4] == 0.0

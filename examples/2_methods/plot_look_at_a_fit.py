@@ -26,8 +26,10 @@ data = make_noisy_regression(
 )
 true = np.zeros(36)
 true[data.relevant] = data.coef
-told = VBJFARegressor(input_noise=data.input_noise).fit(data.X, data.y)
-free = VBJFARegressor().fit(data.X, data.y)
+told = VBJFARegressor(input_noise=data.input_noise, query="noiseless").fit(
+    data.X, data.y
+)
+free = VBJFARegressor(query="noiseless").fit(data.X, data.y)
 share = data.input_noise / data.X.var(axis=0)
 print(f"noise of the first six inputs: {share[:6].round(2)} of their variances")
 
@@ -67,7 +69,7 @@ for j in np.flatnonzero(data.relevant):
 # The lower bound of the variational fit, the likelihood of EM, and the gain per sample
 # at which they stop.
 
-em = JFARegressor(input_noise=data.input_noise).fit(data.X, data.y)
+em = JFARegressor(input_noise=data.input_noise, query="noiseless").fit(data.X, data.y)
 figure, axes = plt.subplots(2, 2, figsize=(9, 5), sharex="col", layout="constrained")
 for column, model in zip(axes.T, (told, em)):
     ConvergenceDisplay.from_estimator(model).plot(column)

@@ -57,7 +57,9 @@ settings = {
         **projected,
     },
     "VB-JFA, paper": {
-        "regressor": VBJFARegressor(latent="independent", prior="paper"),
+        "regressor": VBJFARegressor(
+            latent="independent", prior="paper", query="noiseless"
+        ),
         **projected,
     },
     "VB": {},

@@ -44,9 +44,11 @@ def methods():
         "LASSO": LassoCV(),
         "ARD": ARDRegression(),
         "TLS": TotalLeastSquares(),
-        "JFA": JFARegressor(),
-        "VB-JFA, paper": VBJFARegressor(latent="independent", prior="paper"),
-        "VB-JFA": VBJFARegressor(),
+        "JFA": JFARegressor(query="noiseless"),
+        "VB-JFA, paper": VBJFARegressor(
+            latent="independent", prior="paper", query="noiseless"
+        ),
+        "VB-JFA": VBJFARegressor(query="noiseless"),
     }
 
 
@@ -72,7 +74,9 @@ def trial(snr, redundant, seed):
         for name, model in methods().items():
             errors[name] = nmse(model.fit(data.X, data.y).predict(data.X_test), data)
         known = VBJFARegressor(
-            latent="correlated", input_noise=np.diag(data.input_noise[data.relevant])
+            latent="correlated",
+            input_noise=np.diag(data.input_noise[data.relevant]),
+            query="noiseless",
         ).fit(data.X[:, data.relevant], data.y)
     errors["oracle"] = nmse(known.predict(data.X_test[:, data.relevant]), data)
     return errors

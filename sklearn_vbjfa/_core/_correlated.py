@@ -9,7 +9,9 @@ O(d^3) an iteration. With Psi = 0, t is x and this is Bayesian linear regression
 automatic relevance determination.
 """
 
+from collections import deque
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import linalg
@@ -36,6 +38,8 @@ _LOG_2PI = float(np.log(2 * np.pi))
 OUTPUT_FLOOR = 1e-12
 # The same for a triangular factor of the rows, whose residual is a sum of squares.
 FACTOR_FLOOR = OUTPUT_FLOOR**2
+# Largest logarithm of a precision or a noise: exp of it must stay a number.
+_LARGEST_LOG = 300.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -269,6 +273,34 @@ class _Problem:
         )
         return self._evaluate(new, logdet, alpha, spread)
 
+    def coordinates(self, point):
+        """Return all that the next plain step depends on, log alpha and log s2 first.
+
+        ndarray of shape (d + 1,), or (d + 1 + d * d + d,) with noisy inputs.
+        """
+        state, sums = point.state, point.sums
+        parts = [np.log(state.E_alpha), [np.log(state.psi_y)]]
+        if not self.latent.exact:
+            parts += [sums.S_tt.ravel() / self.n, sums.S_ty / self.n]
+        return np.concatenate(parts)
+
+    def moved(self, point, vector):
+        """Return a point with these coordinates, to make a plain step from."""
+        d, state = self.d, point.state
+        logs = np.clip(vector[: d + 1], -_LARGEST_LOG, _LARGEST_LOG)
+        state = replace(
+            state,
+            alpha_rate=state.alpha_shape * np.exp(-logs[:d]),
+            psi_y=max(float(np.exp(logs[d])), self.floor),
+        )
+        sums = point.sums
+        if not self.latent.exact:
+            S_tt = vector[d + 1 : d + 1 + d * d].reshape(d, d)
+            sums = replace(
+                sums, S_tt=self.n * S_tt, S_ty=self.n * vector[d + 1 + d * d :]
+            )
+        return replace(point, state=state, sums=sums)
+
     def _evaluate(self, state, logdet, precisions, spread):
         """E-step over T, and the bound."""
         sums = expect_latent(self.S, self.xy, self.yy, self.n, self.latent, state)
@@ -316,7 +348,7 @@ def solve_correlated(
     tol,
     common=False,
     root=None,
-    accelerate=None,
+    accelerate=True,
 ):
     """Fit the model to standardised moments.
 
@@ -333,51 +365,79 @@ def solve_correlated(
     root : SquareRoot or None
         Square root of the moments where it is known to more digits than they are;
         used with exact inputs.
-    accelerate : bool, default=None
-        Maximise the bound jointly over what the plain iteration updates in turn. A
-        joint step that does not raise the bound is replaced by the plain one. Every
-        evaluation of the bound counts as an iteration. None does so where `root` is
-        given or the moments have the digits that joint steps need in all directions:
-        where the smallest eigenvalue of S is half their digits above rounding.
+    accelerate : bool, default=True
+        Reach the fixed point in fewer iterations: by maximising the bound jointly over
+        what the plain iteration updates in turn, where `root` is given or the moments
+        have the digits that this needs in all directions (the smallest eigenvalue of S
+        is half their digits above rounding), and by Anderson's extrapolation. A step
+        that does not raise the bound is replaced by the plain one. Every evaluation of
+        the bound counts as an iteration. False is the iteration to the letter, ended
+        by `tol` alone.
         With exact inputs the bound of least squares is looked at in the end: where it
         is higher, the iteration goes on from there.
     """
-    if accelerate is None:
-        accelerate = root is not None or (n > xy.shape[0] and _has_digits(S))
     problem = _Problem(S, xy, yy, n, psi, ard_shape, ard_rate, common, root)
-    found = _climb(problem, problem.start(fast=accelerate), max_iter, tol, accelerate)
+    joint, climb = False, _climb_plainly
+    if accelerate:
+        joint = root is not None or (n > xy.shape[0] and _has_digits(S))
+        climb = partial(_climb, joint=joint)
+    found = climb(problem, problem.start(fast=joint), max_iter, tol)
     if not (problem.latent.exact and n > xy.shape[0]):
         return found
     used = found.n_iter + 1
-    other = problem.start_from_least_squares(fast=accelerate)
+    other = problem.start_from_least_squares(fast=joint)
     if other.value > found.history[-1] and used < max_iter:
-        found = _climb(problem, other, max_iter - used, tol, accelerate)
+        found = climb(problem, other, max_iter - used, tol)
         return replace(found, n_iter=used + found.n_iter - 1)
     return replace(found, n_iter=used)
 
 
-def _climb(problem, point, max_iter, tol, accelerate):
-    """Iterate from one starting point."""
-    history, used = [point.value], 1
-    status, fall = "max_iter", 0.0
-    fast = accelerate
-    while used < max_iter:
-        new = problem.step(point, fast=fast)
-        used += 1
-        gain = new.value - point.value
-        if fast and not gain >= 0:
-            fast = False  # this once
-            continue
-        resolution = min(problem.resolution(new), problem.resolution(point))
-        if gain < -rounding_of_bound(new.value, problem.n, resolution):
-            status, fall = "bound_decreased", -gain
-            break
-        point, fast = new, accelerate
-        history.append(point.value)
-        # A gain within the residual's rounding is none, whatever `tol` asks for.
-        if abs(gain) <= problem.n * max(tol, rounding_of_fit(resolution)):
-            status = "converged"
-            break
+# Steps and changes of the step that Anderson's method keeps (its usual number is 5 to
+# 20; beyond that its least-squares problem is made of rounding).
+_MEMORY = 20
+# The iteration has settled where a step moves no precision and no noise by more than
+# this share, far below what n samples determine, ...
+_SETTLED = 1e-10
+# ... or where steps have been no smaller for this many steps than they were: they are
+# rounding then.
+_PATIENCE = 15
+
+
+class _Anderson:
+    """Anderson's extrapolation of a fixed-point iteration (Walker and Ni, 2011)."""
+
+    def __init__(self):
+        self.points, self.steps = deque(maxlen=_MEMORY), deque(maxlen=_MEMORY)
+
+    def forget(self):
+        """Start again."""
+        self.points.clear()
+        self.steps.clear()
+
+    def next(self, point, image):
+        """Where to evaluate next, after `point` was mapped to `image`."""
+        step = image - point
+        self.points.append(point)
+        self.steps.append(step)
+        if len(self.steps) == 1:
+            return image
+        dx, df = (np.diff(np.array(x), axis=0) for x in (self.points, self.steps))
+        share = np.linalg.lstsq(df.T, step, rcond=1e-10)[0]
+        return image - share @ (dx + df)
+
+
+def _verdict(problem, new, point, tol):
+    """Judge a step: whether the bound fell, and whether it gained too little to go on.
+
+    A gain within the residual's rounding is none, whatever `tol` asks for.
+    """
+    gain = new.value - point.value
+    resolution = min(problem.resolution(new), problem.resolution(point))
+    fell = not gain >= -rounding_of_bound(new.value, problem.n, resolution)
+    return fell, abs(gain) <= problem.n * max(tol, rounding_of_fit(resolution))
+
+
+def _solution(problem, point, history, used, status, fall=0.0):
     return CorrelatedSolution(
         state=point.state,
         latent=problem.latent,
@@ -388,7 +448,66 @@ def _climb(problem, point, max_iter, tol, accelerate):
     )
 
 
-def posterior_covariance(S, n, psi, solution):
+def _climb_plainly(problem, point, max_iter, tol):
+    """Iterate to the letter from one starting point."""
+    history = [point.value]
+    for used in range(2, max_iter + 1):
+        new = problem.step(point, fast=False)
+        fell, quiet = _verdict(problem, new, point, tol)
+        if fell:
+            fall = point.value - new.value
+            return _solution(problem, point, history, used, "bound_decreased", fall)
+        point = new
+        history.append(point.value)
+        if quiet:
+            return _solution(problem, point, history, used, "converged")
+    return _solution(problem, point, history, max_iter, "max_iter")
+
+
+def _climb(problem, point, max_iter, tol, *, joint):
+    """Iterate from one starting point to the fixed point.
+
+    Where the bound gains less than `tol` the ends still differ by the length of a step,
+    and rounding decides which step is the last. From there on (and from the start,
+    where joint steps would lose digits) the plain iteration is extrapolated until its
+    step is rounding: the end is the fixed point, whatever the order of the sums.
+    """
+    history, used, status = [point.value], 1, "max_iter"
+    fast = joint
+    anderson, at, smallest, idle = _Anderson(), None, np.inf, 0
+    while used < max_iter:
+        start = point if at is None else problem.moved(point, at)
+        new = problem.step(start, fast=fast)
+        used += 1
+        if fast and not new.value >= point.value:
+            fast = False  # this once
+            continue
+        fell, quiet = _verdict(problem, new, point, tol)
+        if fell and at is not None:
+            # Extrapolated too far: from the best point on again.
+            at = None
+            anderson.forget()
+            continue
+        if fell:
+            fall = point.value - new.value
+            return _solution(problem, point, history, used, "bound_decreased", fall)
+        if quiet:
+            status = "converged"
+        if not joint:
+            here, there = problem.coordinates(start), problem.coordinates(new)
+            length = np.abs(there - here)[: problem.d + 1].max()
+            idle = 0 if length < 0.5 * smallest else idle + 1
+            smallest = min(length, smallest)
+            at = anderson.next(here, there)
+        joint = joint and not quiet
+        fast, point = joint, new
+        history.append(point.value)
+        if status == "converged" and (smallest <= _SETTLED or idle >= _PATIENCE):
+            break
+    return _solution(problem, point, history, used, status)
+
+
+def posterior_covariance(S, n, psi, solution, dof=np.inf):
     """Covariance of beta that counts the noise of the inputs' moments too.
 
     For known psi the corrected estimate has the asymptotic covariance (Fuller 1987,
@@ -397,7 +516,9 @@ def posterior_covariance(S, n, psi, solution):
         (v G^-1 + G^-1 (v psi + psi beta beta' psi) G^-1) / n,
         v = psi_y + beta' psi beta,
 
-    G being the covariance of the latent inputs, here with the prior's share added.
+    G being the covariance of the latent inputs, here with the prior's share added. With
+    a psi that was estimated with `dof` degrees of freedom this rises by
+    G^-1 (psi beta'psi beta + psi beta beta' psi) G^-1 / dof (the same, theorem 2.2.1).
     With psi = 0 it is the posterior covariance of Bayesian regression. The
     variational one takes the latent inputs as given and is too small.
     """
@@ -416,5 +537,7 @@ def posterior_covariance(S, n, psi, solution):
     G_inv = half.T @ half
     psi_beta = psi @ beta
     middle = v * psi + np.outer(psi_beta, psi_beta)
-    cov = (v * G_inv + G_inv @ middle @ G_inv) / n
+    # Wishart: the covariance of psi beta for an estimated psi, times dof.
+    estimated = (beta @ psi_beta) * psi + np.outer(psi_beta, psi_beta)
+    cov = (v * G_inv + G_inv @ middle @ G_inv) / n + G_inv @ estimated @ G_inv / dof
     return 0.5 * (cov + cov.T)

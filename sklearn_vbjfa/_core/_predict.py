@@ -1,6 +1,20 @@
 """Regression coefficients for noisy and for noiseless queries."""
 
+from dataclasses import dataclass
+
 import numpy as np
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearModel:
+    """Answer to one kind of query, in standardised units.
+
+    Coefficients (d,), their covariance (d, d), and the variance of y given the query.
+    """
+
+    coef: np.ndarray
+    cov: np.ndarray
+    noise: float
 
 
 def coefficients_noisy(state):

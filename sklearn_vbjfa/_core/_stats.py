@@ -302,6 +302,16 @@ class GramMoments:
             return self.S @ v
         return self.root.R.T @ (self.root.R @ v)
 
+    def columns(self, chosen):
+        """Moments of some inputs, and of y."""
+        return replace(
+            self,
+            S=self.S[np.ix_(chosen, chosen)],
+            xy=self.xy[chosen],
+            xx=self.xx[chosen],
+            root=None if self.root is None else self.root.columns(chosen),
+        )
+
     def without_last_digits(self):
         """Return the moments on a grid of 2^-36 of the samples' number.
 

@@ -51,10 +51,16 @@ def methods(n_parameters):
         "stepwise": {"regressor": StepwiseRegressor(), **plain},
         "TLS": {"regressor": TotalLeastSquares(), **plain},
         "IV": {"regressor": InstrumentalVariables(), **plain},
-        "JFA": {"regressor": JFARegressor(), **plain},
-        "VB-JFA": {"regressor": VBJFARegressor(latent="independent"), **plain},
+        "JFA": {"regressor": JFARegressor(query="noiseless"), **plain},
+        "VB-JFA": {
+            "regressor": VBJFARegressor(latent="independent", query="noiseless"),
+            **plain,
+        },
+        "VB-JFA, default": {"regressor": VBJFARegressor(), **plain},
         "VB-JFA, paper": {
-            "regressor": VBJFARegressor(latent="independent", prior="paper"),
+            "regressor": VBJFARegressor(
+                latent="independent", prior="paper", query="noiseless"
+            ),
             **plain,
         },
     }

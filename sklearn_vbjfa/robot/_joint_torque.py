@@ -41,8 +41,8 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         `sklearn.cross_decomposition.PLSRegression`; a pipeline of scaler and
         regressor will do. It is fitted without intercept (an offset is a column of
         its own), to columns and torques of unit mean square. None is
-        ``VBJFARegressor(latent="correlated")``: Bayesian regression with automatic
-        relevance determination.
+        ``VBJFARegressor(latent="correlated", query="noiseless")``: Bayesian regression
+        with automatic relevance determination.
     projector : PhysicalProjector, default=None
         Transformer of parameter vectors; None does not project. Where its `metric` is
         None the weighted Gram matrix of the fit is used (eq. 35 of [1]_).
@@ -237,7 +237,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         self._labels = []
         regressor = self.regressor
         if regressor is None:
-            regressor = VBJFARegressor(latent="correlated")
+            regressor = VBJFARegressor(latent="correlated", query="noiseless")
         self.regressor_ = clone(regressor)
         self._from_statistics = isinstance(self.regressor_, BaseJointFactorRegressor)
         if self.cutoff is None:
@@ -350,7 +350,8 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             # What was measured, or else nothing: rigid-body regressors are far too
             # correlated for an assumed noise.
             noise = 0.0 if measured is None else measured
-            self.regressor_.set_params(input_noise=noise)
+            # The parameters are those of the motion without its noise.
+            self.regressor_.set_params(input_noise=noise, query="noiseless")
         self.regressor_._validate_params()
         self.regressor_._fit_statistics(total)
         return self.regressor_.coef_.copy(), self.regressor_.coef_std_.copy()

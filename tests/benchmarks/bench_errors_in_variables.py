@@ -69,7 +69,7 @@ def methods():
             **plain,
         },
         "VB-JFA, independent": {
-            "regressor": VBJFARegressor(latent="independent"),
+            "regressor": VBJFARegressor(latent="independent", query="noiseless"),
             **plain,
         },
         "least squares": {"regressor": LinearRegression(), **plain},

@@ -29,12 +29,16 @@ def models(data):
     """Return name -> estimator; what is known of the noise comes from the data."""
     covariance = data.input_noise_covariance
     return {
-        "paper": VBJFARegressor(latent="independent", prior="paper"),
-        "default": VBJFARegressor(),
+        "paper": VBJFARegressor(latent="independent", prior="paper", query="noiseless"),
+        "default": VBJFARegressor(query="noiseless"),
         "known variances": VBJFARegressor(
-            latent="correlated", input_noise=np.diagonal(covariance).copy()
+            latent="correlated",
+            input_noise=np.diagonal(covariance).copy(),
+            query="noiseless",
         ),
-        "known covariance": VBJFARegressor(latent="correlated", input_noise=covariance),
+        "known covariance": VBJFARegressor(
+            latent="correlated", input_noise=covariance, query="noiseless"
+        ),
     }
 
 

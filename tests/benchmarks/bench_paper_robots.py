@@ -83,8 +83,12 @@ def methods():
         "projector": PhysicalProjector(constraint="eq30"),
     }
     bayes = {
-        "VB-JFA, the paper's": VBJFARegressor(latent="independent", prior="paper"),
-        "VB-JFA, prior by noise": VBJFARegressor(latent="independent"),
+        "VB-JFA, the paper's": VBJFARegressor(
+            latent="independent", prior="paper", query="noiseless"
+        ),
+        "VB-JFA, prior by noise": VBJFARegressor(
+            latent="independent", query="noiseless"
+        ),
     }
     return {
         # Gradient descent may end above the minimum, and then gives no answer; the

@@ -35,7 +35,7 @@ def rivals():
         "LASSO": LassoCV(),
         "ARD": ARDRegression(),
         "TLS": TotalLeastSquares(),
-        "JFA": JFARegressor(),
+        "JFA": JFARegressor(query="noiseless"),
     }
 
 
@@ -44,6 +44,7 @@ def oracle(data):
     model = VBJFARegressor(
         latent="correlated",
         input_noise=np.diag(data.input_noise[data.relevant]),
+        query="noiseless",
     )
     model.fit(data.X[:, data.relevant], data.y)
     return model.predict(data.X_test[:, data.relevant])
@@ -64,10 +65,16 @@ def run_trial(snr, redundant, seed, *, with_rivals=True, n_samples=1000):
         random_state=seed,
     )
     models = rivals() if with_rivals else {}
-    models[OURS] = VBJFARegressor()
-    models["VB-JFA, noise given"] = VBJFARegressor(input_noise=data.input_noise)
-    models["VB-JFA, paper"] = VBJFARegressor(latent="independent", prior="paper")
-    models["VB-JFA, independent"] = VBJFARegressor(latent="independent")
+    models[OURS] = VBJFARegressor(query="noiseless")
+    models["VB-JFA, noise given"] = VBJFARegressor(
+        input_noise=data.input_noise, query="noiseless"
+    )
+    models["VB-JFA, paper"] = VBJFARegressor(
+        latent="independent", prior="paper", query="noiseless"
+    )
+    models["VB-JFA, independent"] = VBJFARegressor(
+        latent="independent", query="noiseless"
+    )
     errors, kept = {}, {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

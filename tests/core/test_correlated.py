@@ -391,12 +391,58 @@ def test_joint_steps_end_where_the_plain_iteration_does(seed, exact, common):
     plain = solve(X, y, psi, accelerate=False, **options)
     fast = solve(X, y, psi, accelerate=True, **options)
     assert plain.status == fast.status == "converged"
-    assert fast.n_iter < plain.n_iter
+    # It goes on to the fixed point, and needs no more iterations all the same.
+    assert fast.n_iter <= plain.n_iter
     assert_allclose(fast.history[-1], plain.history[-1], atol=1e-8)
     # A gain of 1e-13 per sample and step, of a quadratic in the coefficients.
     assert_allclose(fast.state.beta_mean, plain.state.beta_mean, atol=1e-4)
     assert_allclose(fast.state.psi_y, plain.state.psi_y, rtol=1e-4)
     assert np.diff(fast.history).min() >= -1e-11 * 100
+
+
+@pytest.mark.parametrize("common", [True, False])
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("seed", [23, 24, 25])
+def test_the_end_is_the_fixed_point_whatever_the_tolerance(seed, exact, common):
+    X, y, psi, _ = make_problem(seed, 6, 80)
+    psi = psi * (not exact)
+    rough, fine = (
+        solve(X, y, psi, tol=tol, max_iter=5000, common=common) for tol in (1e-3, 1e-12)
+    )
+    assert_allclose(rough.state.beta_mean, fine.state.beta_mean, rtol=1e-7, atol=1e-9)
+    assert_allclose(rough.state.psi_y, fine.state.psi_y, rtol=1e-8)
+    # One more literal step moves nothing.
+    S, xy, yy = X.T @ X, X.T @ y, y @ y
+    problem = _correlated._Problem(
+        S, xy, yy, 80, psi, ARD_SHAPE, ARD_RATE, common, None
+    )
+    point = problem._evaluate(fine.state, 0.0, fine.state.E_alpha, 0.0)
+    after = problem.step(point, fast=False).state
+    assert_allclose(after.beta_mean, fine.state.beta_mean, rtol=1e-8, atol=1e-10)
+    assert_allclose(after.E_alpha, fine.state.E_alpha, rtol=1e-7)
+    assert_allclose(after.psi_y, fine.state.psi_y, rtol=1e-9)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+@pytest.mark.parametrize("seed", range(5))
+def test_rounding_of_the_moments_does_not_move_the_end(seed, exact):
+    # Strongly correlated inputs, one of them a sum: as the regressors of a robot.
+    rng = np.random.default_rng(seed)
+    T = rng.normal(size=(300, 1)) + 0.05 * rng.normal(size=(300, 8))
+    X = np.column_stack([T, T[:, 0] + T[:, 1]])
+    y = X @ rng.normal(size=9) + 0.1 * rng.normal(size=300)
+    scale = X.std(axis=0)
+    S, xy, yy = (X / scale).T @ (X / scale), (X / scale).T @ y, y @ y
+    psi = np.zeros((9, 9)) if exact else 1e-5 * np.eye(9)
+    options = {"ard_shape": 1e-6, "ard_rate": 1e-6, "max_iter": 20_000, "tol": 1e-7}
+    first = _correlated.solve_correlated(S, xy, yy, 300.0, psi, **options)
+    shaken = 1 + 4 * np.finfo(float).eps * rng.choice([-1.0, 0.0, 1.0], size=(9, 9))
+    shaken = np.triu(shaken) + np.triu(shaken, 1).T
+    second = _correlated.solve_correlated(
+        S * shaken, xy * shaken[0], yy, 300.0, psi, **options
+    )
+    moved = X / scale @ (first.state.beta_mean - second.state.beta_mean)
+    assert np.abs(moved).max() < 1e-9 * y.std()
 
 
 def test_a_square_root_gives_the_same_fit_as_the_moments():

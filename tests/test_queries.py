@@ -1,0 +1,151 @@
+"""What is answered by default, and what an unknown input noise leaves open."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import linalg
+from sklearn.datasets import load_diabetes
+from sklearn.linear_model import BayesianRidge, LinearRegression
+from sklearn.model_selection import KFold, cross_val_predict
+
+from sklearn_vbjfa import JFARegressor, VBJFARegressor
+
+
+def make_inputs(seed, n=400, d=4, rho=0.5, fraction=0.2, noise=0.5):
+    """Latent inputs, noisy inputs, outputs, coefficients."""
+    rng = np.random.default_rng(seed)
+    t = np.sqrt(rho) * rng.normal(size=(n, 1))
+    t = t + np.sqrt(1 - rho) * rng.normal(size=(n, d))
+    coef = np.random.default_rng([seed, 1]).choice([-2.0, -1.0, 1.0, 2.0], size=d)
+    X = t + np.sqrt(fraction / (1 - fraction)) * rng.normal(size=t.shape)
+    return t, X, t @ coef + noise * rng.normal(size=n), coef
+
+
+@pytest.mark.parametrize("model", [VBJFARegressor(), JFARegressor()])
+def test_noisy_queries_are_the_default(model):
+    _, X, y, _ = make_inputs(0)
+    model.fit(X, y)
+    assert_array_equal(model.coef_, model.coef_noisy_)
+    assert model.intercept_ == model.intercept_noisy_
+    assert_allclose(model.predict(X), X @ model.coef_noisy_ + model.intercept_)
+    assert not np.allclose(model.coef_noisy_, model.coef_noiseless_, rtol=0.01)
+
+
+@pytest.mark.parametrize("Model", [VBJFARegressor, JFARegressor])
+def test_both_coefficients_are_there_whatever_the_query(Model):
+    _, X, y, _ = make_inputs(1)
+    noisy = Model(query="noisy").fit(X, y)
+    noiseless = Model(query="noiseless").fit(X, y)
+    for name in ("coef_noisy_", "coef_noiseless_", "intercept_noiseless_"):
+        assert_allclose(getattr(noisy, name), getattr(noiseless, name))
+    assert_array_equal(noiseless.coef_, noiseless.coef_noiseless_)
+    # What the fit answered it goes on answering; parameters act on the next one.
+    before = noisy.predict(X)
+    assert_array_equal(noisy.set_params(query="noiseless").predict(X), before)
+
+
+def test_the_default_is_as_good_as_its_rivals_on_a_table():
+    X, y = load_diabetes(return_X_y=True)
+    folds = KFold(10, shuffle=True, random_state=0)
+    errors = [
+        np.mean((cross_val_predict(model, X, y, cv=folds) - y) ** 2)
+        for model in (VBJFARegressor(), LinearRegression(), BayesianRidge())
+    ]
+    # Noiseless queries have 1.15 of the best here.
+    assert errors[0] < 1.02 * min(errors[1:])
+
+
+@pytest.mark.parametrize("n", [100, 10_000])
+def test_more_rows_do_not_make_exact_inputs_worse(n):
+    ratios = []
+    for seed in range(5):
+        t, _, y, coef = make_inputs(seed, n, 10, rho=0.9, noise=3.0)
+        new = make_inputs(seed + 50, 2000, 10, rho=0.9)[0]
+        errors = [
+            np.mean((model.fit(t, y).predict(new) - new @ coef) ** 2) + 9.0
+            for model in (VBJFARegressor(), LinearRegression())
+        ]
+        ratios.append(errors[0] / errors[1])
+    assert np.mean(ratios) < 1.05
+
+
+def test_unknown_noise_is_the_mixture_over_the_admissible_fractions():
+    _, X, y, _ = make_inputs(2, 20_000, noise=0.2)
+    model = VBJFARegressor(query="noiseless", tol=1e-12).fit(X, y)
+    assert model.relevant_.all()
+    # Literally: (R - f I) b = R b_0 at many fractions from zero to the largest.
+    scale, spread = X.std(axis=0), y.std()
+    R, r = np.corrcoef(X, rowvar=False), np.zeros(4)
+    for j in range(4):
+        r[j] = np.corrcoef(X[:, j], y)[0, 1]
+    largest = min(1 / 3, linalg.eigvalsh(R - np.outer(r, r))[0])
+    fractions = (np.arange(2000) + 0.5) / 2000 * largest
+    b = np.array([linalg.solve(R - f * np.eye(4), r) for f in fractions])
+    unit = spread / scale
+    # 20,000 rows: the prior moves a coefficient by less than a thousandth; five nodes
+    # integrate a pole at some distance from the interval as well as that.
+    assert_allclose(model.coef_, b.mean(axis=0) * unit, rtol=2e-3)
+    deviation = b.std(axis=0) * unit
+    assert np.all(model.coef_std_ > 0.99 * deviation)
+    assert np.all(model.coef_std_ < 1.1 * deviation + 0.02)
+    share = model.input_noise_.diagonal() / scale**2
+    assert_allclose(share, 0.5 * largest, rtol=1e-6)
+
+
+def test_more_rows_do_not_narrow_what_the_data_do_not_say():
+    widths = []
+    for n in (2000, 200_000):
+        _, X, y, _ = make_inputs(3, n)
+        widths.append(VBJFARegressor(query="noiseless").fit(X, y).coef_std_)
+    assert np.all(widths[1] > 0.7 * widths[0])
+    told = VBJFARegressor(query="noiseless", input_noise=0.2).fit(X, y)
+    assert np.all(told.coef_std_ < 0.2 * widths[1])
+
+
+@pytest.mark.parametrize("query", ["noisy", "noiseless"])
+def test_fewer_rows_than_columns_and_copies_stay_finite(query):
+    rng = np.random.default_rng(4)
+    X = rng.normal(size=(20, 30))
+    X = np.column_stack([X, X[:, 0], -2 * X[:, 1]])
+    y = X[:, 0] + 0.1 * rng.normal(size=20)
+    for latent in ("auto", "correlated"):
+        model = VBJFARegressor(latent=latent, query=query).fit(X, y)
+        mean, std = model.predict(X, return_std=True)
+        assert np.isfinite(mean).all()
+        assert np.isfinite(std).all()
+        assert np.isfinite(model.coef_).all()
+
+
+def distances(model, seeds, **options):
+    """Distances of coefficients for noisy queries from the truth, in deviations."""
+    found = []
+    for seed in seeds:
+        _, X, y, coef = make_inputs(seed, **options)
+        fraction, rho, d = options["fraction"], 0.5, X.shape[1]
+        # Coefficients of E[y | x] for these latents.
+        latent = (1 - rho) * np.eye(d) + rho
+        total = latent + fraction / (1 - fraction) * np.eye(d)
+        truth = linalg.solve(total, latent @ coef)
+        model.fit(X, y)
+        found.append(np.abs(model.coef_ - truth) / model.coef_std_)
+    return np.array(found)
+
+
+@pytest.mark.parametrize("fraction", [0.0, 0.2])
+@pytest.mark.parametrize("n", [100, 1000])
+def test_intervals_cover_as_they_say(n, fraction):
+    # 60 data sets of four coefficients: a binomial deviation of 2 %.
+    z = distances(VBJFARegressor(), range(60), n=n, fraction=fraction)
+    assert 0.84 < np.mean(z < 1.645) < 0.96
+    # The bounds tell other levels from this one: 73 and 98.4 %.
+    assert np.mean(z < 1.1) < 0.84
+    assert np.mean(z < 2.4) > 0.96
+
+
+def test_predicted_deviations_cover_new_outputs():
+    inside = []
+    for seed in range(40):
+        _, X, y, _ = make_inputs(seed, 160, 6)
+        mean, std = VBJFARegressor().fit(X[:60], y[:60]).predict(X[60:], True)
+        inside.append(np.abs(mean - y[60:]) < 1.645 * std)
+    assert 0.87 < np.mean(inside) < 0.93

@@ -1,0 +1,164 @@
+"""Input noise from repeated measurements: its estimate, its use, bad input."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.base import clone
+from sklearn.linear_model import LinearRegression
+
+from sklearn_vbjfa import NoiseCovariance, VBJFARegressor, replicate_noise
+
+COEF = np.array([1.0, -2.0, 0.5])
+
+
+def make_units(seed, n_units=300, n_repeats=2, noise=0.5):
+    """Measurements (n_repeats, n_units, 3), outputs, labels, and the true covariance.
+
+    Noise is correlated between the columns, and so are the units.
+    """
+    rng = np.random.default_rng(seed)
+    t = rng.normal(size=(n_units, 1)) + rng.normal(size=(n_units, 3))
+    root = noise * np.array([[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 0.5]])
+    X = t + rng.normal(size=(n_repeats, n_units, 3)) @ root.T
+    y = t @ COEF + 0.3 * rng.normal(size=n_units)
+    labels = np.tile(np.arange(n_units), n_repeats)
+    return X, y, labels, root @ root.T
+
+
+def literal(X, groups):
+    """Pooled covariance within groups, group by group."""
+    total, dof = np.zeros((X.shape[1], X.shape[1])), 0
+    for label in set(groups):
+        rows = np.array([x for x, g in zip(X, groups) if g == label])
+        for row in rows - rows.mean(axis=0):
+            total += np.outer(row, row)
+        dof += len(rows) - 1
+    return total / dof, dof
+
+
+@pytest.mark.parametrize("labels", [int, str])
+def test_equals_the_literal_estimate_with_unequal_groups(labels):
+    rng = np.random.default_rng(0)
+    groups = rng.integers(0, 12, 40)
+    X = rng.normal(size=(40, 3)) + 1e3 * rng.normal(size=12)[groups][:, None]
+    noise = replicate_noise(X, [labels(g) for g in groups])
+    covariance, dof = literal(X, groups.tolist())
+    assert_allclose(noise.covariance, covariance, rtol=1e-9)
+    assert noise.dof == dof
+
+
+def test_order_of_rows_and_names_of_units_do_not_matter():
+    X, _, labels, _ = make_units(1, 50, 3)
+    rows = X.reshape(-1, 3)
+    order = np.random.default_rng(1).permutation(len(rows))
+    first = replicate_noise(rows, labels)
+    second = replicate_noise(rows[order], 7 - labels[order])
+    assert_allclose(second.covariance, first.covariance, rtol=1e-12)
+
+
+def test_single_measurements_say_nothing():
+    X, _, labels, _ = make_units(2, 50)
+    rows = X.reshape(-1, 3)
+    more = np.vstack([rows, 100 * np.ones((5, 3))])
+    noise = replicate_noise(more, np.r_[labels, 1000 + np.arange(5)])
+    assert_allclose(noise.covariance, replicate_noise(rows, labels).covariance)
+    assert noise.dof == 50
+
+
+def test_converges_to_the_noise():
+    X, _, labels, truth = make_units(3, 5000)
+    noise = replicate_noise(X.reshape(-1, 3), labels)
+    # Relative deviation of a variance: the square root of 2 / 5000, four of them.
+    scale = np.sqrt(np.outer(truth.diagonal(), truth.diagonal()))
+    assert np.abs((noise.covariance - truth) / scale).max() < 4 * np.sqrt(2 / 5000)
+
+
+def test_corrects_what_least_squares_gets_wrong():
+    X, y, labels, _ = make_units(4, 2000)
+    noise = replicate_noise(X.reshape(-1, 3), labels)
+    model = VBJFARegressor(input_noise=noise, query="noiseless").fit(X[0], y)
+    plain = LinearRegression().fit(X[0], y)
+    assert np.abs(plain.coef_ - COEF).max() > 0.2
+    assert np.all(np.abs(model.coef_ - COEF) < 4 * model.coef_std_)
+    assert model.coef_std_.max() < 0.06
+
+
+def test_means_have_less_noise():
+    X, y, labels, truth = make_units(5, 2000, 4)
+    noise = replicate_noise(X.reshape(-1, 3), labels).of_means(4)
+    assert_allclose(noise.covariance.diagonal(), truth.diagonal() / 4, rtol=0.1)
+    model = VBJFARegressor(input_noise=noise, query="noiseless")
+    model.fit(X.mean(axis=0), y)
+    assert np.all(np.abs(model.coef_ - COEF) < 4 * model.coef_std_)
+
+
+def test_no_noise_is_bayesian_regression_on_exact_inputs():
+    X, y, labels, _ = make_units(6, 200, noise=0.0)
+    # A large offset, which would leave rounding of the means as noise.
+    noise = replicate_noise(X.reshape(-1, 3) + 1e6, labels)
+    assert_array_equal(noise.covariance, 0.0)
+    told = VBJFARegressor(input_noise=noise).fit(X[0], y)
+    exact = VBJFARegressor(input_noise=0.0).fit(X[0], y)
+    assert_array_equal(told.coef_noiseless_, told.coef_noisy_)
+    assert_allclose(told.coef_, exact.coef_, rtol=1e-9)
+    assert_allclose(told.coef_std_, exact.coef_std_, rtol=1e-9)
+
+
+def test_few_replicates_widen_the_intervals():
+    X, y, labels, _ = make_units(7, 2000)
+    noise = replicate_noise(X.reshape(-1, 3), labels)
+    few = NoiseCovariance(covariance=noise.covariance, dof=10.0)
+    sure = VBJFARegressor(input_noise=noise.covariance, query="noiseless")
+    widths = [
+        clone(sure).set_params(input_noise=given).fit(X[0], y).coef_std_
+        for given in (noise.covariance, noise, few)
+    ]
+    assert np.all(widths[0] < widths[1])
+    assert np.all(3 * widths[1] < widths[2])
+
+
+@pytest.mark.parametrize("n_repeats", [2, 3])
+def test_intervals_cover_with_estimated_noise(n_repeats):
+    # 60 units: 60 or 120 degrees of freedom. 100 data sets of three coefficients, a
+    # nominal 90 %; three binomial deviations of the (dependent) three hundred.
+    inside = []
+    for seed in range(100):
+        X, y, labels, _ = make_units(seed, 60, n_repeats)
+        noise = replicate_noise(X.reshape(-1, 3), labels)
+        model = VBJFARegressor(input_noise=noise, query="noiseless").fit(X[0], y)
+        inside.append(np.abs(model.coef_ - COEF) < 1.645 * model.coef_std_)
+    assert 0.83 < np.mean(inside) < 0.97
+
+
+def test_constant_column_has_no_noise_and_stays_finite():
+    X, y, labels, _ = make_units(8, 100)
+    rows = np.insert(X.reshape(-1, 3), 1, 0.1, axis=1)
+    noise = replicate_noise(rows, labels)
+    assert_array_equal(noise.covariance[1], 0.0)
+    model = VBJFARegressor(input_noise=noise, query="noiseless")
+    model.fit(rows[:100], y)
+    assert model.coef_[1] == 0.0
+    assert np.isfinite(model.coef_).all()
+
+
+def test_is_kept_by_clone_and_array():
+    noise = NoiseCovariance(covariance=np.eye(2), dof=5.0)
+    model = clone(VBJFARegressor(input_noise=noise))
+    assert model.input_noise.dof == 5.0
+    array = np.asarray(noise)
+    array[0, 0] = 7.0
+    assert noise.covariance[0, 0] == 1.0
+
+
+def test_one_measurement_each_is_refused():
+    with pytest.raises(ValueError, match=r"some unit more than once.*got 4 units"):
+        replicate_noise(np.eye(4), [1, 2, 3, 4])
+
+
+def test_wrong_input_is_refused():
+    with pytest.raises(ValueError, match="inconsistent numbers of samples"):
+        replicate_noise(np.eye(4), [1, 1])
+    with pytest.raises(ValueError, match="NaN"):
+        replicate_noise([[np.nan], [1.0]], [1, 1])
+    with pytest.raises(ValueError, match="n_measurements must be the number"):
+        replicate_noise(np.eye(2), [1, 1]).of_means(0)

@@ -35,10 +35,17 @@ class JFARegressor(BaseJointFactorRegressor):
 
         .. versionchanged:: 0.2
            The default was ``"noiseless"``.
+    solver : {"quasi-newton", "em"}, default="quasi-newton"
+        How the likelihood is climbed. ``"em"`` does the updates of [1]_ as printed, one
+        iteration after the other. ``"quasi-newton"`` accelerates them, and goes to the
+        highest likelihood, which is explicit, in the last step.
+
+        .. versionadded:: 0.2
     max_iter : int, default=20000
         Largest number of iterations.
     tol : float, default=1e-7
-        Gain of the log-likelihood per sample below which the iteration stops.
+        Gain of the log-likelihood per sample and iteration below which the iteration
+        stops. What is left may be far more, see Notes.
     forgetting : float, default=1.0
         Weight that what `partial_fit` has seen keeps with each further row, in
         (0, 1]: the memory is ``1 / (1 - forgetting)`` rows long. `fit` does not
@@ -124,6 +131,7 @@ class JFARegressor(BaseJointFactorRegressor):
         "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
         "fit_intercept": ["boolean"],
         "query": [StrOptions({"noiseless", "noisy"})],
+        "solver": [StrOptions({"quasi-newton", "em"})],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
         "tol": [Interval(Real, 0, None, closed="left")],
         "forgetting": [Interval(Real, 0, 1, closed="right")],
@@ -136,6 +144,7 @@ class JFARegressor(BaseJointFactorRegressor):
         initial_input_noise=0.3,
         fit_intercept=True,
         query="noisy",
+        solver="quasi-newton",
         max_iter=20000,
         tol=1e-7,
         forgetting=1.0,
@@ -144,6 +153,7 @@ class JFARegressor(BaseJointFactorRegressor):
         self.initial_input_noise = initial_input_noise
         self.fit_intercept = fit_intercept
         self.query = query
+        self.solver = solver
         self.max_iter = max_iter
         self.tol = tol
         self.forgetting = forgetting

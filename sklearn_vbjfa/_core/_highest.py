@@ -7,8 +7,8 @@ With z and t integrated out, x_m ~ N(0, V_m) and y | x ~ N(c'x, s), where
 
 and nothing else of the parameters counts. Where the input noise alone does not make
 more of s than least squares leaves, the highest likelihood has the variance of x_m as
-V_m, least squares as c and its residual variance as s. EM creeps towards it where inputs
-are strongly correlated: a gain of an iteration says little of what is left.
+V_m, least squares as c and its residual variance as s. EM creeps towards it where
+inputs are strongly correlated: the gain of an iteration says little of what is left.
 """
 
 from dataclasses import replace
@@ -23,9 +23,9 @@ def at_highest_likelihood(moments, state, prior):
     """State of highest likelihood that keeps what it can of the split of `state`.
 
     Known input noise stays as it is; None is returned where it makes more output noise
-    than there is, since V and c then depend on each other. Unknown noise has the odds to
-    the signal that it has in `state`; where these would make too much output noise, all
-    are lowered by one factor, so that they make the share that they make in `state`.
+    than there is, since V and c then depend on each other. Unknown noise has the odds
+    to the signal that it has in `state`; where these would make too much output noise,
+    all are lowered by one factor, so that they make the share that they make there.
 
     Parameters
     ----------

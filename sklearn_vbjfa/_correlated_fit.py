@@ -37,7 +37,6 @@ class CorrelatedFit:
     alpha: np.ndarray
     relevant: np.ndarray
     psi: np.ndarray
-    largest_fraction: float
     rule: str
 
 
@@ -85,106 +84,119 @@ def fit_correlated(data, noise, labels, *, select, settings, dof=np.inf):
     everything = _fit_all(m, np.zeros((d, d)), settings)
     found = find_dependencies(R)
     basis = found.basis
-    kept, variance = _relevant_inputs(m, basis, everything, settings)
+    kept = _relevant_inputs(m, basis, everything, settings)
     at = basis[kept]
     largest = 0.0
     if psi is None:
         largest = largest_noise_fraction(R[np.ix_(at, at)], r[at])
         psi = np.zeros((d, d))
         psi[at, at] = 0.5 * largest
-    few = m.columns(at)
     common = {**settings, "common": True}
+    solutions, weights = [], np.ones(1)
     if largest == 0.0:
-        noiseless, solution = _known_noise(few, psi[np.ix_(at, at)], common, dof)
+        solutions.append(_solve(m.columns(at), psi[np.ix_(at, at)], common))
     else:
-        noiseless, solution = _unknown_fraction(few, largest, common)
-    copies = [found.copies[k] for k in np.flatnonzero(kept)]
-    spread = _spread(R, at, copies)
-    full = spread @ noiseless.cov @ spread.T
-    # An input that was switched off keeps the deviation of the test that did it; one
-    # that others generate has the coefficient zero by convention.
-    off = basis[~kept]
-    full[off, off] = variance[~kept]
+        solutions, weights = _over_fractions(m.columns(at), largest, common)
+    coefs = np.zeros((weights.size, basis.size))
+    coefs[:, kept] = [solution.state.beta_mean for solution in solutions]
+    coef = weights @ coefs
+    # The inputs that were switched off belong to what is not known.
+    cov = _uncertainty(m.columns(basis), psi[np.ix_(basis, basis)], coef, settings, dof)
+    cov += (weights * (coefs - coef).T) @ (coefs - coef)
+    spread = _spread(R, basis, found.copies)
     relevant = np.zeros(d, dtype=bool)
-    relevant[np.concatenate(copies)] = True
+    relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
     return CorrelatedFit(
         noisy=everything.noisy,
         noiseless=LinearModel(
-            coef=spread @ noiseless.coef, cov=full, noise=noiseless.noise
+            coef=spread @ coef,
+            cov=spread @ cov @ spread.T,
+            noise=float(weights @ [one.state.psi_y for one in solutions]),
         ),
         noisy_solution=everything.noisy_solution,
-        noiseless_solution=solution,
+        # That of the mean fraction, where there are several.
+        noiseless_solution=solutions[len(solutions) // 2],
         alpha=everything.alpha,
         relevant=relevant,
         psi=psi,
-        largest_fraction=largest,
         rule=found.rule,
     )
 
 
+def _solve(m, psi, settings):
+    """Fit all inputs of the moments with a known noise covariance (d, d)."""
+    return _correlated.solve_correlated(
+        m.S, m.xy, m.yy, m.n, psi, root=m.root, **settings
+    )
+
+
 def _fit_all(m, psi, settings, dof=np.inf):
-    """Fit all inputs with a known noise covariance (d, d)."""
-    noiseless, solution = _known_noise(m, psi, settings, dof)
-    state = solution.state
+    """Fit all inputs with a known noise covariance (d, d), for both queries."""
+    solution = _solve(m, psi, settings)
+    state, latent = solution.state, solution.latent
+    cov = _uncertainty(m, psi, state.beta_mean, settings, dof)
+    noiseless = LinearModel(coef=state.beta_mean, cov=cov, noise=state.psi_y)
+    noisy = noiseless
+    if not latent.exact:
+        noisy = _noisy_model(m, solution, settings)
+    variance = np.diagonal(
+        _correlated.posterior_covariance(m.S, m.n, psi, solution, dof)
+    )
     return CorrelatedFit(
-        noisy=noiseless if solution.latent.exact else _noisy_model(m, solution),
+        noisy=noisy,
         noiseless=noiseless,
         noisy_solution=solution,
         noiseless_solution=solution,
         alpha=state.E_alpha,
-        relevant=state.beta_mean**2
-        > RELEVANT_DEVIATIONS**2 * np.diagonal(noiseless.cov),
+        relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
         psi=psi,
-        largest_fraction=0.0,
         rule="all inputs",
     )
 
 
-def _noisy_model(m, solution):
-    """Model of y given noisy inputs, c = H'beta, and its posterior given the variance.
+def _uncertainty(m, psi, coef, settings, dof=np.inf):
+    """Second moment (d, d) about `coef` of the posterior with one precision in common.
 
-    y | x ~ N(x'H'beta, v) with v = psi_y + beta'P beta and the prior of beta.
+    A posterior under automatic relevance determination takes the precisions for known:
+    of a coefficient that it has switched off, or nearly, it says that it is zero. One
+    precision, known from all coefficients together, does not. What both disagree in
+    belongs to what is not known.
     """
-    state, H = solution.state, solution.latent.H
-    noise = state.psi_y + state.beta_mean @ solution.latent.P @ state.beta_mean
-    prior = 1.0 / np.sqrt(state.E_alpha)
-    A = (H @ m.S @ H.T) * np.outer(prior, prior) / noise
-    A[np.diag_indices_from(A)] += 1.0
-    factor = linalg.cholesky(A, lower=True)
-    half = linalg.solve_triangular(factor, prior[:, None] * H, lower=True)
-    return LinearModel(coef=H.T @ state.beta_mean, cov=half.T @ half, noise=noise)
-
-
-def _known_noise(m, psi, settings, dof=np.inf):
-    """Fit inputs whose noise covariance (d, d) is known; model and solution."""
-    solution = _correlated.solve_correlated(
-        m.S, m.xy, m.yy, m.n, psi, root=m.root, **settings
-    )
+    solution = _solve(m, psi, {**settings, "common": True})
     cov = _correlated.posterior_covariance(m.S, m.n, psi, solution, dof)
-    state = solution.state
-    return LinearModel(coef=state.beta_mean, cov=cov, noise=state.psi_y), solution
+    return cov + _square(solution.state.beta_mean - coef)
 
 
-def _unknown_fraction(m, largest, settings):
+def _noisy_model(m, solution, settings):
+    """Model of y given noisy inputs, c = H'beta, with its variance v and uncertainty.
+
+    v is psi_y + beta'P beta. That of c is what a regression on the inputs as they are
+    leaves open, see `_uncertainty`.
+    """
+    beta, latent = solution.state.beta_mean, solution.latent
+    coef = latent.H.T @ beta
+    return LinearModel(
+        coef=coef,
+        cov=_uncertainty(m, np.zeros_like(m.S), coef, settings),
+        noise=solution.state.psi_y + beta @ latent.P @ beta,
+    )
+
+
+def _square(x):
+    return np.outer(x, x)
+
+
+def _over_fractions(m, largest, settings):
     """Fit inputs with a common noise fraction, uniform on [0, largest].
 
     The likelihood is the same for all fractions f, as (R - f I) beta_f = R beta_0: the
-    posterior of beta is the mixture over f, with its mean and its covariance, that
-    between the fractions included. The solution is that of the mean fraction.
+    posterior of beta is the mixture over f. Returns solutions at the nodes of
+    Gauss-Legendre quadrature, and their weights.
     """
     nodes, weights = np.polynomial.legendre.leggauss(_FRACTIONS)
-    fits = [
-        _known_noise(m, 0.5 * largest * (1.0 + node) * np.eye(m.xy.size), settings)
-        for node in nodes
-    ]
-    weights = 0.5 * weights
-    coef = sum(w * model.coef for w, (model, _) in zip(weights, fits))
-    cov = sum(
-        w * (model.cov + np.outer(model.coef - coef, model.coef - coef))
-        for w, (model, _) in zip(weights, fits)
-    )
-    noise = sum(w * model.noise for w, (model, _) in zip(weights, fits))
-    return LinearModel(coef=coef, cov=cov, noise=noise), fits[_FRACTIONS // 2][1]
+    fractions = 0.5 * largest * (1.0 + nodes)
+    eye = np.eye(m.xy.size)
+    return [_solve(m, f * eye, settings) for f in fractions], 0.5 * weights
 
 
 def _standard_noise(noise, data):
@@ -220,16 +232,15 @@ def _relevant_inputs(m, basis, everything, settings):
     Asked of the noisy inputs on purpose: an input that has nothing to do with y has a
     zero coefficient there too, and the test has not lost power to the correction.
     """
-    if basis.size == m.xx.size:
-        state = everything.noisy_solution.state
-    else:
+    state = everything.noisy_solution.state
+    if basis.size < m.xx.size:
         exact = np.zeros((basis.size, basis.size))
-        state = _known_noise(m.columns(basis), exact, settings)[1].state
-    variance = np.diagonal(state.beta_cov)
-    kept = state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance
+        state = _solve(m.columns(basis), exact, settings).state
+    score = state.beta_mean**2 / np.diagonal(state.beta_cov)
+    kept = score > RELEVANT_DEVIATIONS**2
     if not kept.any():
-        kept[np.argmax(state.beta_mean**2 / variance)] = True
-    return kept, variance
+        kept[np.argmax(score)] = True
+    return kept
 
 
 def _spread(R, at, copies):

@@ -121,8 +121,10 @@ def _orthogonal_distance():
 # Name -> function that makes the estimator: defaults but for what the name says.
 OURS = {
     "VB-JFA": VBJFARegressor,
-    "VB-JFA, independent": lambda: VBJFARegressor(latent="independent"),
-    "JFA": JFARegressor,
+    "VB-JFA, independent": lambda: VBJFARegressor(
+        latent="independent", query="noiseless"
+    ),
+    "JFA": lambda: JFARegressor(query="noiseless"),
 }
 RIVALS = {
     "LinearRegression": LinearRegression,
@@ -158,7 +160,9 @@ class LinearTask:
     def prepare(self):
         """Make the estimator and, if they are to be held, the data."""
         if self.method == NOISE_GIVEN:
-            self.estimator = VBJFARegressor(input_noise=self.problem.input_noise)
+            self.estimator = VBJFARegressor(
+                input_noise=self.problem.input_noise, query="noiseless"
+            )
         else:
             self.estimator = {**OURS, **RIVALS}[self.method]()
         if self.streamed:

@@ -30,11 +30,13 @@ CELLS = [
     for n in (100, 1000)
     for snr in (1.0, 10.0)
     for fraction in (0.0, 0.2)
+    # Exact inputs that are known to be exact are those of noisy queries.
+    if fraction or kind not in KINDS[1:3]
 ]
 
 
 def draw(n, snr, fraction, seed):
-    """Latent inputs, two measurements of them, outputs, coefficients, noise variance."""
+    """Latent inputs, two measurements, outputs, coefficients, noise variance."""
     rng = np.random.default_rng(seed)
     t = rng.normal(size=(n, N_FEATURES)) @ linalg.cholesky(LATENT)
     coef = rng.normal(size=N_FEATURES)
@@ -109,10 +111,10 @@ def main(argv=None):
         "median width",
     ]
     text = (
-        f"{arguments.trials} data sets a cell, seeds from {arguments.first_seed}. Share "
-        "of 90 % intervals that hold the truth; widths over the root mean square of "
-        f"the coefficients. Pooled without the last eight rows: {pooled[0]:.1f} % of "
-        f"the coefficients, {pooled[1]:.1f} % of the outputs.\n\n"
+        f"{arguments.trials} data sets a cell, seeds from {arguments.first_seed}. "
+        "Share of 90 % intervals that hold the truth; widths over the root mean "
+        f"square of the coefficients. Pooled without the last eight rows: "
+        f"{pooled[0]:.1f} % of the coefficients, {pooled[1]:.1f} % of the outputs.\n\n"
         + rst_table(rows, headers)
     )
     publish("regression_coverage", text, write=arguments.write)

@@ -258,7 +258,8 @@ def test_only_known_noise_is_identified():
         assert set(found) == {"paper", "default", "known variances", "known covariance"}
     split = {name: np.median(values[:, 0]) for name, values in many.items()}
     assert split["known variances"] == pytest.approx(1.0)
-    assert 0.8 < split["default"] < 1.0
+    # The mean of what the data permit, whose upper end is near the truth here.
+    assert 0.4 < split["default"] < 0.6
     query = {name: np.median(values[:, 3]) for name, values in many.items()}
     before = np.median(few["known variances"][:, 3])
     assert query["known variances"] < 0.2 * before

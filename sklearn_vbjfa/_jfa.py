@@ -26,7 +26,7 @@ class JFARegressor(BaseJointFactorRegressor):
         [0, 1), or its variances [unit of X_j squared]. ``None`` estimates it.
     initial_input_noise : float, default=0.3
         Share of each input's variance that is noise at the start of EM; not used
-        when `input_noise` is given. See Notes: the likelihood does not move it.
+        when `input_noise` is given. See Notes: where it ends means nothing.
     fit_intercept : bool, default=True
         Whether the means of X and y are free.
     query : {"noisy", "noiseless"}, default="noisy"
@@ -80,7 +80,8 @@ class JFARegressor(BaseJointFactorRegressor):
     n_iter_ : int
         Number of iterations.
     converged_ : bool
-        Whether the gain fell below `tol`.
+        Whether the gain of an iteration fell below `tol`; see Notes for what is left
+        then.
     statistics_ : SufficientStatistics or None
         Count, means and scatter; None when there were fewer samples than features.
     n_features_in_ : int
@@ -97,10 +98,22 @@ class JFARegressor(BaseJointFactorRegressor):
     -----
     **What is identifiable.** The likelihood depends on the parameters through the
     variances of the inputs, the noisy-query coefficients and the variance of y given
-    x: 2d + 1 numbers for 4d + 1 unknowns. `coef_noisy_` is identified (EM climbs to
-    ordinary least squares), the split of an input's variance into signal and noise
-    is not: EM keeps close to the split it was started with. Give `input_noise` when
-    you know it.
+    x: 2d + 1 numbers for 4d + 1 unknowns. `coef_noisy_` is identified, and is ordinary
+    least squares at the highest likelihood. The split of an input's variance into
+    signal and noise is not identified. The likelihood bounds it only in that the input
+    noise, through the coefficients, makes no more output noise than there is; where
+    below that it ends depends on the start, the solver and the data (from 0.3, at
+    shares between 0 and 1 on the data below). Give `input_noise` when you know it.
+
+    **What converged means.** With ``solver="quasi-newton"`` the last step goes to the
+    highest likelihood, where `coef_noisy_` is least squares to rounding, in inputs of a
+    condition number of 2e5 as well. Three cases are left: input noise that is given and
+    makes more output noise than there is, fewer samples than features, and an exact
+    fit, which has no highest likelihood; then, and with ``solver="em"``, the iteration
+    ends where one gains less than `tol`. Along flat directions EM creeps: on 1000
+    samples of 5 inputs it stopped up to 0.2, 3, 20 and 2 standard errors from least
+    squares at condition numbers of 10, 1e2, 1e3 and 2e5, and had converged by its own
+    rule in 38 of 40 cases (``tests/benchmarks/bench_likelihood.py``).
 
     An iteration costs O(d^2), whatever the number of samples, on sufficient
     statistics; with more features than samples O(n d) on the data.

@@ -308,7 +308,11 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
         )
         explicit = not prior.ard and isinstance(moments, GramMoments)
         if status == "converged" and explicit:
-            state, used = _end(moments, state, prior, history), used + 1
+            # The last step is an iteration too.
+            if used < max_iter:
+                state, used = _end(moments, state, prior, history), used + 1
+            else:
+                status = "max_iter"
     else:
         state, history, used, status, fall = _solve_plain(
             moments, state, prior, max_iter, tol

@@ -87,7 +87,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         distance, by less and less, at masses further and further from the anchor's.
         `anchor_cost` of a :class:`ProjectionResult` says by how much.
 
-        .. versionchanged:: 0.1
+        .. versionchanged:: 0.2
            The pull acted in all directions, also on what the metric saw little of.
 
     solver : {"conic", "virtual"}, default="conic"

@@ -184,7 +184,12 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
         if data.x_scale.size == 0 or data.y_scale == 0.0:
             return self._fit_constant(data)
         result = fit_independent(
-            data, prior, initial_noise, max_iter=self.max_iter, tol=self.tol
+            data,
+            prior,
+            initial_noise,
+            max_iter=self.max_iter,
+            tol=self.tol,
+            accelerate=getattr(self, "solver", "quasi-newton") != "em",
         )
         state = result.solution.state
         units = np.log(data.y_scale) + np.log(data.x_scale).sum()

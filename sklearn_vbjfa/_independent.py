@@ -91,7 +91,7 @@ def _coefficient_covariance(data, hidden, precision):
     return cov
 
 
-def fit_independent(data, prior, initial_noise, *, max_iter, tol):
+def fit_independent(data, prior, initial_noise, *, max_iter, tol, accelerate=True):
     """Run the iteration and derive coefficients, covariances and noise.
 
     Parameters
@@ -104,11 +104,15 @@ def fit_independent(data, prior, initial_noise, *, max_iter, tol):
         Share of each input's variance that is noise at the start.
     max_iter, tol : int, float
         Stopping rule of the loop.
+    accelerate : bool
+        Whether to do quasi-Newton steps; otherwise the updates as they are printed.
     """
     moments = data.moments
     d = moments.xx.shape[0]
     state = _solver.start(moments, prior, np.full(d, initial_noise))
-    solution = _solver.solve(moments, state, prior, max_iter=max_iter, tol=tol)
+    solution = _solver.solve(
+        moments, state, prior, max_iter=max_iter, tol=tol, accelerate=accelerate
+    )
     state = solution.state
     hidden = expect_hidden(moments, state)
     gain_x = state.w_x_mean**2 > 4 * state.w_x_var

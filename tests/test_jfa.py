@@ -328,3 +328,71 @@ def test_default_fit_is_silent():
         model = JFARegressor(query="noiseless").fit(X, y)
     assert model.converged_
     assert len(model.elbo_history_) <= model.n_iter_
+
+
+def ill_conditioned(condition, seed):
+    """Return inputs of a given condition number, and what least squares says."""
+    rng = np.random.default_rng(seed)
+    U, _ = np.linalg.qr(rng.normal(size=(500, 5)))
+    V, _ = np.linalg.qr(rng.normal(size=(5, 5)))
+    X = 20 * U * np.geomspace(1, 1 / condition, 5) @ V.T
+    y = X @ rng.normal(size=5)
+    y += 0.3 * y.std() * rng.normal(size=500)
+    ols = least_squares(X, y)
+    residual = y - y.mean() - (X - X.mean(axis=0)) @ ols
+    variance = np.mean(residual**2)
+    top = -0.5 * 500 * (np.log(2 * np.pi * np.var(X, axis=0)) + 1).sum()
+    top -= 0.5 * 500 * (np.log(2 * np.pi * variance) + 1)
+    return X, y, ols, variance, top
+
+
+@pytest.mark.parametrize("condition", [1e1, 1e3, 2e5])
+@pytest.mark.parametrize("seed", range(3))
+def test_converged_means_the_highest_likelihood(condition, seed):
+    X, y, ols, variance, top = ill_conditioned(condition, seed)
+    model = JFARegressor().fit(X, y)
+    assert model.converged_
+    assert (np.diff(model.elbo_history_) >= 0).all()
+    assert model.elbo_history_[-1] == pytest.approx(top, abs=1e-4)
+    # Distance to least squares in standard errors.
+    away = (X - X.mean(axis=0)) @ (model.coef_noisy_ - ols)
+    assert np.sqrt(away @ away / variance) < 1e-3
+
+
+def test_literal_iteration_is_the_papers():
+    rng = np.random.default_rng(22)
+    X = rng.normal(size=(60, 3)) @ rng.normal(size=(3, 3))
+    y = X @ [1.0, -1.0, 0.5] + 0.5 * rng.normal(size=60)
+    # In the units that the estimator works in.
+    X, y = ((x - x.mean(axis=0)) / x.std(axis=0) for x in (X, y))
+    score = X @ (X.T @ y)
+    step = (score @ y) / (score @ score)
+    rest = np.mean((y - step * score) ** 2)
+    w_x = np.full(3, np.sqrt(0.7))
+    params = ref.JFAParams(
+        w_z=step * (X.T @ y) / w_x,
+        w_x=w_x,
+        psi_y=0.5 * rest,
+        psi_z=np.full(3, 0.5 * rest / 3),
+        psi_x=np.full(3, 0.3),
+    )
+    for count in range(1, 6):
+        params = ref.jfa_em_step(params, X, y)
+        with pytest.warns(ConvergenceWarning):
+            model = JFARegressor(solver="em", max_iter=count, tol=0.0).fit(X, y)
+        for name in ("w_z", "w_x", "psi_y", "psi_z", "psi_x"):
+            assert_allclose(
+                getattr(params_of(model), name), getattr(params, name), rtol=1e-9
+            )
+    with pytest.warns(ConvergenceWarning):
+        fast = JFARegressor(max_iter=5, tol=0.0).fit(X, y)
+    assert fast.elbo_history_[-1] > model.elbo_history_[-1]
+
+
+def test_literal_iteration_stops_short_as_documented():
+    X, y, *_, top = ill_conditioned(2e5, 0)
+    model = JFARegressor(solver="em").fit(X, y)
+    assert model.converged_
+    gain = np.diff(model.elbo_history_[-2:])[0] / 500
+    assert 0 <= gain <= model.tol
+    assert top - model.elbo_history_[-1] > 1000 * 500 * gain

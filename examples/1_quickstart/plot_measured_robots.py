@@ -20,6 +20,7 @@ neighbouring samples. ``docs/benchmarks.rst`` has the whole library on ten sets.
 # scikit-learn. Nothing is downloaded here.
 
 import os
+import sys
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -161,8 +162,8 @@ if missing:
         f"identify --data NAME`, or name their folder in SKLEARN_VBJFA_DATA. Shown for "
         f"them: {table}, models with viscous friction alone."
     )
-    # Beside the script, or wherever the documentation is built.
-    for folder in (Path(__file__).resolve().parents[2], Path.cwd(), Path.cwd().parent):
+    # Above the script in a checkout (no __file__ where the gallery is built), or here.
+    for folder in (*Path(sys.argv[0]).resolve().parents, Path.cwd()):
         if (folder / table).is_file():
             lines = (folder / table).read_text(encoding="utf-8").splitlines()
             print("\n".join(lines))
@@ -173,6 +174,8 @@ if missing:
                     np.array(cell.split(), dtype=float) / 100 for cell in cells[1:3]
                 ]
             break
+    else:
+        print(f"{table} is part of the repository, and not here either.")
 
 # %%
 # Before and after
@@ -199,5 +202,7 @@ for axis, name in zip(axes.flat, PLANS):
     axis.set_xlim(0.5, len(joints) + 0.5)
     axis.set_xlabel("joint")
     axis.set_ylabel("error [%]")
-axes[0, 0].legend()
+drawn = [axis for axis in axes.flat if axis.lines]
+if drawn:
+    drawn[0].legend()
 plt.show()

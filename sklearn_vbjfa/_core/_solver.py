@@ -7,8 +7,9 @@ import numpy as np
 
 from sklearn_vbjfa._core._bound import bound
 from sklearn_vbjfa._core._coordinates import from_vector, slope, to_vector
+from sklearn_vbjfa._core._highest import at_highest_likelihood
 from sklearn_vbjfa._core._state import HiddenExpectations, State
-from sklearn_vbjfa._core._stats import exact_fit
+from sklearn_vbjfa._core._stats import GramMoments, exact_fit
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     expect_hidden,
@@ -261,6 +262,19 @@ def _solve_fast(moments, state, prior, max_iter, tol):
     return point.state, history, used, "max_iter", 0.0
 
 
+def _end(moments, state, prior, history):
+    """Go to the highest likelihood where it is explicit; adds it to the history."""
+    highest = at_highest_likelihood(moments, state, prior)
+    if highest is None:
+        return state
+    reached, top = (_evaluate(moments, one, prior) for one in (state, highest))
+    slack = rounding_of_bound(reached.value, moments.n, reached.hidden.y_var)
+    if not top.value >= reached.value - slack:
+        return state
+    history.append(max(top.value, history[-1]))  # to rounding
+    return highest
+
+
 def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
     """Iterate until the bound gains less than `tol` per sample.
 
@@ -269,7 +283,10 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
     past steps tell of the bound's curvature (a limited-memory quasi-Newton method)
     takes far fewer iterations. A step is kept only if it raises the
     bound, else the plain one is done: the bound never falls, and the fixed points are
-    those of the plain iteration.
+    those of the plain iteration. Without priors the highest bound is explicit (unless
+    the input noise is known to be large), and the last step goes there.
+
+    With ``accelerate=False`` the plain iteration is done throughout.
 
     An iteration, in `max_iter` and `n_iter`, is one evaluation of the bound with its
     expectations, whether or not the step that asked for it is kept. The loop holds
@@ -283,12 +300,23 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
     # Without a prior an exact fit has no highest likelihood, and nothing to
     # extrapolate to but rounding.
     exact = not prior.ard and exact_fit(moments, VARIANCE_FLOOR)
-    run = _solve_plain
     if accelerate and not exact:
         # Along flat directions the last digits of the moments decide where within
         # `tol` a quasi-Newton method stops: they must not depend on the rows' order.
-        run, moments = _solve_fast, moments.without_last_digits()
-    state, history, used, status, fall = run(moments, state, prior, max_iter, tol)
+        state, history, used, status, fall = _solve_fast(
+            moments.without_last_digits(), state, prior, max_iter, tol
+        )
+        explicit = not prior.ard and isinstance(moments, GramMoments)
+        if status == "converged" and explicit:
+            # The last step is an iteration too.
+            if used < max_iter:
+                state, used = _end(moments, state, prior, history), used + 1
+            else:
+                status = "max_iter"
+    else:
+        state, history, used, status, fall = _solve_plain(
+            moments, state, prior, max_iter, tol
+        )
     floor = 2 * VARIANCE_FLOOR
     fixed = prior.psi_x_fixed is not None
     at_floor = {

@@ -95,12 +95,15 @@ def solve_conic(problem, *, max_solver_iter):
         n_iter += iterations
         if not np.all(np.isfinite(vector)):
             break
-        best = _better(problem, best, (vector, duals, multipliers), status, least)
         *refined, steps = refine(
             problem, vector, duals, multipliers, max_steps=max_solver_iter
         )
         n_iter += steps
         best = _better(problem, best, refined, status, least)
+        # The solver's own answer, whose last digits are rounding, where it has to be.
+        if best[1] > _GAP_TARGET:
+            raw = vector, duals, multipliers
+            best = _better(problem, best, raw, status, least)
         # Solve again in units of the distance found: the guess may have been far off.
         scale = max(problem.distance(best[0]), resolution)
     if best[1] > _GAP_LIMIT:

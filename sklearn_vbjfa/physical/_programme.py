@@ -31,9 +31,11 @@ class ConicProblem:
     point : ndarray of shape (n_features,)
         The vector to project, divided by the units.
     root : ndarray of shape (n_features, n_features)
-        Upper triangular `T`: metric and regulariser as one square root.
+        Upper triangular `T`: metric and pull to the anchor as one square root.
     shift : ndarray of shape (n_features,)
         `c`: the distance of a vector is ``|T (vector - point) - c|``.
+    n_hidden : int
+        Dimensions that the metric does not see, and the anchor alone determines.
     """
 
     constraint: str
@@ -43,6 +45,7 @@ class ConicProblem:
     point: np.ndarray
     root: np.ndarray
     shift: np.ndarray
+    n_hidden: int
 
     @property
     def n_features(self):
@@ -97,26 +100,26 @@ def make_problem(
         Columns that must not be negative.
     margin : float
         Least eigenvalue of every body's matrix.
-    metric_root : ndarray of shape (n_rows, n_features)
+    metric_root : ndarray of shape (n_features, n_features)
         Square root of the metric in scaled variables, largest column norm one (or
         zero).
     anchor : ndarray of shape (n_features,)
-        Where the regulariser pulls, in units of the scales.
+        Where what the metric does not see is pulled, in units of the scales.
     anchor_weight : float
-        Weight of the regulariser.
+        Weight of that pull.
 
     Returns
     -------
     problem : ConicProblem
         The programme.
     """
-    n_features = point.size
-    # |R x|^2 + w |x - a|^2 as one triangular factor: the stacked QR does not square
+    # |R x|^2 + w |N'(x - a)|^2 as one triangular factor: the stacked QR does not square
     # the condition number as R'R would.
-    stacked = np.vstack([metric_root, np.sqrt(anchor_weight) * np.eye(n_features)])
-    right = np.zeros(len(stacked))
-    right[len(metric_root) :] = np.sqrt(anchor_weight) * (anchor - point)
-    Q, root = np.linalg.qr(stacked)
+    hidden = _null_space(metric_root)
+    pull = np.sqrt(anchor_weight) * hidden.T
+    right = np.zeros(len(metric_root) + len(pull))
+    right[len(metric_root) :] = pull @ (anchor - point)
+    Q, root = np.linalg.qr(np.vstack([metric_root, pull]))
     return ConicProblem(
         constraint=constraint,
         body_columns=body_columns,
@@ -125,7 +128,18 @@ def make_problem(
         point=point,
         root=root,
         shift=Q.T @ right,
+        n_hidden=len(pull),
     )
+
+
+def _null_space(root):
+    """Orthonormal basis (n_features, n_hidden) of what a metric does not see.
+
+    Up to the rounding of the metric, which is the square of its root.
+    """
+    _, values, rows = np.linalg.svd(root)
+    limit = np.sqrt(values.size * np.finfo(float).eps) * values.max(initial=0.0)
+    return rows[values <= limit].T
 
 
 def lift(problem, vector, floor):

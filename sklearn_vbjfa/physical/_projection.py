@@ -21,6 +21,9 @@ from sklearn_vbjfa.physical._virtual import solve_virtual
 SOLVERS = ("conic", "virtual")
 # The virtual solver's steps are cheaper and more numerous than the conic solver's.
 _VIRTUAL_STEPS = 10
+# Share of the anchor's weight at which it counts as gone. Some pull has to remain: the
+# least distance is often reached by no vector, only neared by masses without limit.
+_HARDLY = 1e-6
 # Excess of the squared distance up to which their answer is accepted, relative.
 _VIRTUAL_LIMIT = 1e-4
 
@@ -42,9 +45,16 @@ class ProjectionResult:
         Smallest eigenvalue of each body's matrix, dimensionless (in units of
         `mass_scale` and `length_scale`); at least the margin.
     relative_gap : float
-        Certified bound on how far the squared distance (with the regulariser's share)
-        exceeds the least possible one, relative to it (or to the square of 1e-7 of the
-        vector's length, where that is larger).  0 for an unchanged vector.
+        Certified bound on how far the squared distance (with the anchor's pull, where
+        the metric is singular) exceeds the least possible one, relative to it (or to
+        the square of 1e-7 of the vector's length, where that is larger).  0 for an
+        unchanged vector.
+    anchor_cost : float
+        Share of `objective` that is due to the anchor: what of it a pull a millionth as
+        strong would save, at the price of bodies further from the anchor.  No
+        consistent vector whose unseen part is as near to the anchor as that of `theta`
+        has a smaller distance.  0 if the metric is not singular, since nothing is
+        pulled then; nan if the solve with less pull fails.
     iterations : int
         Iterations of the solver, all passes together.
     solver : {"none", "clarabel", "trust-exact"}
@@ -62,6 +72,7 @@ class ProjectionResult:
     objective: float
     min_eigenvalues: np.ndarray
     relative_gap: float
+    anchor_cost: float
     iterations: int
     solver: str
     message: str
@@ -213,7 +224,7 @@ def project(
     anchor : array-like of shape (n_features,) or None, default=None
         Where directions that the metric does not see are pulled.
     anchor_weight : float, default=1e-8
-        Strength of that pull.
+        Strength of that pull; see `anchor_cost` of the result.
     solver : {"conic", "virtual"}, default="conic"
         How the minimum is found.
     max_solver_iter : int, default=200
@@ -298,11 +309,13 @@ def project_vector(
     anchor_weight,
     solver,
     max_solver_iter,
+    price_anchor=True,
 ):
     """Project one validated vector; see :func:`project`.
 
     Parameters are those of :func:`project` after validation, with `metric` a Metric
-    and `layout` a ParameterLayout.
+    and `layout` a ParameterLayout. What the anchor costs takes one more solve where the
+    metric is singular, and is nan without `price_anchor`.
     """
     root = metric.root
     bodies, kept = layout.body_columns, layout.nonnegative
@@ -332,6 +345,7 @@ def project_vector(
             theta.copy(),
             status="unchanged",
             relative_gap=0.0,
+            anchor_cost=0.0,
             iterations=0,
             solver="none",
             message="already consistent",
@@ -354,16 +368,21 @@ def project_vector(
     common = common if common > 0 else 1.0
     units = units * common
     scale = column_norm * common
-    problem = make_problem(
-        theta / units,
-        constraint=constraint,
-        body_columns=bodies,
-        nonnegative=kept,
-        margin=margin / common,
-        metric_root=root * units / scale if scale > 0 else root,
-        anchor=(theta if anchor is None else anchor) / units,
-        anchor_weight=anchor_weight,
-    )
+    scaled_root = root * units / scale if scale > 0 else root
+
+    def pulled(weight):
+        return make_problem(
+            theta / units,
+            constraint=constraint,
+            body_columns=bodies,
+            nonnegative=kept,
+            margin=margin / common,
+            metric_root=scaled_root,
+            anchor=(theta if anchor is None else anchor) / units,
+            anchor_weight=weight,
+        )
+
+    problem = pulled(anchor_weight)
     if solver == "conic":
         vector, gap, iterations, message = solve_conic(
             problem, max_solver_iter=max_solver_iter
@@ -372,15 +391,32 @@ def project_vector(
     else:
         vector, gap, iterations, message = _solve_virtual(problem, max_solver_iter)
         name = "trust-exact"
+    cost = 0.0 if problem.n_hidden == 0 else np.nan
+    if problem.n_hidden and price_anchor:
+        freer = pulled(_HARDLY * anchor_weight)
+        cost = _anchor_cost(problem, vector, freer, scaled_root, max_solver_iter)
     vector = _settle(vector * units, problem, units, eigenvalues, margin)
     return outcome(
         vector,
         status="projected",
         relative_gap=gap,
+        anchor_cost=cost,
         iterations=iterations,
         solver=name,
         message=message,
     )
+
+
+def _anchor_cost(problem, vector, freer, root, max_solver_iter):
+    """Share of a solution's squared distance that a programme with less pull saves."""
+    try:
+        other, *_ = solve_conic(freer, max_solver_iter=max_solver_iter)
+    except ProjectionError:
+        return np.nan
+    squared, least = (
+        float(np.sum((root @ (x - problem.point)) ** 2)) for x in (vector, other)
+    )
+    return max(1.0 - least / squared, 0.0) if squared > 0 else 0.0
 
 
 def _solve_virtual(problem, max_solver_iter):

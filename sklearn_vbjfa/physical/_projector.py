@@ -81,8 +81,14 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     anchor_weight : float, default=1e-8
         Weight of that pull, relative to the largest diagonal entry of the metric in
-        scaled units.  It makes the minimum unique; directions that the metric sees
-        less than this are left to the anchor.
+        scaled units.  It makes the minimum unique where the metric is singular, and
+        acts on nothing that the metric sees, however little (some 1e-14 of what it sees
+        best).  Consistency ties what is seen to what is not: a weaker pull lowers the
+        distance, by less and less, at masses further and further from the anchor's.
+        `anchor_cost` of a :class:`ProjectionResult` says by how much.
+
+        .. versionchanged:: 0.2
+           The pull acted in all directions, also on what the metric saw little of.
 
     solver : {"conic", "virtual"}, default="conic"
         "conic": the equivalent convex programme, by an interior-point method with a
@@ -262,6 +268,9 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         ProjectionError
             If a row's projection fails.
         """
+        return self._project(X, price_anchor=True)
+
+    def _project(self, X, *, price_anchor):
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
         return tuple(
@@ -277,6 +286,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
                 anchor_weight=self.anchor_weight,
                 solver=self.solver,
                 max_solver_iter=self.max_solver_iter,
+                price_anchor=price_anchor,
             )
             for row in X
         )
@@ -300,7 +310,8 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         ProjectionError
             If a row's projection fails.
         """
-        return np.array([result.theta for result in self.projections(X)])
+        results = self._project(X, price_anchor=False)
+        return np.array([result.theta for result in results])
 
     def _anchor(self, n_features):
         """Return the validated anchor, or None."""

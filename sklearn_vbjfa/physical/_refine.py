@@ -4,10 +4,13 @@ A general solver factors an indefinite, regularised system and stops at a relati
 of about 1e-7.  Directions that the metric hardly sees need more: at that gap they are
 still placed by the barrier, not by the anchor.  Here the slack matrices are
 eliminated, which leaves one positive definite system of the size of the parameter
-vector.  Three things take the gap down to 1e-10: the system is formed from the square
-roots of its parts, so that it is symmetric and semidefinite to the last digit; its
-solutions are corrected once; and the multipliers' step is made to balance the gradient,
-which the formula for it does only in exact arithmetic.
+vector.  Three things take the gap down to 1e-9 and less: the system is formed from the
+square roots of its parts, so that it is symmetric and semidefinite to the last digit;
+its solutions are corrected; and the multipliers' step is made to balance the gradient,
+which the formula for it does only in exact arithmetic.  The path ends at a gap that is
+set beforehand, with Newton's steps to the one point that belongs to it, from which one
+more step leads to the optimum: the answer is the same whatever the rounding was on the
+way.
 
 The directions are those of Helmberg, Kojima and Monteiro (doi:10.1137/0806020): with
 slack `S`, multiplier `Z` and target `m`,
@@ -25,14 +28,22 @@ from sklearn_vbjfa.physical._programme import lift
 
 # Share of the way to the boundary that a step may go.
 _BOUNDARY_SHARE = 0.95
+# The same for the last step, after which there is no path to keep to.
+_LAST_SHARE = 1.0 - 1e-6
 _SHORTEST_STEP = 1e-6
 _MAX_STEPS = 40
 # Where the path is entered: least eigenvalue of the slack, in scaled units, and of the
 # multipliers, relative to the largest.
 _START = 1e-3
-# Gap, relative to the squared distance, at which the refinement ends: above the few
-# parts in 1e11 at which rounding stops it, and far below what is asked of an answer.
-_GAP_END = 1e-10
+# Gap, relative to the squared distance, at which the path ends: above the parts in 1e11
+# to 1e9 at which rounding would stop it, and far below what is asked of an answer.
+_GAP_END = 4e-9
+# Where the path counts as near its end, in units of that, and Newton's steps there.
+# They converge to one point, wherever on the way rounding had led the iterates.
+_NEAR = 4.0
+_CENTRINGS = 6
+# Corrections of a step with the residual of its equations.
+_CORRECTIONS = 4
 
 
 def _largest_step(inverse_factors, directions):
@@ -58,9 +69,9 @@ def _factorise(problem, gram, roots, bounds):
     ``A' (bodies, bounds, metric)``.  Near the boundary the barrier's share is larger
     than the metric's by more than the machine precision, and the sum is no longer
     definite in floating point; the triangle of a QR decomposition of `A` is used then.
-    Either way the condition number is squared, which one correction with the residual
-    of the stack makes good: the corrected seminormal equations of Bjoerck
-    (doi:10.1016/0024-3795(87)90101-7).
+    Either way the condition number is squared, which corrections with the residual of
+    the stack make good: the corrected seminormal equations of Bjoerck
+    (doi:10.1016/0024-3795(87)90101-7), repeated.
     """
     columns, kept = problem.body_columns, problem.nonnegative
     system = gram.copy()
@@ -80,11 +91,13 @@ def _factorise(problem, gram, roots, bounds):
 
     def solve(bodies, free, metric):
         step = solve_once(bodies, free, metric)
-        return step + solve_once(
-            bodies - (step[columns][:, None] @ roots)[:, 0],
-            free - bounds * step[kept],
-            metric - problem.root @ step,
-        )
+        for _ in range(_CORRECTIONS):
+            step = step + solve_once(
+                bodies - (step[columns][:, None] @ roots)[:, 0],
+                free - bounds * step[kept],
+                metric - problem.root @ step,
+            )
+        return step
 
     return solve
 
@@ -104,8 +117,12 @@ def _triangle(problem, roots, bounds, scale):
     return np.linalg.qr(stacked[order], mode="r")
 
 
-def _step(problem, gram, vector, slack, duals, multipliers, mean):
-    """One predictor-corrector step: its length and the three directions."""
+def _step(problem, gram, vector, slack, duals, multipliers, mean, end, phase):
+    """One step: its length and the three directions.
+
+    Down the path towards `end`, a predictor-corrector step; at the "centre" there, one
+    of Newton's; and as the "last" a predictor-corrector step from there to the optimum.
+    """
     bodies, kept = problem.body_columns, problem.nonnegative
     generators = problem.generators
     flat = generators.reshape(len(generators), -1)
@@ -155,14 +172,20 @@ def _step(problem, gram, vector, slack, duals, multipliers, mean):
         )
         return reach, step, dual_step, dual_free, change
 
+    if phase == "centre":
+        reach, step, dual_step, dual_free, _ = direction(end, 0.0 * duals, 0.0 * free)
+        return min(1.0, _BOUNDARY_SHARE * reach), step, dual_step, dual_free
     # Mehrotra: the predictor tells how far the target can be lowered, and its
     # second-order term corrects the step.
     reach, step, dual_step, dual_free, change = direction(0.0, 0.0 * duals, 0.0 * free)
-    target = mean * max((1.0 - min(1.0, reach)) ** 3, 1e-3)
+    target = max(mean * max((1.0 - min(1.0, reach)) ** 3, 1e-3), end)
+    if phase == "last":
+        target = 0.0
     reach, step, dual_step, dual_free, _ = direction(
         target, symmetric(inverse @ change @ dual_step), step[kept] * dual_free / free
     )
-    return min(1.0, _BOUNDARY_SHARE * reach), step, dual_step, dual_free
+    share = _LAST_SHARE if phase == "last" else _BOUNDARY_SHARE
+    return min(1.0, share * reach), step, dual_step, dual_free
 
 
 def refine(problem, vector, duals, multipliers, *, max_steps):
@@ -204,15 +227,18 @@ def refine(problem, vector, duals, multipliers, *, max_steps):
     duals = np.einsum("bik,bk,bjk->bij", basis, eigenvalue, basis)
     multipliers = np.maximum(multipliers, _START * largest)
 
-    n_steps = 0
+    n_steps = near = 0
     for _ in range(min(max_steps, _MAX_STEPS)):
         slack = problem.slack(vector)
-        gap = np.sum(slack * duals) + vector[kept] @ multipliers
-        if 2 * gap <= _GAP_END * problem.distance(vector) ** 2:
-            break
+        mean = (np.sum(slack * duals) + vector[kept] @ multipliers) / order
+        end = 0.5 * _GAP_END * problem.distance(vector) ** 2 / order
+        # A power of two, so that the rounding of the path so far does not move it.
+        end = 2.0 ** np.floor(np.log2(max(end, np.finfo(float).tiny)))
+        near += mean <= _NEAR * end
+        phase = "last" if near > _CENTRINGS else "centre" if near else "down"
         try:
             reach, *change = _step(
-                problem, gram, vector, slack, duals, multipliers, gap / order
+                problem, gram, vector, slack, duals, multipliers, mean, end, phase
             )
         except (LinAlgError, np.linalg.LinAlgError):
             # Rounding has reached the boundary: the last iterate stands.
@@ -223,4 +249,6 @@ def refine(problem, vector, duals, multipliers, *, max_steps):
         duals = duals + reach * change[1]
         multipliers = multipliers + reach * change[2]
         n_steps += 1
+        if phase == "last":
+            break
     return vector, duals, multipliers, n_steps

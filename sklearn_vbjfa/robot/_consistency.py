@@ -22,9 +22,9 @@ def fit_projector(projector, model, theta, metric, friction):
         The user's choice.
     model : pinocchio.Model
         Robot.
-    theta : ndarray of shape (p,)
-        Estimate.
-    metric : ndarray of shape (p, p)
+    theta : ndarray of shape (p + n_effects,)
+        Estimate; effects come last and are free of constraints.
+    metric : ndarray of shape (p + n_effects, p + n_effects)
         De-noised Gram matrix of the estimation (eq. 35).
     friction : tuple of str
         Friction columns.
@@ -36,6 +36,7 @@ def fit_projector(projector, model, theta, metric, friction):
             f"{projector!r}."
         )
     per_joint = 10 + len(friction)
+    p = model.nv * per_joint
     nonnegative = [
         j * per_joint + 10 + k
         for j in range(model.nv)
@@ -46,15 +47,21 @@ def fit_projector(projector, model, theta, metric, friction):
         "metric": (metric, None),
         "parameters_per_joint": (per_joint, "auto"),
         "nonnegative": (nonnegative, "auto"),
-        "anchor": (consistent_anchor(model, theta, metric, per_joint), None),
     }
+    if theta.size > p:
+        settings["body_starts"] = np.arange(0, p, per_joint), None
     fitted = PhysicalProjector() if default else clone(projector)
     given = fitted.get_params()
+    if given["anchor"] is None:
+        anchor = consistent_anchor(model, theta[:p], metric[:p, :p], per_joint)
+        settings["anchor"] = np.concatenate([anchor, theta[p:]]), None
+    elif theta.size > p:
+        fitted.set_params(anchor=np.concatenate([given["anchor"], theta[p:]]))
     fitted.set_params(
         **{
             key: value
             for key, (value, unset) in settings.items()
-            if key in given and (given[key] is unset or _same(given[key], unset))
+            if given[key] is unset or _same(given[key], unset)
         }
     )
     return fitted.fit(theta[None])
@@ -81,39 +88,27 @@ def identifiable(metric):
 def project_beside(projector, model, theta, metric, friction):
     """Project the bodies while the effects' coefficients, which come last, follow.
 
-    The distance (eq. 35) is minimised over the effects as well: for given bodies
-    their best coefficients are linear in the bodies' change, which leaves the Schur
-    complement of the metric.
+    The distance (eq. 35) is minimised over both. In a metric of the user's own, which
+    is one of the bodies, the bodies are projected first, and the effects go to their
+    best beside them.
 
     Returns
     -------
     projector : PhysicalProjector
-        Fitted projector of the bodies' parameters.
+        Fitted projector.
     theta : ndarray of shape (p,)
         Projected parameters.
     """
     p = model.nv * (10 + len(friction))
-    if theta.size == p:
+    own = getattr(projector, "metric", None) is not None
+    if theta.size == p or not own:
         fitted = fit_projector(projector, model, theta, metric, friction)
         return fitted, fitted.transform(theta[None])[0]
     rigid = theta[:p]
-    follow = _pseudo_solve(metric[p:, p:], metric[p:, :p])
-    schur = _semidefinite(
-        metric[:p, :p] - metric[:p, p:] @ follow, np.diagonal(metric)[:p]
-    )
-    fitted = fit_projector(projector, model, rigid, schur, friction)
+    fitted = fit_projector(projector, model, rigid, metric[:p, :p], friction)
     projected = fitted.transform(rigid[None])[0]
-    effects = theta[p:] - follow @ (projected - rigid)
-    return fitted, np.concatenate([projected, effects])
-
-
-def _semidefinite(A, power):
-    """Clear a difference of Gram matrices of rounding below zero, column by column."""
-    unit = np.sqrt(np.where(power > 0, power, 1.0))
-    values, vectors = linalg.eigh(0.5 * (A + A.T) / np.outer(unit, unit))
-    clean = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    seen = np.where(power > 0, unit, 0.0)
-    return 0.5 * (clean + clean.T) * np.outer(seen, seen)
+    follow = _pseudo_solve(metric[p:, p:], metric[p:, :p])
+    return fitted, np.concatenate([projected, theta[p:] - follow @ (projected - rigid)])
 
 
 def _pseudo_solve(A, B):

@@ -1,5 +1,6 @@
 """Every benchmark runs at small size and says what its numbers mean."""
 
+import platform
 import subprocess
 import sys
 from pathlib import Path
@@ -34,6 +35,8 @@ def residuals(scale, index, tau):
         "growth",
         "identification",
         "iterations",
+        "kernels",
+        "likelihood",
         "measured_robots",
         "noise_floor",
         "paper_robots",
@@ -339,3 +342,43 @@ def test_discovery_judges_a_drawn_case():
     assert verdict.named
     assert verdict.parameter_errors[0] < 0.15
     assert bench.row("coulomb", [verdict], "97 %")[2] == "100 %"
+
+
+x86 = pytest.mark.skipif(
+    platform.machine().lower() not in {"x86_64", "amd64"},
+    reason="names kernels of OpenBLAS for x86-64",
+)
+
+
+@x86
+def test_kernels_of_the_demo(tmp_path):
+    pytest.importorskip("pinocchio")
+    import bench_kernels as bench
+
+    fits = [
+        bench.fit_under(name, "demo", None, tmp_path)
+        for name in ("Haswell", "Prescott")
+    ]
+    _, _, torque = bench.differences(fits)
+    assert torque <= bench.TARGET
+    # Another kernel adds up in another order: equal to the bit would be the same one.
+    assert torque > 0
+
+
+@x86
+def test_kernel_that_did_not_take_effect_is_refused(monkeypatch, tmp_path):
+    pytest.importorskip("pinocchio")
+    import bench_kernels as bench
+
+    monkeypatch.setitem(bench.KERNELS, "Haswell", ("Prescott",))
+    with pytest.raises(RuntimeError, match="did not take effect"):
+        bench.fit_under("Haswell", "demo", None, tmp_path)
+
+
+def test_likelihood_of_the_solvers():
+    import bench_likelihood as bench
+
+    fast, plain = (bench.measure(1e3, solver, 0) for solver in bench.SOLVERS)
+    assert fast[1] == 1.0
+    assert abs(fast[2]) < 1e-9 < plain[2]
+    assert fast[4] < 1e-6 < plain[4]

@@ -68,3 +68,40 @@ def test_any_stretch_is_that_of_the_whole(n, cut, case, half):
         assert_allclose(
             spline(start, stop, order), whole[start:stop], rtol=0, atol=1e-13 * size
         )
+
+
+@pytest.mark.parametrize(
+    ("dt", "cutoff"), [(0.008, 8.0), (0.002, 3.0), (0.008, np.inf)]
+)
+def test_motions_that_no_penalty_touches_keep_all_digits(dt, cutoff):
+    # Of fourth degree: the fifth differences of the coefficients are zero, and so is
+    # the sum of squared residuals, whatever the cut-off.
+    n = 2000
+    u = np.linspace(-1.0, 1.0, n)
+    powers = np.array([0.3, -0.8, 0.5, 1.0, -0.7])
+    spline = _splines.fit(np.polyval(powers, u), dt, cutoff)
+    unit = 2.0 / ((n - 1) * dt)
+    size = np.abs(spline.coef).max()
+    for order in range(3):
+        expected = np.polyval(np.polyder(powers, order), u) * unit**order
+        # Rounding of a coefficient, differentiated: some eps over the powers of h.
+        # At free ends the penalty of interpolation is 1e-9, of which the root counts.
+        atol = 16 * np.finfo(float).eps * size * (2 / spline.h) ** order
+        inner = slice(40, -40) if np.isinf(cutoff) else slice(None)
+        assert_allclose(spline(0, n, order)[inner], expected[inner], rtol=0, atol=atol)
+
+
+@pytest.mark.parametrize("cutoff", [8.0, 20.0, np.inf])
+@pytest.mark.parametrize("seed", range(3))
+def test_signs_of_velocities_are_not_those_of_rounding(cutoff, seed):
+    # An encoder that reads the same for seconds between motions.
+    t = 0.008 * np.arange(5000)
+    q = 2.0 + np.sin(np.pi * np.clip(t % 8.0 - 3.0, 0.0, 2.0)) ** 3
+    q = np.round(q / 1e-4) * 1e-4
+    other = q * (
+        1 + np.finfo(float).eps * np.random.default_rng(seed).normal(size=5000)
+    )
+    signs = [np.sign(_splines.fit(x, 0.008, cutoff)(0, 5000, 1)) for x in (q, other)]
+    assert (signs[0] == 0).sum() > 1000
+    assert (signs[0] != 0).sum() > 1000
+    assert np.array_equal(*signs)

@@ -1,5 +1,7 @@
 """Projection: closed form, independent optimum, optimality, invariances, errors."""
 
+from unittest import mock
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,6 +10,7 @@ from hypothesis import strategies as st
 from sklearn_vbjfa.physical import (
     PhysicalProjector,
     ProjectionError,
+    _projection,
     is_consistent,
     parameter_units,
     project,
@@ -106,6 +109,23 @@ def test_free_columns_keep_their_sign():
 
 # -- against an independent solver
 
+
+def pull_of_the_anchor(A, rank, weight=1e-8):
+    """Matrix of the pull on what a metric of given rank does not see; None is all.
+
+    Written down from the documentation, for bodies in units of 1 kg and 1 m.
+    """
+    if rank is None:
+        return np.zeros_like(A)
+    diagonal, kept = np.diag(A), np.arange(10, len(A), 11)
+    largest = diagonal[np.setdiff1d(np.arange(len(A)), kept)].max()
+    units = np.ones(len(A))
+    units[kept] = np.sqrt(largest / diagonal[kept])
+    _, basis = np.linalg.eigh(A * np.outer(units, units))
+    hidden = basis[:, : len(A) - rank] / units[:, None]
+    return weight * largest * hidden @ hidden.T
+
+
 conditionings = st.sampled_from(
     [(1.0, None), (1e4, None), (1e10, None), (1e3, 0.6), (1e8, 0.8)]
 )
@@ -124,15 +144,10 @@ def test_objective_is_the_optimum_of_an_independent_solver(
     result = project(
         theta, A, constraint=constraint, parameters_per_joint=11, margin=1e-6, **PLAIN
     )
-    # The documented regulariser, in its documented units, so that both have the same
-    # unique minimum; see anchor_weight.
-    diagonal = np.diag(A)
-    units = np.ones(theta.size)
+    # The documented pull, in its documented units, so that both have the same unique
+    # minimum; see anchor_weight.
+    full = A + pull_of_the_anchor(A, rank)
     kept = np.arange(10, theta.size, 11)
-    bodies = np.setdiff1d(np.arange(theta.size), kept)
-    largest = diagonal[bodies].max()
-    units[kept] = np.sqrt(largest / diagonal[kept])
-    full = A + 1e-8 * np.diag(largest / units**2)
     _, optimum = cvxopt_projection(
         theta, full, constraint, np.arange(0, theta.size, 11), kept, floor=1e-6
     )
@@ -145,6 +160,85 @@ def test_objective_is_the_optimum_of_an_independent_solver(
     # The certificate holds: the excess is no larger than it says (1e-7: the oracle).
     assert reached <= optimum * (1 + result.relative_gap + 1e-7)
     assert result.objective == pytest.approx(delta @ A @ delta, rel=1e-6)
+    if rank is None:
+        assert result.anchor_cost == 0.0
+
+
+@pytest.mark.parametrize("condition", [1e8, 2.5e10, 7.4e10, 1e11])
+@pytest.mark.parametrize("seed", range(6))
+def test_anchor_does_not_raise_what_the_metric_sees(seed, condition):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 3)
+    A = metric(rng, theta.size, condition)
+    # An anchor elsewhere: it must not matter.
+    result = project(
+        theta,
+        A,
+        parameters_per_joint=11,
+        margin=1e-6,
+        anchor=robot(rng, 3),
+        **PLAIN,
+    )
+    starts, kept = np.arange(0, theta.size, 11), np.arange(10, theta.size, 11)
+    _, optimum = cvxopt_projection(theta, A, "pseudo-inertia", starts, kept, floor=1e-6)
+    # 1e-6: the oracle, which squares the condition.
+    assert result.objective == pytest.approx(optimum, rel=1e-6)
+    assert result.relative_gap <= 1e-6
+    assert result.anchor_cost == 0.0
+
+
+def test_price_of_the_anchor_is_what_less_pull_saves():
+    found = []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        theta, truth = inconsistent_robot(rng, 2), robot(rng, 2)
+        A = metric(rng, theta.size, 1e4, rank=12)
+        options = {"parameters_per_joint": 11, "anchor": truth, **PLAIN}
+        strong = project(theta, A, anchor_weight=1e-4, **options)
+        weak = project(theta, A, anchor_weight=1e-10, **options)
+        saved = 1 - weak.objective / strong.objective
+        assert strong.anchor_cost == pytest.approx(saved, rel=1e-4, abs=1e-8)
+        # Nearest among those no further from the anchor: less pull, further away.
+        pull = pull_of_the_anchor(A, rank=12, weight=1.0)
+        away = [
+            (result.theta - truth) @ pull @ (result.theta - truth)
+            for result in (strong, weak)
+        ]
+        assert away[1] >= away[0] * (1 - 1e-6)
+        found.append(strong.anchor_cost)
+    assert max(found) > 0.01
+    assert max(found) < 1.0
+
+
+@pytest.mark.parametrize(("condition", "rank"), [(1e8, None), (1e3, 30)])
+def test_last_digits_of_the_data_do_not_decide(condition, rank):
+    seen, size = [], []
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        theta, anchor = inconsistent_robot(rng, 6), robot(rng, 6)
+        A = metric(rng, theta.size, condition, rank)
+        options = {"parameters_per_joint": 11, "anchor": anchor}
+        first = project(theta, A, **options).theta
+        for _ in range(3):
+            rounding = 8 * np.finfo(float).eps * rng.normal(size=theta.size)
+            step = project(theta * (1 + rounding), A, **options).theta - first
+            # The distance of two answers in the metric is that of their predictions.
+            seen.append(np.sqrt((step @ A @ step) / (theta @ A @ theta)))
+            size.append(np.abs(step).max() / np.abs(theta).max())
+    assert max(seen) <= 2e-13
+    assert max(size) <= 1e-10
+
+
+def test_transform_does_not_price_the_anchor():
+    rng = np.random.default_rng(0)
+    theta = inconsistent_robot(rng, 2)
+    A = metric(rng, theta.size, 1e4, rank=12)
+    projector = PhysicalProjector(metric=A).fit(theta[None])
+    with mock.patch.object(_projection, "_anchor_cost", side_effect=AssertionError):
+        moved = projector.transform(theta[None])
+    (result,) = projector.projections(theta[None])
+    np.testing.assert_array_equal(moved[0], result.theta)
+    assert 0.0 <= result.anchor_cost <= 1.0
 
 
 @properties

@@ -1,0 +1,93 @@
+"""The explicit end of EM: least squares, fixed under EM, and above all it reaches."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sklearn_vbjfa._core import _predict, _solver
+from sklearn_vbjfa._core._highest import at_highest_likelihood
+from sklearn_vbjfa._core._state import Prior
+from sklearn_vbjfa._core._stats import from_data, standardise
+from tests.core import _problems
+
+
+def moments_of(seed, d, n=200, correlation=0.0):
+    rng = np.random.default_rng([seed, 7])
+    X = rng.normal(size=(n, d)) + 3 * correlation * rng.normal(size=(n, 1))
+    y = X @ rng.normal(size=d) + rng.normal(size=n)
+    return standardise(from_data(X, y), centred=True).moments
+
+
+def value(moments, state, prior):
+    return _solver.iterate(moments, state, prior)[1]
+
+
+@pytest.mark.parametrize("correlation", [0.0, 1.0, 30.0])
+@pytest.mark.parametrize("noise", [None, 0.0, 1e-3, 0.3])
+@pytest.mark.parametrize("seed", range(3))
+def test_em_cannot_leave_it_and_stays_below(seed, noise, correlation):
+    moments = moments_of(seed, 4, correlation=correlation)
+    fixed = None if noise is None else np.full(4, max(noise, np.finfo(float).eps))
+    prior = Prior(psi_x_fixed=fixed)
+    start = _solver.start(moments, prior, np.full(4, 0.3))
+    state = at_highest_likelihood(moments, start, prior)
+    c = np.linalg.solve(moments.S, moments.xy)
+    s = moments.residual(c)[1] / moments.n
+    if noise is not None and c**2 @ fixed / (1 - noise) > s:
+        assert state is None
+        return
+    top = value(moments, state, prior)
+    new = state
+    for _ in range(20):
+        new, reached = _solver.iterate(moments, new, prior)
+    assert reached == pytest.approx(top, rel=0, abs=1e-9 * abs(top))
+    # EM's own way up, from the same start and for long, does not get above it.
+    long = _solver.solve(
+        moments, start, prior, max_iter=3000, tol=0.0, accelerate=False
+    )
+    assert long.history[-1] <= top + 1e-9 * abs(top)
+    assert_allclose(_predict.coefficients_noisy(state), c, rtol=1e-6)
+    # What is known stays, signs stay, and variances are variances.
+    if noise is not None:
+        assert_allclose(state.psi_x, fixed)
+    assert (state.w_x_mean > 0).all()
+    assert min(state.psi_y, state.psi_z.min(), state.psi_x.min()) > 0
+
+
+def test_known_noise_that_explains_the_output_noise_has_no_explicit_end():
+    moments = moments_of(0, 4, correlation=30.0)
+    prior = Prior(psi_x_fixed=np.full(4, 0.3))
+    start = _solver.start(moments, prior, np.full(4, 0.3))
+    assert at_highest_likelihood(moments, start, prior) is None
+    solution = _solver.solve(moments, start, prior, max_iter=5000, tol=1e-10)
+    assert solution.status == "converged"
+    assert np.diff(solution.history).min() >= 0
+
+
+def test_split_of_em_is_kept_where_it_can_be():
+    moments = moments_of(0, 4)
+    start = _solver.start(moments, Prior(), np.full(4, 1e-3))
+    start = replace(start, psi_z=np.array([0.1, 0.2, 0.3, 0.4]), psi_y=0.5)
+    state = at_highest_likelihood(moments, start, Prior())
+    assert_allclose(state.psi_x / moments.xx * moments.n, start.psi_x, rtol=1e-12)
+    assert_allclose(state.psi_z / state.psi_y, start.psi_z / start.psi_y, rtol=1e-12)
+
+
+def test_split_that_makes_too_much_noise_is_lowered_by_one_factor():
+    moments = moments_of(1, 4, correlation=30.0)
+    start = _problems.make_state(0, 4, ard=False)
+    state = at_highest_likelihood(moments, start, Prior())
+    factors = (state.psi_x / state.w_x_mean**2) / (start.psi_x / start.w_x_mean**2)
+    assert_allclose(factors, factors[0], rtol=1e-9)
+    assert factors[0] < 0.5
+    # The same share of the output noise comes through the inputs as before.
+    shares = []
+    for one in (start, state):
+        V = one.psi_x + one.w_x_mean**2
+        through = _predict.coefficients_noisy(one) ** 2 @ (
+            V * one.psi_x / (V - one.psi_x)
+        )
+        shares.append(through / (through + one.psi_y + one.psi_z.sum()))
+    assert shares[0] == pytest.approx(shares[1], rel=1e-9)

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 import sklearn
 
-from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN, compare
+from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis._findings import DiscoveredEffect, Outcome, Round, Trial
 from sklearn_vbjfa.diagnosis._intervals import effect_covariances
 from sklearn_vbjfa.robot._model import import_pinocchio, is_prismatic
@@ -79,9 +79,7 @@ def _effects(loop, search, names, prismatic):
         k = len(effect.coefficients)
         coef = loop.identifier_.theta_[at : at + k]
         at += k
-        rest = [e for e in search.accepted if e is not effect]
-        without = search.regression(rest).squares()
-        evidence = compare(*search._relevant(effect, without, search.before))
+        evidence = search.evidence_of(effect)
         values, deviations = _named(effect, coef, covariance)
         units = effect.parameter_units(prismatic[effect.joint])
         yield DiscoveredEffect(
@@ -151,6 +149,9 @@ def _rounds(search, names):
                 shape=step.effect.shape(),
                 replaced="" if step.replaced is None else step.replaced.name,
                 evidence=step.evidence,
+                rule=step.rule.name,
+                level=step.rule.level,
+                n_tests=step.rule.n_tests,
                 rivals=tuple(_trial(c) for c in step.rivals),
                 tried=tuple(_trial(c) for c in step.tried),
                 error_before=error(step.squares_before),

@@ -3,7 +3,6 @@
 import numpy as np
 
 from sklearn_vbjfa.diagnosis._regression import BlockRegression
-from sklearn_vbjfa.diagnosis._whitening import Whitening
 
 
 class Judge:
@@ -32,9 +31,7 @@ class Judge:
 
     def __init__(self, view, base, residual):
         joints = range(view.nv)
-        self._whiten = Whitening(
-            residual, view.root, view.starts, view.step, view.robot.cutoff_
-        )
+        self._whiten = view.whitening(residual)
         power = (self._whiten(residual, joints) ** 2).sum(axis=1)
         rows = (view.root.T**2).sum(axis=1)
         used = (view.precision > 0) & (power > 0)

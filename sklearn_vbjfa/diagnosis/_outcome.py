@@ -8,7 +8,9 @@ import sklearn
 
 from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis._findings import DiscoveredEffect, Outcome, Round, Trial
+from sklearn_vbjfa.diagnosis._gaps import memory_seconds, too_short
 from sklearn_vbjfa.diagnosis._intervals import effect_covariances
+from sklearn_vbjfa.diagnosis._search import STEP_UP
 from sklearn_vbjfa.robot._model import import_pinocchio, is_prismatic
 
 # Half width of a 90 % interval in standard deviations.
@@ -173,16 +175,20 @@ def _settings(loop, search, library):
     from sklearn_vbjfa import __version__
 
     view = search.view
+    seconds = memory_seconds(search)
     return {
         "test_size": float(loop.test_size),
         "alpha": float(loop.alpha),
-        "level_per_test": search.level,
+        "rule": STEP_UP,
+        "last_level": float(search.threshold) if search.n_tests else None,
+        "last_n_tests": int(search.n_tests),
         "smallest_gain": SMALLEST_GAIN,
         "effects": tuple(e.name for e in library),
         "n_blocks": view.blocks.n_blocks,
         "block_seconds": float(view.blocks.length),
         "n_folds": view.blocks.n_folds,
-        "correlation_seconds": float(view.correlation_time),
+        "correlation_seconds": max(seconds, default=0.0),
+        "too_short": tuple(too_short(search, seconds)),
         "search_rows": int(view.states.shape[0]),
         "random_state": loop.random_state
         if isinstance(loop.random_state, (int, type(None)))

@@ -146,11 +146,6 @@ class EffectSearch:
             found.append(one)
         return found
 
-    @property
-    def level(self):
-        """Level of one test, all candidates and joints considered (Bonferroni)."""
-        return self.alpha / max(len(self.library) * self.view.nv, 1)
-
     # -- one round ------------------------------------------------------------------
 
     def score(self, effect, base, before, accepted):
@@ -356,7 +351,7 @@ class EffectSearch:
 
     def run(self):
         """Search until nothing is significant."""
-        self.threshold, self.n_tests = self.level, 0
+        self.threshold, self.n_tests = self.alpha, 0
         self._refresh()
         for number in range(_MOST_ROUNDS_PER_JOINT * self.view.nv):
             if self.max_effects is not None and len(self.accepted) >= self.max_effects:
@@ -428,7 +423,7 @@ class EffectSearch:
             return compare(np.zeros(1), np.zeros(1)), Rule(name=TOO_LATE)
         # What begins late (a payload) has its first share from there.
         border = where[min(int(_FORWARD * where.size), where.size - _ACTIVE)]
-        of_time = effect.slow or acts[:border].mean() < 0.5
+        of_time = effect.slow or where[0] > 0.5 * border
         larger = self.regression([*self.accepted, effect])
         with_it, without = (r.forward_squares(border) for r in (larger, self.base))
         judge = Judge(self.view, self.base, larger.residuals())
@@ -437,7 +432,8 @@ class EffectSearch:
         white = judge.forward(joints, own, border)
         case = self._evidence(effect, (without, with_it), white)
         if of_time:
-            # Whatever changes slowly can be fitted by a function of time.
+            # Whatever changes slowly can be fitted by a function of time, and
+            # whatever happened once by what begins late.
             if case.gain > 0 and case.p_value < self.alpha:
                 return case, None
             return case, Rule(name=LATER, level=self.alpha, n_tests=1)

@@ -54,6 +54,16 @@ class Blocks:
         """Rows of each fold, list of ndarray."""
         return [np.flatnonzero(self.fold == k) for k in range(self.n_folds)]
 
+    def divided(self, least):
+        """Return blocks cut into pieces that are not shorter than a time [s]."""
+        pieces = max(1, int(self.length / least))
+        count = np.bincount(self.label)
+        first = np.r_[0, np.cumsum(count)[:-1]]
+        place = np.arange(self.label.size) - first[self.label]
+        piece = place * pieces // count[self.label]
+        _, label = np.unique(self.label * pieces + piece, return_inverse=True)
+        return Blocks(label=label, fold=self.fold, length=self.length / pieces)
+
     def sums(self, values):
         """Sum rows (m, ...) over each block."""
         starts = np.r_[0, np.flatnonzero(np.diff(self.label)) + 1]

@@ -56,26 +56,45 @@ class Judge:
         white = self._whiten(columns, joints)
         return self.regression.score(joints, white).squares * self._precision
 
-    def forward(self, joints, columns, border):
-        """Squares from block `border` on, fitted to those before.
-
-        Returns
-        -------
-        without, with_it : ndarray of shape (n_blocks - border, nv)
-            Without and with a candidate's columns (nj, m, k).
-        """
-        base, view = self.regression, self._view
+    def forward(self, joints, columns, blocks, border):
+        """Squares of later blocks with and without a candidate, see `forward`."""
         white = self._whiten(columns, joints)
-        extra = np.zeros((*base.Z.shape[:2], white.shape[-1]))
-        extra[joints] = white
-        power = np.mean(extra**2, axis=(0, 1))
-        extra *= view.size / np.sqrt(np.where(power > 0, power, 1.0))
-        larger = BlockRegression(
-            np.concatenate([base.Z, extra], axis=2),
-            base.y,
-            base.precision,
-            base.blocks,
-            base.ridge,
-        )
-        models = base, larger
-        return tuple(m.forward_squares(border) * self._precision for m in models)
+        squares = forward(self.regression, self._view, joints, white, blocks, border)
+        return [s * self._precision for s in squares]
+
+
+def forward(base, view, joints, columns, blocks, border):
+    """Squared residuals of later blocks, all fitted to those before.
+
+    Parameters
+    ----------
+    base : BlockRegression
+        Model without a candidate.
+    view : RecordingView
+        Recording.
+    joints : list of int
+        Joints that the candidate acts on.
+    columns : ndarray of shape (nj, m, k)
+        Its columns.
+    blocks : Blocks
+        Blocks that are summed over.
+    border : int
+        First of the later blocks.
+
+    Returns
+    -------
+    without, with_it : ndarray of shape (n_blocks - border, nv)
+        Sums of squares.
+    """
+    extra = np.zeros((*base.Z.shape[:2], columns.shape[-1]))
+    extra[joints] = columns
+    power = np.mean(extra**2, axis=(0, 1))
+    extra *= view.size / np.sqrt(np.where(power > 0, power, 1.0))
+    larger = BlockRegression(
+        np.concatenate([base.Z, extra], axis=2),
+        base.y,
+        base.precision,
+        base.blocks,
+        base.ridge,
+    )
+    return [model.forward_squares(border, blocks) for model in (base, larger)]

@@ -8,7 +8,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis._candidates import Candidate, Rule, Step, closure
 from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN, compare, no_worse
-from sklearn_vbjfa.diagnosis._judge import Judge
+from sklearn_vbjfa.diagnosis._judge import Judge, forward
 from sklearn_vbjfa.diagnosis._regression import BlockRegression
 from sklearn_vbjfa.diagnosis._transfer import Transfer
 
@@ -20,8 +20,10 @@ _SUPERFLUOUS = 0.01
 # What is found must hold beyond the data that it was found in: fitted to this first
 # share of the blocks it is tried on the rest.
 _FORWARD = 0.75
-# Blocks on either side of that border in which an effect acts, at the least: fewer
-# cannot tell it from chance.
+# What begins late is fitted to this first share of where it acts.
+_LATE = 0.5
+# Blocks on either side of that border in which it acts, at the least: fewer cannot tell
+# it from chance.
 _ACTIVE = 3
 # A plain effect that saves this share of what one that contains it saves goes first.
 _CONTAINED = 0.5
@@ -415,23 +417,28 @@ class EffectSearch:
         Rule or None
             By which it is refused, if it is.
         """
-        joints, blocks = self.view.joints_of(effect), self.view.blocks
-        own = self._columns_of(effect)
+        view = self.view
+        joints, own = view.joints_of(effect), self._columns_of(effect)
+        # Of the little that is later, all that is independent has to count.
+        blocks = view.blocks.divided(max(1.0 / view.robot.cutoff_, view.step))
         acts = blocks.sums((own != 0).any(axis=(0, 2)).astype(float)) > 0
         where = np.flatnonzero(acts)
         if where.size < 2 * _ACTIVE:
-            return compare(np.zeros(1), np.zeros(1)), Rule(name=TOO_LATE)
-        # What begins late (a payload) has its first share from there.
-        border = where[min(int(_FORWARD * where.size), where.size - _ACTIVE)]
-        of_time = effect.slow or where[0] > 0.5 * border
+            nothing = np.zeros(1)
+            return compare(nothing, nothing), Rule(name=TOO_LATE)
+        border = where[int(_FORWARD * where.size)]
+        late = where[0] > 0.5 * border
+        if late:
+            # It has to be fitted where it acts, and tried there as well.
+            border = where[int(_LATE * where.size)]
         larger = self.regression([*self.accepted, effect])
-        with_it, without = (r.forward_squares(border) for r in (larger, self.base))
-        judge = Judge(self.view, self.base, larger.residuals())
-        if of_time:
-            own = self._columns_of(self._tuned_before(effect, border))
-        white = judge.forward(joints, own, border)
-        case = self._evidence(effect, (without, with_it), white)
-        if of_time:
+        judge = Judge(view, self.base, larger.residuals())
+        if effect.slow or late:
+            own = self._columns_of(self._tuned_before(effect, blocks.label < border))
+        squares = forward(self.base, view, joints, own, blocks, border)
+        white = judge.forward(joints, own, blocks, border)
+        case = self._evidence(effect, squares, white)
+        if effect.slow or late:
             # Whatever changes slowly can be fitted by a function of time, and
             # whatever happened once by what begins late.
             if case.gain > 0 and case.p_value < self.alpha:
@@ -441,28 +448,23 @@ class EffectSearch:
             return case, None
         return case, Rule(name=HARM)
 
-    def _tuned_before(self, effect, border):
-        """Return the effect with the shape that suits the blocks before one best."""
+    def _tuned_before(self, effect, early):
+        """Return the effect with the shape that suits some rows best."""
         variants, columns = self.view.family(effect, self.motion)
         same = [k for k, v in enumerate(variants) if v.key() == effect.key()]
         if not same:
             return effect
-        early = self.view.blocks.label < border
-        masked = columns[:, :, same] * early[:, None, None]
-        drops = self._before(border).score(self.view.joints_of(effect), masked).drop
-        return variants[same[int(np.argmax(drops))]]
-
-    def _before(self, border):
-        """Model as it is, with the blocks before one alone."""
-        early = self.view.blocks.label < border
         base = self.base
-        return BlockRegression(
+        there = BlockRegression(
             base.Z * early[:, None],
             base.y * early,
             base.precision,
             base.blocks,
             base.ridge,
         )
+        masked = columns[:, :, same] * early[:, None, None]
+        drops = there.score(self.view.joints_of(effect), masked).drop
+        return variants[same[int(np.argmax(drops))]]
 
     def _weighted_gain(self, candidate):
         """Fall of the robot's log-likelihood-like error, to compare joints."""

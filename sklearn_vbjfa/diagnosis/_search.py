@@ -84,9 +84,14 @@ class EffectSearch:
 
     # -- models ---------------------------------------------------------------------
 
-    def regression(self, effects):
-        """Regression of the declared model with some effects."""
+    def regression(self, effects, ridge="view"):
+        """Regression of the declared model with some effects.
+
+        Its ridge is that of the model as it is, unless another is given; None chooses
+        it by cross-validation.
+        """
         view = self.view
+        ridge = view.ridge if ridge == "view" else ridge
         Z, self._scales = [view.Z], []
         for effect in effects:
             columns = self._columns_of(effect)
@@ -101,7 +106,7 @@ class EffectSearch:
             view.target,
             view.precision,
             view.blocks,
-            view.ridge,
+            ridge,
             view.moments,
         )
 
@@ -245,7 +250,9 @@ class EffectSearch:
         not judged on them.
         """
         rest = [e for e in self.accepted if e is not effect]
-        base = self.regression(rest)
+        # As it was when the effect was a candidate: a ridge that suits the model with
+        # it may hide it in the span of the others.
+        base = self.regression(rest, ridge=None)
         joints, columns = self.view.joints_of(effect), self._tuned_family(effect)
         after = base.score(joints, columns).squares
         judge = Judge(self.view, base, self.base.residuals())
@@ -544,7 +551,7 @@ class EffectSearch:
         """Let rivals compete for the place of each effect of the joint."""
         for effect in [e for e in self.accepted if e.joint == joint]:
             rest = [e for e in self.accepted if e is not effect]
-            base = self.regression(rest)
+            base = self.regression(rest, ridge=None)
             before = base.squares()
             tried, judge = self.try_joint(joint, base, before, rest)
             found, others = self.eligible(tried, joint, rest)

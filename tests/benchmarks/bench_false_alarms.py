@@ -10,7 +10,7 @@ goes into the table beside this one with ``--old``.
 
 Targets, fixed before anything was tuned: alpha = 0.05, pooled false alarms at most
 5 %, no cell above 7.5 %, and at most 3 points of power lost against the old version.
-Seeds below 100 are for development; the table uses 100 and above.
+Seeds below 200 are for development; the table uses 200 and above.
 """
 
 import json
@@ -341,7 +341,7 @@ def main(argv=None):
     """Print the tables."""
     arguments = parser(__doc__.splitlines()[0])
     arguments.add_argument("--trials", type=int, default=400)
-    arguments.add_argument("--seed", type=int, default=100)
+    arguments.add_argument("--seed", type=int, default=200)
     arguments.add_argument("--study", choices=("null", "power", "both"), default="both")
     arguments.add_argument("--results", help="JSON lines, to continue and to keep")
     arguments.add_argument("--old", help="JSON lines of another version")

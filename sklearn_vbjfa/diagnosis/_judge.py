@@ -57,44 +57,37 @@ class Judge:
         return self.regression.score(joints, white).squares * self._precision
 
     def forward(self, joints, columns, blocks, border):
-        """Squares of later blocks with and without a candidate, see `forward`."""
-        white = self._whiten(columns, joints)
-        squares = forward(self.regression, self._view, joints, white, blocks, border)
-        return [s * self._precision for s in squares]
+        """Squared residuals of later blocks, all fitted to those before.
 
+        Parameters
+        ----------
+        joints : list of int
+            Joints that the candidate acts on.
+        columns : ndarray of shape (nj, m, k)
+            Its columns.
+        blocks : Blocks
+            Blocks that are summed over.
+        border : int
+            First of the later blocks.
 
-def forward(base, view, joints, columns, blocks, border):
-    """Squared residuals of later blocks, all fitted to those before.
-
-    Parameters
-    ----------
-    base : BlockRegression
-        Model without a candidate.
-    view : RecordingView
-        Recording.
-    joints : list of int
-        Joints that the candidate acts on.
-    columns : ndarray of shape (nj, m, k)
-        Its columns.
-    blocks : Blocks
-        Blocks that are summed over.
-    border : int
-        First of the later blocks.
-
-    Returns
-    -------
-    without, with_it : ndarray of shape (n_blocks - border, nv)
-        Sums of squares.
-    """
-    extra = np.zeros((*base.Z.shape[:2], columns.shape[-1]))
-    extra[joints] = columns
-    power = np.mean(extra**2, axis=(0, 1))
-    extra *= view.size / np.sqrt(np.where(power > 0, power, 1.0))
-    larger = BlockRegression(
-        np.concatenate([base.Z, extra], axis=2),
-        base.y,
-        base.precision,
-        base.blocks,
-        base.ridge,
-    )
-    return [model.forward_squares(border, blocks) for model in (base, larger)]
+        Returns
+        -------
+        without, with_it : ndarray of shape (n_blocks - border, nv)
+            Sums of squares in units of noise.
+        """
+        base = self.regression
+        extra = np.zeros((*base.Z.shape[:2], columns.shape[-1]))
+        extra[joints] = self._whiten(columns, joints)
+        power = np.mean(extra**2, axis=(0, 1))
+        extra *= self._view.size / np.sqrt(np.where(power > 0, power, 1.0))
+        larger = BlockRegression(
+            np.concatenate([base.Z, extra], axis=2),
+            base.y,
+            base.precision,
+            base.blocks,
+            base.ridge,
+        )
+        return [
+            model.forward_squares(border, blocks) * self._precision
+            for model in (base, larger)
+        ]

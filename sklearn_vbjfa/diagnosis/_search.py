@@ -8,7 +8,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis._candidates import Candidate, Rule, Step, closure
 from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN, compare, no_worse
-from sklearn_vbjfa.diagnosis._judge import Judge, forward
+from sklearn_vbjfa.diagnosis._judge import Judge
 from sklearn_vbjfa.diagnosis._regression import BlockRegression
 from sklearn_vbjfa.diagnosis._transfer import Transfer
 
@@ -315,9 +315,9 @@ class EffectSearch:
         p_values = np.sort(
             [c.evidence.p_value for t in tried.values() for c in t.values()]
         )
-        self.n_tests = p_values.size
         if p_values.size == 0:
             return
+        self.n_tests = p_values.size
         m = p_values.size
         rank = np.arange(1, p_values.size + 1)
         passing = rank[p_values <= self.alpha * rank / m]
@@ -391,15 +391,13 @@ class EffectSearch:
             return False
         _, chosen, rivals, found = max(offers, key=lambda offer: offer[0])
         effect = self.refine(chosen.effect, self.base)
-        case, rule = self._later(effect)
+        case, rule = self._later(effect, self.accepted, self.base)
         if rule is not None:
-            self._refused.add(effect.key())
-            self._refusals[effect.key()] = self._refusals.get(effect.key(), 0) + 1
-            self._record("refuse", effect, None, case, rivals, found, rule, self.before)
+            self._refuse(effect, case, rivals, found, rule)
             return True
         before, rule = self.before, self._rule(chosen)
         self.accepted.append(effect)
-        # Beside another model they may hold; every trial counts, see `_evidence`.
+        # Beside another model they may hold.
         self._refused.clear()
         self._refresh()
         self._record("add", effect, None, chosen.evidence, rivals, found, rule, before)
@@ -414,8 +412,11 @@ class EffectSearch:
             return Rule(name=STEP_UP, level=self.threshold, n_tests=self.n_tests)
         return Rule(name=CONTAINED, level=self.alpha, n_tests=1)
 
-    def _later(self, effect):
-        """Try an effect on later data than it was fitted to.
+    def _later(self, effect, accepted, base):
+        """Try an effect on later data than it was fitted to, beside some others.
+
+        Both models are fitted and judged in rows without the residual's memory: slow
+        noise that goes on from where it was would decide otherwise.
 
         Returns
         -------
@@ -438,13 +439,14 @@ class EffectSearch:
         if late:
             # It has to be fitted where it acts, and tried there as well.
             border = where[int(_LATE * where.size)]
-        larger = self.regression([*self.accepted, effect])
-        judge = Judge(view, self.base, larger.residuals())
+        judge = Judge(view, base, self.regression([*accepted, effect]).residuals())
         if effect.slow or late:
-            own = self._columns_of(self._tuned_before(effect, blocks.label < border))
-        squares = forward(self.base, view, joints, own, blocks, border)
-        white = judge.forward(joints, own, blocks, border)
-        case = self._evidence(effect, squares, white)
+            early = blocks.label < border
+            own = self._columns_of(self._tuned_before(effect, base, early))
+        squares = judge.forward(joints, own, blocks, border)
+        if not effect.whole_robot:
+            squares = [s[:, [effect.joint]] for s in squares]
+        case = compare(*(s.sum(axis=1) for s in squares))
         if effect.slow or late:
             # Whatever changes slowly can be fitted by a function of time, and
             # whatever happened once by what begins late.
@@ -455,13 +457,18 @@ class EffectSearch:
             return case, None
         return case, Rule(name=HARM)
 
-    def _tuned_before(self, effect, early):
+    def _refuse(self, effect, case, rivals, tried, rule):
+        """Note that an effect does not hold; every trial counts, see `_evidence`."""
+        self._refused.add(effect.key())
+        self._refusals[effect.key()] = self._refusals.get(effect.key(), 0) + 1
+        self._record("refuse", effect, None, case, rivals, tried, rule, self.before)
+
+    def _tuned_before(self, effect, base, early):
         """Return the effect with the shape that suits some rows best."""
         variants, columns = self.view.family(effect, self.motion)
         same = [k for k, v in enumerate(variants) if v.key() == effect.key()]
         if not same:
             return effect
-        base = self.base
         there = BlockRegression(
             base.Z * early[:, None],
             base.y * early,
@@ -571,6 +578,10 @@ class EffectSearch:
                 if not better:
                     rule = Rule(name=SIMPLER)
                 refined = self.refine(best.effect, base)
+                later, refusal = self._later(refined, rest, base)
+                if refusal is not None:
+                    self._refuse(refined, later, rivals, others, refusal)
+                    continue
                 old = self.before
                 self.accepted = [*rest, refined]
                 self._refresh()

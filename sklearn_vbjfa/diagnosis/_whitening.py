@@ -75,17 +75,20 @@ def fit_memory(residual, used, starts, step, stride=1):
     n = used.sum() / stride
     most = int(min(_LAGS * (n / 100.0) ** 0.25, n / _ROWS_PER_LAG))
     none = Memory(phi=np.zeros(0), time=stride * step)
-    if most < 1:
-        return none
     place = np.arange(residual.size)
     first = np.zeros(residual.size, int)
     first[starts] = starts
     first = np.maximum.accumulate(first)
     missing = np.maximum.accumulate(np.where(used, -1, place))
-    reach = most * stride
-    rows = np.flatnonzero((place - first >= reach) & (place - missing > reach))
-    n = rows.size / stride
-    if n < _ROWS_PER_LAG * most:
+    since = np.minimum(place - first, place - missing - 1)
+    while most >= 1:
+        rows = np.flatnonzero(used & (since >= most * stride))
+        n = rows.size / stride
+        if n >= _ROWS_PER_LAG * most:
+            break
+        # Short recordings, or many gaps.
+        most //= 2
+    else:
         return none
     y = residual[rows]
     lags = np.column_stack([residual[rows - k * stride] for k in range(1, most + 1)])

@@ -24,6 +24,8 @@ class Judge:
 
     Attributes
     ----------
+    residual : ndarray of shape (nv, m)
+        As given.
     squares : ndarray of shape (n_blocks, nv)
         Squared out-of-sample residuals of the model without the candidate, in units
         of each joint's noise, so that joints may be added up.
@@ -31,6 +33,7 @@ class Judge:
 
     def __init__(self, view, base, residual):
         joints = range(view.nv)
+        self.residual = residual
         self._whiten = view.whitening(residual)
         power = (self._whiten(residual, joints) ** 2).sum(axis=1)
         rows = (view.root.T**2).sum(axis=1)

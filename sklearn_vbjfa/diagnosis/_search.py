@@ -250,14 +250,34 @@ class EffectSearch:
         not judged on them.
         """
         rest = [e for e in self.accepted if e is not effect]
-        # As it was when the effect was a candidate: a ridge that suits the model with
-        # it may hide it in the span of the others.
-        base = self.regression(rest, ridge=None)
+        base, beside, after = self._in_place(effect, rest)
+        residual = self.base.residuals()
+        judge = Judge(self.view, base, residual)
+        before = judge.squares
+        if beside is not base:
+            judge = Judge(self.view, beside, residual)
+        white = judge.score(self.view.joints_of(effect), self._tuned_family(effect))
+        return self._evidence(effect, (base.squares(), after), (before, white))
+
+    def _in_place(self, effect, rest):
+        """Score an accepted effect beside the rest, shape chosen inside each fold.
+
+        Returns
+        -------
+        base : BlockRegression
+            The rest with the ridge that suits it.
+        beside : BlockRegression
+            The same, or with the ridge of the whole model, if the effect does better
+            beside that: either may hide the one or the other in the others' span.
+        after : ndarray of shape (n_blocks, nv)
+            Squared out-of-sample residuals with the effect.
+        """
         joints, columns = self.view.joints_of(effect), self._tuned_family(effect)
-        after = base.score(joints, columns).squares
-        judge = Judge(self.view, base, self.base.residuals())
-        white = judge.score(joints, columns)
-        return self._evidence(effect, (base.squares(), after), (judge.squares, white))
+        models = [self.regression(rest, ridge=ridge) for ridge in (None, "view")]
+        scores = [base.score(joints, columns).squares for base in models]
+        totals = [(s @ self.view.precision).sum() for s in scores]
+        best = int(np.argmin(totals))
+        return models[0], models[best], scores[best]
 
     def _tuned_family(self, effect):
         """Columns of an effect's grid of shapes, finer around the tuned one."""
@@ -558,7 +578,7 @@ class EffectSearch:
         """Let rivals compete for the place of each effect of the joint."""
         for effect in [e for e in self.accepted if e.joint == joint]:
             rest = [e for e in self.accepted if e is not effect]
-            base = self.regression(rest, ridge=None)
+            base, beside, now = self._in_place(effect, rest)
             before = base.squares()
             tried, judge = self.try_joint(joint, base, before, rest)
             found, others = self.eligible(tried, joint, rest)
@@ -567,8 +587,9 @@ class EffectSearch:
             best, rivals = self.best_of(found, others)
             if best.effect.key() == effect.key():
                 continue
+            if beside is not base:
+                judge = Judge(self.view, beside, judge.residual)
             joints, columns = self.view.joints_of(effect), self._tuned_family(effect)
-            now = base.score(joints, columns).squares
             white = judge.score(joints, columns)
             case = self._evidence(best.effect, (now, best.squares), (white, best.white))
             simpler = best.effect.complexity < effect.complexity

@@ -212,3 +212,79 @@ def test_slow_noise_does_not_hide_fast_effects_nor_make_slow_ones():
     found = close(lambda r: noise + 0.5 * coulomb(r), library)
     assert names(found) == ["coulomb"]
     assert found.effects_[0].parameters["Fc"] == pytest.approx(0.5, rel=0.3)
+
+
+def test_what_was_named_before_its_rivals_had_a_place_is_replaced():
+    """Stribeck friction that looked quadratic while a spring was missing."""
+    recording = record("Y", seed=3, duration=20.0, noise=0.1)
+
+    def torque(r):
+        v = r.v[:, 0]
+        return 2.0 * r.q[:, 0] + 2.0 * np.exp(-np.abs(v / 0.3)) * np.sign(v)
+
+    loop = recording.discover(
+        recording.torque(joint_1=torque),
+        ["coulomb", "viscous_quadratic", "spring", "stribeck"],
+    )
+    assert sorted(names(loop)) == ["spring", "stribeck"]
+    (step,) = [r for r in loop.rounds_ if r.action == "replace"]
+    assert (step.name, step.replaced) == ("stribeck", "viscous_quadratic")
+    assert (step.rule, step.level, step.n_tests) == (_search.BETTER, 0.05, 1)
+    assert step.evidence.p_value < step.level
+
+
+def test_the_search_does_not_run_in_circles():
+    """Nothing is taken back and found again."""
+    recording = record("Y", seed=1, duration=20.0, noise=0.1)
+
+    def torque(r):
+        return 0.73 * np.cos(2.0 * r.q[:, 0]) + 0.76 * coulomb(r)
+
+    loop = recording.discover(
+        recording.torque(joint_1=torque),
+        ["coulomb", "offset", "spring", "stribeck", "viscous_quadratic"]
+        + ["asymmetric_friction", "counterbalance", "ripple"],
+    )
+    assert sorted(names(loop)) == ["coulomb", "counterbalance"]
+    added = [r.name for r in loop.rounds_ if r.action in ("add", "replace")]
+    assert len(added) == len(set(added))
+
+
+def test_shapes_are_not_judged_on_what_they_were_tuned_to():
+    """A ripple in white noise: its best period helps on all rows, and in no fold."""
+    from tests.diagnosis.test_search import search
+
+    noisy = record("Y", seed=1, duration=24.0, noise=0.5)
+    now = search(noisy.torque(), ["ripple"], noisy)
+    now._refresh()
+    (ripple,) = [e for e in now.candidates_of(0) if e.name == "ripple"]
+    variants, columns = now.view.family(ripple, now.motion)
+    best = variants[now.base.score([0], columns).best]
+    now.accepted = [now.refine(best, now.base)]
+    now._refresh()
+    before = now.regression([]).squares()
+    tuned = 1 - now.before.sum() / before.sum()
+    assert tuned > 0.02
+    evidence = now.evidence_of(now.accepted[0])
+    assert evidence.gain < 0.5 * tuned
+    assert not evidence.significant(0.05)
+
+
+def test_trials_after_a_refusal_double_the_p_value():
+    from tests.diagnosis.test_search import search
+
+    torque = ONE.torque(joint_1=lambda r: 0.1 * ripple(r))
+    now = search(torque, ["ripple"], ONE)
+    now._refresh()
+
+    def p_value():
+        tried, _ = now.try_joint(0, now.base, now.before, [])
+        return tried["ripple"].evidence.p_value
+
+    first = p_value()
+    assert 0 < first < 0.1
+    now._refusals[("ripple", 0, ())] = 2
+    assert p_value() == pytest.approx(min(1.0, 4 * first))
+    # What was refused is not offered again beside the same model.
+    now._refused.add(("ripple", 0, ()))
+    assert now.try_joint(0, now.base, now.before, [])[0] == {}

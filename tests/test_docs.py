@@ -114,6 +114,7 @@ def constants_of_the_loop():
 
     defaults = inspect.signature(sklearn_vbjfa.EffectDiscovery).parameters
     few, many = _blocks._WANTED
+    words = {8: "eight", 9: "nine", 10: "ten"}
     varies, any_case = _gaps.ABOVE_FLOOR
     most = ("one", "two", "three", "four", "five", "six")[_transfer._MOST - 1]
     share, stretch = (
@@ -125,7 +126,11 @@ def constants_of_the_loop():
         f"of more than {most} recordings a {share} of them at a time",
         f"of a single one each {stretch}",
         f"last {100 * defaults['test_size'].default:g} % of each recording",
-        f"at the level ``alpha`` ({defaults['alpha'].default:g}) divided by",
+        f"p-values of at most ``alpha`` ({defaults['alpha'].default:g}) times k / m",
+        f"fewer than {_blocks.FEWEST} times what the residual stays correlated for",
+        f"fitted to the first {100 * _search._LATE:g} % of where it acts",
+        f"acts in fewer than {2 * _search._ACTIVE} blocks",
+        f"and {words[_search._FINER]} finer steps around the tuned one",
         f"{_blocks._CORRELATION_TIMES:g} times as long as the residual stays corr",
         f"{few} to {many} blocks are aimed at, and {_blocks.FEWEST} are the fewest",
         f"Every {_blocks._FOLDS}th block is predicted from the others",

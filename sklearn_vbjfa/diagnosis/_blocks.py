@@ -5,11 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis._whitening import fit_memory
+
 # A block is this many times longer than the residual stays correlated.
 _CORRELATION_TIMES = 10.0
 # Blocks wanted. What a poor first model lacks is correlated for as long as the motion
 # is; it is not noise, and must not make the blocks so long that fewer are left than
-# the signed-rank test needs among a hundred candidates.
+# the signed-rank test needs among a hundred candidates. Noise that stays correlated for
+# longer than a block is taken out before blocks are compared, see `Judge`.
 _WANTED = (40, 60)
 # The fewest with which anything can be said: the smallest p-value is 2^-12.
 FEWEST = 12
@@ -51,6 +54,16 @@ class Blocks:
         """Rows of each fold, list of ndarray."""
         return [np.flatnonzero(self.fold == k) for k in range(self.n_folds)]
 
+    def divided(self, least):
+        """Return blocks cut into pieces that are not shorter than a time [s]."""
+        pieces = max(1, int(self.length / least))
+        count = np.bincount(self.label)
+        first = np.r_[0, np.cumsum(count)[:-1]]
+        place = np.arange(self.label.size) - first[self.label]
+        piece = place * pieces // count[self.label]
+        _, label = np.unique(self.label * pieces + piece, return_inverse=True)
+        return Blocks(label=label, fold=self.fold, length=self.length / pieces)
+
     def sums(self, values):
         """Sum rows (m, ...) over each block."""
         starts = np.r_[0, np.flatnonzero(np.diff(self.label)) + 1]
@@ -59,6 +72,10 @@ class Blocks:
 
 def correlation_time(residual, weight, step, starts):
     """Longest integrated autocorrelation time of the joints' residuals [s].
+
+    That of an autoregression, see `fit_memory`: sums of sample autocorrelations read
+    slow residuals too short, as their own mean is taken out of them; infinite for a
+    random walk.
 
     Parameters
     ----------
@@ -69,33 +86,12 @@ def correlation_time(residual, weight, step, starts):
     starts : ndarray of int
         First rows of the recordings.
     """
-    longest = 0.0
-    for j in range(residual.shape[1]):
-        r = np.where(weight[:, j] > 0, residual[:, j], 0.0)
-        power = r @ r
-        if power == 0:
-            continue
-        total, lag = 0.5, 1
-        # Up to the first lag that is not clearly correlated (Geyer's initial sequence
-        # is needlessly long for residuals that oscillate).
-        while lag < r.size // 4:
-            product = r[lag:] * r[:-lag]
-            product[_crossing(starts, lag, r.size)] = 0.0
-            rho = product.sum() / power
-            if rho < 2.0 / np.sqrt(r.size):
-                break
-            total += rho
-            lag += 1
-        longest = max(longest, 2 * total * step)
-    return longest
-
-
-def _crossing(starts, lag, n):
-    """Products at this lag that reach across a recording's border."""
-    rows = np.concatenate(
-        [np.arange(max(s - lag, 0), s) for s in starts if s > 0] or [[]]
-    )
-    return rows[rows < n - lag].astype(int)
+    times = []
+    for r, used in zip(residual.T, weight.T > 0):
+        r = np.where(used, r, 0.0)
+        if r.any():
+            times.append(fit_memory(r, used, np.asarray(starts), step).time)
+    return float(max(times, default=0.0))
 
 
 def make_blocks(time, starts, correlation, filter_length):

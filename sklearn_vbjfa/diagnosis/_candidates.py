@@ -19,6 +19,9 @@ class Candidate:
         Against the model without it.
     squares : ndarray of shape (n_blocks, nv)
         Squared out-of-sample residuals with it.
+    white : ndarray of shape (n_blocks, nv)
+        The same in rows without the residual's memory, in units of what is left of
+        each joint's residual, see `Judge`.
     coef : ndarray of shape (k,)
         Its coefficients.
     outside : float
@@ -28,8 +31,29 @@ class Candidate:
     effect: object
     evidence: Evidence
     squares: np.ndarray
+    white: np.ndarray
     coef: np.ndarray
     outside: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rule:
+    """By which rule a step was taken, and at what level.
+
+    Attributes
+    ----------
+    name : str
+        In words.
+    level : float
+        The p-value had to be below it (not below it, for what is dropped or refused);
+        nan where no p-value decided.
+    n_tests : int
+        Tests among which the level is shared out; 0 where no p-value decided.
+    """
+
+    name: str
+    level: float = np.nan
+    n_tests: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +75,8 @@ class Step:
         Others that the data cannot tell from it.
     tried : tuple of Candidate
         All candidates of the joint that beat chance, best first.
+    rule : Rule
+        By which rule, at what level.
     squares_before, squares_after : ndarray of shape (nv,)
         Sums of squared out-of-sample residuals.
     """
@@ -61,6 +87,7 @@ class Step:
     evidence: Evidence
     rivals: tuple
     tried: tuple
+    rule: Rule
     squares_before: np.ndarray
     squares_after: np.ndarray
 

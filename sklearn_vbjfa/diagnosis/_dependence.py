@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis._evidence import p_value
+from sklearn_vbjfa.diagnosis._evidence import compare
 
 # Bins of a signal, and those of time: coarse enough to be filled, fine enough to bend.
 _BINS = 12
@@ -22,7 +22,8 @@ class Dependence:
         Share of the residual's mean square that a step function of the signal,
         fitted to other blocks of time, explains.
     p_value : float
-        From the blocks of time, see `compare`.
+        From the blocks of time, in rows without what the residual remembers of its
+        past once the step function is taken off, see `Judge`.
     """
 
     signal: str
@@ -30,7 +31,7 @@ class Dependence:
     p_value: float
 
 
-def dependences(residual, weight, signals, blocks, level=0.01):
+def dependences(residual, weight, signals, view, level=0.01):
     """Signals that a residual depends on, the strongest first.
 
     Parameters
@@ -39,8 +40,8 @@ def dependences(residual, weight, signals, blocks, level=0.01):
         Out-of-sample residual of a joint and what it counts.
     signals : dict of str to ndarray of shape (m,)
         Signals, filtered as the residual is.
-    blocks : Blocks
-        Blocks of time.
+    view : RecordingView
+        Recording, for its blocks of time.
     level : float
         Level of significance over all signals (Bonferroni).
 
@@ -56,14 +57,15 @@ def dependences(residual, weight, signals, blocks, level=0.01):
     for name, signal in signals.items():
         inner = np.quantile(signal[used], np.linspace(0, 1, _BINS + 1)[1:-1])
         bins = np.searchsorted(inner, signal)
-        gain, p_value = _step_function(residual, weight, bins, blocks)
+        gain, p_value = _step_function(residual, weight, bins, view)
         if gain > 0 and p_value < level / len(signals):
             found.append(Dependence(signal=name, share=gain, p_value=p_value))
     return tuple(sorted(found, key=lambda d: -d.share))
 
 
-def _step_function(residual, weight, bins, blocks):
+def _step_function(residual, weight, bins, view):
     """Out-of-sample gain of a step function, and its p-value over blocks."""
+    blocks = view.blocks
     total = np.bincount(bins, weight * residual, _BINS)
     count = np.bincount(bins, weight, _BINS)
     fit = np.zeros_like(residual)
@@ -76,13 +78,22 @@ def _step_function(residual, weight, bins, blocks):
         fit[rows] = mean[bins[rows]]
     before = blocks.sums(weight * residual**2)
     after = blocks.sums(weight * (residual - fit) ** 2)
-    difference = before - after
-    changed = difference != 0
-    if not changed.any() or before.sum() == 0:
+    if before.sum() == 0 or after.sum() >= before.sum():
         return 0.0, 1.0
+    root = np.sqrt(weight)[:, None]
+    whiten = view.whitening((residual - fit)[None] * root.T, root)
+    y = whiten(residual[None] * root.T, [0])[0]
+    columns = (bins[:, None] == np.arange(_BINS)) * root
+    A = whiten(columns[None], [0])[0]
+    left = y.copy()
+    for k in range(blocks.n_folds):
+        rows = blocks.fold == k
+        coef = np.linalg.lstsq(A[~rows], y[~rows], rcond=1e-10)[0]
+        left[rows] -= A[rows] @ coef
+    white = blocks.sums(y**2), blocks.sums(left**2)
     return (
-        float(difference.sum() / before.sum()),
-        p_value(before[changed], after[changed]),
+        float((before - after).sum() / before.sum()),
+        compare(before, after, white).p_value,
     )
 
 

@@ -62,7 +62,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         `joint` (from zero), `parameters`, `units`, `intervals`, `rivals`.
     rounds_ : tuple of Round
         Every step: what was added, replaced, dropped, refused or withdrawn, on what
-        evidence, and the rivals.
+        evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the
+        rivals.
     error_before_, error_after_ : ndarray of shape (nv,)
         Root mean square of the torque residual over the standard deviation of the
         torque, on the untouched part, without and with the effects.
@@ -90,11 +91,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Candidates are scored from second moments of blocks of time: all parameters are
     refitted (the effect's columns enter by the Schur complement of the declared
     Gram matrix), each eighth block is predicted by the others, and the shape
-    parameters are chosen inside each fold. Significance is judged over blocks that
-    are longer than the residual stays correlated. A candidate that contains a plainer
+    parameters are chosen inside each fold. Significance is judged over blocks of rows
+    from which the residual's own memory is taken out, at a level shared out among all
+    candidates of a round (Benjamini and Hochberg). A candidate that contains a plainer
     effect waits for it; of those that blocks cannot tell apart the simplest is taken
     and the others are reported as rivals; what later additions make superfluous is
-    dropped; and what does not hold on the last quarter of the search part is refused.
+    dropped; and what does not hold on the last quarter of the search part, or in the
+    last half of where it acts if it begins late, is refused.
     At the end each recording of several (or third of one) is predicted from the
     others with physically consistent parameters, and effects that make that worse are
     withdrawn.

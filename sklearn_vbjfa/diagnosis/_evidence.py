@@ -21,7 +21,9 @@ class Evidence:
         Its standard error, from the scatter between blocks.
     p_value : float
         How likely the blocks would favour the second model so much if it were no
-        better, see `p_value`; 1 for a model that is worse in the sum of the blocks.
+        better, see `p_value`; 1 for a model that is worse in the sum of the blocks, or
+        that saves too little to be worth a name. The blocks are of rows from which
+        the residual's own memory is taken out, so that they are independent.
     n_blocks : int
         Blocks in which the models differ.
     helped : float
@@ -59,19 +61,31 @@ def p_value(before, after):
     return float(min(1.0, 2 * np.fmin(ranks, mean)))
 
 
-def compare(before, after):
-    """Compare squared errors (n_blocks,) of two models."""
+def compare(before, after, white=None):
+    """Compare squared errors (n_blocks,) of two models.
+
+    Parameters
+    ----------
+    before, after : ndarray of shape (n_blocks,)
+        Squared errors.
+    white : (ndarray, ndarray) or None
+        The same of rows from which the residual's memory is taken out, see `Judge`;
+        blocks of these are independent, and the p-value is theirs.
+    """
     difference = before - after
     changed = difference != 0
     count = int(changed.sum())
     total = before.sum()
     if count == 0 or total == 0:
         return Evidence(gain=0.0, gain_std=0.0, p_value=1.0, n_blocks=0, helped=0.0)
-    better = difference.sum() > 0
+    judged = (before, after) if white is None else white
+    left = judged[0] - judged[1]
+    better = difference.sum() > 0 and left.sum() > 0
+    used = left != 0
     return Evidence(
         gain=float(difference.sum() / total),
         gain_std=float(difference.std() * np.sqrt(difference.size) / total),
-        p_value=p_value(before[changed], after[changed]) if better else 1.0,
+        p_value=p_value(judged[0][used], judged[1][used]) if better else 1.0,
         n_blocks=count,
         helped=float((difference > 0).sum() / count),
     )

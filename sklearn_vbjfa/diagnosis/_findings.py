@@ -86,6 +86,13 @@ class Round:
         What it replaced; empty otherwise.
     evidence : Evidence
         Why.
+    rule : str
+        By which rule the step was taken.
+    level : float
+        Level that the p-value had to be below (not below, for what was dropped or
+        refused); nan where no p-value decided.
+    n_tests : int
+        Tests among which `alpha` was shared out for it; 0 where no p-value decided.
     rivals : tuple of Trial
         Candidates that the data could not tell from it.
     tried : tuple of Trial
@@ -102,6 +109,9 @@ class Round:
     shape: dict
     replaced: str
     evidence: Evidence
+    rule: str
+    level: float
+    n_tests: int
     rivals: tuple
     tried: tuple
     error_before: object

@@ -3,6 +3,7 @@
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis._blocks import FEWEST
 from sklearn_vbjfa.diagnosis._candidates import closure
 from sklearn_vbjfa.diagnosis._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis._findings import Hidden, Unexplained
@@ -42,7 +43,7 @@ def unexplained(search, names):
         floor = float(np.sqrt(search.floor[j]))
         if not np.isnan(floor) and rms <= ABOVE_FLOOR[0] * floor:
             continue
-        signs = dependences(residual[j], weight, seen, view.blocks)[:4]
+        signs = dependences(residual[j], weight, seen, view)[:4]
         if not np.isnan(floor) and not signs and rms <= ABOVE_FLOOR[1] * floor:
             continue
         found.append(
@@ -56,6 +57,22 @@ def unexplained(search, names):
             )
         )
     return tuple(found)
+
+
+def memory_seconds(search):
+    """How long the residual of each joint stays correlated at the end, list [s]."""
+    view = search.view
+    memories = view.whitening(search.base.residuals()).memory
+    return [memory.time for memory in memories]
+
+
+def too_short(search, seconds):
+    """Joints whose residual is too few independent values, with its memory [s]."""
+    view = search.view
+    total = view.blocks.length * view.blocks.n_blocks
+    for j, time in enumerate(seconds):
+        if view.precision[j] > 0 and FEWEST * time > total:
+            yield j, float(time)
 
 
 def hidden(search, names):

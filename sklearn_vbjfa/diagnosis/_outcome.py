@@ -6,9 +6,11 @@ import numpy as np
 import scipy
 import sklearn
 
-from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN, compare
+from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis._findings import DiscoveredEffect, Outcome, Round, Trial
+from sklearn_vbjfa.diagnosis._gaps import memory_seconds, too_short
 from sklearn_vbjfa.diagnosis._intervals import effect_covariances
+from sklearn_vbjfa.diagnosis._search import STEP_UP
 from sklearn_vbjfa.robot._model import import_pinocchio, is_prismatic
 
 # Half width of a 90 % interval in standard deviations.
@@ -79,9 +81,7 @@ def _effects(loop, search, names, prismatic):
         k = len(effect.coefficients)
         coef = loop.identifier_.theta_[at : at + k]
         at += k
-        rest = [e for e in search.accepted if e is not effect]
-        without = search.regression(rest).squares()
-        evidence = compare(*search._relevant(effect, without, search.before))
+        evidence = search.evidence_of(effect)
         values, deviations = _named(effect, coef, covariance)
         units = effect.parameter_units(prismatic[effect.joint])
         yield DiscoveredEffect(
@@ -151,6 +151,9 @@ def _rounds(search, names):
                 shape=step.effect.shape(),
                 replaced="" if step.replaced is None else step.replaced.name,
                 evidence=step.evidence,
+                rule=step.rule.name,
+                level=step.rule.level,
+                n_tests=step.rule.n_tests,
                 rivals=tuple(_trial(c) for c in step.rivals),
                 tried=tuple(_trial(c) for c in step.tried),
                 error_before=error(step.squares_before),
@@ -172,16 +175,20 @@ def _settings(loop, search, library):
     from sklearn_vbjfa import __version__
 
     view = search.view
+    seconds = memory_seconds(search)
     return {
         "test_size": float(loop.test_size),
         "alpha": float(loop.alpha),
-        "level_per_test": search.level,
+        "rule": STEP_UP,
+        "last_level": float(search.threshold) if search.n_tests else None,
+        "last_n_tests": int(search.n_tests),
         "smallest_gain": SMALLEST_GAIN,
         "effects": tuple(e.name for e in library),
         "n_blocks": view.blocks.n_blocks,
         "block_seconds": float(view.blocks.length),
         "n_folds": view.blocks.n_folds,
-        "correlation_seconds": float(view.correlation_time),
+        "correlation_seconds": max(seconds, default=0.0),
+        "too_short": tuple(too_short(search, seconds)),
         "search_rows": int(view.states.shape[0]),
         "random_state": loop.random_state
         if isinstance(loop.random_state, (int, type(None)))

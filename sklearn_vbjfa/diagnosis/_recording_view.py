@@ -5,6 +5,7 @@ import numpy as np
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis._blocks import correlation_time, make_blocks
 from sklearn_vbjfa.diagnosis._regression import Equations, FoldMoments
+from sklearn_vbjfa.diagnosis._whitening import Whitening
 from sklearn_vbjfa.robot._effect_columns import make_motion
 from sklearn_vbjfa.robot._groups import check_clock, contiguous_groups
 
@@ -77,6 +78,15 @@ class RecordingView:
         # Effects' columns are brought to the size of the declared ones.
         self.size = np.sqrt(np.mean(self.Z**2) * self.Z.shape[0]) or 1.0
         self.ridge = None
+
+    def whitening(self, residual, root=None):
+        """Return what takes the memory of residuals (nv, m) out of rows.
+
+        They are scaled by the root of their weights (m, nv), the recording's own
+        unless given.
+        """
+        root = self.root if root is None else root
+        return Whitening(residual, root, self.starts, self.step, self.robot.cutoff_)
 
     def motion(self, theta):
         """Signals at the full rate; the load from reduced coordinates or None."""

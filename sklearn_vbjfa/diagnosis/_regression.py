@@ -222,16 +222,20 @@ class BlockRegression:
         """Out-of-sample squared residuals, summed over blocks (n_blocks, nv)."""
         return self.blocks.sums((self.residuals() ** 2).T)
 
-    def forward_squares(self, border):
-        """Squared residuals of the blocks from `border` on, fitted to those before."""
-        early = self.blocks.label < border
+    def forward_squares(self, border, blocks=None):
+        """Squared residuals of the blocks from `border` on, fitted to those before.
+
+        The blocks are those of the folds, or others.
+        """
+        blocks = self.blocks if blocks is None else blocks
+        early = blocks.label < border
         Z, y = self.Z[:, early], self.y[:, early]
         G = _weighted_product(self.precision, Z, Z)
         G += self.ridge * self._unit * np.eye(G.shape[0])
         g = _weighted_product(self.precision, Z, y[:, :, None])[:, 0]
         theta = linalg.solve(G, g, assume_a="pos")
         residual = self.y[:, ~early] - self.Z[:, ~early] @ theta
-        sums = self.blocks.sums(
+        sums = blocks.sums(
             np.concatenate([np.zeros((early.sum(), y.shape[0])), (residual**2).T])
         )
         return sums[border:]

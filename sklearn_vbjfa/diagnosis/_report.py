@@ -201,6 +201,7 @@ class Report:
             (lines.causes_line(self.joints), 2, 0),
             (f"Record next: {words.join(advice, 3)}." if advice else "", 2, 2),
             (" ".join(hidden), 2, 3),
+            (lines.short_line(self.outcome), 1, 2),
             (lines.refused_line(self.outcome), 1, 4),
             (
                 (f"Channel ({more} more): " if more > 0 else "Channel: ")

@@ -7,7 +7,7 @@ import numbers
 import numpy as np
 from sklearn.base import BaseEstimator
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 
 def as_data(report):

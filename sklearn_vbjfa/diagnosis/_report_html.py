@@ -255,6 +255,7 @@ def _rounds(report):
                 _text(action),
                 words.whole_percent(r.evidence.gain),
                 _text(words.p_cell(r.evidence.p_value)),
+                _text(lines.rule_text(r)),
                 f"{words.whole_percent(r.evidence.helped)} of {r.evidence.n_blocks}",
                 f"{words.bare_percent(r.error_before[j])} to "
                 f"{words.bare_percent(r.error_after[j])} %",
@@ -268,6 +269,7 @@ def _rounds(report):
         "step",
         "saved",
         "p",
+        "rule",
         "blocks helped",
         "error in the search part",
         "rivals",
@@ -294,7 +296,9 @@ def _settings(report):
     outcome = report.outcome
     settings = outcome.settings
     items = {
-        "Split and thresholds": " ".join(lines.settings_lines(settings)),
+        "Split and thresholds": " ".join(
+            [lines.short_line(outcome), *lines.settings_lines(settings)]
+        ),
         "Declared model": lines.declared_line(outcome.declared),
         "Looked for": _short(settings.get("effects", ())),
         "Seed": settings.get("random_state", ""),

@@ -203,10 +203,48 @@ def settings_lines(settings):
             seconds = words.number(get("correlation_seconds"), 2)
             text += f"; correlated {seconds} s"
         lines.append(text + ".")
-    if "level_per_test" in settings:
+    if "rule" in settings:
+        text = (
+            f"Named: {get('rule')}, alpha {words.number(get('alpha'))}{_last(settings)}"
+        )
         lines.append(
-            f"Named: p < {words.number(get('level_per_test'), 2)} and saves >= "
-            f"{words.whole_percent(get('smallest_gain', float('nan')))} of squared "
-            f"error; unexplained: > {ABOVE_FLOOR[0]} x floor; +- and [ ]: 90 %."
+            f"{text}; saves >= {words.whole_percent(get('smallest_gain', math.nan))} "
+            f"of squared error; unexplained: > {ABOVE_FLOOR[0]} x floor; "
+            "+- and [ ]: 90 %."
         )
     return lines
+
+
+def _last(settings):
+    """Level of the round that ended the search."""
+    level, count = settings.get("last_level"), settings.get("last_n_tests")
+    if not level or not count:
+        return ""
+    tests = words.plural(count, "test")
+    return f" (last round: p < {words.number(level, 2)}, {tests})"
+
+
+def short_line(outcome):
+    """Say where the recording is too short for a slow residual; empty if nowhere."""
+    joints = outcome.settings.get("too_short", ())
+    if not joints:
+        return ""
+    where = words.joint_list(outcome.joint_names, [j for j, _ in joints])
+    times = [seconds for _, seconds in joints]
+    longest = max(times)
+    stays = "stays correlated throughout"
+    if math.isfinite(longest):
+        up_to = "up to " if len(times) > 1 else ""
+        stays = f"stays correlated for {up_to}{words.number(longest, 2)} s"
+    return (
+        f"Too short for the residual of {where}, which {stays}: slow effects cannot be "
+        "told from it."
+    )
+
+
+def rule_text(step):
+    """Say by which rule a step was taken, with the level that applied."""
+    if not math.isfinite(step.level):
+        return step.rule
+    tests = f", {step.n_tests} tests" if step.n_tests > 1 else ""
+    return f"{step.rule} (p < {words.number(step.level, 2)}{tests})"

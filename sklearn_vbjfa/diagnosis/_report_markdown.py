@@ -77,14 +77,21 @@ def markdown(report):
                 words.effect_label(r.name, r.shape, names),
                 words.whole_percent(r.evidence.gain),
                 words.p_cell(r.evidence.p_value),
+                lines.rule_text(r),
                 words.join(
                     [words.PLAIN_NAMES.get(t.name, t.name) for t in r.rivals], 4
                 ),
             ]
             for i, r in enumerate(outcome.rounds, 1)
         ]
-        out += _table(["", "step", "joint", "effect", "saved", "p", "rivals"], rows)
-    closing = [lines.refused_line(outcome), *lines.settings_lines(outcome.settings)]
+        out += _table(
+            ["", "step", "joint", "effect", "saved", "p", "rule", "rivals"], rows
+        )
+    closing = [
+        lines.short_line(outcome),
+        lines.refused_line(outcome),
+        *lines.settings_lines(outcome.settings),
+    ]
     out += ["", "## Settings", "", *(f"- {_safe(line)}" for line in closing if line)]
     versions = outcome.settings.get("versions", {})
     if versions:

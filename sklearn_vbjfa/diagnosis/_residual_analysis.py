@@ -187,7 +187,7 @@ def _collect(identifier, view, base):
             ]
         ),
         dependences=tuple(
-            dependences(residual[:, j], weight[:, j], seen, view.blocks)
+            dependences(residual[:, j], weight[:, j], seen, view)
             for j in range(view.nv)
         ),
         n_blocks=view.blocks.n_blocks,

@@ -1,13 +1,14 @@
 """The search for effects that a model lacks: add, refine, prune, replace."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import optimize
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis._candidates import Candidate, Step, closure
-from sklearn_vbjfa.diagnosis._evidence import compare, no_worse
+from sklearn_vbjfa.diagnosis._candidates import Candidate, Rule, Step, closure
+from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN, compare, no_worse
+from sklearn_vbjfa.diagnosis._judge import Judge
 from sklearn_vbjfa.diagnosis._regression import BlockRegression
 from sklearn_vbjfa.diagnosis._transfer import Transfer
 
@@ -19,11 +20,29 @@ _SUPERFLUOUS = 0.01
 # What is found must hold beyond the data that it was found in: fitted to this first
 # share of the blocks it is tried on the rest.
 _FORWARD = 0.75
-_MUCH = 0.25
+# What begins late is fitted to this first share of where it acts.
+_LATE = 0.5
+# Blocks on either side of that border in which it acts, at the least: fewer cannot tell
+# it from chance.
+_ACTIVE = 3
 # A plain effect that saves this share of what one that contains it saves goes first.
 _CONTAINED = 0.5
+# Shapes between the neighbours of a tuned one, from which each fold takes its own.
+_FINER = 9
 # Effects of one kind on one joint, with different settings (drift of this and that).
 _MOST_ROUNDS_PER_JOINT = 6
+
+# Rules by which a step is taken, as they are reported.
+STEP_UP = "Benjamini-Hochberg over the candidates of the round"
+CONTAINED = "plainer than a candidate that passed, and saves most of what it does"
+LATER = "an effect of time must help on later data"
+TOO_LATE = "acts in too few blocks to be tried on later data"
+HARM = "does harm on later data, beyond one standard error"
+SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
+UNNATURAL = "took a sign that it cannot have"
+ELSEWHERE = "does harm on motion that it was not fitted to"
+BETTER = "better than what it replaces"
+SIMPLER = "simpler than what it replaces, and no worse"
 
 
 @dataclass
@@ -58,12 +77,21 @@ class EffectSearch:
     accepted: list = field(default_factory=list)
     steps: list = field(default_factory=list)
     _kept: dict = field(default_factory=dict)
+    # Keys of effects that did not hold on later data: beside the model as it is, and
+    # how often.
+    _refused: set = field(default_factory=set)
+    _refusals: dict = field(default_factory=dict)
 
     # -- models ---------------------------------------------------------------------
 
-    def regression(self, effects):
-        """Regression of the declared model with some effects."""
+    def regression(self, effects, ridge="view"):
+        """Regression of the declared model with some effects.
+
+        Its ridge is that of the model as it is, unless another is given; None chooses
+        it by cross-validation.
+        """
         view = self.view
+        ridge = view.ridge if ridge == "view" else ridge
         Z, self._scales = [view.Z], []
         for effect in effects:
             columns = self._columns_of(effect)
@@ -78,7 +106,7 @@ class EffectSearch:
             view.target,
             view.precision,
             view.blocks,
-            view.ridge,
+            ridge,
             view.moments,
         )
 
@@ -125,34 +153,39 @@ class EffectSearch:
             found.append(one)
         return found
 
-    @property
-    def level(self):
-        """Level of one test, all candidates and joints considered (Bonferroni)."""
-        return self.alpha / max(len(self.library) * self.view.nv, 1)
-
     # -- one round ------------------------------------------------------------------
 
     def score(self, effect, base, before, accepted):
-        """Try an effect of the library beside a model; None if there is nothing new."""
+        """Try an effect of the library beside a model.
+
+        Returns
+        -------
+        Candidate or None
+            None if there is nothing new; its evidence has no p-value yet.
+        columns : ndarray of shape (nj, m, c, k) or None
+            Columns of the shapes that were tried.
+        """
         variants, columns = self.view.family(effect, self.motion)
-        taken = {e.key() for e in accepted} | set(self._refused)
+        taken = {e.key() for e in accepted} | self._refused
         keep = [i for i, v in enumerate(variants) if v.key() not in taken]
         if not keep:
-            return None
+            return None, None
         if len(keep) < len(variants):
             variants, columns = [variants[i] for i in keep], columns[:, :, keep]
         joints = self.view.joints_of(effect)
         score = base.score(joints, columns)
         if not variants[score.best].plausible(score.coef):
-            return None
+            return None, None
         evidence = compare(*self._relevant(effect, before, score.squares))
-        return Candidate(
+        candidate = Candidate(
             effect=variants[score.best],
-            evidence=evidence,
+            evidence=replace(evidence, p_value=1.0),
             squares=score.squares,
+            white=score.squares * self.view.precision,
             coef=score.coef,
             outside=score.outside,
         )
+        return candidate, columns
 
     def _relevant(self, effect, *squares):
         """Squared errors of the joint, or of the whole robot in units of noise."""
@@ -164,17 +197,107 @@ class EffectSearch:
         """Try all effects on a joint, name -> Candidate, the plainer first.
 
         A quiet joint lacks nothing of its own, but may be where something acts that
-        others feel.
+        others feel. All are judged on rows from which the memory is taken out that
+        the residual has with the best of them.
+
+        Returns
+        -------
+        tried : dict of str to Candidate
+            Candidates.
+        judge : Judge or None
+            What they were judged by; None if none is worth a name.
         """
         everything = self.candidates_of(joint)
         if quiet:
             everything = [effect for effect in everything if effect.whole_robot]
-        tried = {}
+        tried, columns = {}, {}
         for effect in sorted(everything, key=lambda e: len(closure(e, everything))):
-            candidate = self.score(effect, base, before, accepted)
+            candidate, own = self.score(effect, base, before, accepted)
             if candidate is not None:
-                tried[effect.name] = candidate
-        return tried
+                tried[effect.name], columns[effect.name] = candidate, own
+        worth = [n for n, c in tried.items() if c.evidence.gain >= SMALLEST_GAIN]
+        if not worth:
+            return tried, None
+        best = max((tried[name] for name in worth), key=self._weighted_gain_of(before))
+        residual = self.regression([*accepted, best.effect]).residuals()
+        judge = Judge(self.view, base, residual)
+        for name in worth:
+            one = tried[name]
+            white = judge.score(self.view.joints_of(one.effect), columns[name])
+            evidence = self._evidence(
+                one.effect, (before, one.squares), (judge.squares, white)
+            )
+            tried[name] = replace(one, white=white, evidence=evidence)
+        return tried, judge
+
+    def _evidence(self, effect, squares, white):
+        """Evidence for a change on an effect's joint, p-value from whitened rows.
+
+        Each time that the effect was refused before doubles it.
+        """
+        if effect.whole_robot:
+            white = [s.sum(axis=1) for s in white]
+        else:
+            white = [s[:, effect.joint] for s in white]
+        evidence = compare(*self._relevant(effect, *squares), white=white)
+        trials = 2.0 ** self._refusals.get(effect.key(), 0)
+        return replace(evidence, p_value=min(1.0, trials * evidence.p_value))
+
+    def evidence_of(self, effect):
+        """Evidence for an accepted effect: what leaving it out would cost.
+
+        Its shape is chosen inside each fold, so that what was tuned on all rows is
+        not judged on them.
+        """
+        rest = [e for e in self.accepted if e is not effect]
+        base, beside, after = self._in_place(effect, rest)
+        residual = self.base.residuals()
+        judge = Judge(self.view, base, residual)
+        before = judge.squares
+        if beside is not base:
+            judge = Judge(self.view, beside, residual)
+        white = judge.score(self.view.joints_of(effect), self._tuned_family(effect))
+        return self._evidence(effect, (base.squares(), after), (before, white))
+
+    def _in_place(self, effect, rest):
+        """Score an accepted effect beside the rest, shape chosen inside each fold.
+
+        Returns
+        -------
+        base : BlockRegression
+            The rest with the ridge that suits it.
+        beside : BlockRegression
+            The same, or with the ridge of the whole model, if the effect does better
+            beside that: either may hide the one or the other in the others' span.
+        after : ndarray of shape (n_blocks, nv)
+            Squared out-of-sample residuals with the effect.
+        """
+        joints, columns = self.view.joints_of(effect), self._tuned_family(effect)
+        models = [self.regression(rest, ridge=ridge) for ridge in (None, "view")]
+        scores = [base.score(joints, columns).squares for base in models]
+        totals = [(s @ self.view.precision).sum() for s in scores]
+        best = int(np.argmin(totals))
+        return models[0], models[best], scores[best]
+
+    def _tuned_family(self, effect):
+        """Columns of an effect's grid of shapes, finer around the tuned one."""
+        if not effect.continuous:
+            return self._columns_of(effect)[:, :, None]
+        variants, columns = self.view.family(effect, self.motion)
+        same = [k for k, v in enumerate(variants) if v.key() == effect.key()]
+        around = self._neighbours(effect, effect.continuous[0])
+        if not same or around is None:
+            own = self._columns_of(effect)[:, :, None]
+            return np.concatenate([columns[:, :, same], own], axis=2) if same else own
+        low, high, logarithmic = around
+        values = np.linspace(low, high, _FINER + 2)[1:-1]
+        if logarithmic:
+            values = np.exp(values)
+        finer = [
+            self._columns_of(clone(effect).set_params(**{effect.continuous[0]: value}))
+            for value in map(float, values)
+        ]
+        return np.concatenate([columns[:, :, same], np.stack(finer, axis=2)], axis=2)
 
     def eligible(self, tried, joint, accepted):
         """Candidates that may be added to a joint, and all that beat chance.
@@ -214,6 +337,7 @@ class EffectSearch:
         )
         if p_values.size == 0:
             return
+        self.n_tests = p_values.size
         m = p_values.size
         rank = np.arange(1, p_values.size + 1)
         passing = rank[p_values <= self.alpha * rank / m]
@@ -234,7 +358,7 @@ class EffectSearch:
         whole = any(c.effect.whole_robot for c in everything)
         joint = candidates[0].effect.joint
         error = {
-            id(c): c.squares @ self.view.precision if whole else c.squares[:, joint]
+            id(c): c.white.sum(axis=1) if whole else c.white[:, joint]
             for c in everything
         }
         best = min(candidates, key=lambda c: error[id(c)].sum())
@@ -256,7 +380,7 @@ class EffectSearch:
 
     def run(self):
         """Search until nothing is significant."""
-        self._refused, self.threshold = set(), self.level
+        self.threshold, self.n_tests = self.alpha, 0
         self._refresh()
         for number in range(_MOST_ROUNDS_PER_JOINT * self.view.nv):
             if self.max_effects is not None and len(self.accepted) >= self.max_effects:
@@ -273,7 +397,7 @@ class EffectSearch:
         for joint in range(self.view.nv):
             self._say(number, f"joint {joint + 1} of {self.view.nv}")
             if self.view.precision[joint] > 0 and not quiet.all():
-                tried[joint] = self.try_joint(
+                tried[joint], _ = self.try_joint(
                     joint, self.base, self.before, self.accepted, quiet[joint]
                 )
         self._set_threshold(tried)
@@ -287,47 +411,111 @@ class EffectSearch:
             return False
         _, chosen, rivals, found = max(offers, key=lambda offer: offer[0])
         effect = self.refine(chosen.effect, self.base)
-        if not self._holds_later(effect, chosen.evidence.gain):
-            self._refused.add(effect.key())
-            self._record(
-                "refuse", effect, None, chosen.evidence, rivals, found, self.before
-            )
+        case, rule = self._later(effect, self.accepted, self.base)
+        if rule is not None:
+            self._refuse(effect, case, rivals, found, rule)
             return True
-        before = self.before
+        before, rule = self.before, self._rule(chosen)
         self.accepted.append(effect)
+        # Beside another model they may hold.
         self._refused.clear()
         self._refresh()
-        self._record("add", effect, None, chosen.evidence, rivals, found, before)
+        self._record("add", effect, None, chosen.evidence, rivals, found, rule, before)
         self._prune(effect)
         self._retune(effect.joint)
         self._replace(effect.joint)
         return True
 
-    def _holds_later(self, effect, gain):
-        """Whether an effect fitted to the first part of the data helps in the last."""
-        border = int(_FORWARD * self.view.blocks.n_blocks)
-        first = self.view.blocks.label < border
-        columns = self.view.columns([effect], self.motion)
-        begun = columns[:, first].any(axis=(0, 2, 3))
-        if begun.sum() < 0.5 * first.sum():
-            return True  # begins late (a payload): too little to fit it to
-        with_it = self.regression([*self.accepted, effect]).forward_squares(border)
-        without = self.base.forward_squares(border)
-        case = compare(*self._relevant(effect, without, with_it))
-        if effect.slow:
-            # Whatever changes slowly can be fitted by a function of time.
-            return case.gain > 0 and case.p_value < self.alpha
-        # An effect that explains much may do badly before others are there, too.
-        return case.gain > -case.gain_std or gain > _MUCH
+    def _rule(self, candidate):
+        """Rule by which a candidate is added in this round."""
+        if candidate.evidence.significant(self.threshold):
+            return Rule(name=STEP_UP, level=self.threshold, n_tests=self.n_tests)
+        return Rule(name=CONTAINED, level=self.alpha, n_tests=1)
+
+    def _later(self, effect, accepted, base):
+        """Try an effect on later data than it was fitted to, beside some others.
+
+        Both models are fitted and judged in rows without the residual's memory: slow
+        noise that goes on from where it was would decide otherwise.
+
+        Returns
+        -------
+        Evidence
+            On the later blocks.
+        Rule or None
+            By which it is refused, if it is.
+        """
+        view = self.view
+        joints, own = view.joints_of(effect), self._columns_of(effect)
+        # Of the little that is later, all that is independent has to count.
+        blocks = view.blocks.divided(max(1.0 / view.robot.cutoff_, view.step))
+        acts = blocks.sums((own != 0).any(axis=(0, 2)).astype(float)) > 0
+        where = np.flatnonzero(acts)
+        if where.size < 2 * _ACTIVE:
+            nothing = np.zeros(1)
+            return compare(nothing, nothing), Rule(name=TOO_LATE)
+        border = where[int(_FORWARD * where.size)]
+        late = where[0] > 0.5 * border
+        if late:
+            # It has to be fitted where it acts, and tried there as well.
+            border = where[int(_LATE * where.size)]
+        judge = Judge(view, base, self.regression([*accepted, effect]).residuals())
+        if effect.slow or late:
+            early = blocks.label < border
+            own = self._columns_of(self._tuned_before(effect, base, early))
+        squares = judge.forward(joints, own, blocks, border)
+        if not effect.whole_robot:
+            squares = [s[:, [effect.joint]] for s in squares]
+        case = compare(*(s.sum(axis=1) for s in squares))
+        if effect.slow or late:
+            # Whatever changes slowly can be fitted by a function of time, and
+            # whatever happened once by what begins late.
+            if case.gain > 0 and case.p_value < self.alpha:
+                return case, None
+            return case, Rule(name=LATER, level=self.alpha, n_tests=1)
+        if case.gain > -case.gain_std:
+            return case, None
+        return case, Rule(name=HARM)
+
+    def _refuse(self, effect, case, rivals, tried, rule):
+        """Note that an effect does not hold; every trial counts, see `_evidence`."""
+        self._refused.add(effect.key())
+        self._refusals[effect.key()] = self._refusals.get(effect.key(), 0) + 1
+        self._record("refuse", effect, None, case, rivals, tried, rule, self.before)
+
+    def _tuned_before(self, effect, base, early):
+        """Return the effect with the shape that suits some rows best."""
+        variants, columns = self.view.family(effect, self.motion)
+        same = [k for k, v in enumerate(variants) if v.key() == effect.key()]
+        if not same:
+            return effect
+        there = BlockRegression(
+            base.Z * early[:, None],
+            base.y * early,
+            base.precision,
+            base.blocks,
+            base.ridge,
+        )
+        masked = columns[:, :, same] * early[:, None, None]
+        drops = there.score(self.view.joints_of(effect), masked).drop
+        return variants[same[int(np.argmax(drops))]]
 
     def _weighted_gain(self, candidate):
         """Fall of the robot's log-likelihood-like error, to compare joints."""
-        rows = (self.view.root.T**2).sum(axis=1)
-        before, after = self.before.sum(axis=0), candidate.squares.sum(axis=0)
-        used = (before > 0) & (after > 0)
-        return float((rows[used] * np.log(before[used] / after[used])).sum())
+        return self._weighted_gain_of(self.before)(candidate)
 
-    def _record(self, action, effect, replaced, evidence, rivals, tried, before):
+    def _weighted_gain_of(self, before):
+        rows = (self.view.root.T**2).sum(axis=1)
+        before = before.sum(axis=0)
+
+        def gain(candidate):
+            after = candidate.squares.sum(axis=0)
+            used = (before > 0) & (after > 0)
+            return float((rows[used] * np.log(before[used] / after[used])).sum())
+
+        return gain
+
+    def _record(self, action, effect, replaced, evidence, rivals, tried, rule, before):
         order = sorted(tried, key=lambda c: -c.evidence.gain)
         self.steps.append(
             Step(
@@ -337,6 +525,7 @@ class EffectSearch:
                 evidence=evidence,
                 rivals=tuple(rivals),
                 tried=tuple(order),
+                rule=rule,
                 squares_before=before.sum(axis=0),
                 squares_after=self.before.sum(axis=0),
             )
@@ -345,24 +534,25 @@ class EffectSearch:
     def _prune(self, newest):
         """Drop what became superfluous or took a wrong sign, the least useful first."""
         while True:
-            worst, evidence = None, None
+            worst, evidence, rule = None, None, None
             for effect in self.accepted:
                 if effect is newest:
                     continue
-                rest = [e for e in self.accepted if e is not effect]
-                without = self.regression(rest).squares()
-                case = compare(*self._relevant(effect, without, self.before))
+                case = self.evidence_of(effect)
                 natural = effect.natural(self.coefficients(effect))
                 if natural and case.significant(self.alpha, _SUPERFLUOUS):
                     continue
                 if evidence is None or case.gain < evidence.gain:
                     worst, evidence = effect, case
+                    rule = Rule(name=SUPERFLUOUS, level=self.alpha, n_tests=1)
+                    if not natural:
+                        rule = Rule(name=UNNATURAL)
             if worst is None:
                 return
             before = self.before
             self.accepted = [e for e in self.accepted if e is not worst]
             self._refresh()
-            self._record("drop", worst, None, evidence, (), (), before)
+            self._record("drop", worst, None, evidence, (), (), rule, before)
 
     def _withdraw(self):
         """Drop what makes the error larger on motion that it was not fitted to."""
@@ -381,29 +571,44 @@ class EffectSearch:
             before = self.before
             self.accepted = [e for e in self.accepted if e is not worst]
             self._refresh()
-            self._record("withdraw", worst, None, evidence, (), (), before)
+            rule = Rule(name=ELSEWHERE)
+            self._record("withdraw", worst, None, evidence, (), (), rule, before)
 
     def _replace(self, joint):
         """Let rivals compete for the place of each effect of the joint."""
         for effect in [e for e in self.accepted if e.joint == joint]:
             rest = [e for e in self.accepted if e is not effect]
-            base = self.regression(rest)
+            base, beside, now = self._in_place(effect, rest)
             before = base.squares()
-            tried = self.try_joint(joint, base, before, rest)
+            tried, judge = self.try_joint(joint, base, before, rest)
             found, others = self.eligible(tried, joint, rest)
             if not found:
                 continue
             best, rivals = self.best_of(found, others)
             if best.effect.key() == effect.key():
                 continue
-            case = compare(*self._relevant(best.effect, self.before, best.squares))
+            if beside is not base:
+                judge = Judge(self.view, beside, judge.residual)
+            joints, columns = self.view.joints_of(effect), self._tuned_family(effect)
+            white = judge.score(joints, columns)
+            case = self._evidence(best.effect, (now, best.squares), (white, best.white))
             simpler = best.effect.complexity < effect.complexity
-            if case.significant(self.alpha) or (simpler and case.gain > 0):
+            better = case.significant(self.alpha)
+            if better or (simpler and case.gain > 0):
+                rule = Rule(name=BETTER, level=self.alpha, n_tests=1)
+                if not better:
+                    rule = Rule(name=SIMPLER)
                 refined = self.refine(best.effect, base)
+                later, refusal = self._later(refined, rest, base)
+                if refusal is not None:
+                    self._refuse(refined, later, rivals, others, refusal)
+                    continue
                 old = self.before
                 self.accepted = [*rest, refined]
                 self._refresh()
-                self._record("replace", refined, effect, case, rivals, others, old)
+                self._record(
+                    "replace", refined, effect, case, rivals, others, rule, old
+                )
 
     def coefficients(self, effect):
         """Coefficients of an accepted effect in the present model."""

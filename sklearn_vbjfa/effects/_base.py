@@ -146,7 +146,7 @@ class Effect(TransformerMixin, BaseEstimator):
     positive = ()
     nonnegative = ()
     visible = "the joint moves"
-    # True for a smooth function of time, which would fit whatever changes slowly.
+    # True for a function of time, which would fit whatever changes slowly.
     slow = False
     # True for an effect that acts on all joints: columns of shape (n, nv, k).
     whole_robot = False

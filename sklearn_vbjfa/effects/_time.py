@@ -115,6 +115,7 @@ class Payload(Effect):
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3
     needs = ("time",)
     continuous = ("instant",)
+    slow = True
     visible = "motion against gravity before and after the change"
     whole_robot = True
 

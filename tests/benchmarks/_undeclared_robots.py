@@ -221,12 +221,12 @@ def regressor(model, q, v, a):
     import pinocchio as pin
 
     data = model.createData()
-    return np.array(
-        [
-            pin.computeJointTorqueRegressor(model, data, *row).copy()
-            for row in zip(q, v, a)
-        ]
-    )
+    rows = [
+        pin.computeJointTorqueRegressor(model, data, *row).copy()
+        for row in zip(q, v, a)
+    ]
+    # Pinocchio drops the axis of the joints where there is one.
+    return np.array(rows).reshape(len(rows), model.nv, -1)
 
 
 def joint_inertia(model, q):

@@ -31,6 +31,7 @@ def residuals(scale, index, tau):
         "discovery",
         "discovery_measured",
         "errors_in_variables",
+        "false_alarms",
         "feedforward",
         "growth",
         "identification",
@@ -382,3 +383,49 @@ def test_likelihood_of_the_solvers():
     assert fast[1] == 1.0
     assert abs(fast[2]) < 1e-9 < plain[2]
     assert fast[4] < 1e-6 < plain[4]
+
+
+def test_false_alarms_compares_two_versions(tmp_path, monkeypatch):
+    pytest.importorskip("pinocchio")
+    import bench_false_alarms as bench
+
+    monkeypatch.setattr(bench, "RESIDUALS", {"white": bench.white})
+    path = tmp_path / "verdicts.jsonl"
+    made = bench.study(1, 3, results=path, durations=(40.0,))
+    assert bench.read(path) == made
+    # What is on file is not made again.
+    assert bench.study(1, 3, results=path, durations=(40.0,)) == made
+    null, effect = made
+    assert null["names"] == []
+    assert effect["truth"][0] == "viscous_quadratic"
+    assert effect["found"]
+    old = [dict(null, names=["offset"]), dict(effect, found=False)]
+    for row in bench.rows(made, old):
+        assert row[1:] == [1, "0.0", "100.0", 1, "100.0", 1, "0.0", "100.0"]
+    used = [row for row in bench.by_kind(made, old) if row[1]]
+    assert used == [["viscous_quadratic", 1, "100.0", "0.0", "100.0"]]
+
+
+@pytest.mark.parametrize("duration", [40.0, 120.0])
+def test_residuals_of_false_alarms_are_what_they_say(duration):
+    """Mean square one over many draws; correlation times of the AR(1) ones."""
+    import bench_false_alarms as bench
+
+    for name, draw in bench.RESIDUALS.items():
+        squares, lagged = [], []
+        for seed in range(60):
+            rng = np.random.default_rng(seed)
+            t = np.arange(0, duration, bench.DT)
+            v = np.sin(2.0 * t + rng.uniform(0, 6)) + np.sin(3.3 * t)
+            x = draw(t, v, rng)
+            assert x.shape == t.shape
+            squares.append(np.mean(x**2))
+            lagged.append(np.mean(x[25:] * x[:-25]))
+        # Four standard errors; slow residuals scatter.
+        error = 4 * np.std(squares) / np.sqrt(len(squares))
+        assert np.mean(squares) == pytest.approx(1.0, abs=max(error, 0.02)), name
+        if name.startswith("AR(1)"):
+            constant = float(name.split(", ")[1].removesuffix(" s"))
+            expected = np.exp(-0.5 / constant)
+            error = 4 * np.std(lagged) / np.sqrt(len(lagged))
+            assert np.mean(lagged) == pytest.approx(expected, abs=error), name

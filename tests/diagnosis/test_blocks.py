@@ -117,17 +117,17 @@ def test_correlation_time_is_the_longest_of_the_joints():
 
 
 def test_correlation_does_not_reach_across_recordings():
-    """Two recordings in which all samples are equal but for noise, of unlike sign."""
-    rng = np.random.default_rng(0)
-    lengths = np.full(40, 5)
-    level = np.repeat(np.tile([1.0, -1.0], 20), lengths)
-    x = (level + 0.01 * rng.normal(size=200))[:, None]
+    """Recordings that begin at other levels than those on which the last ended."""
+    lengths = np.full(30, 60)
+    x = np.concatenate([autoregression(0.8, 60, seed) for seed in range(30)])
     starts = np.r_[0, np.cumsum(lengths)[:-1]]
+    x = x[:, None]
     apart = correlation_time(x, np.ones_like(x), 1.0, starts)
-    # lags 1 to 4: 4/5, 3/5, 2/5, 1/5 of the products lie inside a recording
-    assert apart == pytest.approx(1 + 2 * (0.8 + 0.6 + 0.4 + 0.2), rel=0.02)
-    together = correlation_time(x, np.ones_like(x), 1.0, np.array([0]))
-    assert together < 0.7 * apart
+    assert apart == pytest.approx(1.8 / 0.2, rel=0.25)
+    jumping = x + np.repeat(np.tile([40.0, -40.0], 15), lengths)[:, None]
+    inside = correlation_time(jumping, np.ones_like(x), 1.0, starts)
+    across = correlation_time(jumping, np.ones_like(x), 1.0, np.array([0]))
+    assert across < 0.5 * inside
 
 
 def test_nothing_left_is_not_correlated():

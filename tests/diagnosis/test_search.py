@@ -110,7 +110,6 @@ def test_candidates_are_what_can_be_looked_for():
     assert {"stribeck", "coupling", "backlash"} <= names
     assert all(e.joint == 0 for e in now.candidates_of(0))
     assert "payload" in {e.name for e in now.candidates_of(1)}
-    assert now.level == pytest.approx(0.05 / (18 * 2))
 
 
 # -- runs
@@ -133,7 +132,8 @@ def test_steps_tell_the_story():
         assert step.action in {"add", "replace", "drop", "refuse", "withdraw"}
         assert (step.replaced is not None) == (step.action == "replace")
         if step.action == "add":
-            assert step.evidence.significant(now.level)
+            assert step.evidence.significant(step.rule.level)
+            assert 0.05 / step.rule.n_tests <= step.rule.level <= 0.05
             before, after = (
                 np.sum(s * now.view.precision)
                 for s in (step.squares_before, step.squares_after)

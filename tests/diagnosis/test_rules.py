@@ -1,0 +1,290 @@
+"""Every rule of the search, on recordings that come out otherwise without it."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.diagnosis import _search
+from tests.diagnosis._recordings import record
+
+ONE = record("Y", seed=0, duration=24.0)
+# The search sees the first three quarters.
+SEARCHED = 18.0
+GRAVITY = 9.81
+
+
+def ripple(r):
+    return np.cos(9.0 * r.q[:, 0])
+
+
+def coulomb(r):
+    return np.sign(r.v[:, 0])
+
+
+def carried(r, begin, end=np.inf):
+    """Torque of a mass on the arm between two times."""
+    there = (r.t > begin) & (r.t < end)
+    return 0.06 * GRAVITY * np.sin(r.q[:, 0]) * there
+
+
+def close(torque, library, **given):
+    return ONE.discover(ONE.torque(joint_1=torque), library, **given)
+
+
+def story(loop):
+    return [(r.action, r.name) for r in loop.rounds_]
+
+
+def names(loop):
+    return [e.name for e in loop.effects_]
+
+
+@pytest.fixture(scope="module")
+def far():
+    """Search for a spring far from its rest: an offset before anything else."""
+    return close(lambda r: 2.0 * (r.q[:, 0] + 1.0), ["spring", "offset", "coulomb"])
+
+
+def test_the_plainer_effect_goes_first_and_is_dropped_once_superfluous(far):
+    assert story(far) == [("add", "offset"), ("add", "spring"), ("drop", "offset")]
+    assert names(far) == ["spring"]
+    (spring,) = far.effects_
+    assert spring.parameters["k"] == pytest.approx(2.0, rel=0.05)
+    assert spring.parameters["q0"] == pytest.approx(-1.0, rel=0.1)
+
+
+def test_what_the_rest_of_the_motion_contradicts_is_withdrawn():
+    """A ripple in the longer of two recordings."""
+    groups = (np.arange(ONE.t.size) >= ONE.t.size // 4).astype(int)
+    loop = close(lambda r: ripple(r) * groups, ["ripple"], groups=groups)
+    assert story(loop) == [("add", "ripple"), ("withdraw", "ripple")]
+    assert names(loop) == []
+    everywhere = close(ripple, ["ripple"], groups=groups)
+    assert names(everywhere) == ["ripple"]
+
+
+def test_what_does_harm_on_later_data_is_refused():
+    loop = close(lambda r: 2.0 * ripple(r) * (r.t < 0.6 * SEARCHED), ["ripple"])
+    assert story(loop) == [("refuse", "ripple")]
+    assert names(loop) == []
+    (step,) = loop.rounds_
+    assert step.rule == _search.HARM
+    assert np.isnan(step.level)
+    assert step.n_tests == 0
+    # However much it explains of the data that it was found in.
+    assert step.tried[0].evidence.gain > 0.25
+
+
+def test_an_effect_of_time_must_help_on_later_data():
+    """A load that is half put down again: with it the rest is as bad as without."""
+    loop = close(lambda r: carried(r, 9.0, 13.5) + 0.55 * carried(r, 13.5), ["payload"])
+    assert story(loop) == [("refuse", "payload")]
+    (step,) = loop.rounds_
+    assert step.rule == _search.LATER
+    assert (step.level, step.n_tests) == (0.05, 1)
+    assert step.evidence.p_value >= step.level
+    # No harm, as anything else is asked for.
+    assert step.evidence.gain > -step.evidence.gain_std
+
+
+@pytest.mark.parametrize("begin", [9.0, 14.0])
+def test_late_loads_are_tried_on_still_later_data(begin):
+    loop = close(lambda r: carried(r, begin), ["payload"])
+    assert names(loop) == ["payload"]
+    assert loop.effects_[0].parameters["instant"] == pytest.approx(begin, abs=0.2)
+    # What was there for a while only does not hold.
+    middle = 0.5 * (begin + SEARCHED)
+    loop = close(lambda r: carried(r, begin, middle), ["payload"])
+    assert names(loop) == []
+
+
+def test_what_begins_at_the_very_end_cannot_be_tried(monkeypatch):
+    """All later than the last block: refused, not waved through."""
+    monkeypatch.setattr(_search, "_ACTIVE", 30)
+    loop = close(lambda r: carried(r, 14.0), ["payload"])
+    assert names(loop) == []
+    (step,) = loop.rounds_
+    assert (step.action, step.rule) == ("refuse", _search.TOO_LATE)
+
+
+def test_a_refused_effect_gets_another_trial_beside_another_model_only():
+    """And its p-value is doubled by every trial."""
+    loop = close(
+        lambda r: 2.0 * ripple(r) * (r.t < 0.6 * SEARCHED) + 3.0 * coulomb(r),
+        ["ripple", "coulomb"],
+    )
+    assert names(loop) == ["coulomb"]
+    told = story(loop)
+    assert told.count(("add", "coulomb")) == 1
+    at = told.index(("add", "coulomb"))
+    for part in (told[:at], told[at + 1 :]):
+        assert part.count(("refuse", "ripple")) <= 1
+    assert ("refuse", "ripple") in told
+
+
+# -- levels
+
+
+def test_rounds_say_the_rule_and_the_level_that_were_applied(far):
+    by_action = {r.action: r for r in far.rounds_}
+    for step in far.rounds_:
+        if step.action == "add" and step.rule == _search.STEP_UP:
+            k = step.level * step.n_tests / 0.05
+            assert k == pytest.approx(round(k))
+            assert 1 <= round(k) <= step.n_tests
+            assert step.evidence.p_value < step.level
+    drop = by_action["drop"]
+    assert drop.rule == _search.SUPERFLUOUS
+    assert drop.evidence.p_value >= drop.level or drop.evidence.gain < 0.01
+
+
+def test_alpha_is_the_level():
+    """The same recording at two levels, between which its p-value lies."""
+
+    def torque(r):
+        return 0.35 * ripple(r) * (r.t % 6.0 < 2.0)
+
+    found = close(torque, ["ripple"], alpha=0.5)
+    p_value = found.rounds_[0].evidence.p_value
+    assert found.rounds_[0].action in ("add", "refuse")
+    assert found.rounds_[0].level == pytest.approx(0.5)
+    assert close(torque, ["ripple"], alpha=p_value / 2).rounds_ == ()
+    again = close(torque, ["ripple"], alpha=min(2 * p_value, 0.9))
+    assert again.rounds_[0].tried[0].evidence.p_value == pytest.approx(p_value)
+
+
+def test_the_report_prints_what_was_applied(far):
+    text = " ".join(str(far.report_).split())
+    settings = far.report_.to_dict()["settings"]
+    assert settings["rule"] == _search.STEP_UP
+    level, count = settings["last_level"], settings["last_n_tests"]
+    assert level * count / 0.05 == pytest.approx(round(level * count / 0.05))
+    said = f"Named: {_search.STEP_UP}, alpha 0.05 (last round: p < {level:.2g}, "
+    assert said in text
+    markdown = far.report_.to_markdown()
+    for step, told in zip(far.rounds_, far.report_.to_dict()["rounds"]):
+        assert (told["rule"], told["level"]) == (step.rule, step.level)
+        assert f"{step.rule} (p \\< {step.level:.2g}" in markdown
+    assert _search.SUPERFLUOUS in far.report_.to_html()
+
+
+# -- what is left
+
+
+@pytest.mark.parametrize("size", [0.03, 0.1])
+def test_the_unexplained_share_is_that_of_the_mean_square(size):
+    """A vibration of known size over white noise of known size."""
+    loop = close(lambda r: size * np.sqrt(2) * np.sin(10.7 * r.t), ["coulomb"])
+    (rest,) = loop.unexplained_
+    assert rest.share == pytest.approx(1 - (rest.floor / rest.rms) ** 2)
+    assert rest.rms**2 == pytest.approx(size**2 + rest.floor**2, rel=0.15)
+    assert rest.share == pytest.approx(size**2 / rest.rms**2, abs=0.1)
+
+
+def test_the_report_says_where_a_recording_is_too_short():
+    rng = np.random.default_rng(0)
+    walk = 0.03 * np.cumsum(rng.normal(size=ONE.t.size))
+    loop = close(lambda r: walk, ["offset", "drift"])
+    assert names(loop) == []
+    settings = loop.report_.to_dict()["settings"]
+    ((joint, seconds),) = settings["too_short"]
+    assert joint == 0
+    assert seconds is None or seconds > SEARCHED / 12
+    for text in (str(loop.report_), loop.report_.to_markdown()):
+        said = " ".join(text.split())
+        assert "Too short for the residual of joint 1, which stays correlated" in said
+    assert "Too short" in loop.report_.to_html()
+    clean = close(lambda r: 0.0, ["offset", "drift"])
+    assert clean.report_.to_dict()["settings"]["too_short"] == []
+    assert "Too short" not in str(clean.report_)
+
+
+def test_slow_noise_does_not_hide_fast_effects_nor_make_slow_ones():
+    rng = np.random.default_rng(3)
+    keep = np.exp(-0.02 / 5.0)
+    noise = np.zeros(ONE.t.size)
+    for i in range(1, noise.size):
+        noise[i] = keep * noise[i - 1] + np.sqrt(1 - keep**2) * rng.normal()
+    library = ["offset", "drift", "payload", "ripple", "coulomb"]
+    assert names(close(lambda r: noise, library)) == []
+    # Half of the noise.
+    found = close(lambda r: noise + 0.5 * coulomb(r), library)
+    assert names(found) == ["coulomb"]
+    assert found.effects_[0].parameters["Fc"] == pytest.approx(0.5, rel=0.3)
+
+
+def test_what_was_named_before_its_rivals_had_a_place_is_replaced():
+    """Stribeck friction that looked quadratic while a spring was missing."""
+    recording = record("Y", seed=3, duration=20.0, noise=0.1)
+
+    def torque(r):
+        v = r.v[:, 0]
+        return 2.0 * r.q[:, 0] + 2.0 * np.exp(-np.abs(v / 0.3)) * np.sign(v)
+
+    loop = recording.discover(
+        recording.torque(joint_1=torque),
+        ["coulomb", "viscous_quadratic", "spring", "stribeck"],
+    )
+    assert sorted(names(loop)) == ["spring", "stribeck"]
+    (step,) = [r for r in loop.rounds_ if r.action == "replace"]
+    assert (step.name, step.replaced) == ("stribeck", "viscous_quadratic")
+    assert (step.rule, step.level, step.n_tests) == (_search.BETTER, 0.05, 1)
+    assert step.evidence.p_value < step.level
+
+
+def test_the_search_does_not_run_in_circles():
+    """Nothing is taken back and found again."""
+    recording = record("Y", seed=1, duration=20.0, noise=0.1)
+
+    def torque(r):
+        return 0.73 * np.cos(2.0 * r.q[:, 0]) + 0.76 * coulomb(r)
+
+    loop = recording.discover(
+        recording.torque(joint_1=torque),
+        ["coulomb", "offset", "spring", "stribeck", "viscous_quadratic"]
+        + ["asymmetric_friction", "counterbalance", "ripple"],
+    )
+    assert sorted(names(loop)) == ["coulomb", "counterbalance"]
+    added = [r.name for r in loop.rounds_ if r.action in ("add", "replace")]
+    assert len(added) == len(set(added))
+
+
+def test_shapes_are_not_judged_on_what_they_were_tuned_to():
+    """A ripple in white noise: its best period helps on all rows, and in no fold."""
+    from tests.diagnosis.test_search import search
+
+    noisy = record("Y", seed=1, duration=24.0, noise=0.5)
+    now = search(noisy.torque(), ["ripple"], noisy)
+    now._refresh()
+    (ripple,) = [e for e in now.candidates_of(0) if e.name == "ripple"]
+    variants, columns = now.view.family(ripple, now.motion)
+    best = variants[now.base.score([0], columns).best]
+    now.accepted = [now.refine(best, now.base)]
+    now._refresh()
+    before = now.regression([]).squares()
+    tuned = 1 - now.before.sum() / before.sum()
+    assert tuned > 0.02
+    evidence = now.evidence_of(now.accepted[0])
+    assert evidence.gain < 0.5 * tuned
+    assert not evidence.significant(0.05)
+
+
+def test_trials_after_a_refusal_double_the_p_value():
+    from tests.diagnosis.test_search import search
+
+    torque = ONE.torque(joint_1=lambda r: 0.1 * ripple(r))
+    now = search(torque, ["ripple"], ONE)
+    now._refresh()
+
+    def p_value():
+        tried, _ = now.try_joint(0, now.base, now.before, [])
+        return tried["ripple"].evidence.p_value
+
+    first = p_value()
+    assert 0 < first < 0.1
+    now._refusals[("ripple", 0, ())] = 2
+    assert p_value() == pytest.approx(min(1.0, 4 * first))
+    # What was refused is not offered again beside the same model.
+    now._refused.add(("ripple", 0, ()))
+    assert now.try_joint(0, now.base, now.before, [])[0] == {}

@@ -33,6 +33,7 @@ def residuals(scale, index, tau):
         "feedforward",
         "growth",
         "identification",
+        "interval_coverage",
         "iterations",
         "measured_robots",
         "noise_floor",
@@ -338,3 +339,19 @@ def test_discovery_judges_a_drawn_case():
     assert verdict.named
     assert verdict.parameter_errors[0] < 0.15
     assert bench.row("coulomb", [verdict], "97 %")[2] == "100 %"
+
+
+def test_interval_coverage_at_small_size():
+    pytest.importorskip("pinocchio")
+    import bench_interval_coverage as bench
+
+    cells = [
+        *bench.parameters(1, 0, robots=(("Z", 20.0),)),
+        *bench.effects(1, 0, chosen=("spring",), duration=40.0),
+        *bench.errors(1, 0, durations=(40.0,), noises=("white",)),
+    ]
+    assert [cell.trials for cell in cells] == [1] * 7
+    assert all(cell.width for cell in cells)
+    text = bench.report(cells)
+    assert "spring: q0" in text
+    assert "Pooled: parameters" in text

@@ -2,12 +2,11 @@
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
-from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa.diagnosis import _split
 from sklearn_vbjfa.diagnosis._gaps import hidden, unexplained
-from sklearn_vbjfa.diagnosis._intervals import bootstrap_errors
+from sklearn_vbjfa.diagnosis._intervals import FinalFit, error_intervals
 from sklearn_vbjfa.diagnosis._outcome import make_outcome
 from sklearn_vbjfa.diagnosis._progress import progress_bar
 from sklearn_vbjfa.diagnosis._recording_view import RecordingView
@@ -251,17 +250,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         )
         self.error_before_ = before.normalised_error()
         self.error_after_ = after.normalised_error()
-        intervals = bootstrap_errors(
-            before,
-            after,
-            found.view.blocks.length,
-            found.view.step,
-            check_random_state(self.random_state),
-        )
+        final = FinalFit(self.declared_, self.identifier_, found.view, found.accepted)
+        intervals = error_intervals((before, after), final.residuals(), found.view.step)
         names = self.declared_.joint_names_
         self.unexplained_ = unexplained(found, names)
         self.hidden_ = hidden(found, names)
-        outcome = make_outcome(self, found, before, after, intervals, channels, library)
+        outcome = make_outcome(
+            self, found, final, before, after, intervals, channels, library
+        )
         self.effects_ = outcome.effects
         self.rounds_ = outcome.rounds
         self.report_ = Report(outcome)

@@ -8,16 +8,14 @@ import sklearn
 
 from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN, compare
 from sklearn_vbjfa.diagnosis._findings import DiscoveredEffect, Outcome, Round, Trial
-from sklearn_vbjfa.diagnosis._intervals import effect_covariances
+from sklearn_vbjfa.diagnosis._intervals import quantile
 from sklearn_vbjfa.robot._model import import_pinocchio, is_prismatic
 
-# Half width of a 90 % interval in standard deviations.
-_NINETY = 1.6449
 # Points of a picture.
 _POINTS = 4000
 
 
-def make_outcome(loop, search, before, after, intervals, channels, library):
+def make_outcome(loop, search, final, before, after, intervals, channels, library):
     """Collect what `Report` shows.
 
     Parameters
@@ -26,10 +24,12 @@ def make_outcome(loop, search, before, after, intervals, channels, library):
         With the fitted models and the errors.
     search : EffectSearch
         After its run.
+    final : FinalFit
+        The completed model on the rows of the search.
     before, after : TorqueResiduals
         Of the untouched part.
     intervals : dict
-        Bootstrap intervals.
+        Intervals of the errors.
     channels : tuple of str
         Lines about channels.
     library : tuple of Effect
@@ -52,7 +52,7 @@ def make_outcome(loop, search, before, after, intervals, channels, library):
             "cutoff": float(robot.cutoff_),
             "standstill": robot.standstill_.tolist(),
         },
-        effects=tuple(_effects(loop, search, names, prismatic)),
+        effects=tuple(_effects(search, final, names, prismatic)),
         rounds=tuple(_rounds(search, names)),
         unexplained=loop.unexplained_,
         hidden=loop.hidden_,
@@ -68,21 +68,17 @@ def make_outcome(loop, search, before, after, intervals, channels, library):
     )
 
 
-def _effects(loop, search, names, prismatic):
-    covariances = effect_covariances(search)
+def _effects(search, final, names, prismatic):
     rivals = {}
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
             rivals[step.effect.key()] = tuple(c.effect.name for c in step.rivals)
-    at = loop.declared_.theta_.size
-    for effect, covariance in zip(search.accepted, covariances):
-        k = len(effect.coefficients)
-        coef = loop.identifier_.theta_[at : at + k]
-        at += k
+    for effect, estimate in zip(search.accepted, final.effect_estimates()):
         rest = [e for e in search.accepted if e is not effect]
         without = search.regression(rest).squares()
         evidence = compare(*search._relevant(effect, without, search.before))
-        values, deviations = _named(effect, coef, covariance)
+        values, deviations = _named(effect, estimate)
+        half = quantile(estimate.freedom)
         units = effect.parameter_units(prismatic[effect.joint])
         yield DiscoveredEffect(
             name=effect.name,
@@ -92,8 +88,8 @@ def _effects(loop, search, names, prismatic):
             units={key: units.get(key, "") for key in values},
             intervals={
                 key: (
-                    values[key] - _NINETY * deviations[key],
-                    values[key] + _NINETY * deviations[key],
+                    values[key] - half * deviations[key],
+                    values[key] + half * deviations[key],
                 )
                 for key in deviations
             },
@@ -103,8 +99,9 @@ def _effects(loop, search, names, prismatic):
         )
 
 
-def _named(effect, coef, covariance):
+def _named(effect, estimate):
     """Parameters as an engineer calls them, and standard deviations (delta method)."""
+    coef, covariance = estimate.coef, estimate.covariance
     k = len(coef)
     values = effect.parameters(coef)
     scale = np.sqrt(np.maximum(np.diagonal(covariance)[:k], 0.0))
@@ -120,12 +117,10 @@ def _named(effect, coef, covariance):
         key: float(np.sqrt(max(slope @ own @ slope, 0.0)))
         for key, slope in slopes.items()
     }
-    for i, name in enumerate(effect.continuous):
+    for i, name in enumerate(estimate.shape):
         if name not in values:
             values[name] = float(getattr(effect, name))
-            variance = covariance[k + i, k + i]
-            if values[name] != 0:
-                deviations[name] = float(np.sqrt(max(variance, 0.0)))
+            deviations[name] = float(np.sqrt(max(covariance[k + i, k + i], 0.0)))
     for name, value in effect.shape().items():
         values.setdefault(name, value)
     return values, deviations

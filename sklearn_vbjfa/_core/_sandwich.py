@@ -14,8 +14,10 @@ from scipy import linalg
 _RANK = 1e-10
 # Blocks are joined in pairs until neighbours are less correlated than this, as long as
 # so many are left.
-_NEIGHBOURS = 0.15
+_NEIGHBOURS = 0.08
 _FEWEST = 16
+# Least factor for what neighbours have in common, where it is negative.
+_LEAST_REACH = 0.5
 # A parameter that hardly any block determines apart from the fit itself takes the mean
 # of the others' factors.
 _OWN = 0.2
@@ -92,8 +94,7 @@ def block_variance(grams, scores, place, noise=1.0):
         factor = np.where(seen, (d**2).sum(axis=0) / expected, pooled)
         count = np.maximum(left, 0.0)
         freedom = count.sum(axis=0) ** 2 / (count**2).sum(axis=0)
-        reach = 1.0 + 2.0 * max(neighbours, 0.0)
-        factor = factor * reach
+        factor = factor * max(1.0 + 2.0 * neighbours, _LEAST_REACH)
         scale = np.sqrt(factor * noise * white / (d**2).sum(axis=0))
     return BlockVariance(
         factor=np.where(used, factor, np.nan),

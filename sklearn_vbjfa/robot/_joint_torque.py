@@ -75,8 +75,9 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     theta_unconstrained_ : ndarray of shape (p,)
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
-        Standard deviations of `theta_unconstrained_`; nan where the regressor does
-        not tell.
+        Standard deviations of `theta_unconstrained_` for independent rows; within
+        `RobotIdentifier`, which knows their order, for residuals that are correlated
+        in time. nan where the regressor does not tell.
     joint_weights_ : ndarray of shape (nv,)
         Weights of the joints.
     n_rows_ : ndarray of shape (nv,)

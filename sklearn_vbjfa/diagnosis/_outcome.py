@@ -8,7 +8,7 @@ import sklearn
 
 from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN, compare
 from sklearn_vbjfa.diagnosis._findings import DiscoveredEffect, Outcome, Round, Trial
-from sklearn_vbjfa.diagnosis._intervals import quantile
+from sklearn_vbjfa.diagnosis._intervals import NEXT_SECONDS, quantile
 from sklearn_vbjfa.robot._model import import_pinocchio, is_prismatic
 
 # Points of a picture.
@@ -177,6 +177,7 @@ def _settings(loop, search, library):
         "block_seconds": float(view.blocks.length),
         "n_folds": view.blocks.n_folds,
         "correlation_seconds": float(view.correlation_time),
+        "error_seconds": NEXT_SECONDS,
         "search_rows": int(view.states.shape[0]),
         "random_state": loop.random_state
         if isinstance(loop.random_state, (int, type(None)))

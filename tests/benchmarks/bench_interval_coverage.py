@@ -13,6 +13,7 @@ and shape parameters.
 the same model over the next 50 s of the same motion.
 """
 
+import sys
 import warnings
 from dataclasses import dataclass, field
 
@@ -70,6 +71,11 @@ class Cell:
     def coverage(self):
         """Share of intervals that held the truth."""
         return float(np.mean(self.inside)) if self.inside else np.nan
+
+    def tell(self):
+        """Say that it is done; return it."""
+        print(" | ".join(map(str, self.row())), file=sys.stderr, flush=True)
+        return self
 
     def row(self):
         """Row of the table."""
@@ -130,7 +136,7 @@ def parameters(trials, seed, robots=(("Z", 40.0), ("ZY", 40.0), ("ZYX", 60.0))):
             for k in range(trials):
                 _one_fit(cell, axes, duration, NOISES[noise], seed + k)
                 cell.trials += 1
-            cells.append(cell)
+            cells.append(cell.tell())
     return cells
 
 
@@ -209,7 +215,7 @@ def effects(trials, seed, chosen=tuple(EFFECTS), duration=67.0):
                         _take(own, found, truth)
                 for cell in own.values():
                     cell.trials += 1
-            cells += own.values()
+            cells += [cell.tell() for cell in own.values()]
     return cells
 
 
@@ -243,7 +249,7 @@ def errors(trials, seed, durations=(67.0, 200.0), noises=tuple(NOISES)):
             for k in range(trials):
                 _next_error(cell, duration, NOISES[noise], seed + k)
                 cell.trials += 1
-            cells.append(cell)
+            cells.append(cell.tell())
     return cells
 
 

@@ -27,7 +27,7 @@ _COSINES = 10
 
 def quantile(freedom):
     """Half width of a 90 % interval in standard deviations (Student's t)."""
-    return special.stdtrit(freedom, _UPPER_END)
+    return float(special.stdtrit(freedom, _UPPER_END))
 
 
 # -- effects ------------------------------------------------------------------------
@@ -128,13 +128,12 @@ class FinalFit:
             return []
         view = self.view
         coefs = self._split(self.identifier.theta_)
-        columns, places, shapes = [view.Z.transpose(1, 0, 2)], [], []
+        columns, places, shapes = [], [], []
         at = view.Z.shape[2]
-        root = view.root[:, :, None]
         for effect, own, coef in zip(self.effects, self._columns, coefs):
             shape = tuple(name for name in effect.continuous if getattr(effect, name))
             slopes = [self._slope(effect, name, coef) for name in shape]
-            made = np.concatenate([own, *slopes], axis=2) * root
+            made = np.concatenate([own, *slopes], axis=2) * view.root[:, :, None]
             places.append(slice(at, at + made.shape[2]))
             shapes.append(shape)
             at += made.shape[2]
@@ -162,8 +161,8 @@ class FinalFit:
         ]
         return ((sides[0] - sides[1]) / step)[:, :, None]
 
-    def _variance(self, A):
-        """Scatter between blocks of the fit to columns (m, nv, p), as `Z` weighted."""
+    def _variance(self, extra):
+        """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""
         view = self.view
         theta = self.identifier.theta_unconstrained_
         residual = (view.equations.tau - self._predicted(theta)) * view.root
@@ -171,16 +170,17 @@ class FinalFit:
         squares = (residual**2).sum(axis=0)
         used = (count > 0) & (squares > 0)
         factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
-        A, residual = A * factor[:, None], residual * factor
-        edges = np.r_[view.starts, A.shape[0]]
+        edges = [*view.starts.tolist(), residual.shape[0]]
         numbering = Numbering.of(np.diff(edges).tolist())
         grams, scores, keys = [], [], []
         for number, (first, last) in enumerate(itertools.pairwise(edges)):
-            found, starts = numbering.parts(number, slice(0, int(last - first)))
+            found, starts = numbering.parts(number, slice(0, last - first))
             keys.append(found)
-            for begin, end in zip(starts, [*starts[1:], last - first]):
-                rows = A[first + begin : first + end].reshape(-1, A.shape[2])
-                own = residual[first + begin : first + end].ravel()
+            for begin, end in itertools.pairwise([*(first + starts), last]):
+                declared = view.Z[:, begin:end].transpose(1, 0, 2)
+                rows = np.concatenate([declared, extra[begin:end]], axis=2)
+                rows = (rows * factor[:, None]).reshape(-1, rows.shape[2])
+                own = (residual[begin:end] * factor).ravel()
                 grams.append(rows.T @ rows)
                 scores.append(own @ rows)
         return block_variance(

@@ -110,7 +110,9 @@ def test_table_of_effects_agrees_with_the_classes():
 def constants_of_the_loop():
     """Phrases of the guide with the numbers that the code has."""
     from sklearn_vbjfa.diagnosis import _blocks, _evidence, _gaps, _search, _transfer
+    from sklearn_vbjfa.diagnosis import _intervals as intervals
     from sklearn_vbjfa.effects import _base
+    from sklearn_vbjfa.robot import _block_moments
 
     defaults = inspect.signature(sklearn_vbjfa.EffectDiscovery).parameters
     few, many = _blocks._WANTED
@@ -140,6 +142,10 @@ def constants_of_the_loop():
         f"costs less than {100 * _search._SUPERFLUOUS:g} % of the squared error",
         f"above {varies:g} times the floor if it varies with any, above {any_case:g} t",
         f"({100 * _base._FAST:g} % of its speeds are slower)",
+        f"hold the true value in {200 * intervals._UPPER_END - 100:g} % of cases",
+        f"its residuals between {_block_moments._BLOCKS} blocks of time",
+        f"holds the error over the next {intervals.NEXT_SECONDS:g} s",
+        f"the {intervals._COSINES} slowest cosines of time",
     ]
 
 

@@ -70,7 +70,9 @@ def add_to(commands):
         help="low-pass of torques and regressors; by default auto, from the motion; "
         "none for no low-pass",
     )
-    parser.add_argument("--seed", type=int, default=0, help="seed of the bootstrap")
+    parser.add_argument(
+        "--seed", type=int, default=0, help="noted in the report; nothing is drawn"
+    )
     parser.set_defaults(run=run)
 
 

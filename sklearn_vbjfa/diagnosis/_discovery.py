@@ -2,12 +2,11 @@
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
-from sklearn.utils import check_random_state
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa.diagnosis import _split
 from sklearn_vbjfa.diagnosis._gaps import hidden, unexplained
-from sklearn_vbjfa.diagnosis._intervals import bootstrap_errors
+from sklearn_vbjfa.diagnosis._intervals import FinalFit, error_intervals
 from sklearn_vbjfa.diagnosis._outcome import make_outcome
 from sklearn_vbjfa.diagnosis._progress import progress_bar
 from sklearn_vbjfa.diagnosis._recording_view import RecordingView
@@ -51,7 +50,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     max_effects : int or None, default=None
         Most effects to add.
     random_state : int, RandomState instance or None, default=None
-        Seed of the block bootstrap. The search itself draws nothing.
+        Without effect: neither search nor intervals draw anything. It is noted in the
+        report.
     verbose : bool, default=False
         Whether a progress bar is shown, on terminals only.
 
@@ -59,14 +59,16 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     ----------
     effects_ : tuple of DiscoveredEffect
         Accepted effects in the order in which they were found; each has `name`,
-        `joint` (from zero), `parameters`, `units`, `intervals`, `rivals`.
+        `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`.
     rounds_ : tuple of Round
         Every step: what was added, replaced, dropped, refused or withdrawn, on what
         evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the
         rivals.
     error_before_, error_after_ : ndarray of shape (nv,)
         Root mean square of the torque residual over the standard deviation of the
-        torque, on the untouched part, without and with the effects.
+        torque, on the untouched part, without and with the effects. Their intervals,
+        ``report_.outcome.intervals``, are a statement about the same robot in the same
+        motion: they hold the errors over its next 50 s in 90 % of cases.
     unexplained_ : tuple of Unexplained
         Joints whose residual stays above the noise floor, its share, and the signals
         it varies with.
@@ -101,6 +103,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     At the end each recording of several (or third of one) is predicted from the
     others with physically consistent parameters, and effects that make that worse are
     withdrawn.
+
+    Intervals of effects' parameters come from the completed model: its estimates, and
+    the scatter of its residuals between forty blocks of time, shape parameters beside
+    the coefficients. What was chosen in the search (which effects, which grid points)
+    counts as given. The intervals of the errors add how much such an error scatters in
+    the untouched part and how much in the next 50 s, as squared residuals and squared
+    torques vary slowly in the whole recording (ten cosines of time, Student's t with as
+    many degrees of freedom).
 
     Examples
     --------
@@ -254,17 +264,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         )
         self.error_before_ = before.normalised_error()
         self.error_after_ = after.normalised_error()
-        intervals = bootstrap_errors(
-            before,
-            after,
-            found.view.blocks.length,
-            found.view.step,
-            check_random_state(self.random_state),
-        )
+        final = FinalFit(self.declared_, self.identifier_, found.view, found.accepted)
+        intervals = error_intervals((before, after), final.residuals(), found.view.step)
         names = self.declared_.joint_names_
         self.unexplained_ = unexplained(found, names)
         self.hidden_ = hidden(found, names)
-        outcome = make_outcome(self, found, before, after, intervals, channels, library)
+        outcome = make_outcome(
+            self, found, final, before, after, intervals, channels, library
+        )
         self.effects_ = outcome.effects
         self.rounds_ = outcome.rounds
         self.report_ = Report(outcome)

@@ -23,7 +23,9 @@ class DiscoveredEffect:
     units : dict of str to str
         Their units.
     intervals : dict of str to (float, float)
-        90 % intervals, from the scatter between blocks of time.
+        90 % intervals around the parameters: Student's t, from the scatter between
+        blocks of time of the completed model's residuals. A shape parameter that was
+        not searched between the values of a grid has none.
     evidence : Evidence
         What leaving it out of the final model would cost, by blocks of time.
     rivals : tuple of str
@@ -195,11 +197,12 @@ class Outcome:
     error_before, error_after : ndarray of shape (nv,)
         Errors on the untouched part.
     intervals : dict of str to ndarray of shape (2, nv)
-        90 % block-bootstrap intervals of ``"before"``, ``"after"``, ``"difference"``.
+        Where the errors ``"before"``, ``"after"`` and their ``"difference"`` over the
+        next 50 s of the same motion lie in 90 % of cases.
     floor : ndarray of shape (nv,)
         Noise floor over the standard deviation of the torque of the untouched part.
     settings : dict
-        Thresholds, split, blocks, seed, versions.
+        Thresholds, split, blocks, what intervals are of, seed, versions.
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
         part, its recordings joined [s].

@@ -9,17 +9,15 @@ import sklearn
 from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis._findings import DiscoveredEffect, Outcome, Round, Trial
 from sklearn_vbjfa.diagnosis._gaps import memory_seconds, too_short
-from sklearn_vbjfa.diagnosis._intervals import effect_covariances
+from sklearn_vbjfa.diagnosis._intervals import NEXT_SECONDS, quantile
 from sklearn_vbjfa.diagnosis._search import STEP_UP
 from sklearn_vbjfa.robot._model import import_pinocchio, is_prismatic
 
-# Half width of a 90 % interval in standard deviations.
-_NINETY = 1.6449
 # Points of a picture.
 _POINTS = 4000
 
 
-def make_outcome(loop, search, before, after, intervals, channels, library):
+def make_outcome(loop, search, final, before, after, intervals, channels, library):
     """Collect what `Report` shows.
 
     Parameters
@@ -28,10 +26,12 @@ def make_outcome(loop, search, before, after, intervals, channels, library):
         With the fitted models and the errors.
     search : EffectSearch
         After its run.
+    final : FinalFit
+        The completed model on the rows of the search.
     before, after : TorqueResiduals
         Of the untouched part.
     intervals : dict
-        Bootstrap intervals.
+        Intervals of the errors.
     channels : tuple of str
         Lines about channels.
     library : tuple of Effect
@@ -54,7 +54,7 @@ def make_outcome(loop, search, before, after, intervals, channels, library):
             "cutoff": float(robot.cutoff_),
             "standstill": robot.standstill_.tolist(),
         },
-        effects=tuple(_effects(loop, search, names, prismatic)),
+        effects=tuple(_effects(search, final, names, prismatic)),
         rounds=tuple(_rounds(search, names)),
         unexplained=loop.unexplained_,
         hidden=loop.hidden_,
@@ -70,19 +70,15 @@ def make_outcome(loop, search, before, after, intervals, channels, library):
     )
 
 
-def _effects(loop, search, names, prismatic):
-    covariances = effect_covariances(search)
+def _effects(search, final, names, prismatic):
     rivals = {}
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
             rivals[step.effect.key()] = tuple(c.effect.name for c in step.rivals)
-    at = loop.declared_.theta_.size
-    for effect, covariance in zip(search.accepted, covariances):
-        k = len(effect.coefficients)
-        coef = loop.identifier_.theta_[at : at + k]
-        at += k
+    for effect, estimate in zip(search.accepted, final.effect_estimates()):
         evidence = search.evidence_of(effect)
-        values, deviations = _named(effect, coef, covariance)
+        values, deviations = _named(effect, estimate)
+        half = quantile(estimate.freedom)
         units = effect.parameter_units(prismatic[effect.joint])
         yield DiscoveredEffect(
             name=effect.name,
@@ -92,8 +88,8 @@ def _effects(loop, search, names, prismatic):
             units={key: units.get(key, "") for key in values},
             intervals={
                 key: (
-                    values[key] - _NINETY * deviations[key],
-                    values[key] + _NINETY * deviations[key],
+                    values[key] - half * deviations[key],
+                    values[key] + half * deviations[key],
                 )
                 for key in deviations
             },
@@ -103,8 +99,9 @@ def _effects(loop, search, names, prismatic):
         )
 
 
-def _named(effect, coef, covariance):
+def _named(effect, estimate):
     """Parameters as an engineer calls them, and standard deviations (delta method)."""
+    coef, covariance = estimate.coef, estimate.covariance
     k = len(coef)
     values = effect.parameters(coef)
     scale = np.sqrt(np.maximum(np.diagonal(covariance)[:k], 0.0))
@@ -120,12 +117,10 @@ def _named(effect, coef, covariance):
         key: float(np.sqrt(max(slope @ own @ slope, 0.0)))
         for key, slope in slopes.items()
     }
-    for i, name in enumerate(effect.continuous):
+    for i, name in enumerate(estimate.shape):
         if name not in values:
             values[name] = float(getattr(effect, name))
-            variance = covariance[k + i, k + i]
-            if values[name] != 0:
-                deviations[name] = float(np.sqrt(max(variance, 0.0)))
+            deviations[name] = float(np.sqrt(max(covariance[k + i, k + i], 0.0)))
     for name, value in effect.shape().items():
         values.setdefault(name, value)
     return values, deviations
@@ -189,6 +184,7 @@ def _settings(loop, search, library):
         "n_folds": view.blocks.n_folds,
         "correlation_seconds": max(seconds, default=0.0),
         "too_short": tuple(too_short(search, seconds)),
+        "error_seconds": NEXT_SECONDS,
         "search_rows": int(view.states.shape[0]),
         "random_state": loop.random_state
         if isinstance(loop.random_state, (int, type(None)))

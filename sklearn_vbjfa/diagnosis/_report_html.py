@@ -104,8 +104,9 @@ def _joints(report):
     rows = "".join(_joint(outcome, v, scale) for v in report.joints)
     key = (
         '<p class="note"><i class="key" style="background:var(--before)"></i>before'
-        '<i class="key" style="background:var(--after)"></i>after, with its 90 % '
-        'interval<i class="key" style="background:var(--floor);width:3px"></i>'
+        '<i class="key" style="background:var(--after)"></i>after; interval: '
+        f"{_text(lines.interval_text(outcome.settings))}"
+        '<i class="key" style="background:var(--floor);width:3px"></i>'
         "noise floor. Root mean square of the torque residual over the standard "
         "deviation of the torque, on data that was not touched before.</p>"
     )

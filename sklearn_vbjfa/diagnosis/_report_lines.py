@@ -185,6 +185,14 @@ def refused_line(outcome):
     return " ".join(parts)
 
 
+def interval_text(settings):
+    """Say what the interval of an error holds."""
+    if "error_seconds" not in settings:
+        return "90 %"
+    seconds = words.number(settings["error_seconds"], 2)
+    return f"90 % of errors over the next {seconds} s of such motion"
+
+
 def settings_lines(settings):
     """Return lines on the split and the thresholds."""
     lines = []
@@ -209,9 +217,10 @@ def settings_lines(settings):
         )
         lines.append(
             f"{text}; saves >= {words.whole_percent(get('smallest_gain', math.nan))} "
-            f"of squared error; unexplained: > {ABOVE_FLOOR[0]} x floor; "
-            "+- and [ ]: 90 %."
+            f"of squared error; unexplained: > {ABOVE_FLOOR[0]} x floor."
         )
+    if "error_seconds" in settings:
+        lines.append(f"+-: 90 % of a parameter; [ ]: {interval_text(settings)}.")
     return lines
 
 

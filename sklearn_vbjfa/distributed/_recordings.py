@@ -7,6 +7,7 @@ no worker holds more than the recordings that it is working on.
 """
 
 import operator
+from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
@@ -24,6 +25,7 @@ from sklearn_vbjfa.distributed._quantiles import (
     quantile,
 )
 from sklearn_vbjfa.robot import _torque_noise
+from sklearn_vbjfa.robot._block_moments import Numbering
 from sklearn_vbjfa.robot._equations import accumulate
 from sklearn_vbjfa.robot._groups import check_dt, contiguous_groups
 from sklearn_vbjfa.robot._identification import _CHUNK_BYTES, smooth_recording
@@ -150,7 +152,11 @@ def fit_recordings(identifier, source):
         identifier.torque_noise_ = _torque_noise.filtered_noise(
             *noise, quartile, dt, identifier.cutoff_
         )
-    (stats,) = dask.compute(sums(_statistics, _add, identifier, lowpass))
+    numbering = Numbering.of([lowpass.centres(n).size for n in extent["lengths"]])
+    numbers = _first_numbers(files, extent["recordings"])
+    (stats,) = dask.compute(
+        sums(_statistics, _add, identifier, lowpass, numbering, numbers)
+    )
     return identifier._fit_statistics(stats)
 
 
@@ -222,6 +228,7 @@ def _measure(load, file):
     whole = np.concatenate(torques)
     return {
         "lengths": [len(tau) for tau in torques],
+        "recordings": [len(torques)],
         "torques": np.stack([whole.min(axis=0), whole.max(axis=0)]),
         "moving": np.any([np.ptp(q, axis=0) > 0 for q, _ in recordings], axis=0),
         "counts": sum(
@@ -235,6 +242,7 @@ def _merge_extents(first, second):
     low, high = np.stack([first["torques"], second["torques"]], axis=1)
     return {
         "lengths": first["lengths"] + second["lengths"],
+        "recordings": first["recordings"] + second["recordings"],
         "torques": np.stack([low.min(axis=0), high.max(axis=0)]),
         "moving": first["moving"] | second["moving"],
         "counts": first["counts"] + second["counts"],
@@ -279,7 +287,12 @@ def _merge_facts(keep, first, second):
     )
 
 
-def _statistics(load, file, identifier, lowpass):
+def _first_numbers(files, counts):
+    """Return the number of the first recording of each file, dict."""
+    return dict(zip(files, np.cumsum([0, *counts[:-1]]).tolist()))
+
+
+def _statistics(load, file, identifier, lowpass, numbering, numbers):
     """Second moments of the filtered equations of one file, None if there are none."""
     recordings = load(file)
     halves = identifier.input_noise is not None
@@ -298,7 +311,10 @@ def _statistics(load, file, identifier, lowpass):
         parts,
         tuple(map(list, zip(*both))) if halves else None,
     )
-    return accumulate(stretches, lowpass, chunk_bytes=_CHUNK_BYTES)
+    stretches = [
+        replace(stretch, number=numbers[file] + stretch.number) for stretch in stretches
+    ]
+    return accumulate(stretches, lowpass, chunk_bytes=_CHUNK_BYTES, numbering=numbering)
 
 
 def _add(first, second):

@@ -16,6 +16,7 @@ from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.robot._block_filter import BlockFilter, block_length, decimate
+from sklearn_vbjfa.robot._block_moments import Numbering
 from sklearn_vbjfa.robot._effect_columns import RegressorRows
 from sklearn_vbjfa.robot._features import rounding_entries
 from sklearn_vbjfa.robot._joint_statistics import joint_statistics
@@ -52,6 +53,8 @@ class Stretch:
         Speeds at or below which a joint's rows do not count.
     edge : int
         Rows at both ends that do not count.
+    number : int
+        Number of the recording.
     """
 
     first: int
@@ -62,6 +65,7 @@ class Stretch:
     weight: np.ndarray
     standstill: np.ndarray
     edge: int = 0
+    number: int = 0
 
     @property
     def n_rows(self):
@@ -177,14 +181,27 @@ def filtered_equations(stretches, lowpass, *, chunk_bytes):
             yield piece_equations(stretch, lowpass, outputs)
 
 
-def _piece_statistics(stretch, lowpass, outputs):
+def numbered(stretches, lowpass):
+    """Divide recordings into blocks of time, see `Numbering`."""
+    return Numbering.of([lowpass.centres(s.n_rows).size for s in stretches])
+
+
+def numbered_parts(stretches, lowpass, *, chunk_bytes):
+    """Yield the `Numbering.parts` of each piece of `filtered_equations`."""
+    numbering = numbered(stretches, lowpass)
+    for stretch in stretches:
+        for outputs in pieces(stretch, lowpass, chunk_bytes):
+            yield numbering.parts(stretch.number, outputs)
+
+
+def _piece_statistics(stretch, lowpass, outputs, parts):
     with one_blas_thread():
         _, Phi, tau, weight, *others = piece_equations(stretch, lowpass, outputs)
         difference = others[1] if others else None
-        return joint_statistics(Phi, tau, weight, difference)
+        return joint_statistics(Phi, tau, weight, difference, parts)
 
 
-def accumulate(stretches, lowpass, *, chunk_bytes, n_jobs=None):
+def accumulate(stretches, lowpass, *, chunk_bytes, n_jobs=None, numbering=None):
     """Second moments of the filtered equations of recordings.
 
     Parameters
@@ -197,14 +214,17 @@ def accumulate(stretches, lowpass, *, chunk_bytes, n_jobs=None):
         Size of a piece.
     n_jobs : int or None
         Number of pieces at a time, as in scikit-learn.
+    numbering : Numbering, default=None
+        Division into blocks of time, where these are not all the recordings.
 
     Returns
     -------
     JointStatistics or None
         None if all recordings are shorter than the filter.
     """
+    numbering = numbering or numbered(stretches, lowpass)
     tasks = [
-        (stretch, lowpass, outputs)
+        (stretch, lowpass, outputs, numbering.parts(stretch.number, outputs))
         for stretch in stretches
         for outputs in pieces(stretch, lowpass, chunk_bytes)
     ]

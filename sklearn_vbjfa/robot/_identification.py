@@ -6,6 +6,8 @@ the statistics, and the steps from there on are the same. They are a class since
 them read the estimator's parameters and set its attributes.
 """
 
+import itertools
+
 import numpy as np
 from sklearn.base import clone
 
@@ -27,6 +29,7 @@ from sklearn_vbjfa.robot._equations import (
     accumulate,
     edge_rows,
     filtered_equations,
+    numbered_parts,
     run,
     unexcited_entries,
 )
@@ -187,8 +190,11 @@ class IdentificationSteps:
                 weight=weight[part],
                 standstill=self.standstill_,
                 edge=edge_rows(part.stop - part.start, smoother),
+                number=number,
             )
-            for part, own, row, pair in zip(parts, _each(states, parts), rows, both)
+            for number, (part, own, row, pair) in enumerate(
+                zip(parts, _each(states, parts), rows, both)
+            )
         ]
 
     def _rows_by_part(self, states, parts, t):
@@ -232,18 +238,22 @@ class IdentificationSteps:
         """Estimate from recordings, in parallel where statistics are all it takes."""
         if not self._takes_statistics():
             return self._fit_equations(
-                filtered_equations(stretches, lowpass, chunk_bytes=_CHUNK_BYTES)
+                filtered_equations(stretches, lowpass, chunk_bytes=_CHUNK_BYTES),
+                numbered_parts(stretches, lowpass, chunk_bytes=_CHUNK_BYTES),
             )
         stats = accumulate(
             stretches, lowpass, chunk_bytes=_CHUNK_BYTES, n_jobs=self.n_jobs
         )
         return self._fit_statistics(stats)
 
-    def _fit_equations(self, pieces):
-        """Estimate from filtered (index, Phi, tau, weight), which may be a stream."""
+    def _fit_equations(self, pieces, parts=None):
+        """Estimate from filtered (index, Phi, tau, weight), which may be a stream.
+
+        Without `numbered_parts` the equations count as independent.
+        """
         self._new_estimator()
-        for _, *equations in pieces:
-            self.estimator_._accumulate(*equations)
+        for (_, *equations), own in zip(pieces, parts or itertools.repeat(None)):
+            self.estimator_._accumulate(*equations, parts=own)
         return self._estimate()
 
     def _fit_statistics(self, stats):

@@ -88,8 +88,13 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
     theta_unconstrained_ : ndarray of shape (p,)
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
-        Posterior standard deviations of `theta_unconstrained_`, for independent
-        residuals; nan where the regressor does not tell.
+        Posterior standard deviations of `theta_unconstrained_`: 1.645 of them to both
+        sides are 90 % intervals. Residuals may be correlated in time, as what a model
+        lacks is: the deviations for independent ones are multiplied by the scatter
+        between forty blocks of time over the one to expect (see Notes). For
+        independent rows after `partial_fit`; nan where the regressor does not tell.
+        The projection moves `theta_` inside of what is physically possible, and what
+        the data leave open to the model's values; this has no deviation of its own.
     effects_ : tuple of Effect
         Effects in use.
     parameter_names_, parameter_units_ : tuple of str
@@ -131,6 +136,13 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
     -----
     The feature matrix is made and reduced to second moments piece by piece and never
     held as a whole (unless `regressor` needs the equations themselves).
+
+    `theta_std_` compares forty blocks of time, of all recordings together, with what
+    white residuals would make of them after the fit (a sandwich estimate by blocks,
+    unbiased for white residuals, with Student's t for the number of blocks). Blocks are
+    joined until neighbours are hardly correlated, as long as sixteen are left: of
+    residuals that stay correlated for a tenth of the recordings or longer it still
+    tells too little.
 
     Examples
     --------

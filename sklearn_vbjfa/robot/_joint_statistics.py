@@ -6,6 +6,7 @@ import numpy as np
 from scipy import linalg
 
 from sklearn_vbjfa._core._stats import SufficientStatistics
+from sklearn_vbjfa.robot._block_moments import BlockMoments, merge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +27,8 @@ class JointStatistics:
         sum of w tau^2.
     noise : ndarray of shape (nv, p, p) or None
         What of G is input noise, where it was measured.
+    blocks : tuple of BlockMoments or None
+        G and g by blocks of time, where the order of the rows is known.
     """
 
     n: np.ndarray
@@ -34,6 +37,7 @@ class JointStatistics:
     g: np.ndarray
     yy: np.ndarray
     noise: np.ndarray | None = None
+    blocks: dict | None = None
 
     def __add__(self, other):
         """Merge the statistics of disjoint rows."""
@@ -44,10 +48,11 @@ class JointStatistics:
             g=self.g + other.g,
             yy=self.yy + other.yy,
             noise=None if self.noise is None else self.noise + other.noise,
+            blocks=merge(self.blocks, other.blocks),
         )
 
 
-def joint_statistics(Phi, tau, weight, difference=None):
+def joint_statistics(Phi, tau, weight, difference=None, parts=None):
     """Accumulate rows.
 
     Parameters
@@ -61,20 +66,58 @@ def joint_statistics(Phi, tau, weight, difference=None):
     difference : ndarray of shape (n, nv, p), default=None
         Difference of two regressor matrices from separate halves of the samples. Its
         noise is that of both halves, that of their mean a quarter of its square.
+    parts : tuple of ndarray, default=None
+        Blocks of time that the rows belong to, see `Numbering.parts`.
     """
-    _, nv, p = Phi.shape
-    g = np.empty((nv, p))
     root = np.sqrt(weight)
-    for j in range(nv):
-        g[j] = (Phi[:, j] * root[:, j, None]).T @ (tau[:, j] * root[:, j])
+    keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
+    made = _part_moments(Phi, tau, root, starts)
+    _, nv, p = Phi.shape
+    G, g = np.zeros((nv, p, p)), np.zeros((nv, p))
+    for j, (used, Gs, gs) in enumerate(made):
+        G[j, used, used] = Gs.sum(axis=0)
+        g[j, used] = gs.sum(axis=0)
+    blocks = None
+    if keys is not None:
+        columns, Gs, gs = zip(*made)
+        n = np.add.reduceat(weight, starts, axis=0)
+        blocks = (BlockMoments(keys=keys, n=n, columns=columns, G=Gs, g=gs),)
     return JointStatistics(
         n=weight.sum(axis=0),
         n_rows=(weight > 0).sum(axis=0),
-        G=_gram(Phi, root),
+        G=G,
         g=g,
         yy=np.einsum("nj,nj->j", weight, tau**2),
         noise=None if difference is None else 0.25 * _gram(difference, root),
+        blocks=blocks,
     )
+
+
+def _part_moments(Phi, tau, root, starts):
+    """Moments of parts of the rows, for each joint (columns, their G, their g)."""
+    ends = [*starts[1:].tolist(), Phi.shape[0]]
+    made = []
+    for j in range(Phi.shape[1]):
+        used = _used(Phi[:, j])
+        rows = Phi[:, j, used] * root[:, j, None]
+        torque = tau[:, j] * root[:, j]
+        G = np.empty((starts.size, rows.shape[1], rows.shape[1]))
+        g = np.empty((starts.size, rows.shape[1]))
+        for i, (start, end) in enumerate(zip(starts.tolist(), ends)):
+            own = rows[start:end]
+            np.matmul(own.T, own, out=G[i])
+            np.matmul(torque[start:end], own, out=g[i])
+        made.append((used, G, g))
+    return made
+
+
+def _used(rows):
+    """From the first column of rows (n, p) that is not zero to the last, a slice.
+
+    A joint's torque does not depend on bodies below it in the tree.
+    """
+    columns = np.flatnonzero(rows.any(axis=0))
+    return slice(int(columns[0]), int(columns[-1]) + 1) if columns.size else slice(0, 0)
 
 
 def _gram(Phi, root):
@@ -82,12 +125,9 @@ def _gram(Phi, root):
     _, nv, p = Phi.shape
     G = np.zeros((nv, p, p))
     for j in range(nv):
-        rows = Phi[:, j]
-        # A joint's torque does not depend on bodies below it in the tree: most
-        # columns of its rows are structurally zero.
-        used = np.flatnonzero(rows.any(axis=0))
-        block = rows[:, used] * root[:, j, None]
-        G[j][np.ix_(used, used)] = block.T @ block
+        used = _used(Phi[:, j])
+        rows = Phi[:, j, used] * root[:, j, None]
+        G[j, used, used] = rows.T @ rows
     return G
 
 

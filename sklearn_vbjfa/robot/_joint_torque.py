@@ -9,6 +9,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sklearn_vbjfa._base import BaseJointFactorRegressor
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._vbjfa import VBJFARegressor
+from sklearn_vbjfa.robot import _block_moments
 from sklearn_vbjfa.robot._block_filter import averaging, decimate
 from sklearn_vbjfa.robot._forwarding import ForwardingMixin, labels_of_equations
 from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_groups
@@ -22,6 +23,8 @@ from sklearn_vbjfa.robot._joint_statistics import (
 
 # Rows of a block of constant noise: 2.5 periods of the cut-off.
 _BLOCK_ROWS = 10
+# Student's t has a deviation from three degrees of freedom on.
+_LEAST_FREEDOM = 3.0
 # A filtered row counts when at least this share of the filter's neighbourhood counts.
 _MASK_SHARE = 0.5
 
@@ -72,8 +75,9 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     theta_unconstrained_ : ndarray of shape (p,)
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
-        Standard deviations of `theta_unconstrained_`; nan where the regressor does
-        not tell.
+        Standard deviations of `theta_unconstrained_` for independent rows; within
+        `RobotIdentifier`, which knows their order, for residuals that are correlated
+        in time. nan where the regressor does not tell.
     joint_weights_ : ndarray of shape (nv,)
         Weights of the joints.
     n_rows_ : ndarray of shape (nv,)
@@ -248,14 +252,16 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             self.lowpass_ = _lowpass.design(dt, cutoff, self.decimation)
         return self.lowpass_
 
-    def _accumulate(self, Phi, tau, weight, instruments=None, difference=None):
-        """Take in filtered rows (n, nv, p), (n, nv), (n, nv)."""
+    def _accumulate(
+        self, Phi, tau, weight, instruments=None, difference=None, *, parts=None
+    ):
+        """Take in filtered rows (n, nv, p), (n, nv), (n, nv), and keys of blocks."""
         if Phi.shape[0] == 0:
             return
-        stats = joint_statistics(Phi, tau, weight, difference)
+        stats = joint_statistics(Phi, tau, weight, difference, parts)
         self._stats = stats if self._stats is None else self._stats + stats
         if self.block_noise or not self._from_statistics:
-            self._rows.append((Phi, tau, weight, instruments, difference))
+            self._rows.append((Phi, tau, weight, instruments, difference, parts))
 
     def _forget(self, entries):
         """Set entries (nv, p) of all regressor matrices to zero."""
@@ -296,11 +302,25 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         else:
             theta, std = self._fit_rows(total)
         self.theta_unconstrained_ = theta
-        self.theta_std_ = std
-        self.statistics_ = stats
+        self.theta_std_ = std * self._correlation(stats, theta)
+        self.statistics_ = replace(stats, blocks=None)
         self.theta_ = self._project(theta)
         del self._stats, self._rows, self._labels
         return self
+
+    def _correlation(self, stats, theta):
+        """Return what residuals correlated in time do to the deviations, factors (p,).
+
+        Of the distribution of the estimate, Student's t with the freedom that the
+        blocks leave: its deviation is a little larger than that of a normal one.
+        """
+        if stats.blocks is None or not np.isfinite(theta).all():
+            return np.ones(theta.size)
+        found = _block_moments.variance(stats, self.joint_weights_, theta)
+        freedom = np.maximum(found.freedom, _LEAST_FREEDOM)
+        factor = np.sqrt(found.factor * freedom / (freedom - 2.0))
+        # What no equation determines stays as it is.
+        return np.where(np.isfinite(factor), factor, 1.0)
 
     def _weight_blocks(self):
         """Weight the rows by the precision of their blocks; return statistics."""
@@ -316,8 +336,8 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             for (Phi, tau, w, *others), factor in zip(self._rows, self.block_factors_)
         ]
         total = None
-        for (Phi, tau, weight, _, difference), (_, _, plain) in zip(self._rows, pieces):
-            stats = joint_statistics(Phi, tau, weight, difference)
+        for (Phi, tau, weight, _, *others), (_, _, plain) in zip(self._rows, pieces):
+            stats = joint_statistics(Phi, tau, weight, *others)
             # The factors re-weight the samples; their number stays what it is.
             stats = replace(stats, n=plain.sum(axis=0))
             total = stats if total is None else total + stats

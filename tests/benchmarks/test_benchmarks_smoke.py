@@ -35,6 +35,7 @@ def residuals(scale, index, tau):
         "feedforward",
         "growth",
         "identification",
+        "interval_coverage",
         "iterations",
         "kernels",
         "likelihood",
@@ -429,3 +430,19 @@ def test_residuals_of_false_alarms_are_what_they_say(duration):
             expected = np.exp(-0.5 / constant)
             error = 4 * np.std(lagged) / np.sqrt(len(lagged))
             assert np.mean(lagged) == pytest.approx(expected, abs=error), name
+
+
+def test_interval_coverage_at_small_size():
+    pytest.importorskip("pinocchio")
+    import bench_interval_coverage as bench
+
+    cells = [
+        *bench.parameters(1, 0, robots=(("Z", 20.0),)),
+        *bench.effects(1, 0, chosen=("spring",), duration=40.0),
+        *bench.errors(1, 0, durations=(40.0,), noises=("white",)),
+    ]
+    assert [cell.trials for cell in cells] == [1] * 7
+    assert all(cell.width for cell in cells)
+    text = bench.report(cells)
+    assert "spring: q0" in text
+    assert "Pooled: parameters" in text

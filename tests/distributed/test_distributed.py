@@ -91,6 +91,9 @@ def assert_same(found, expected):
         # rounding, in parameters that the data hardly tell apart
         rtol = 1e-7 if name.startswith("theta") else 1e-10
         assert_allclose(values, reference, rtol=0, atol=rtol * size, err_msg=name)
+    free = expected.identifiable_
+    values, reference = found.theta_std_[free], expected.theta_std_[free]
+    assert_allclose(values, reference, rtol=1e-6, err_msg="theta_std_")
     apart = found.theta_ - expected.theta_
     metric = expected.estimator_.metric_
     torque = expected.theta_ @ metric @ expected.theta_

@@ -68,6 +68,9 @@ def assert_same(robot, other, rtol=1e-10):
         torque = reference @ metric @ reference
         assert abs(apart @ metric @ apart) <= (10 * rtol) ** 2 * torque, name
         assert_allclose(values, reference, rtol=0, atol=1e-6, err_msg=name)
+    free = other.identifiable_
+    values, reference = robot.theta_std_[free], other.theta_std_[free]
+    assert_allclose(values, reference, rtol=1e-6, err_msg="theta_std_")
 
 
 def matrix_statistics(robot, recording):

@@ -1,0 +1,137 @@
+"""Variance of a least-squares estimate whose residuals are correlated in time.
+
+Second moments and scores of blocks of time are all that is needed. What the residuals
+of a block have in common then counts once; residuals are smaller than the noise by what
+the fit took from each block, which is put back exactly for white noise.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+# Directions of the scaled Gram matrix below this are not determined.
+_RANK = 1e-10
+# Blocks are joined in pairs until neighbours are less correlated than this, as long as
+# so many are left.
+_NEIGHBOURS = 0.08
+_FEWEST = 16
+# Least factor for what neighbours have in common, where it is negative.
+_LEAST_REACH = 0.5
+# A parameter that hardly any block determines apart from the fit itself takes the mean
+# of the others' factors.
+_OWN = 0.2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BlockVariance:
+    """What correlation in time does to the variance of an estimate.
+
+    Attributes
+    ----------
+    factor : ndarray of shape (p,)
+        Variance over that for white residuals.
+    freedom : ndarray of shape (p,)
+        Degrees of freedom of the variance.
+    white : ndarray of shape (p,)
+        Variance for white residuals of the given noise.
+    scores : ndarray of shape (n_blocks, p)
+        Part of each block in the estimate's error, scaled so that the covariance of
+        the estimate is ``scores.T @ scores``.
+    """
+
+    factor: np.ndarray
+    freedom: np.ndarray
+    white: np.ndarray
+    scores: np.ndarray
+
+
+def block_variance(grams, scores, place, noise=1.0):
+    """Compare the scatter of scores between blocks with that of white residuals.
+
+    Parameters
+    ----------
+    grams : ndarray of shape (n_blocks, p, p)
+        Second moments of each block's rows, weighted.
+    scores : ndarray of shape (n_blocks, p)
+        Rows times residuals, weighted alike.
+    place : ndarray of shape (n_blocks, 2), int
+        Recording of a block and its number there, sorted.
+    noise : float, default=1.0
+        Weighted mean square of the residuals.
+
+    Returns
+    -------
+    BlockVariance
+        Factors of the variances, nan for what is not determined.
+    """
+    H = grams.sum(axis=0)
+    size = np.sqrt(np.diagonal(H))
+    used = size > 0
+    unit = np.where(used, size, 1.0)
+    values, vectors = linalg.eigh(H / np.outer(unit, unit))
+    keep = values > _RANK * values[-1]
+    # H^-1 = L L'
+    L = np.where(used[:, None], vectors[:, keep] / unit[:, None], 0.0)
+    L /= np.sqrt(values[keep])
+    K = L.T @ (grams @ L)
+    s = scores @ L
+    place = np.array(place)
+    while True:
+        pooled = _pooled(K, s, noise)
+        neighbours = _neighbours(K, s, place, noise * pooled)
+        if neighbours < _NEIGHBOURS or K.shape[0] < 2 * _FEWEST:
+            break
+        K, s, place = _join(K, s, place)
+    d = s @ L.T
+    through = K @ L.T
+    # Without the fit each block would have the first; the fit takes the second away.
+    own = np.einsum("ir,bri->bi", L, through)
+    left = own - (through**2).sum(axis=1)
+    white, expected = (L**2).sum(axis=1), noise * np.maximum(left, 0.0).sum(axis=0)
+    seen = expected > _OWN * noise * white
+    with np.errstate(divide="ignore", invalid="ignore"):
+        factor = np.where(seen, (d**2).sum(axis=0) / expected, pooled)
+        count = np.maximum(left, 0.0)
+        freedom = count.sum(axis=0) ** 2 / (count**2).sum(axis=0)
+        factor = factor * max(1.0 + 2.0 * neighbours, _LEAST_REACH)
+        scale = np.sqrt(factor * noise * white / (d**2).sum(axis=0))
+    return BlockVariance(
+        factor=np.where(used, factor, np.nan),
+        freedom=np.where(seen & used, np.maximum(freedom, 1.0), np.nan),
+        white=np.where(used, noise * white, np.nan),
+        scores=np.where(np.isfinite(scale), scale, 0.0) * d,
+    )
+
+
+def _pooled(K, s, noise):
+    """Mean factor of the variance over all directions that are determined."""
+    after_fit = noise * (np.trace(K, axis1=1, axis2=2).sum() - np.vdot(K, K))
+    return float((s**2).sum() / after_fit) if after_fit > 0 else 1.0
+
+
+def _neighbours(K, s, place, noise):
+    """Correlation of the scores (n_blocks, r) of blocks that follow each other.
+
+    Independent ones are left an expected product of -K_b K_c by the fit.
+    """
+    step = np.diff(place, axis=0)
+    follows = (step[:, 0] == 0) & (step[:, 1] == 1)
+    squares = (s**2).sum() + noise * np.vdot(K, K)
+    if not follows.any() or squares == 0:
+        return 0.0
+    products = np.einsum("br,br->b", s[:-1], s[1:])
+    products += noise * np.einsum("brs,brs->b", K[:-1], K[1:])
+    return float(products[follows].mean() / (squares / s.shape[0]))
+
+
+def _join(K, s, place):
+    """Join blocks in pairs, within their recordings."""
+    place = np.column_stack([place[:, 0], place[:, 1] // 2])
+    new = np.r_[True, (np.diff(place, axis=0) != 0).any(axis=1)]
+    starts = np.flatnonzero(new)
+    return (
+        np.add.reduceat(K, starts, axis=0),
+        np.add.reduceat(s, starts, axis=0),
+        place[starts],
+    )

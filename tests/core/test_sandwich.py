@@ -1,0 +1,114 @@
+"""Variances from the scatter between blocks, against estimates that were repeated."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from sklearn_vbjfa._core._sandwich import block_variance
+
+NORMAL = 1.6449
+
+
+def coloured(rng, shape, rho):
+    drawn = rng.normal(size=shape)
+    drawn[0] /= np.sqrt(1 - rho**2)
+    return signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], drawn, axis=0)
+
+
+def study(rho, *, p=3, n=1200, n_blocks=40, trials=150, recordings=1):
+    """Errors of least squares (trials, p) in coloured noise, factors, freedoms."""
+    rng = np.random.default_rng(0)
+    label = np.arange(n) * n_blocks // n
+    per = n_blocks // recordings
+    place = np.column_stack([np.arange(n_blocks) // per, np.arange(n_blocks) % per])
+    errors, deviations, factors, freedoms = [], [], [], []
+    for _ in range(trials):
+        X, noise = coloured(rng, (n, p), 0.9), coloured(rng, n, rho)
+        error = np.linalg.lstsq(X, noise, rcond=None)[0]
+        left = noise - X @ error
+        rows = [label == b for b in range(n_blocks)]
+        grams = np.array([X[r].T @ X[r] for r in rows])
+        scores = np.array([X[r].T @ left[r] for r in rows])
+        found = block_variance(grams, scores, place, left @ left / n)
+        errors.append(error)
+        deviations.append(np.sqrt(np.diagonal(found.scores.T @ found.scores)))
+        np.testing.assert_allclose(
+            deviations[-1], np.sqrt(found.factor * found.white), rtol=1e-9
+        )
+        factors.append(found.factor)
+        freedoms.append(found.freedom)
+    return (np.array(x) for x in (errors, deviations, factors, freedoms))
+
+
+@pytest.mark.parametrize("p", [1, 3, 15])
+def test_white_residuals_change_nothing_in_the_mean(p):
+    """Fifteen parameters take much of the noise out of forty blocks: put back."""
+    _, _, factors, freedoms = study(0.0, p=p)
+    # three standard deviations of the mean of 150 factors
+    error = np.std(np.mean(factors, axis=1)) / np.sqrt(len(factors))
+    assert np.mean(factors) == pytest.approx(1.0, abs=3 * error)
+    assert error < 0.04
+    assert 20 < np.mean(freedoms) <= 40
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.7, 0.95])
+def test_ninety_per_cent_hold_the_truth(rho):
+    errors, deviations, _, freedoms = study(rho)
+    inside = np.abs(errors) < NORMAL * np.sqrt(freedoms / (freedoms - 2)) * deviations
+    # 450 intervals: 1.4 % for one standard deviation
+    assert 0.87 < inside.mean() < 0.93
+
+
+def test_slow_residuals_are_seen_beyond_a_block():
+    """Noise that outlasts a block of thirty rows threefold, and a slow regressor."""
+    rng = np.random.default_rng(1)
+    n, blocks = 3000, 100
+    grams, place = np.full((blocks, 1, 1), 30.0), np.zeros((blocks, 2), dtype=int)
+    place[:, 1] = np.arange(blocks)
+    ratio = []
+    for _ in range(200):
+        noise = coloured(rng, n, 0.98)
+        mean = noise.mean()
+        scores = (noise - mean).reshape(blocks, 30).sum(axis=1)[:, None]
+        found = block_variance(grams, scores, place, noise.var())
+        ratio.append([mean**2, found.factor[0] * found.white[0]])
+    true, claimed = np.mean(ratio, axis=0)
+    assert claimed == pytest.approx(true, rel=0.3)
+
+
+def test_blocks_of_other_recordings_are_no_neighbours():
+    """The same scores, of one recording and of as many as there are blocks."""
+    rng = np.random.default_rng(2)
+    scores = np.repeat(rng.normal(size=(20, 1)), 2, axis=0)
+    grams = np.ones((40, 1, 1))
+    together = np.column_stack([np.zeros(40, int), np.arange(40)])
+    alone = np.column_stack([np.arange(40), np.zeros(40, int)])
+    joined = block_variance(grams, scores, together)
+    apart = block_variance(grams, scores, alone)
+    assert joined.factor[0] > 1.25 * apart.factor[0]
+
+
+def test_what_is_not_determined_has_no_variance():
+    grams = np.zeros((20, 2, 2))
+    grams[:, 0, 0] = 1.0
+    scores = np.zeros((20, 2))
+    scores[:, 0] = np.random.default_rng(0).normal(size=20)
+    place = np.column_stack([np.zeros(20, int), np.arange(20)])
+    found = block_variance(grams, scores, place)
+    assert np.isfinite(found.factor[0])
+    assert np.isnan(found.factor[1])
+    assert found.scores[:, 1].tolist() == [0.0] * 20
+
+
+def test_a_parameter_of_one_block_takes_the_factor_of_the_others():
+    """The fit leaves its own block nothing to tell how large the noise was."""
+    rng = np.random.default_rng(3)
+    grams = np.zeros((30, 2, 2))
+    grams[:, 0, 0] = 1.0
+    grams[4, 1, 1] = 1.0
+    scores = np.zeros((30, 2))
+    scores[:, 0] = 3.0 * rng.normal(size=30)
+    place = np.column_stack([np.zeros(30, int), np.arange(30)])
+    found = block_variance(grams, scores, place)
+    assert found.factor[1] == pytest.approx(found.factor[0], rel=0.1)
+    assert np.isnan(found.freedom[1])

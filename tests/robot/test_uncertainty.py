@@ -1,0 +1,143 @@
+"""Standard deviations of identified parameters, where residuals are correlated."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import signal
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.robot import _identification
+from tests.effects._arms import arm, inverse_dynamics, motion
+
+DT = 0.02
+FRICTION = ("viscous", "coulomb")
+NINETY = 1.6449
+TRUTH = {"viscous": 0.8, "coulomb": 0.3}
+
+
+def coloured(rng, shape, rho):
+    drawn = rng.normal(size=shape)
+    drawn[0] /= np.sqrt(1 - rho**2)
+    return signal.lfilter([np.sqrt(1 - rho**2)], [1.0, -rho], drawn, axis=0)
+
+
+def pendulum(seed, rho, duration=40.0):
+    """One joint: states, torques with noise."""
+    model = arm("Z")
+    _, states = motion(1, duration=duration, dt=DT, seed=seed)
+    v = states[:, 1]
+    tau = inverse_dynamics(model, states)[:, 0]
+    tau = tau + TRUTH["viscous"] * v + TRUTH["coulomb"] * np.sign(v)
+    rng = np.random.default_rng(500 + seed)
+    return model, states, (tau + 0.05 * coloured(rng, v.size, rho))[:, None]
+
+
+def fitted(model, X, tau, **settings):
+    settings = {"dt": DT, "friction": FRICTION, **settings}
+    return RobotIdentifier(model, **settings).fit(X, tau)
+
+
+def test_ninety_per_cent_hold_the_truth():
+    """Behind the low-pass and without one, in white and in slow residuals."""
+    inside = {}
+    for rho in (0.0, 0.9):
+        for settings in ({}, {"cutoff": None, "standstill": None}):
+            cell = inside.setdefault((rho, len(settings)), [])
+            for seed in range(50):
+                model, states, tau = pendulum(seed, rho)
+                robot = fitted(model, states, tau, **settings)
+                free = robot.identifiable_
+                truth = np.r_[model.inertias[1].toDynamicParameters(), 0.8, 0.3]
+                error = np.abs(robot.theta_unconstrained_ - truth)[free]
+                cell.append(error < NINETY * robot.theta_std_[free])
+            # 150 intervals, of which friction's are not independent: 3 % for one
+            # standard deviation
+            assert 0.82 < np.mean(cell) < 0.97
+    assert np.size(list(inside.values())) == 600
+    # pooled 1.5 %: neither 80 nor 97 per cent
+    assert 0.86 < np.mean(list(inside.values())) < 0.94
+
+
+def test_size_for_white_residuals():
+    """Against least squares with the noise given, from both sides."""
+    ratio = []
+    for seed in range(40):
+        model, states, tau = pendulum(seed, 0.0)
+        robot = fitted(model, states, tau, cutoff=None, standstill=None)
+        _, v, a = states.T
+        columns = np.column_stack([a, v, np.sign(v)])
+        expected = 0.05 * np.sqrt(np.diagonal(np.linalg.inv(columns.T @ columns)))
+        ratio.append(robot.theta_std_[robot.identifiable_] / expected)
+    # two per cent more for the freedom of forty blocks; a scatter of 14 %
+    assert_allclose(np.mean(ratio, axis=0), 1.02, atol=0.08)
+
+
+@pytest.mark.parametrize("settings", [{}, {"block_noise": True}])
+def test_slow_residuals_count(settings):
+    ratio = []
+    for seed in range(8):
+        widths = []
+        for rho in (0.0, 0.9):
+            robot = fitted(*pendulum(seed, rho), **settings)
+            widths.append(robot.theta_std_[robot.identifiable_])
+        ratio.append(widths[1] / widths[0])
+    # sqrt(19) for a signal that is slow beside the noise
+    assert np.all(np.mean(ratio, axis=0) > 1.5)
+    assert np.all(np.mean(ratio, axis=0) < 4.5)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    made = make_robot_recording(
+        duration=8.0, dt=0.01, frequency=1.0, n_recordings=3, random_state=5
+    )
+    noise = coloured(np.random.default_rng(0), made.tau.shape, 0.9)
+    return made, made.tau + 0.05 * made.tau.std(axis=0) * noise
+
+
+def deviations(recording, order=(0, 1, 2), rows=None, **settings):
+    made, tau = recording
+    groups = made.groups if rows is None else rows
+    at = np.concatenate([np.flatnonzero(made.groups == k) for k in order])
+    robot = RobotIdentifier(made.urdf, dt=made.dt, friction=FRICTION, **settings)
+    robot.fit(made.q[at], tau[at], groups=groups[at])
+    assert np.isfinite(robot.theta_std_[robot.identifiable_]).all()
+    return robot.theta_std_[robot.identifiable_]
+
+
+def test_order_of_recordings_does_not_matter(recording):
+    expected = deviations(recording)
+    assert_allclose(deviations(recording, (2, 0, 1)), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize(("chunk", "n_jobs"), [(1, None), (1 << 18, 2)])
+def test_pieces_and_jobs_do_not_matter(monkeypatch, recording, chunk, n_jobs):
+    expected = deviations(recording)
+    monkeypatch.setattr(_identification, "_CHUNK_BYTES", chunk)
+    found = deviations(recording, n_jobs=n_jobs)
+    assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_more_recordings_than_blocks(recording):
+    """Short ones share a block; each is still independent of the others."""
+    many = np.arange(len(recording[1])) // 40
+    found = deviations(recording, rows=many, cutoff=None)
+    whole = deviations(recording, cutoff=None)
+    assert np.median(found / whole) == pytest.approx(1.0, abs=0.4)
+
+
+def test_a_running_robot_has_deviations_for_independent_rows():
+    """`partial_fit` keeps no blocks, and says so."""
+    model, states, tau = pendulum(0, 0.9)
+    settings = {"dt": DT, "friction": FRICTION, "cutoff": None, "standstill": None}
+    running = RobotIdentifier(model, **settings).partial_fit(states, tau)
+    whole = RobotIdentifier(model, **settings).fit(states, tau)
+    free = whole.identifiable_
+    assert_allclose(running.theta_[free], whole.theta_[free], rtol=1e-6)
+    assert np.all(running.theta_std_[free] < 0.7 * whole.theta_std_[free])
+    assert "independent rows after `partial_fit`" in " ".join(
+        RobotIdentifier.__doc__.split()
+    )

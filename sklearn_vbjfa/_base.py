@@ -189,7 +189,7 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
             initial_noise,
             max_iter=self.max_iter,
             tol=self.tol,
-            accelerate=getattr(self, "solver", "quasi-newton") != "em",
+            accelerate=self.solver == "accelerated",
         )
         state = result.solution.state
         units = np.log(data.y_scale) + np.log(data.x_scale).sum()

@@ -35,10 +35,10 @@ class JFARegressor(BaseJointFactorRegressor):
 
         .. versionchanged:: 0.2
            The default was ``"noiseless"``.
-    solver : {"quasi-newton", "em"}, default="quasi-newton"
-        How the likelihood is climbed. ``"em"`` does the updates of [1]_ as printed, one
-        iteration after the other. ``"quasi-newton"`` accelerates them, and goes to the
-        highest likelihood, which is explicit, in the last step.
+    solver : {"accelerated", "plain"}, default="accelerated"
+        How the likelihood is climbed. ``"plain"`` does the updates of [1]_ as printed,
+        one iteration after the other. ``"accelerated"`` corrects them by a quasi-Newton
+        method, and the last step goes to the highest likelihood, which is explicit.
 
         .. versionadded:: 0.2
     max_iter : int, default=20000
@@ -105,13 +105,13 @@ class JFARegressor(BaseJointFactorRegressor):
     below that it ends depends on the start, the solver and the data (from 0.3, at
     shares between 0 and 1 on the data below). Give `input_noise` when you know it.
 
-    **What converged means.** With ``solver="quasi-newton"`` the last step goes to the
+    **What converged means.** With ``solver="accelerated"`` the last step goes to the
     highest likelihood, where `coef_noisy_` is least squares to rounding, in inputs of a
     condition number of 2e5 as well. Three cases are left: input noise that is given and
     makes more output noise than there is, fewer samples than features, and an exact
-    fit, which has no highest likelihood; then, and with ``solver="em"``, the iteration
-    ends where one gains less than `tol`. Along flat directions EM creeps: on 1000
-    samples of 5 inputs it stopped up to 0.2, 3, 20 and 2 standard errors from least
+    fit, which has no highest likelihood; then, and with ``solver="plain"``, the
+    iteration ends where one gains less than `tol`. Along flat directions EM creeps: on
+    1000 samples of 5 inputs it stopped up to 0.2, 3, 20 and 2 standard errors from least
     squares at condition numbers of 10, 1e2, 1e3 and 2e5, and had converged by its own
     rule in 38 of 40 cases (``tests/benchmarks/bench_likelihood.py``).
 
@@ -144,7 +144,7 @@ class JFARegressor(BaseJointFactorRegressor):
         "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
         "fit_intercept": ["boolean"],
         "query": [StrOptions({"noiseless", "noisy"})],
-        "solver": [StrOptions({"quasi-newton", "em"})],
+        "solver": [StrOptions({"accelerated", "plain"})],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
         "tol": [Interval(Real, 0, None, closed="left")],
         "forgetting": [Interval(Real, 0, 1, closed="right")],
@@ -157,7 +157,7 @@ class JFARegressor(BaseJointFactorRegressor):
         initial_input_noise=0.3,
         fit_intercept=True,
         query="noisy",
-        solver="quasi-newton",
+        solver="accelerated",
         max_iter=20000,
         tol=1e-7,
         forgetting=1.0,

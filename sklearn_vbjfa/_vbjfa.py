@@ -76,6 +76,11 @@ class VBJFARegressor(BaseJointFactorRegressor):
         .. versionchanged:: 0.2
            The default was ``"noiseless"``, which is worse than least squares wherever
            queries are as noisy as the data, and with them in cross-validation.
+    solver : {"accelerated", "plain"}, default="accelerated"
+        How the bound is climbed. ``"plain"`` does the updates as printed (in [1]_, and
+        in the guide for correlated latents), one iteration after the other.
+
+        .. versionadded:: 0.2
     max_iter : int, default=20000
         Largest number of iterations.
     tol : float, default=1e-7
@@ -222,6 +227,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         "ard_rate": [Interval(Real, 0, None, closed="neither")],
         "fit_intercept": ["boolean"],
         "query": [StrOptions({"noiseless", "noisy"})],
+        "solver": [StrOptions({"accelerated", "plain"})],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
         "tol": [Interval(Real, 0, None, closed="left")],
         "forgetting": [Interval(Real, 0, 1, closed="right")],
@@ -239,6 +245,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         ard_rate=1e-6,
         fit_intercept=True,
         query="noisy",
+        solver="accelerated",
         max_iter=20000,
         tol=1e-7,
         forgetting=1.0,
@@ -252,6 +259,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         self.ard_rate = ard_rate
         self.fit_intercept = fit_intercept
         self.query = query
+        self.solver = solver
         self.max_iter = max_iter
         self.tol = tol
         self.forgetting = forgetting
@@ -319,6 +327,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
                 "ard_rate": self.ard_rate,
                 "max_iter": self.max_iter,
                 "tol": self.tol,
+                "accelerate": self.solver == "accelerated",
             },
             dof=getattr(self.input_noise, "dof", np.inf),
         )

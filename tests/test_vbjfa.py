@@ -364,3 +364,29 @@ def test_invalid_parameters(params):
     (name,) = params
     with pytest.raises(InvalidParameterError, match=f"The '{name}' parameter"):
         VBJFARegressor(**params).fit(X, y)
+
+
+@unconverged
+@pytest.mark.parametrize("kind", ["paper", "correlated"])
+def test_plain_solver_is_the_literal_iteration(kind):
+    X, y, _ = make_regression(19, 60, 3)
+    few, more = (
+        make_model(kind, solver="plain", max_iter=n, tol=0.0).fit(X, y) for n in (7, 8)
+    )
+    # One value of the bound an iteration, none of them revised by the next.
+    assert few.n_iter_ == 7
+    assert_array_equal(more.elbo_history_[: few.elbo_history_.size], few.elbo_history_)
+    fast = make_model(kind, max_iter=8, tol=0.0).fit(X, y)
+    assert fast.elbo_history_[-1] > more.elbo_history_[-1]
+
+
+@pytest.mark.parametrize("kind", ["paper", "noise", "correlated"])
+def test_both_solvers_end_at_the_same_bound(kind):
+    X, y, _ = make_regression(20, 80, 3)
+    plain, fast = (
+        make_model(kind, solver=solver, tol=1e-11).fit(X, y)
+        for solver in ("plain", "accelerated")
+    )
+    assert plain.n_iter_ > fast.n_iter_
+    assert fast.elbo_history_[-1] >= plain.elbo_history_[-1] - 1e-4
+    assert_allclose(fast.coef_noisy_, plain.coef_noisy_, rtol=1e-3, atol=1e-3)

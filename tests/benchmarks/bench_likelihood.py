@@ -14,7 +14,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_vbjfa import JFARegressor
 
 CONDITIONS = (1e1, 1e2, 1e3, 2e5)
-SOLVERS = ("quasi-newton", "em")
+SOLVERS = ("accelerated", "plain")
 N_SAMPLES, N_FEATURES, SNR = 1000, 5, 10.0
 
 

@@ -111,9 +111,9 @@ class JFARegressor(BaseJointFactorRegressor):
     makes more output noise than there is, fewer samples than features, and an exact
     fit, which has no highest likelihood; then, and with ``solver="plain"``, the
     iteration ends where one gains less than `tol`. Along flat directions EM creeps: on
-    1000 samples of 5 inputs it stopped up to 0.2, 3, 20 and 2 standard errors from least
-    squares at condition numbers of 10, 1e2, 1e3 and 2e5, and had converged by its own
-    rule in 38 of 40 cases (``tests/benchmarks/bench_likelihood.py``).
+    1000 samples of 5 inputs it stopped up to 0.2, 3, 20 and 2 standard errors from
+    least squares at condition numbers of 10, 1e2, 1e3 and 2e5, and had converged by its
+    own rule in 38 of 40 cases (``tests/benchmarks/bench_likelihood.py``).
 
     An iteration costs O(d^2), whatever the number of samples, on sufficient
     statistics; with more features than samples O(n d) on the data.

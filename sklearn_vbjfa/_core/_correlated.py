@@ -113,6 +113,10 @@ def _posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
         return mean, cov, float(logdet), float(residual)
     root = square_root()
     U, sv, Vt = linalg.svd(root.R * prior, full_matrices=False)
+    # Singular values of the size of rounding are zero: with hardly any noise they would
+    # be information.
+    keep = sv > sv[:1] * max(root.R.shape) * np.finfo(float).eps
+    U, sv, Vt = U[:, keep], sv[keep], Vt[keep]
     share = s2 / (s2 + sv**2)
     Uz = U.T @ root.z
     mean = prior * (Vt.T @ (sv / (s2 + sv**2) * Uz))

@@ -309,7 +309,11 @@ def test_joints_that_cannot_be(joints, message, good, with_hand, capsys):
 
 # Runs the command and says on stdout when the search has begun, or a file was written.
 STOPPABLE = """
-import os, sys, time
+import os, signal, sys, time
+
+# A shell that starts the tests in the background leaves the interrupt ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 from sklearn_vbjfa import EffectDiscovery
 from sklearn_vbjfa._cli import _close_loop, main
 

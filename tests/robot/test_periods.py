@@ -206,12 +206,13 @@ def test_white_noise_is_seen_either_way():
     taps = periods.estimator_.lowpass_.taps
     expected = 0.05 * np.sqrt(taps @ taps / n_periods)
     assert_allclose(periods.torque_noise_, expected, rtol=0.25)
-    # As certain of the parameters, from an eighth of the rows.
+    # As near to the parameters, from an eighth of the rows; a little less certain of
+    # how near, as few blocks of time are left to tell (Student's t).
     assert_allclose(
         periods.theta_unconstrained_, samples.theta_unconstrained_, atol=0.02
     )
     ratio = samples.theta_std_[[1, 3, 6, 10]] / periods.theta_std_[[1, 3, 6, 10]]
-    assert np.all((ratio > 0.5) & (ratio < 2.0))
+    assert np.all((ratio > 0.35) & (ratio < 1.0))
 
 
 def test_recordings_are_periods_of_their_own():

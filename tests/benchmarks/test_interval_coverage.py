@@ -25,9 +25,12 @@ def test_small_study_of_errors():
 def test_full_study(study):
     """Targets of the table, on 200 data sets a cell.
 
-    A cell of 200 independent intervals of 90 % has a standard deviation of 2.1 %.
+    A cell of 200 independent intervals of exactly 90 % has a standard deviation of
+    2.1 %: one in fifty lies outside 85 to 95 % by chance, one in a thousand outside
+    83 to 97 %.
     """
     cells = bench.STUDIES[study](200, 100)
-    outside = [cell.label for cell in cells if not 0.85 <= cell.coverage <= 0.95]
-    assert outside == []
+    coverage = np.array([cell.coverage for cell in cells])
+    assert np.all((coverage > 0.83) & (coverage < 0.97))
+    assert np.sum((coverage < 0.85) | (coverage > 0.95)) <= 1
     assert 0.88 <= pooled(cells) <= 0.92

@@ -10,6 +10,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.robot import _identification
+from sklearn_vbjfa.robot._block_moments import Numbering
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.02
@@ -119,6 +120,18 @@ def test_pieces_and_jobs_do_not_matter(monkeypatch, recording, chunk, n_jobs):
     monkeypatch.setattr(_identification, "_CHUNK_BYTES", chunk)
     found = deviations(recording, n_jobs=n_jobs)
     assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_blocks_are_those_of_their_recordings():
+    numbering = Numbering.of([400, 30, 370])
+    assert numbering.rows == 20
+    keys, starts = numbering.parts(2, slice(30, 75))
+    assert keys.tolist() == [[2, 1], [2, 2], [2, 3]]
+    assert starts.tolist() == [0, 10, 30]
+    # a hundred recordings are three to a block
+    keys, starts = Numbering.of([50] * 100).parts(7, slice(10, 50))
+    assert keys.tolist() == [[2, 0]]
+    assert starts.tolist() == [0]
 
 
 def test_more_recordings_than_blocks(recording):

@@ -16,9 +16,6 @@ RELEVANT_DEVIATIONS = 2.0
 # Largest fraction of an input's variance that the prior takes for noise: an input that
 # someone measured in order to predict with it is signal for two thirds at least.
 LARGEST_FRACTION = 1 / 3
-# Fractions at which the mixture over an unknown one is evaluated (Gauss-Legendre; an
-# odd number has the mean among them).
-_FRACTIONS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +63,7 @@ def fit_correlated(data, noise, labels, *, select, settings, dof=np.inf):
     select : bool
         For noiseless queries: reduce exactly dependent inputs to their generators and
         fit only relevant ones, with one precision in common. Noisy queries are then
-        answered by all inputs as they are.
+        answered by all inputs as they are, see `_average`.
     settings : dict
         common, ard_shape, ard_rate, max_iter, tol, accelerate; `common` is one
         precision for all inputs.
@@ -81,42 +78,35 @@ def fit_correlated(data, noise, labels, *, select, settings, dof=np.inf):
     if not select:
         return _fit_all(m, np.zeros((d, d)) if psi is None else psi, settings, dof)
     R, r = m.S / m.n, m.xy / m.n
-    everything = _fit_all(m, np.zeros((d, d)), settings)
+    as_they_are = _solve(m, np.zeros((d, d)), settings)
     found = find_dependencies(R)
     basis = found.basis
-    kept = _relevant_inputs(m, basis, everything, settings)
+    kept = _relevant_inputs(m, basis, as_they_are, settings)
     at = basis[kept]
     largest = 0.0
     if psi is None:
         largest = largest_noise_fraction(R[np.ix_(at, at)], r[at])
         psi = np.zeros((d, d))
         psi[at, at] = 0.5 * largest
-    common = {**settings, "common": True}
-    solutions, weights = [], np.ones(1)
-    if largest == 0.0:
-        solutions.append(_solve(m.columns(at), psi[np.ix_(at, at)], common))
-    else:
-        solutions, weights = _over_fractions(m.columns(at), largest, common)
-    coefs = np.zeros((weights.size, basis.size))
-    coefs[:, kept] = [solution.state.beta_mean for solution in solutions]
-    coef = weights @ coefs
+    solution = _solve(m.columns(at), psi[np.ix_(at, at)], {**settings, "common": True})
+    coef = np.zeros(basis.size)
+    coef[kept] = solution.state.beta_mean
     # The inputs that were switched off belong to what is not known.
     cov = _uncertainty(m.columns(basis), psi[np.ix_(basis, basis)], coef, settings, dof)
-    cov += (weights * (coefs - coef).T) @ (coefs - coef)
+    cov[np.ix_(kept, kept)] += _fraction_covariance(solution, largest)
     spread = _spread(R, basis, found.copies)
     relevant = np.zeros(d, dtype=bool)
     relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
     return CorrelatedFit(
-        noisy=everything.noisy,
+        noisy=_average(m, as_they_are, settings),
         noiseless=LinearModel(
             coef=spread @ coef,
             cov=spread @ cov @ spread.T,
-            noise=float(weights @ [one.state.psi_y for one in solutions]),
+            noise=solution.state.psi_y,
         ),
-        noisy_solution=everything.noisy_solution,
-        # That of the mean fraction, where there are several.
-        noiseless_solution=solutions[len(solutions) // 2],
-        alpha=everything.alpha,
+        noisy_solution=as_they_are,
+        noiseless_solution=solution,
+        alpha=as_they_are.state.E_alpha,
         relevant=relevant,
         psi=psi,
         rule=found.rule,
@@ -186,17 +176,33 @@ def _square(x):
     return np.outer(x, x)
 
 
-def _over_fractions(m, largest, settings):
-    """Fit inputs with a common noise fraction, uniform on [0, largest].
+def _fraction_covariance(solution, largest):
+    """Covariance (d, d) of the coefficients over a fraction uniform on [0, largest].
 
-    The likelihood is the same for all fractions f, as (R - f I) beta_f = R beta_0: the
-    posterior of beta is the mixture over f. Returns solutions at the nodes of
-    Gauss-Legendre quadrature, and their weights.
+    From (R - f I) beta_f = R beta_0, the same for all f, follows the slope
+    (R - f I)^-1 beta_f; the variance of f is largest^2 / 12.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(_FRACTIONS)
-    fractions = 0.5 * largest * (1.0 + nodes)
-    eye = np.eye(m.xy.size)
-    return [_solve(m, f * eye, settings) for f in fractions], 0.5 * weights
+    slope = linalg.pinvh(solution.latent.Sigma_t) @ solution.state.beta_mean
+    return _square(slope) * largest**2 / 12
+
+
+def _average(m, solution, settings):
+    """Answer to noisy queries: the mean of two regressions on the inputs as they are.
+
+    One gives each input a precision of its own, which suits few relevant inputs; the
+    other one precision to all, which suits many. Nothing tells beforehand which suits;
+    their mean is nearly as good as the better one, and half of what they differ in is
+    not known.
+    """
+    other = _solve(m, np.zeros_like(m.S), {**settings, "common": True})
+    both = [one.state for one in (solution, other)]
+    coef = 0.5 * sum(state.beta_mean for state in both)
+    cov = _correlated.posterior_covariance(m.S, m.n, np.zeros_like(m.S), other)
+    return LinearModel(
+        coef=coef,
+        cov=cov + _square(both[1].beta_mean - coef),
+        noise=0.5 * sum(state.psi_y for state in both),
+    )
 
 
 def _standard_noise(noise, data):
@@ -226,13 +232,13 @@ def _warn_excess(R, psi, data, labels):
         )
 
 
-def _relevant_inputs(m, basis, everything, settings):
+def _relevant_inputs(m, basis, as_they_are, settings):
     """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations.
 
     Asked of the noisy inputs on purpose: an input that has nothing to do with y has a
     zero coefficient there too, and the test has not lost power to the correction.
     """
-    state = everything.noisy_solution.state
+    state = as_they_are.state
     if basis.size < m.xx.size:
         exact = np.zeros((basis.size, basis.size))
         state = _solve(m.columns(basis), exact, settings).state

@@ -29,9 +29,9 @@ class VBJFARegressor(BaseJointFactorRegressor):
     determination, and coefficients for noiseless queries [1]_.
 
     For predictions from inputs as noisy as those of the fit, the default, this is
-    Bayesian regression with a precision for each input: as good as least squares with
-    many rows, where noise in the inputs is no reason to do anything else, and better
-    where inputs are many, correlated or irrelevant. What goes beyond that are queries
+    Bayesian regression on the inputs as they are: as good as least squares with many
+    rows, where noise in the inputs is no reason to do anything else, and better where
+    inputs are many, correlated or irrelevant. What goes beyond that are queries
     without noise: motions that are planned, instruments better than those of the fit,
     coefficients that mean something (a mass, a dose). They need the input noise. Give
     it (`input_noise`) where you know it or can measure it (`replicate_noise`); without,
@@ -48,7 +48,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Correlated latents and noiseless queries only. Whether inputs that are exact
         combinations of others are reduced to those that generate them, only relevant
         inputs are fitted, and their coefficients share one precision. Noisy queries are
-        then answered by all inputs. ``"auto"``: yes, unless `input_noise`
+        then answered by all inputs, see Notes. ``"auto"``: yes, unless `input_noise`
         is zero (then this is Bayesian ARD regression on all inputs) or a full
         covariance (then dependencies are part of what is known).
     prior : {"noise", "paper"}, default="noise"
@@ -171,7 +171,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
       coefficients for noisy queries, :math:`(R - f I) b_f = R b_0` for every f that
       the data admit, from zero to the smallest eigenvalue of the correlations of the
       inputs given the output; an input is taken to be signal for two thirds at least.
-      f is uniform on that interval; `coef_noiseless_` is the mean over it, and
+      f is uniform on that interval; `coef_noiseless_` is that of its mean, and
       `coef_cov_` holds its spread, which more rows do not reduce. Exact inputs thus
       get coefficients that are a little too large: give ``input_noise=0`` if you know
       that they are exact.
@@ -180,6 +180,11 @@ class VBJFARegressor(BaseJointFactorRegressor):
     - ``prior="paper"``: the starting point and the shared alpha_m, under which both
       loadings of a redundant input shrink at different rates; their ratio then means
       nothing, and the input is reported as not relevant with the coefficient zero.
+
+    **Noisy queries** need no split. With `selection` they are answered by the mean of
+    two Bayesian regressions on the inputs as they are, one with a precision for each
+    input (automatic relevance determination) and one with a precision for all; which of
+    them suits depends on how many inputs matter.
 
     Noise that is independent from input to input is not so among inputs that are sums
     of each other. Exactly dependent inputs are therefore reduced to the ones that

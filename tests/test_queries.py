@@ -69,27 +69,46 @@ def test_more_rows_do_not_make_exact_inputs_worse(n):
     assert np.mean(ratios) < 1.05
 
 
-def test_unknown_noise_is_the_mixture_over_the_admissible_fractions():
+def test_unknown_noise_is_the_mean_of_the_admissible_fractions():
     _, X, y, _ = make_inputs(2, 20_000, noise=0.2)
     model = VBJFARegressor(query="noiseless", tol=1e-12).fit(X, y)
     assert model.relevant_.all()
-    # Literally: (R - f I) b = R b_0 at many fractions from zero to the largest.
-    scale, spread = X.std(axis=0), y.std()
-    R, r = np.corrcoef(X, rowvar=False), np.zeros(4)
-    for j in range(4):
-        r[j] = np.corrcoef(X[:, j], y)[0, 1]
+    # Literally: (R - f I) b = R b_0 = r at fractions from zero to the largest.
+    R = np.corrcoef(X, rowvar=False)
+    r = np.array([np.corrcoef(x, y)[0, 1] for x in X.T])
     largest = min(1 / 3, linalg.eigvalsh(R - np.outer(r, r))[0])
-    fractions = (np.arange(2000) + 0.5) / 2000 * largest
-    b = np.array([linalg.solve(R - f * np.eye(4), r) for f in fractions])
-    unit = spread / scale
-    # 20,000 rows: the prior moves a coefficient by less than a thousandth; five nodes
-    # integrate a pole at some distance from the interval as well as that.
-    assert_allclose(model.coef_, b.mean(axis=0) * unit, rtol=2e-3)
-    deviation = b.std(axis=0) * unit
+
+    def answer(f):
+        return linalg.solve(R - f * np.eye(4), r) * y.std() / X.std(axis=0)
+
+    # 20,000 rows: the prior moves a coefficient by less than a thousandth.
+    assert_allclose(model.coef_, answer(0.5 * largest), rtol=2e-3)
+    step = 1e-4 * largest
+    slope = (answer(0.5 * largest + step) - answer(0.5 * largest - step)) / (2 * step)
+    # A uniform distribution has the deviation of its width over the root of twelve.
+    deviation = np.abs(slope) * largest / np.sqrt(12)
     assert np.all(model.coef_std_ > 0.99 * deviation)
     assert np.all(model.coef_std_ < 1.1 * deviation + 0.02)
-    share = model.input_noise_.diagonal() / scale**2
+    share = model.input_noise_.diagonal() / X.var(axis=0)
     assert_allclose(share, 0.5 * largest, rtol=1e-6)
+
+
+def test_noisy_queries_are_the_mean_of_two_regressions():
+    _, X, y, _ = make_inputs(5, 60, 8, noise=3.0)
+    model = VBJFARegressor(tol=1e-12).fit(X, y)
+    ard = VBJFARegressor(input_noise=0.0, tol=1e-12).fit(X, y)
+    # Literal Bayesian ridge regression on standardised data.
+    A, b = X - X.mean(axis=0), y - y.mean()
+    unit = b.std() / A.std(axis=0)
+    A, b, noise, precision = A / A.std(axis=0), b / b.std(), 1.0, 1.0
+    for _ in range(5000):
+        cov = linalg.inv(A.T @ A / noise + precision * np.eye(8))
+        ridge = cov @ A.T @ b / noise
+        precision = (1e-6 + 4) / (1e-6 + 0.5 * (ridge @ ridge + np.trace(cov)))
+        noise = (np.sum((b - A @ ridge) ** 2) + np.trace(A.T @ A @ cov)) / 60
+    assert_allclose(model.coef_, 0.5 * (ard.coef_ + ridge * unit), rtol=1e-5, atol=1e-8)
+    square = np.diagonal(cov) * unit**2 + (model.coef_ - ridge * unit) ** 2
+    assert_allclose(model.coef_std_, np.sqrt(square), rtol=1e-5)
 
 
 def test_more_rows_do_not_narrow_what_the_data_do_not_say():

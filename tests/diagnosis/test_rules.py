@@ -130,10 +130,12 @@ def test_rounds_say_the_rule_and_the_level_that_were_applied(far):
     by_action = {r.action: r for r in far.rounds_}
     for step in far.rounds_:
         if step.action == "add" and step.rule == _search.STEP_UP:
-            k = step.level * step.n_tests / 0.05
-            assert k == pytest.approx(round(k))
-            assert 1 <= round(k) <= step.n_tests
+            # Those that pass it, of which each has raised it.
+            passing = len(step.tried)
+            assert step.level == pytest.approx(0.05 * passing / step.n_tests)
+            assert all(t.evidence.p_value < step.level for t in step.tried)
             assert step.evidence.p_value < step.level
+    assert min(r.level for r in far.rounds_ if r.action == "add") < 0.05
     drop = by_action["drop"]
     assert drop.rule == _search.SUPERFLUOUS
     assert drop.evidence.p_value >= drop.level or drop.evidence.gain < 0.01

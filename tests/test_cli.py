@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -73,6 +74,19 @@ def test_without_arguments_the_loop_is_closed_on_the_demo(closed):
 
     _, true = load_demo_recording().undeclared["load_friction"]
     assert abs(float(mu) - true) < 2 * float(spread)
+
+
+def test_readme_shows_what_is_printed(closed):
+    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text("utf-8")
+    shown = re.search(r"^```text\n(.*?)^```", readme, flags=re.DOTALL | re.M)[1]
+    printed = closed[1]
+    # Other versions of the libraries may move a last digit, and with it a column.
+    number = re.compile(r"\d+(\.\d+)?")
+    words = [number.sub("#", " ".join(text.split())) for text in (shown, printed)]
+    assert words[0] in words[1]
+    pairs = zip(number.finditer(shown), number.finditer(printed[printed.index("\n") :]))
+    for ours, theirs in pairs:
+        assert float(ours[0]) == pytest.approx(float(theirs[0]), rel=0.1, abs=0.2)
 
 
 def test_the_demo_is_compared_with_rivals(demo, methods):

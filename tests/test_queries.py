@@ -8,7 +8,7 @@ from sklearn.datasets import load_diabetes
 from sklearn.linear_model import BayesianRidge, LinearRegression
 from sklearn.model_selection import KFold, cross_val_predict
 
-from sklearn_vbjfa import JFARegressor, VBJFARegressor
+from sklearn_vbjfa import JFARegressor, NoiseCovariance, VBJFARegressor
 
 
 def make_inputs(seed, n=400, d=4, rho=0.5, fraction=0.2, noise=0.5):
@@ -168,3 +168,25 @@ def test_predicted_deviations_cover_new_outputs():
         mean, std = VBJFARegressor().fit(X[:60], y[:60]).predict(X[60:], True)
         inside.append(np.abs(mean - y[60:]) < 1.645 * std)
     assert 0.87 < np.mean(inside) < 0.93
+
+
+@pytest.mark.parametrize("dof", [np.inf, 50.0])
+def test_deviations_with_known_noise_are_those_of_fuller(dof):
+    # Hardly any output noise, so that the noise of the inputs makes most of it.
+    rng = np.random.default_rng(6)
+    n, coef, psi = 20_000, np.array([2.0, -1.0]), np.array([[0.5, 0.2], [0.2, 0.3]])
+    t = rng.normal(size=(n, 2)) @ [[1.0, 0.4], [0.0, 1.0]]
+    X = t + rng.normal(size=t.shape) @ linalg.cholesky(psi)
+    y = t @ coef + 0.1 * rng.normal(size=n)
+    known = NoiseCovariance(covariance=psi, dof=dof)
+    model = VBJFARegressor(input_noise=known, query="noiseless").fit(X, y)
+    # Fuller (1987), theorem 2.2.1, term by term.
+    latent = np.linalg.inv(np.cov(X, rowvar=False, ddof=0) - psi)
+    v = 0.01 + coef @ psi @ coef
+    expected = v * latent + latent @ (v * psi) @ latent
+    expected += latent @ np.outer(psi @ coef, psi @ coef) @ latent
+    expected /= n
+    moved = (coef @ psi @ coef) * psi + np.outer(psi @ coef, psi @ coef)
+    expected += latent @ moved @ latent / dof
+    assert_allclose(model.coef_cov_, expected, rtol=0.04)
+    assert np.all(np.abs(model.coef_ - coef) < 4 * model.coef_std_)

@@ -3,8 +3,13 @@
 import os
 from pathlib import Path
 
-import pytest
-from threadpoolctl import threadpool_limits
+# Workers share the processors: with several threads each, they wait for one another.
+# Before NumPy is loaded, as its BLAS reads this once; processes that tests start and
+# the workers of pytest-xdist inherit it.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+import pytest  # noqa: E402
 
 
 @pytest.fixture(scope="session")
@@ -23,8 +28,3 @@ def measured_data_home() -> Path:
     if not beside.is_dir():
         pytest.skip("no measured sets; name their folder in SKLEARN_VBJFA_DATA")
     return beside
-
-
-# Each worker has a processor to itself: threads of the linear algebra would only get
-# in each other's way.
-_ONE_THREAD = threadpool_limits(limits=1)

@@ -382,14 +382,24 @@ class EffectSearch:
         """Search until nothing is significant."""
         self.threshold, self.n_tests = self.alpha, 0
         self._refresh()
-        for number in range(_MOST_ROUNDS_PER_JOINT * self.view.nv):
-            if self.max_effects is not None and len(self.accepted) >= self.max_effects:
-                break
-            if not self._round(number):
-                break
-        self._polish()
+        number, most = 0, _MOST_ROUNDS_PER_JOINT * self.view.nv
+        found = True
+        while found:
+            while number < most and not self._is_full() and self._round(number):
+                number += 1
+            found = False
+            if self.accepted:
+                self._polish()
+                # What was hidden by shapes that were not yet tuned may show now.
+                if number < most and not self._is_full():
+                    found = self._round(number)
+                    number += 1
         self._withdraw()
         return self
+
+    def _is_full(self):
+        """Whether as many effects are accepted as may be."""
+        return self.max_effects is not None and len(self.accepted) >= self.max_effects
 
     def _round(self, number):
         quiet = self.at_floor(self.before) | (self.view.precision == 0)

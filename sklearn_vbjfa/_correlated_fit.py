@@ -92,7 +92,9 @@ def fit_correlated(data, noise, labels, *, select, settings, dof=np.inf):
     coef = np.zeros(basis.size)
     coef[kept] = solution.state.beta_mean
     # The inputs that were switched off belong to what is not known.
-    cov = _uncertainty(m.columns(basis), psi[np.ix_(basis, basis)], coef, settings, dof)
+    psi_basis = psi[np.ix_(basis, basis)]
+    in_common = _solve(m.columns(basis), psi_basis, {**settings, "common": True})
+    cov = _uncertainty(m.columns(basis), psi_basis, coef, in_common, dof)
     cov[np.ix_(kept, kept)] += _fraction_covariance(solution, largest)
     spread = _spread(R, basis, found.copies)
     relevant = np.zeros(d, dtype=bool)
@@ -124,7 +126,8 @@ def _fit_all(m, psi, settings, dof=np.inf):
     """Fit all inputs with a known noise covariance (d, d), for both queries."""
     solution = _solve(m, psi, settings)
     state, latent = solution.state, solution.latent
-    cov = _uncertainty(m, psi, state.beta_mean, settings, dof)
+    in_common = _in_common(m, psi, solution, settings)
+    cov = _uncertainty(m, psi, state.beta_mean, in_common, dof)
     noiseless = LinearModel(coef=state.beta_mean, cov=cov, noise=state.psi_y)
     noisy = noiseless
     if not latent.exact:
@@ -144,7 +147,14 @@ def _fit_all(m, psi, settings, dof=np.inf):
     )
 
 
-def _uncertainty(m, psi, coef, settings, dof=np.inf):
+def _in_common(m, psi, solution, settings):
+    """Solution with one precision in common, which `solution` may be already."""
+    if settings["common"]:
+        return solution
+    return _solve(m, psi, {**settings, "common": True})
+
+
+def _uncertainty(m, psi, coef, in_common, dof=np.inf):
     """Second moment (d, d) about `coef` of the posterior with one precision in common.
 
     A posterior under automatic relevance determination takes the precisions for known:
@@ -152,9 +162,8 @@ def _uncertainty(m, psi, coef, settings, dof=np.inf):
     precision, known from all coefficients together, does not. What both disagree in
     belongs to what is not known.
     """
-    solution = _solve(m, psi, {**settings, "common": True})
-    cov = _correlated.posterior_covariance(m.S, m.n, psi, solution, dof)
-    return cov + _square(solution.state.beta_mean - coef)
+    cov = _correlated.posterior_covariance(m.S, m.n, psi, in_common, dof)
+    return cov + _square(in_common.state.beta_mean - coef)
 
 
 def _noisy_model(m, solution, settings):
@@ -164,10 +173,11 @@ def _noisy_model(m, solution, settings):
     leaves open, see `_uncertainty`.
     """
     beta, latent = solution.state.beta_mean, solution.latent
-    coef = latent.H.T @ beta
+    coef, exact = latent.H.T @ beta, np.zeros_like(m.S)
+    in_common = _solve(m, exact, {**settings, "common": True})
     return LinearModel(
         coef=coef,
-        cov=_uncertainty(m, np.zeros_like(m.S), coef, settings),
+        cov=_uncertainty(m, exact, coef, in_common),
         noise=solution.state.psi_y + beta @ latent.P @ beta,
     )
 
@@ -194,13 +204,13 @@ def _average(m, solution, settings):
     their mean is nearly as good as the better one, and half of what they differ in is
     not known.
     """
-    other = _solve(m, np.zeros_like(m.S), {**settings, "common": True})
+    exact = np.zeros_like(m.S)
+    other = _in_common(m, exact, solution, settings)
     both = [one.state for one in (solution, other)]
     coef = 0.5 * sum(state.beta_mean for state in both)
-    cov = _correlated.posterior_covariance(m.S, m.n, np.zeros_like(m.S), other)
     return LinearModel(
         coef=coef,
-        cov=cov + _square(both[1].beta_mean - coef),
+        cov=_uncertainty(m, exact, coef, other),
         noise=0.5 * sum(state.psi_y for state in both),
     )
 

@@ -6,7 +6,8 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa.diagnosis import _split
 from sklearn_vbjfa.diagnosis._gaps import hidden, unexplained
-from sklearn_vbjfa.diagnosis._intervals import FinalFit, error_intervals
+from sklearn_vbjfa.diagnosis._intervals import FinalFit
+from sklearn_vbjfa.diagnosis._judgement import Judgement
 from sklearn_vbjfa.diagnosis._outcome import make_outcome
 from sklearn_vbjfa.diagnosis._progress import progress_bar
 from sklearn_vbjfa.diagnosis._recording_view import RecordingView
@@ -33,8 +34,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Fits the declared model, looks at what it leaves of the torques on data that it
     has not seen, and tries every effect of the library on every joint; refits
     everything with the one that helps, names it, and begins again. What no effect
-    explains is reported as unexplained. The last part of each recording is not
-    touched until the end, where the error before and after is taken.
+    explains is reported as unexplained. Stretches of the motion are not touched until
+    the end, where the error before and after is taken; then the completed model is
+    fitted to everything.
 
     Parameters
     ----------
@@ -44,7 +46,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Effects to look for: names of the library (see
         `sklearn_vbjfa.effects.available`), or effects of one's own.
     test_size : float, default=0.25
-        Share of each recording, from its end, that is kept for the final comparison.
+        Share of the motion that is kept for the final comparison: the end of each of
+        several recordings, several stretches of a single one; standstill does not
+        count, and where a joint would hardly move in it there are more stretches.
     alpha : float, default=0.05
         Level of significance over all effects and joints together.
     max_effects : int or None, default=None
@@ -60,22 +64,30 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     effects_ : tuple of DiscoveredEffect
         Accepted effects in the order in which they were found; each has `name`,
         `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`.
+        The values are those of `identifier_`.
     rounds_ : tuple of Round
         Every step: what was added, replaced, dropped, refused or withdrawn, on what
         evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the
         rivals.
     error_before_, error_after_ : ndarray of shape (nv,)
-        Root mean square of the torque residual over the standard deviation of the
-        torque, on the untouched part, without and with the effects. Their intervals,
+        Root mean square of the torque residual on the untouched part, without and with
+        the effects, over `torque_spread_`. Their intervals,
         ``report_.outcome.intervals``, are a statement about the same robot in the same
         motion: they hold the errors over its next 50 s in 90 % of cases.
+    torque_spread_ : ndarray of shape (nv,)
+        Standard deviation of each joint's torque in the moving time of the whole
+        recording, behind the low-pass [N m or N]: times an error, the error in N m.
     unexplained_ : tuple of Unexplained
-        Joints whose residual stays above the noise floor, its share, and the signals
-        it varies with.
+        Joints whose residual stays above the noise floor, how much of the torque that
+        is, and the signals it varies with.
     hidden_ : tuple of Hidden
         Effects that this robot or this recording cannot show.
     identifier_ : RobotIdentifier
-        The model with the effects, fitted to the search part.
+        The model with the effects, fitted to all data after the errors were taken, in
+        the same band.
+    judged_ : RobotIdentifier
+        The model with the effects, fitted to the search part: the one whose errors are
+        reported.
     declared_ : RobotIdentifier
         The declared model, fitted to the same part.
     report_ : Report
@@ -100,17 +112,22 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     and the others are reported as rivals; what later additions make superfluous is
     dropped; and what does not hold on the last quarter of the search part, or in the
     last half of where it acts if it begins late, is refused.
-    At the end each recording of several (or third of one) is predicted from the
-    others with physically consistent parameters, and effects that make that worse are
-    withdrawn.
+    At the end the first, second and last thirds of all recordings are predicted from
+    the others with physically consistent parameters, effects that make that worse are
+    withdrawn, and what became superfluous by that is dropped.
+
+    The untouched part begins and ends as far from the search part as the residual
+    remembers (at most a quarter of a stretch). Errors are taken in the band of the fit,
+    and in a wider one (``report_.outcome.wide_cutoff``), in which nothing was
+    identified, as a controller would meet them.
 
     Intervals of effects' parameters come from the completed model: its estimates, and
     the scatter of its residuals between forty blocks of time, shape parameters beside
     the coefficients. What was chosen in the search (which effects, which grid points)
     counts as given. The intervals of the errors add how much such an error scatters in
-    the untouched part and how much in the next 50 s, as squared residuals and squared
-    torques vary slowly in the whole recording (ten cosines of time, Student's t with as
-    many degrees of freedom).
+    the untouched part and how much in the next 50 s, as squared residuals vary slowly
+    in the whole recording (ten cosines of time, Student's t with as many degrees of
+    freedom).
 
     Examples
     --------
@@ -184,26 +201,33 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         groups = np.zeros(X.shape[0], int) if groups is None else np.asarray(groups)
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         clock = check_clock(t, X.shape[0], check_dt(self.identifier.dt))
-        search, test = _split.split_in_time(X.shape[0], groups, self.test_size)
-        part = (X[search], y[search], groups[search], weight[search])
+        whole = X, y, groups, weight
         with progress_bar(self.verbose) as say:
             say(0, "declared model")
-            channels, silent = self._check_channels(*part[:3])
-            declared = clone(self.identifier).fit(*part, t=clock[search])
-            view = RecordingView(declared, *part, clock[search], silent)
+            channels, silent = self._check_channels(X, y, groups)
+            split = _split.split_in_time(self.identifier, X, groups, self.test_size)
+            rows = split.search
+            part = X[rows], y[rows], split.pieces, weight[rows]
+            self.declared_ = clone(self.identifier).fit(*part, t=clock[rows])
+            view = RecordingView(
+                self.declared_, *part, clock[rows], silent, split.recording
+            )
             found = EffectSearch(
                 view=view,
                 library=library,
-                declared=tuple(declared.features_._friction),
-                floor=declared.noise_floor_**2,
+                declared=tuple(self.declared_.features_._friction),
+                floor=self.declared_.noise_floor_**2,
                 alpha=float(self.alpha),
                 max_effects=self.max_effects,
                 on_progress=say,
             ).run()
             say(len(found.accepted), "final model")
-            self._finish(declared, found, part, clock[search], channels)
-            rest = X[test], y[test], groups[test], weight[test], clock[test]
-            self._judge(found, rest, channels, library)
+            self.judged_ = self.declared_
+            if found.accepted:
+                self.judged_ = self._with(found.accepted).fit(*part, t=clock[rows])
+            judgement = Judgement.of(self, found, split, whole, clock)
+            final = self._hand_over(found, whole, clock, silent)
+            self._report(found, judgement, final, channels, library)
         return self
 
     # -- stages ---------------------------------------------------------------------
@@ -244,34 +268,34 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if errors:
             raise ValueError(" ".join(errors))
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
-        return tuple(f.message for f in findings), silent
+        return findings, silent
 
-    def _finish(self, declared, found, part, clock, channels):
-        """Refit the whole identifier with what was found."""
-        self.declared_ = declared
-        self.identifier_ = declared
-        if found.accepted:
-            effects = (*declared.effects_, *found.accepted)
-            self.identifier_ = clone(self.identifier).set_params(effects=effects)
-            self.identifier_.fit(*part, t=clock)
+    def _with(self, effects):
+        """Return the declared model with effects, not fitted."""
+        own = (*self.declared_.effects_, *effects)
+        return clone(self.identifier).set_params(effects=own)
 
-    def _judge(self, found, rest, channels, library):
-        """Errors on the untouched part, what remains, the report."""
-        X, y, groups, weight, clock = rest
-        before, after = (
-            model.residuals(X, y, groups, weight, t=clock)
-            for model in (self.declared_, self.identifier_)
-        )
-        self.error_before_ = before.normalised_error()
-        self.error_after_ = after.normalised_error()
-        final = FinalFit(self.declared_, self.identifier_, found.view, found.accepted)
-        intervals = error_intervals((before, after), final.residuals(), found.view.step)
+    def _hand_over(self, found, whole, clock, silent):
+        """Fit the completed model to all data, in the band that was judged."""
+        band = {}
+        if isinstance(self.identifier.cutoff, str):
+            cutoff = self.judged_.cutoff_
+            band["cutoff"] = cutoff if np.isfinite(cutoff) else None
+        if isinstance(self.identifier.standstill, str):
+            band["standstill"] = self.judged_.standstill_
+        view = RecordingView(self.declared_, *whole, clock, silent)
+        effects = found.tuned_on(view)
+        self.identifier_ = self._with(effects).set_params(**band).fit(*whole, t=clock)
+        return FinalFit(self.declared_, self.identifier_, view, effects)
+
+    def _report(self, found, judgement, final, channels, library):
+        """Set what was found, what remains, and the report of both."""
+        self.error_before_, self.error_after_ = judgement.errors
+        self.torque_spread_ = judgement.spread
         names = self.declared_.joint_names_
-        self.unexplained_ = unexplained(found, names)
+        self.unexplained_ = unexplained(found, names, judgement.spread)
         self.hidden_ = hidden(found, names)
-        outcome = make_outcome(
-            self, found, final, before, after, intervals, channels, library
-        )
+        outcome = make_outcome(self, found, final, judgement, channels, library)
         self.effects_ = outcome.effects
         self.rounds_ = outcome.rounds
         self.report_ = Report(outcome)

@@ -134,6 +134,9 @@ class Unexplained:
         Out-of-sample residual and noise floor [N m or N]; the floor is nan if unknown.
     share : float
         Share of the residual's mean square above the floor.
+    of_torque : float
+        Root mean square of what is above the floor over the spread of the torque; of
+        the whole residual, if the floor is unknown.
     signals : tuple of Dependence
         Signals that it varies with, the strongest first.
     """
@@ -143,6 +146,7 @@ class Unexplained:
     rms: float
     floor: float
     share: float
+    of_torque: float
     signals: tuple[Dependence, ...] = ()
 
 
@@ -188,19 +192,31 @@ class Outcome:
         Joints that stay above their noise floor.
     hidden : tuple of Hidden
         Effects that could not be looked for.
-    channels : tuple of str
+    channels : tuple of ChannelFinding
         What is wrong with channels of the recording.
     joint_names : tuple of str
         Joints.
     torque_units : tuple of str
         Units of the torques, "N m" or "N".
     error_before, error_after : ndarray of shape (nv,)
-        Errors on the untouched part.
+        Errors on the untouched part, over `spread`.
+    spread : ndarray of shape (nv,)
+        Standard deviation of the torque in the moving time of the whole recording
+        [N m or N].
+    wide_before, wide_after : ndarray of shape (nv,)
+        Errors on the untouched part in a wider band than that of the fit, over the same
+        spread; nan where there is none.
+    wide_cutoff : float
+        Where that band ends [Hz]; nan where there is none.
+    seconds : ndarray of shape (nv,)
+        Untouched time in which each joint moves [s].
+    enough : ndarray of shape (nv,), bool
+        Whether that is enough for a verdict.
     intervals : dict of str to ndarray of shape (2, nv)
         Where the errors ``"before"``, ``"after"`` and their ``"difference"`` over the
         next 50 s of the same motion lie in 90 % of cases.
     floor : ndarray of shape (nv,)
-        Noise floor over the standard deviation of the torque of the untouched part.
+        Noise floor over the spread.
     settings : dict
         Thresholds, split, blocks, what intervals are of, seed, versions.
     curves : dict
@@ -218,6 +234,12 @@ class Outcome:
     torque_units: tuple
     error_before: object
     error_after: object
+    spread: object
+    wide_before: object
+    wide_after: object
+    wide_cutoff: float
+    seconds: object
+    enough: object
     intervals: dict
     floor: object
     settings: dict

@@ -19,7 +19,7 @@ _UNSEEN, _IN_SPAN = 1e-3, 1e-6
 _PLAIN = ("viscous", "coulomb", "offset", "spring")
 
 
-def unexplained(search, names):
+def unexplained(search, names, spread):
     """Joints above their floor, with the signals that the rest varies with.
 
     Parameters
@@ -28,6 +28,8 @@ def unexplained(search, names):
         After its run.
     names : sequence of str
         Joints.
+    spread : ndarray of shape (nv,)
+        Spread of the torques [N m or N].
     """
     view, motion = search.view, search.motion
     residual = search.base.residuals() / np.where(view.root.T > 0, view.root.T, np.inf)
@@ -53,6 +55,9 @@ def unexplained(search, names):
                 rms=rms,
                 floor=floor,
                 share=1.0 if np.isnan(floor) else float(1 - (floor / rms) ** 2),
+                of_torque=float(
+                    np.sqrt(max(rms**2 - np.nan_to_num(floor) ** 2, 0.0)) / spread[j]
+                ),
                 signals=signs,
             )
         )

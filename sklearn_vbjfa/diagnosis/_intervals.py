@@ -131,7 +131,11 @@ class FinalFit:
         columns, places, shapes = [], [], []
         at = view.Z.shape[2]
         for effect, own, coef in zip(self.effects, self._columns, coefs):
-            shape = tuple(name for name in effect.continuous if getattr(effect, name))
+            shape = tuple(
+                name
+                for name in effect.continuous
+                if getattr(effect, name) and name not in effect.jumping
+            )
             slopes = [self._slope(effect, name, coef) for name in shape]
             made = np.concatenate([own, *slopes], axis=2) * view.root[:, :, None]
             places.append(slice(at, at + made.shape[2]))
@@ -191,19 +195,22 @@ class FinalFit:
 # -- errors -------------------------------------------------------------------------
 
 
-def error_intervals(untouched, searched, step):
+def error_intervals(untouched, searched, spread, step):
     """Intervals that hold the errors over the next seconds of the same motion.
 
     An error is a mean over time, of the next stretch as of the untouched one, and both
     scatter. How much is read off the slow variation of what the error is a mean of, the
-    squared residual and the squared torque in each one's share, in both parts of the
-    recording.
+    squared residual, in both parts of the recording. The spread of the torque that it
+    is divided by is that of the whole recording and counts as given.
 
     Parameters
     ----------
     untouched, searched : tuple of TorqueResiduals
         Residuals before and after, on the same rows: of the part whose errors are
-        reported, and of the part that was fitted.
+        reported, and of the part that was fitted; their indices count the rows of the
+        whole recording.
+    spread : ndarray of shape (nv,)
+        Spread of the torque [N m or N].
     step : float
         Time between rows [s].
 
@@ -214,12 +221,15 @@ def error_intervals(untouched, searched, step):
         joint's error and of after minus before over the next `NEXT_SECONDS`, arrays
         (2, nv).
     """
-    weight, torque, *residuals = (
-        np.concatenate([one, other])
+    order = np.argsort(
+        np.concatenate([searched[0].index, untouched[0].index]), kind="stable"
+    )
+    weight, *residuals = (
+        np.concatenate([one, other])[order]
         for one, other in zip(_series(searched), _series(untouched))
     )
     m, nv = weight.shape
-    errors = [part.normalised_error() for part in untouched]
+    errors = [part.relative_error(spread) for part in untouched]
     total = weight.sum(axis=0)
     freedom = min(_COSINES, m // 4)
     if freedom < 1:
@@ -230,10 +240,8 @@ def error_intervals(untouched, searched, step):
     cosines *= np.sqrt(2.0 / m)
     ahead = NEXT_SECONDS / step
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        mean = (weight * torque).sum(axis=0) / total
-        spread = _shares(weight, torque - mean, total)
-        # Of the logarithm of an error.
-        parts = [0.5 * (_shares(weight, r, total) - spread) for r in residuals]
+        # Of the logarithm of an error, about its mean over what counts.
+        parts = [0.5 * (_shares(weight, r, total) - weight) for r in residuals]
         parts.append(errors[1] * parts[1] - errors[0] * parts[0])
         # The variance of a mean over rows that count as in the whole recording.
         rows = untouched[0].weight
@@ -252,7 +260,7 @@ def error_intervals(untouched, searched, step):
 
 def _series(pair):
     before, after = pair
-    return before.weight, before.torque, before.residual, after.residual
+    return before.weight, before.residual, after.residual
 
 
 def _shares(weight, values, total):

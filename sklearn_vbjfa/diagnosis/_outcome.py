@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 import sklearn
 
+from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis._findings import DiscoveredEffect, Outcome, Round, Trial
 from sklearn_vbjfa.diagnosis._gaps import memory_seconds, too_short
@@ -17,7 +18,7 @@ from sklearn_vbjfa.robot._model import import_pinocchio, is_prismatic
 _POINTS = 4000
 
 
-def make_outcome(loop, search, final, before, after, intervals, channels, library):
+def make_outcome(loop, search, final, judgement, channels, library):
     """Collect what `Report` shows.
 
     Parameters
@@ -27,24 +28,21 @@ def make_outcome(loop, search, final, before, after, intervals, channels, librar
     search : EffectSearch
         After its run.
     final : FinalFit
-        The completed model on the rows of the search.
-    before, after : TorqueResiduals
+        The completed model on all rows.
+    judgement : Judgement
         Of the untouched part.
-    intervals : dict
-        Intervals of the errors.
-    channels : tuple of str
-        Lines about channels.
+    channels : tuple of ChannelFinding
+        What is wrong with channels.
     library : tuple of Effect
         What was looked for.
     """
     robot = loop.declared_
     names = robot.joint_names_
     prismatic = is_prismatic(robot.features_._model)
-    total = before.weight.sum(axis=0)
+    spread = judgement.spread
     with np.errstate(divide="ignore", invalid="ignore"):
-        mean = (before.weight * before.torque).sum(axis=0) / total
-        spread = (before.weight * (before.torque - mean) ** 2).sum(axis=0) / total
-        floor = loop.identifier_.noise_floor_ / np.sqrt(spread)
+        floor = loop.judged_.noise_floor_ / spread
+        wide = np.array(judgement.wide or np.full((2, spread.size), np.nan)) / spread
     return Outcome(
         declared={
             "robot": robot.features_._model.name,
@@ -63,10 +61,16 @@ def make_outcome(loop, search, final, before, after, intervals, channels, librar
         torque_units=tuple("N" if p else "N m" for p in prismatic),
         error_before=loop.error_before_,
         error_after=loop.error_after_,
-        intervals=intervals,
+        spread=spread,
+        wide_before=wide[0],
+        wide_after=wide[1],
+        wide_cutoff=judgement.wide_cutoff,
+        seconds=judgement.seconds,
+        enough=judgement.enough,
+        intervals=judgement.intervals,
         floor=floor,
-        settings=_settings(loop, search, library),
-        curves=_curves(loop, before, after),
+        settings=_settings(loop, search, judgement, library),
+        curves=_curves(loop, judgement.before, judgement.after),
     )
 
 
@@ -75,8 +79,10 @@ def _effects(search, final, names, prismatic):
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
             rivals[step.effect.key()] = tuple(c.effect.name for c in step.rivals)
-    for effect, estimate in zip(search.accepted, final.effect_estimates()):
-        evidence = search.evidence_of(effect)
+    for one, effect, estimate in zip(
+        search.accepted, final.effects, final.effect_estimates()
+    ):
+        evidence = search.evidence_of(one)
         values, deviations = _named(effect, estimate)
         half = quantile(estimate.freedom)
         units = effect.parameter_units(prismatic[effect.joint])
@@ -94,7 +100,7 @@ def _effects(search, final, names, prismatic):
                 for key in deviations
             },
             evidence=evidence,
-            rivals=rivals.get(effect.key(), ()),
+            rivals=rivals.get(one.key(), ()),
             effect=effect,
         )
 
@@ -122,7 +128,8 @@ def _named(effect, estimate):
             values[name] = float(getattr(effect, name))
             deviations[name] = float(np.sqrt(max(covariance[k + i, k + i], 0.0)))
     for name, value in effect.shape().items():
-        values.setdefault(name, value)
+        if name not in effect.tangent:
+            values.setdefault(name, value)
     return values, deviations
 
 
@@ -166,13 +173,17 @@ def _trial(candidate):
     )
 
 
-def _settings(loop, search, library):
+def _settings(loop, search, judgement, library):
     from sklearn_vbjfa import __version__
 
     view = search.view
     seconds = memory_seconds(search)
     return {
         "test_size": float(loop.test_size),
+        "untouched_stretches": judgement.n_stretches,
+        "undecided_stretches": judgement.n_undecided,
+        "untouched_seconds": judgement.before.weight.shape[0] * float(view.step),
+        "guard_seconds": judgement.guard,
         "alpha": float(loop.alpha),
         "rule": STEP_UP,
         "last_level": float(search.threshold) if search.n_tests else None,
@@ -202,14 +213,15 @@ def _settings(loop, search, library):
 
 def _curves(loop, before, after):
     """Residuals of the untouched part with their signals, thinned for pictures."""
-    every = max(1, before.torque.shape[0] // _POINTS)
-    rows = slice(None, None, every)
-    index = before.index[rows]
+    m = before.torque.shape[0]
+    rows = np.arange(0, m, max(1, m // _POINTS))
     # Without a sample period, rows need not be equidistant.
-    dt = loop.identifier_.dt
+    dt = loop.judged_.dt
+    lowpass = _lowpass.design(dt or 1.0, loop.judged_.cutoff_)
     return {
-        "index": index,
-        **({} if dt is None else {"seconds": index * dt}),
+        "index": before.index[rows],
+        # Stretches one after the other.
+        **({} if dt is None else {"seconds": rows * dt * lowpass.step}),
         "before": before.residual[rows],
         "after": after.residual[rows],
         "weight": before.weight[rows],

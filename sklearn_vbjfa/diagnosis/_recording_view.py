@@ -30,9 +30,14 @@ class RecordingView:
         Time [s].
     leave_out : sequence of int
         Joints whose torque channel tells nothing.
+    recording : ndarray of shape (n,) or None
+        Number of the recording that each row is from, where `groups` cut recordings in
+        pieces; None where they do not.
     """
 
-    def __init__(self, robot, X, y, groups, sample_weight, t, leave_out=()):
+    def __init__(
+        self, robot, X, y, groups, sample_weight, t, leave_out=(), recording=None
+    ):
         self.robot = robot
         sample_weight = np.array(sample_weight, dtype=float)
         sample_weight[:, list(leave_out)] = 0.0
@@ -55,6 +60,10 @@ class RecordingView:
         edges = np.array([part.start for part in self.parts])
         self.starts = np.unique(np.searchsorted(index, edges))
         self.starts = self.starts[self.starts < index.size]
+        if recording is None:
+            sizes = [part.stop - part.start for part in self.parts]
+            recording = np.repeat(np.arange(len(self.parts)), sizes)
+        self.recording = recording[index]
         self._cache = {}
         self._first_fit()
 

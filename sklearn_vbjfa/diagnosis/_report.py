@@ -34,12 +34,12 @@ class Report:
     joints : tuple of JointVerdict
         Verdict on each joint.
     status : {"complete", "nothing", "partial", "exhausted", "unsettled", "unknown", \
-            "worse", "failed", "no data"}
+            "worse", "failed", "no data", "doubtful"}
         Effects found and only noise left; nothing was missing; effects found and
         something remains; nothing found though something is missing; at the noise
         floor in the search but not on untouched data; no noise floor to compare with;
         a joint got worse on untouched data; a joint is predicted worse than by its
-        mean torque; nothing to judge by.
+        mean torque; nothing to judge by; a channel of the recording is wrong.
     headline, verdict : str
         The same in words, without and with the mean errors.
 
@@ -65,7 +65,7 @@ class Report:
 
     def __str__(self):
         head = textwrap.wrap(self.verdict, _WIDTH)
-        if len(head) > 3:
+        if len(head) > 3 and self.status != "doubtful":
             errors = _verdict.errors_text(self.outcome)
             head = _wrapped(self.headline, 2) + _wrapped(errors, 1)
         tail, _ = self._closing(0)
@@ -91,7 +91,7 @@ class Report:
 
     def _joint_order(self):
         """Joints, those with something to say first where not all can be shown."""
-        rank = ("failed", "worse", "unexplained", "above", "unknown", "no data")
+        rank = ("failed", "worse", "unexplained", "above", "unknown", "few", "no data")
         first = {status: k for k, status in enumerate(rank)}
         return sorted(
             self.joints,
@@ -100,7 +100,7 @@ class Report:
 
     def _unexplained_order(self):
         return sorted(
-            self.outcome.unexplained, key=lambda u: (not u.floor > 0, -u.share)
+            self.outcome.unexplained, key=lambda u: (not u.floor > 0, -u.of_torque)
         )
 
     def _joint_table(self, order, count):
@@ -108,18 +108,17 @@ class Report:
         if rest:
             order, rest = order[: count - 1], order[count - 1 :]
         rows = [self._row(v) for v in sorted(order, key=lambda v: v.joint)]
+        outcome = self.outcome
+        units = "/".join(dict.fromkeys(outcome.torque_units))
+        headers = ["untouched error, %", "before", "after [90 %]", units, "floor"]
+        if np.isfinite(outcome.wide_cutoff):
+            headers.append(f"to {words.number(outcome.wide_cutoff, 2)} Hz")
         table = tabulate(
             rows,
-            headers=[
-                "error on untouched data, %",
-                "before",
-                "after [90 %]",
-                "floor",
-                "",
-            ],
+            headers=[*headers, ""],
             tablefmt="plain",
             disable_numparse=True,
-            colalign=("left", "right", "right", "right", "left"),
+            colalign=("left", *["right"] * (len(headers) - 1), "left"),
         ).splitlines()
         table = [words.clip(line.rstrip(), _WIDTH) for line in table]
         if rest:
@@ -137,11 +136,16 @@ class Report:
         after = words.bare_percent(outcome.error_after[j])
         if np.isfinite(low) and np.isfinite(high):
             after += f" [{words.bare_percent(low)}, {words.bare_percent(high)}]"
+        wide = []
+        if np.isfinite(outcome.wide_cutoff):
+            wide = [words.bare_percent(outcome.wide_after[j])]
         return [
-            words.clip(verdict.label, 32),
+            words.clip(verdict.label, 24),
             words.bare_percent(outcome.error_before[j]),
             after,
+            words.number(outcome.error_after[j] * outcome.spread[j], 2),
             words.bare_percent(outcome.floor[j]),
+            *wide,
             verdict.text,
         ]
 
@@ -192,8 +196,9 @@ class Report:
         Lines that are to spare go to what would be cut, what matters most first;
         returned are the lines and what is still to spare.
         """
-        channels = " ".join(self.outcome.channels[:1]).split()
-        more = len(self.outcome.channels) - 1
+        # Doubts are in the headline.
+        found = [c.message for c in self.outcome.channels if c.severity != "doubt"]
+        channels, more = " ".join(found[:1]).split(), len(found) - 1
         advice = lines.next_recording(self.outcome)
         hidden = lines.hidden_lines(self.outcome.hidden, self.outcome.joint_names)
         # Text, the lines it has at least, and its rank.

@@ -7,7 +7,7 @@ import numbers
 import numpy as np
 from sklearn.base import BaseEstimator
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 
 def as_data(report):

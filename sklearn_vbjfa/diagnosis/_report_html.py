@@ -20,6 +20,7 @@ _COLOURS = {
     "worse": "bad",
     "failed": "bad",
     "no data": "bad",
+    "doubtful": "bad",
 }
 _JOINT_COLOURS = {"floor": "good", "worse": "bad", "failed": "bad", "no data": "bad"}
 _ACTIONS = {
@@ -76,6 +77,10 @@ def _header(report):
         (words.percent(before), "mean error before"),
         (words.percent(after), "after, on untouched data"),
     ]
+    wide = _verdict.mean(np.where(outcome.enough, outcome.wide_after, np.nan))
+    if np.isfinite(wide):
+        band = words.number(outcome.wide_cutoff, 2)
+        totals.append((words.percent(wide), f"after, up to {band} Hz"))
     if np.isfinite(floor):
         totals.append((words.percent(floor), "noise floor"))
     boxes = "".join(
@@ -107,10 +112,22 @@ def _joints(report):
         '<i class="key" style="background:var(--after)"></i>after; interval: '
         f"{_text(lines.interval_text(outcome.settings))}"
         '<i class="key" style="background:var(--floor);width:3px"></i>'
-        "noise floor. Root mean square of the torque residual over the standard "
-        "deviation of the torque, on data that was not touched before.</p>"
+        "noise floor. Root mean square of the torque residual on data that was not "
+        "touched before, over the standard deviation of the torque in the moving time "
+        f"of the whole recording{_text(_band(outcome))}.</p>"
     )
     return f'<h2>Error of each joint</h2><div class="card">{rows}</div>{key}'
+
+
+def _band(outcome):
+    """Say which bands the errors are of."""
+    if not np.isfinite(outcome.wide_cutoff):
+        return ""
+    fit = words.number(outcome.declared.get("cutoff", np.nan))
+    return (
+        f"; in the band of the fit, up to {fit} Hz, and in brackets up to "
+        f"{words.number(outcome.wide_cutoff, 2)} Hz, where nothing was identified"
+    )
 
 
 def _joint(outcome, verdict, scale):
@@ -131,11 +148,16 @@ def _joint(outcome, verdict, scale):
         width = f"{100 * max(high - low, 0.0) / scale:.1f}%"
         reach = f'<i class="range" style="left:{place(low)};width:{width}"></i>'
         span = f" [{words.bare_percent(low)}, {words.bare_percent(high)}]"
+    unit = outcome.torque_units[j]
     bars = ""
-    for kind, value, extra, text in (
-        ("before", before, "", ""),
-        ("after", after, reach, span),
+    for kind, value, wide, extra, text in (
+        ("before", before, outcome.wide_before[j], "", ""),
+        ("after", after, outcome.wide_after[j], reach, span),
     ):
+        if np.isfinite(value):
+            text += f" {words.number(value * outcome.spread[j], 2)} {unit}"
+        if np.isfinite(wide):
+            text += f" ({words.bare_percent(wide)} %)"
         fill = ""
         if np.isfinite(value):
             fill = f'<i class="fill {kind}" style="width:{place(value)}"></i>'
@@ -194,7 +216,7 @@ def _open_questions(report):
         ("Unexplained", rest),
         ("Record next", advice),
         ("Not visible in this recording", hidden),
-        ("Channels", outcome.channels),
+        ("Channels", [c.message for c in outcome.channels]),
     ):
         if items:
             entries = "".join(f"<li>{_text(item)}</li>" for item in items)
@@ -209,7 +231,7 @@ def _pictures(report):
     figures = []
     axis = time_axis(outcome.curves)
     time = (
-        "Untouched part, one recording after the other, over time in seconds"
+        "Untouched part, one stretch after the other, over time in seconds"
         if axis
         else "Untouched part in the order of its samples"
     )
@@ -302,6 +324,8 @@ def _settings(report):
         ),
         "Declared model": lines.declared_line(outcome.declared),
         "Looked for": _short(settings.get("effects", ())),
+        "Model in the files": "fitted to all data after the errors were taken, in the "
+        "same band",
         "Seed": settings.get("random_state", ""),
         "Versions": ", ".join(
             f"{name} {version}"

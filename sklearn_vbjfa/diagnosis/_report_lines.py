@@ -71,12 +71,12 @@ def unexplained_line(group, names):
     """Say what remains of joints' residuals and what it varies with."""
     rest = group[0]
     label = words.joint_list(names, [u.joint for u in group])
-    shares = [words.whole_percent(share) for share in sorted(u.share for u in group)]
+    shares = [words.percent(share) for share in sorted(u.of_torque for u in group)]
     share = " to ".join(dict.fromkeys([shares[0], shares[-1]]))
     if not rest.floor > 0:
-        head = f"{label}: noise floor unknown"
+        head = f"{label}: {share} of the torque remains, noise floor unknown"
     else:
-        head = f"{label}: {share} of what remains has no name"
+        head = f"{label}: {share} of the torque has no name"
     signals = [
         f"{words.signal_label(s.signal, names, rest.joint)} "
         f"({words.whole_percent(s.share)})"
@@ -198,9 +198,13 @@ def settings_lines(settings):
     lines = []
     get = settings.get
     if "test_size" in settings:
-        text = (
-            f"Untouched: last {words.whole_percent(get('test_size'))} of each recording"
-        )
+        text = f"Untouched: {words.whole_percent(get('test_size'))} of the motion"
+        if "untouched_stretches" in settings:
+            count = words.plural(get("untouched_stretches"), "stretch")
+            text += f" ({count.replace('stretchs', 'stretches')}"
+            text += f", {words.number(get('untouched_seconds'))} s)"
+            if get("undecided_stretches"):
+                text += ", without what a change of payload falls into"
         if "n_blocks" in settings:
             seconds = words.number(get("block_seconds", float("nan")))
             text += (
@@ -220,7 +224,10 @@ def settings_lines(settings):
             f"of squared error; unexplained: > {ABOVE_FLOOR[0]} x floor."
         )
     if "error_seconds" in settings:
-        lines.append(f"+-: 90 % of a parameter; [ ]: {interval_text(settings)}.")
+        lines.append(
+            f"+-: 90 % of a parameter; [ ]: {interval_text(settings)}. Files and "
+            "parameters: fitted to all data after the errors were taken."
+        )
     return lines
 
 

@@ -27,11 +27,16 @@ def markdown(report):
                 words.percent(outcome.error_before[v.joint]),
                 words.percent(outcome.error_after[v.joint]),
                 f"{words.bare_percent(low)} to {words.bare_percent(high)} %",
+                words.number(outcome.error_after[v.joint] * outcome.spread[v.joint], 2)
+                + f" {outcome.torque_units[v.joint]}",
+                words.percent(outcome.wide_after[v.joint]),
                 words.percent(outcome.floor[v.joint]),
                 v.text,
             ]
         )
-    out += _table(["joint", "before", "after", "90 %", "noise floor", "verdict"], rows)
+    wide = f"after, up to {words.number(outcome.wide_cutoff, 2)} Hz"
+    heads = ["joint", "before", "after", "90 %", "after", wide, "noise floor"]
+    out += _table([*heads, "verdict"], rows)
     if outcome.effects:
         out += ["", "## Effects that were missing", ""]
         rows = [
@@ -63,7 +68,7 @@ def markdown(report):
             "Not visible in this recording",
             lines.hidden_lines(outcome.hidden, names, 20),
         ),
-        ("Channels", outcome.channels),
+        ("Channels", [c.message for c in outcome.channels]),
     ):
         if items:
             out += ["", f"## {title}", "", *(f"- {_safe(item)}" for item in items)]

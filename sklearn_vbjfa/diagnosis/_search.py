@@ -27,6 +27,8 @@ _LATE = 0.5
 _ACTIVE = 3
 # A plain effect that saves this share of what one that contains it saves goes first.
 _CONTAINED = 0.5
+# Times that what is linearised is linearised again.
+_TANGENTS = 2
 # Shapes between the neighbours of a tuned one, from which each fold takes its own.
 _FINER = 9
 # Effects of one kind on one joint, with different settings (drift of this and that).
@@ -397,6 +399,32 @@ class EffectSearch:
         self._withdraw()
         return self
 
+    def tuned_on(self, view):
+        """Return the accepted effects with shapes that suit another view, in order."""
+        other = EffectSearch(
+            view=view,
+            library=self.library,
+            declared=self.declared,
+            floor=self.floor,
+            alpha=self.alpha,
+        )
+        if self.accepted:
+            # The load of the declared model first, which that of the whole needs.
+            other._refresh()
+            other.accepted = list(self.accepted)
+            other._refresh()
+            for i, effect in enumerate(self.accepted):
+                rest = [e for e in other.accepted if e is not other.accepted[i]]
+                base = other.regression(rest)
+                if effect.jumping:
+                    # It may lie in a stretch that was not searched.
+                    effect = other._tuned_among(effect, base)
+                other.accepted[i] = other.refine(effect, base)
+            other._refresh()
+            for joint in {effect.joint for effect in other.accepted}:
+                other._linearise(joint)
+        return other.accepted
+
     def _is_full(self):
         """Whether as many effects are accepted as may be."""
         return self.max_effects is not None and len(self.accepted) >= self.max_effects
@@ -508,7 +536,7 @@ class EffectSearch:
         )
         masked = columns[:, :, same] * early[:, None, None]
         drops = there.score(self.view.joints_of(effect), masked).drop
-        return variants[same[int(np.argmax(drops))]]
+        return self.refine(variants[same[int(np.argmax(drops))]], there, early)
 
     def _weighted_gain(self, candidate):
         """Fall of the robot's log-likelihood-like error, to compare joints."""
@@ -583,6 +611,8 @@ class EffectSearch:
             self._refresh()
             rule = Rule(name=ELSEWHERE)
             self._record("withdraw", worst, None, evidence, (), (), rule, before)
+            # What only made up for it, or shared its place with it, goes as well.
+            self._prune(None)
 
     def _replace(self, joint):
         """Let rivals compete for the place of each effect of the joint."""
@@ -631,8 +661,11 @@ class EffectSearch:
 
     # -- shape parameters -------------------------------------------------------------
 
-    def refine(self, effect, base):
-        """Continue the search of the shape parameters between the grid's points."""
+    def refine(self, effect, base, rows=None):
+        """Continue the search of the shape parameters between the grid's points.
+
+        Of a base with some rows only, `rows` (m,) tells which.
+        """
         for name in effect.continuous:
             around = self._neighbours(effect, name)
             if around is None:
@@ -643,6 +676,8 @@ class EffectSearch:
                 value = float(np.exp(u) if logarithmic else u)
                 trial = clone(effect).set_params(**{name: value})
                 columns = self.view.columns([trial], self.motion)
+                if rows is not None:
+                    columns *= rows[:, None, None]
                 return -base.drop(self.view.joints_of(trial), columns)
 
             found = optimize.minimize_scalar(
@@ -685,18 +720,36 @@ class EffectSearch:
         for i, effect in enumerate(list(self.accepted)):
             if effect.joint != joint or not effect.continuous:
                 continue
-            variants, columns = self.view.family(effect, self.motion)
-            same = [k for k, v in enumerate(variants) if v.key() == effect.key()]
-            if not same:
-                continue
             base = self.regression([e for e in self.accepted if e is not effect])
-            score = base.score(self.view.joints_of(effect), columns[:, :, same])
-            own = self.view.columns([effect], self.motion)
-            if score.drop.max() > base.drop(self.view.joints_of(effect), own):
-                effect = variants[same[score.best]]
+            effect = self._tuned_among(effect, base)
             self.accepted[i] = self.refine(effect, base)
             changed = True
         if changed:
+            self._refresh()
+            self._linearise(joint)
+
+    def _tuned_among(self, effect, base):
+        """Return the effect with the shape of the grid that suits best, or its own."""
+        variants, columns = self.view.family(effect, self.motion)
+        same = [k for k, v in enumerate(variants) if v.key() == effect.key()]
+        if not same:
+            return effect
+        score = base.score(self.view.joints_of(effect), columns[:, :, same])
+        own = self.view.columns([effect], self.motion)
+        if score.drop.max() > base.drop(self.view.joints_of(effect), own):
+            return variants[same[score.best]]
+        return effect
+
+    def _linearise(self, joint):
+        """Linearise a joint's effects at the coefficients that they have."""
+        for _ in range(_TANGENTS):
+            changed = False
+            for i, effect in enumerate(self.accepted):
+                if effect.joint == joint and effect.tangent:
+                    self.accepted[i] = effect.at(self.coefficients(effect))
+                    changed = True
+            if not changed:
+                return
             self._refresh()
 
     def _polish(self):

@@ -1,39 +1,277 @@
-"""The last part of every recording is kept for the end."""
+"""The untouched part: stretches of motion that are kept for the end."""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.robot._groups import contiguous_groups
+from sklearn_vbjfa.robot._recording_checks import resolve_cutoff, resolve_standstill
+from sklearn_vbjfa.robot._states import fit_states
+
+# Stretches of a single recording: a robot does not do the same all the time, and what
+# it does last need not be like the rest.
+_STRETCHES = 3
+# The most, where fewer would miss the motion of a joint.
+_MOST_STRETCHES = 12
+# A stretch, and what is left between two of them, is so many times longer than the
+# low-pass, of which half is lost at each end.
+_FILTER_LENGTHS = 2.0
+# Samples, where nothing is filtered.
+_FEWEST_SAMPLES = 24
+# Each joint should have this share of its due in the untouched part.
+_DUE = 0.5
+# At most this share of a stretch is given to the guard at either end.
+_MOST_GUARD = 0.25
+# Speeds whose quantile is a joint's fastest.
+_FAST = 0.995
 
 
-def split_in_time(n_samples, groups, test_size):
-    """Return the rows of the search and of the test part.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Split:
+    """Rows of the search and untouched stretches between them.
 
-    Parameters
+    Attributes
     ----------
-    n_samples : int
-        Number of rows.
-    groups : array-like of shape (n_samples,) or None
-        Labels of recordings.
-    test_size : float
-        Share of each recording, from its end, that is kept for the test.
-
-    Returns
-    -------
-    search, test : ndarray of int
-        Row numbers.
+    search : ndarray of int
+        Rows of the search.
+    pieces : ndarray of int
+        Label of each of them: nothing is filtered or differentiated from one piece to
+        the next.
+    recording : ndarray of int
+        Number of the recording that each of them is from.
+    stretches : tuple of slice
+        Untouched rows.
+    borders : tuple of (bool, bool)
+        Whether rows of the search lie right before and right after each stretch.
     """
+
+    search: np.ndarray
+    pieces: np.ndarray
+    recording: np.ndarray
+    stretches: tuple
+    borders: tuple
+
+    @property
+    def test(self):
+        """Untouched rows, ndarray of int."""
+        return np.concatenate([np.arange(s.start, s.stop) for s in self.stretches])
+
+    @property
+    def test_pieces(self):
+        """Label of each untouched row, its stretch."""
+        lengths = [s.stop - s.start for s in self.stretches]
+        return np.repeat(np.arange(len(lengths)), lengths)
+
+    def decided(self, clock, instants):
+        """Return the split without stretches in which something jumps.
+
+        All that the search knows of such an instant is that it lies between two of its
+        rows. A stretch at the end of a recording stays: what changes there changes
+        between the recordings.
+
+        Parameters
+        ----------
+        clock : ndarray of shape (n,)
+            Time of the rows [s].
+        instants : sequence of float
+            When something jumps [s].
+        """
+        kept = [
+            k
+            for k, (stretch, border) in enumerate(zip(self.stretches, self.borders))
+            if not all(border)
+            or not any(
+                clock[stretch.start - 1] < x <= clock[stretch.stop] for x in instants
+            )
+        ]
+        # Better a stretch in doubt than none.
+        kept = kept or range(len(self.stretches))
+        return replace(
+            self,
+            stretches=tuple(self.stretches[k] for k in kept),
+            borders=tuple(self.borders[k] for k in kept),
+        )
+
+    def guarded(self, rows):
+        """Return the split without the untouched rows next to rows of the search.
+
+        What is left of a residual after `rows` rows is new; of a stretch half is kept
+        whatever the residual remembers.
+        """
+        stretches = []
+        for stretch, (before, after) in zip(self.stretches, self.borders):
+            most = int(_MOST_GUARD * (stretch.stop - stretch.start))
+            guard = min(int(rows), most)
+            stretches.append(
+                slice(stretch.start + before * guard, stretch.stop - after * guard)
+            )
+        return replace(self, stretches=tuple(stretches))
+
+
+def check_share(test_size):
+    """Return the share that is kept untouched as a float."""
     try:
         share = float(test_size)
     except (TypeError, ValueError):
         share = np.nan
     if not 0 < share < 1:
         raise ValueError(
-            "test_size must be the share of each recording that is kept for the test, "
+            "test_size must be the share of the motion that is kept for the test, "
             f"between 0 and 1; got {test_size!r}."
         )
-    search, test = [], []
-    for part in contiguous_groups(groups, n_samples):
-        border = part.stop - round(share * (part.stop - part.start))
-        search.append(np.arange(part.start, border))
-        test.append(np.arange(border, part.stop))
-    return np.concatenate(search), np.concatenate(test)
+    return share
+
+
+def split_in_time(identifier, X, groups, test_size):
+    """Choose the untouched stretches from the motion; torques are not looked at.
+
+    Parameters
+    ----------
+    identifier : RobotIdentifier
+        Declared model, not fitted: sample period, cut-offs, standstill.
+    X : ndarray of shape (n, nv) or (n, 3 * nv)
+        Positions or states.
+    groups : array-like of shape (n,) or None
+        Labels of recordings.
+    test_size : float
+        Share of the motion that is kept.
+
+    Returns
+    -------
+    Split
+        Stretches at the end of each of several recordings, or at several places of a
+        single one; of recordings that are too short to be cut, some as a whole.
+    """
+    share = check_share(test_size)
+    parts = contiguous_groups(groups, X.shape[0])
+    moving, length = _motion(identifier, X, groups, parts)
+    return _divide(moving, parts, share, length)
+
+
+def _motion(identifier, X, groups, parts):
+    """Which joints move in which rows (n, nv), and the shortest stretch [rows]."""
+    nv = X.shape[1] // 3 if X.shape[1] == 3 * _joints(identifier) else X.shape[1]
+    estimator, states = None, X
+    if X.shape[1] == nv:
+        estimator = fit_states(identifier.dt, identifier.state_cutoff, X, groups)
+        states = estimator.transform(X, groups=groups)
+    speed = np.abs(states[:, nv : 2 * nv])
+    limit = resolve_standstill(identifier.standstill, np.quantile(speed, _FAST, axis=0))
+    cutoff = resolve_cutoff(identifier.cutoff, parts, identifier.dt, estimator)
+    half = _lowpass.design(identifier.dt or 1.0, cutoff).half
+    length = max(int(_FILTER_LENGTHS * 2 * half), _FEWEST_SAMPLES)
+    return speed > np.maximum(limit, 0.0), length
+
+
+def _joints(identifier):
+    from sklearn_vbjfa.robot._model import load_model
+
+    return load_model(identifier.model).nv
+
+
+def _divide(moving, parts, share, length):
+    """Choose how many stretches a recording has, and where."""
+    total = np.maximum(moving.sum(axis=0), 1)
+    # Each joint's motion counts the same, however little of it there is.
+    amount = (moving / total).sum(axis=1)
+    if not amount.any():
+        amount = np.ones(moving.shape[0])
+    most = [_most_stretches(amount[part], share, length) for part in parts]
+    wanted = _STRETCHES if len(parts) == 1 else 1
+    chosen, covered = None, -1.0
+    for count in range(wanted, _MOST_STRETCHES + 1):
+        counts = [min(count, limit) for limit in most]
+        stretches = _place(amount, parts, counts, share, length)
+        rows = np.zeros(moving.shape[0], dtype=bool)
+        for stretch in stretches:
+            rows[stretch] = True
+        due = moving[rows].sum(axis=0) / total / share
+        # A joint that never moves has nothing due.
+        least = min((float(x) for x in due[moving.any(axis=0)]), default=1.0)
+        if least > covered:
+            chosen, covered = stretches, least
+        if covered >= _DUE or max(most) <= count:
+            break
+    return _described(moving.shape[0], parts, chosen)
+
+
+def _most_stretches(amount, share, length):
+    """Most stretches of a recording that leave all pieces long enough; 0 for none."""
+    if amount.size * min(share, 1 - share) < length:
+        return 0
+    count = 1
+    while count < _MOST_STRETCHES:
+        pieces = _cells(amount, count + 1, share)
+        if min(b - a for cell in pieces for a, b in _pairs(cell)) < length:
+            break
+        count += 1
+    return count
+
+
+def _pairs(cell):
+    start, border, stop = cell
+    return (start, border), (border, stop)
+
+
+def _cells(amount, count, share):
+    """First row, first untouched row and end of cells of equal motion."""
+    done = np.cumsum(amount)
+    if done[-1] <= 0:
+        done = np.arange(1.0, amount.size + 1)
+    done = done / done[-1]
+    edges = [0, *(_row(done, k / count) for k in range(1, count)), amount.size]
+    borders = [_row(done, (k + 1 - share) / count) for k in range(count)]
+    return [(edges[k], borders[k], edges[k + 1]) for k in range(count)]
+
+
+def _row(done, share):
+    """First row before which this share of the motion lies."""
+    return int(np.searchsorted(done, share * (1 - 1e-12), side="left")) + 1
+
+
+def _place(amount, parts, counts, share, length):
+    """Untouched slices of all recordings, in order."""
+    short = [k for k, count in enumerate(counts) if count == 0]
+    # Recordings too short to be cut are kept as a whole, in turns.
+    turn = max(round(1 / share), 2)
+    whole = set(short[turn - 1 :: turn])
+    if not whole and len(short) == len(parts):
+        whole = {short[-1]} if len(short) > 1 else set()
+    stretches = []
+    for k, (part, count) in enumerate(zip(parts, counts)):
+        if k in whole:
+            stretches.append(part)
+        elif count:
+            for _, border, stop in _cells(amount[part], count, share):
+                stop = min(stop, part.stop - part.start)
+                border = min(border, stop - min(length, stop))
+                stretches.append(slice(part.start + border, part.start + stop))
+        elif len(parts) == 1:
+            # Too short for a verdict; the fit says what is missing.
+            n = part.stop - part.start
+            stretches.append(slice(part.stop - max(round(share * n), 1), part.stop))
+    return stretches
+
+
+def _described(n, parts, stretches):
+    test = np.zeros(n, dtype=bool)
+    for stretch in stretches:
+        test[stretch] = True
+    recording = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
+    first = np.zeros(n, dtype=bool)
+    first[[part.start for part in parts]] = True
+    pieces = np.cumsum(first | np.r_[False, test[1:] != test[:-1]])
+    search = np.flatnonzero(~test)
+    borders = []
+    for s in stretches:
+        before = s.start > 0 and not first[s.start] and not test[s.start - 1]
+        after = s.stop < n and not first[s.stop] and not test[s.stop]
+        borders.append((bool(before), bool(after)))
+    return Split(
+        search=search,
+        pieces=pieces[search],
+        recording=recording[search],
+        stretches=tuple(stretches),
+        borders=tuple(borders),
+    )

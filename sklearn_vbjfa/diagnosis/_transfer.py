@@ -2,9 +2,9 @@
 
 Blocks that alternate between fitting and judging tell effects from noise, but each of
 them lies between neighbours that were fitted. What a shape fits to the motion at hand
-and to no other shows only where whole recordings, or long stretches of one, are left
-out. There a regression without constraints extrapolates its own noise, which hides
-everything else; the physically consistent one does not.
+and to no other shows only where long stretches are left out. There a regression without
+constraints extrapolates its own noise, which hides everything else; the physically
+consistent one does not.
 """
 
 from dataclasses import replace
@@ -17,27 +17,33 @@ from sklearn_vbjfa.robot._equations import unexcited_entries
 from sklearn_vbjfa.robot._joint_statistics import joint_statistics, residual_squares
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 
-# Stretches that are left out in turn where there is one recording, and the most where
-# there are several.
+# Stretches that are left out in turn.
 _STRETCHES = 3
-_MOST = 4
 
 
-def stretches(blocks, starts):
-    """Return the stretch of each row: recordings, or thirds of a single one.
+def stretches(blocks, recording):
+    """Return the stretch of each row: every recording's first third, second, last.
+
+    What only one recording has (a payload, a warm start) is known from its other
+    thirds.
 
     Parameters
     ----------
     blocks : Blocks
         Blocks of time, of which none is cut in two.
-    starts : ndarray of int
-        First rows of the recordings.
+    recording : ndarray of shape (m,)
+        Recording of each row.
     """
-    if len(starts) == 1:
-        return blocks.label * _STRETCHES // blocks.n_blocks
-    rows = np.arange(blocks.label.size)
-    recording = np.searchsorted(starts, rows, side="right") - 1
-    return recording * min(len(starts), _MOST) // len(starts)
+    label = np.empty(blocks.label.size, dtype=int)
+    for number in np.unique(recording):
+        rows = np.flatnonzero(recording == number)
+        own, place = np.unique(blocks.label[rows], return_inverse=True)
+        if own.size < _STRETCHES:
+            # Too short to be cut: left out as a whole, in turns.
+            label[rows] = number % _STRETCHES
+            continue
+        label[rows] = place * _STRETCHES // own.size
+    return label
 
 
 class Transfer:
@@ -60,10 +66,10 @@ class Transfer:
         Phi = np.concatenate([equations.Phi, *columns], axis=2)
         widths = [equations.Phi.shape[2], *(c.shape[2] for c in columns)]
         self._edges = np.cumsum(widths)
-        label = stretches(view.blocks, view.starts)
+        label = stretches(view.blocks, view.recording)
         self._stats = [
             joint_statistics(Phi[rows], equations.tau[rows], equations.weight[rows])
-            for rows in (label == k for k in range(label.max() + 1))
+            for rows in (label == k for k in np.unique(label))
         ]
 
     def squares(self, effects):

@@ -26,7 +26,8 @@ class JointVerdict:
     status : str
         ``"floor"`` (only noise is left), ``"unexplained"``, ``"above"`` (above the
         floor on the untouched part only), ``"unknown"`` (no floor), ``"worse"``,
-        ``"failed"`` (an error of 100 % or more) or ``"no data"``.
+        ``"failed"`` (an error of 100 % or more), ``"few"`` (moves too little in the
+        untouched part for a verdict) or ``"no data"``.
     n_effects : int
         Accepted effects.
     text : str
@@ -64,6 +65,9 @@ def _judge(outcome, j, rest):
     floor = outcome.floor[j]
     if not np.isfinite(after):
         return "no data", "no samples that count"
+    if not outcome.enough[j]:
+        seconds = words.number(outcome.seconds[j], 2)
+        return "few", f"no verdict: moves for {seconds} s only"
     if after >= _MEAN_TORQUE:
         return "failed", "WORSE than its mean torque"
     low, high = interval(outcome, "difference", j)
@@ -74,7 +78,7 @@ def _judge(outcome, j, rest):
     if rest is not None:
         if not np.isfinite(rest.floor):
             return "unknown", "noise floor unknown"
-        return "unexplained", f"{words.whole_percent(rest.share)} unexplained"
+        return "unexplained", f"{words.percent(rest.of_torque)} of torque unexplained"
     if not np.isfinite(floor):
         return "unknown", "noise floor unknown"
     least = np.nan_to_num(interval(outcome, "after", j)[0], nan=np.inf)
@@ -109,7 +113,7 @@ def mean_errors(outcome):
     before = np.asarray(outcome.error_before, dtype=float)
     after = np.asarray(outcome.error_after, dtype=float)
     floor = np.asarray(outcome.floor, dtype=float)
-    used = np.isfinite(before) & np.isfinite(after)
+    used = np.isfinite(before) & np.isfinite(after) & np.asarray(outcome.enough)
     floors = mean(floor[used]) if used.any() and np.isfinite(floor[used]).all() else 0
     return mean(before[used]), mean(after[used]), floors or np.nan
 
@@ -121,10 +125,13 @@ def status(outcome, verdicts):
     missing), ``"partial"`` (effects found, something remains), ``"exhausted"``
     (nothing found, something remains), ``"unsettled"`` (at the floor where it was
     fitted, above it on untouched data), ``"unknown"`` (no floor to compare with),
-    ``"worse"``, ``"failed"`` (worse than the mean torque) or ``"no data"``.
+    ``"worse"``, ``"failed"`` (worse than the mean torque), ``"no data"`` (too little to
+    judge by) or ``"doubtful"`` (a channel is wrong, whatever was found).
     """
     kinds = {v.status for v in verdicts}
-    if kinds <= {"no data"}:
+    if doubts(outcome):
+        return "doubtful"
+    if kinds <= {"no data", "few"}:
         return "no data"
     if "failed" in kinds:
         return "failed"
@@ -139,6 +146,11 @@ def status(outcome, verdicts):
     return "complete" if outcome.effects else "nothing"
 
 
+def doubts(outcome):
+    """Return what is wrong with channels so that no result can be trusted."""
+    return [c.message for c in outcome.channels if c.severity == "doubt"]
+
+
 def errors_text(outcome):
     """Write the mean errors as a sentence."""
     before, after, floor = mean_errors(outcome)
@@ -147,6 +159,11 @@ def errors_text(outcome):
     text = f"Mean error on untouched data {words.percent(before)}"
     if outcome.effects:
         text += f" before, {words.percent(after)} after"
+    wide = mean(np.where(outcome.enough, outcome.wide_after, np.nan))
+    if np.isfinite(wide):
+        text += (
+            f" ({words.percent(wide)} up to {words.number(outcome.wide_cutoff, 2)} Hz)"
+        )
     if np.isfinite(floor):
         text += f"; noise floor {words.percent(floor)}"
     return text + "."
@@ -164,8 +181,18 @@ def headline(outcome, verdicts):
     count = len(outcome.effects)
     found = _found(outcome)
     near = "near" if any(v.text.startswith("near") for v in verdicts) else "at"
+    if kind == "doubtful":
+        first, *more = doubts(outcome)
+        others = f" ({words.plural(len(more), 'more doubt')} below.)" if more else ""
+        return (
+            f"Mend the recording first. {first}{others} Until then nothing below can "
+            "be trusted."
+        )
     if kind == "no data":
-        return "No verdict: no joint has samples that count in the untouched part."
+        return (
+            "No verdict: no joint moves for long enough in the untouched part; record "
+            "more motion of each joint."
+        )
     if kind == "failed":
         joints, one = where("failed")
         text = (
@@ -174,17 +201,28 @@ def headline(outcome, verdicts):
             "check the recording."
         )
         return f"{found} added, but {text}" if count else text[0].upper() + text[1:]
+    few, one = where("few")
+    silent = ""
+    if few:
+        silent = f" {few} {'moves' if one else 'move'} too little for a verdict."
+        silent = silent[:1] + silent[1].upper() + silent[2:]
     if kind == "nothing":
-        return f"Nothing is missing: the residual is {near} the noise floor."
+        return f"Nothing is missing: the residual is {near} the noise floor.{silent}"
     if kind == "complete":
-        return f"{found} missing; what remains is {near} the noise floor."
+        return f"{found} missing; what remains is {near} the noise floor.{silent}"
     if kind in ("partial", "exhausted"):
         joints, one = where("unexplained")
         first = f"{found} missing, but that is not all"
+        left = max(
+            u.of_torque
+            for u in outcome.unexplained
+            if any(v.joint == u.joint and v.status == "unexplained" for v in verdicts)
+        )
         return (
-            f"{first if count else 'Something is missing that has no name'}: {joints} "
-            f"{'stays' if one else 'stay'} above the noise floor and no effect of the "
-            "library explains it."
+            f"{first if count else 'Something is missing that has no name'}: "
+            f"{'' if one else 'up to '}{words.percent(left)} of the torque of "
+            f"{joints} is above the noise floor and no effect of the library explains "
+            f"it.{silent}"
         )
     if kind == "unsettled":
         return (
@@ -196,7 +234,7 @@ def headline(outcome, verdicts):
         joints, one = where("worse")
         return (
             f"{found} added, but {joints} {'predicts' if one else 'predict'} untouched "
-            "data worse than before: do not trust the model there."
+            "data worse than before: do not trust what was added there."
         )
     first = (
         f"{found} missing; whether more is"

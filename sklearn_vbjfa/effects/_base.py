@@ -114,6 +114,10 @@ class Effect(TransformerMixin, BaseEstimator):
         Signals besides the states.
     continuous : tuple of str
         Shape parameters that take any value between those of `shapes`.
+    jumping : tuple of str
+        Those of them in which the torque jumps (an instant): they get no interval.
+    tangent : tuple of str
+        Parameters around which columns are linearised; `at` sets them.
     positive : tuple of str
         Shape parameters that must be greater than zero.
     nonnegative : tuple of str
@@ -143,6 +147,8 @@ class Effect(TransformerMixin, BaseEstimator):
     contains = ()
     needs = ()
     continuous = ()
+    jumping = ()
+    tangent = ()
     positive = ()
     nonnegative = ()
     visible = "the joint moves"
@@ -197,6 +203,10 @@ class Effect(TransformerMixin, BaseEstimator):
         """Return what an engineer calls the coefficients, symbol -> value."""
         return dict(zip(self.coefficients, map(float, coef)))
 
+    def at(self, coef):
+        """Return the effect linearised at its coefficients; see `tangent`."""
+        return self
+
     def parameter_units(self, prismatic=False):
         """Units of `parameters` and of the shape parameters, symbol -> unit."""
         kind = int(bool(prismatic))
@@ -235,8 +245,9 @@ class Effect(TransformerMixin, BaseEstimator):
                 )
 
     def key(self):
-        """Tell two uses of the effect apart: all but the continuous parameters."""
-        fixed = {k: v for k, v in self.shape().items() if k not in self.continuous}
+        """Tell two uses of the effect apart: all but what is tuned."""
+        tuned = {*self.continuous, *self.tangent}
+        fixed = {k: v for k, v in self.shape().items() if k not in tuned}
         return (self.name, self.joint, tuple(sorted(fixed.items())))
 
     def fit(self, X, y=None):

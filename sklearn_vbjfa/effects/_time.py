@@ -8,6 +8,8 @@ from sklearn_vbjfa.effects._base import Effect
 _CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0)
 # Number of instants to try.
 _INSTANTS = 24
+# Distance of a payload's centre of mass from the last body's frame [m].
+_FARTHEST = 1.0
 
 
 class Drift(Effect):
@@ -87,8 +89,11 @@ class Drift(Effect):
 class Payload(Effect):
     """The last body's mass and first moments change at an instant.
 
-    tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz) for t > instant, with the columns of
-    the last body's regressor: something was picked up, put down or lost [1]_.
+    tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz, dI) for t >= instant, with the columns
+    of the last body's regressor: something was picked up, put down or lost [1]_. It
+    counts as a ball at its centre of mass c = dmc / dm, of inertia dm (c'c 1 - c c') +
+    d 1 in the body's frame: the first part follows from the mass and the moments, to
+    first order around `centre`; d, that of the ball itself, is a coefficient.
 
     Parameters
     ----------
@@ -96,6 +101,9 @@ class Payload(Effect):
         Last joint, from zero; all joints feel it.
     instant : float, default=0.0
         Time of the change [s].
+    centre : tuple of three floats, default=(0.0, 0.0, 0.0)
+        Centre of mass [m] in the last body's frame around which the inertia is
+        linearised.
 
     References
     ----------
@@ -106,22 +114,25 @@ class Payload(Effect):
     Examples
     --------
     >>> from sklearn_vbjfa.effects import Payload
-    >>> Payload(instant=12.0).parameters([0.5, 0.0, 0.1, 0.0])["dm"]
+    >>> Payload(instant=12.0).parameters([0.5, 0.0, 0.1, 0.0, 0.0])["dm"]
     0.5
     """
 
     name = "payload"
-    coefficients = ("dm", "dmcx", "dmcy", "dmcz")
-    units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3
+    coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
+    units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
     needs = ("time",)
     continuous = ("instant",)
+    jumping = ("instant",)
+    tangent = ("centre",)
     slow = True
     visible = "motion against gravity before and after the change"
     whole_robot = True
 
-    def __init__(self, joint=0, instant=0.0):
+    def __init__(self, joint=0, instant=0.0, centre=(0.0, 0.0, 0.0)):
         super().__init__(joint)
         self.instant = instant
+        self.centre = centre
 
     def applies(self, motion):
         """Only the last joint carries a payload; see `Effect.applies`."""
@@ -133,21 +144,49 @@ class Payload(Effect):
 
     def columns(self, motion):
         """Regressor of the last body after the instant; see `Effect.columns`."""
-        return _stepped(motion, self.instant)
+        after = motion.t >= self.instant
+        columns = motion.last_body() @ _ball(np.asarray(self.centre, dtype=float))
+        return columns * after[:, None, None]
+
+    def at(self, coef):
+        """Linearise the inertia at the centre of mass that was found."""
+        mass, *moments = coef[:4]
+        centre = np.array(moments) / mass if mass else np.zeros(3)
+        # Farther out it is no payload: mass and moments are hardly known.
+        if not np.linalg.norm(centre) <= _FARTHEST:
+            return self
+        return Payload(self.joint, self.instant, tuple(map(float, centre)))
 
     def shapes(self, motion):
         """Instants all over the recording."""
         t = motion.t
+        starts = np.array([t[part.start] for part in motion.parts[1:]])
         shares = np.linspace(t[0], t[-1], _INSTANTS + 2)[1:-1]
-        starts = [t[part.start] for part in motion.parts[1:]]
-        instants = sorted({*map(float, shares), *map(float, starts)})
-        return [{"instant": s} for s in instants]
+        # Between two recordings all instants are one: the start of the second.
+        border = np.searchsorted(t, starts)
+        taken = np.isin(np.searchsorted(t, shares), border)
+        instants = np.unique(np.concatenate([shares[~taken], starts]))
+        return [{"instant": float(s)} for s in instants]
 
     def parameter_units(self, prismatic=False):
         """Units; see `Effect.parameter_units`."""
         return super().parameter_units(prismatic) | {"instant": "s"}
 
 
-def _stepped(motion, instant):
-    after = motion.t > instant
-    return motion.last_body()[:, :, :4] * after[:, None, None]
+def _ball(c):
+    """Inertial parameters (10, 5) by mass, first moments and own inertia of a ball.
+
+    The inertia (s's 1 - s s') / m of a point is homogeneous in mass m and moments s, so
+    that its tangent at s = m c passes through zero.
+    """
+    one = np.eye(3)
+    out = np.zeros((10, 5))
+    out[:4, :4] = np.eye(4)
+    slopes = [np.outer(c, c) - (c @ c) * one]
+    slopes += [
+        2 * c[k] * one - np.outer(one[k], c) - np.outer(c, one[k]) for k in range(3)
+    ]
+    for column, slope in enumerate([*slopes, one]):
+        # Ixx, Ixy, Iyy, Ixz, Iyz, Izz
+        out[4:, column] = slope[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    return out

@@ -7,7 +7,7 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.robot import _friction, _identification, _online
 from sklearn_vbjfa.robot._effect_columns import fit_passes, needs_load
-from sklearn_vbjfa.robot._groups import contiguous_groups
+from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._identification import IdentificationSteps
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._periods import measure_periods
@@ -341,7 +341,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         check_widths(self.joint_names_, X)
         return X
 
-    def residuals(self, X, y, groups=None, sample_weight=None, t=None):
+    def residuals(self, X, y, groups=None, sample_weight=None, t=None, *, cutoff="fit"):
         """Compare with a recording, behind the low-pass and mask of the fit.
 
         Parameters
@@ -357,6 +357,9 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
             Weights; zero leaves a sample out.
         t : array-like of shape (n_samples,), default=None
             Time [s] on the clock of the fit, for effects that change with it.
+        cutoff : "fit", float or None, default="fit"
+            Cut-off of the low-pass [Hz]; ``"fit"`` is that of the fit, None filters
+            nothing. Above the band of the fit nothing was identified.
 
         Returns
         -------
@@ -369,8 +372,14 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         check_widths(self.joint_names_, X, y)
         parts = contiguous_groups(groups, X.shape[0])
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
-        lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
-        check_length(parts, lowpass, self.cutoff_)
+        if isinstance(cutoff, str) and cutoff == "fit":
+            cutoff = self.cutoff_
+        elif cutoff is None:
+            cutoff = np.inf
+        else:
+            cutoff = check_cutoff(cutoff, check_dt(self.dt), "cutoff")
+        lowpass = _lowpass.design(self.dt or 1.0, cutoff)
+        check_length(parts, lowpass, cutoff)
         clock = resolve_clock(t, self.dt, parts, self.effects_)
         states = self._states(X, groups)
         return self._residuals_of(

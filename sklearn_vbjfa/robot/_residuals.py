@@ -35,15 +35,34 @@ class TorqueResiduals:
         """Root mean square of the residual of each joint [N m or N]."""
         return _weighted(self.residual**2, self.weight) ** 0.5
 
+    def relative_error(self, spread):
+        """Root mean square over a given spread of the torque (nv,), each joint.
+
+        nan for a joint without counting samples or without spread.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(spread > 0, self.rms() / spread, np.nan)
+
     def normalised_error(self):
         """Root mean square over the standard deviation of the torque, each joint.
 
         nan for a joint without counting samples or with a constant torque.
         """
-        mean = _weighted(self.torque, self.weight)
-        spread = _weighted((self.torque - mean) ** 2, self.weight) ** 0.5
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(spread > 0, self.rms() / spread, np.nan)
+        return self.relative_error(torque_spread(self))
+
+
+def torque_spread(*parts):
+    """Return the standard deviation of the torque in what counts of all parts, (nv,).
+
+    Parameters
+    ----------
+    *parts : TorqueResiduals
+        Parts of one recording, behind the same low-pass.
+    """
+    torque = np.concatenate([part.torque for part in parts])
+    weight = np.concatenate([part.weight for part in parts])
+    mean = _weighted(torque, weight)
+    return _weighted((torque - mean) ** 2, weight) ** 0.5
 
 
 def collect_residuals(pieces, theta):

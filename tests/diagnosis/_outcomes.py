@@ -12,6 +12,7 @@ from sklearn_vbjfa.diagnosis._findings import (
     Trial,
     Unexplained,
 )
+from sklearn_vbjfa.robot._channel_checks import ChannelFinding
 
 EVIDENCE = Evidence(gain=0.46, gain_std=0.04, p_value=2.3e-9, n_blocks=52, helped=0.9)
 KINDS = (
@@ -25,6 +26,10 @@ KINDS = (
     ("ripple", {"A": 0.8, "phase": 1.2, "period": 0.33}, {"A": "N m"}, ()),
     ("my_own_effect", {"k3": 2e-7}, {"k3": "N m/rad^3"}, ()),
 )
+
+
+def finding(message, severity="warning"):
+    return ChannelFinding("some_fault", (0,), severity, message)
 
 
 def make_effect(i, joint, names):
@@ -99,6 +104,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
                 rms=0.5,
                 floor=0.25,
                 share=0.75,
+                of_torque=0.043,
                 signals=signals,
             )
             for j in unexplained
@@ -118,11 +124,20 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
                 ("drift", "signal"),
             )
         ),
-        "channels": ("Torque of joint 1 is coarse, 3 steps.", "Joint 2 stands still."),
+        "channels": (
+            finding("Torque of joint 1 is coarse, 3 steps."),
+            finding("Joint 2 stands still."),
+        ),
         "joint_names": names,
         "torque_units": ("N m",) * nv,
         "error_before": before,
         "error_after": after,
+        "spread": np.linspace(50.0, 5.0, nv),
+        "wide_before": 1.4 * before,
+        "wide_after": 1.4 * after,
+        "wide_cutoff": 40.0,
+        "seconds": np.full(nv, 9.0),
+        "enough": np.ones(nv, dtype=bool),
         "intervals": {
             "before": np.array([0.9 * before, 1.1 * before]),
             "after": np.array([0.9 * after, 1.1 * after]),
@@ -131,6 +146,9 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "floor": floor,
         "settings": {
             "test_size": 0.25,
+            "untouched_stretches": 3,
+            "untouched_seconds": 21.4,
+            "guard_seconds": 0.13,
             "alpha": 0.05,
             "rule": "Benjamini-Hochberg over the candidates of the round",
             "last_level": 0.05 / 18 / nv,

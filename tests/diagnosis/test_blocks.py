@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa.diagnosis._blocks import FEWEST, correlation_time, make_blocks
-from sklearn_vbjfa.diagnosis._split import split_in_time
 
 
 def blocks_of(lengths, correlation=0.05, filter_length=0.1, step=0.05):
@@ -132,21 +131,3 @@ def test_correlation_does_not_reach_across_recordings():
 
 def test_nothing_left_is_not_correlated():
     assert correlation_time(np.zeros((50, 2)), np.ones((50, 2)), 1.0, [0]) == 0.0
-
-
-# -- the untouched part
-
-
-def test_the_last_part_of_each_recording_is_kept():
-    groups = np.repeat([3, 7, 3], [40, 20, 8])
-    search, test = split_in_time(68, groups, 0.25)
-    assert_array_equal(np.sort(np.r_[search, test]), np.arange(68))
-    assert_array_equal(test, [*range(30, 40), *range(55, 60), 66, 67])
-    search, test = split_in_time(40, None, 0.1)
-    assert_array_equal(test, np.arange(36, 40))
-
-
-@pytest.mark.parametrize("share", [0, 1, 1.5, -0.1, np.nan, None, "a quarter", [0.2]])
-def test_wrong_shares_are_refused(share):
-    with pytest.raises(ValueError, match="test_size must be the share"):
-        split_in_time(10, None, share)

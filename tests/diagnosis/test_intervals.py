@@ -1,5 +1,7 @@
 """Intervals: how often they hold the truth, from both sides."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -26,7 +28,11 @@ def coloured(rng, shape, rho):
 # -- errors
 
 
-def residuals(rng, seconds, size=1.0, rho=0.0, share=1.0, torque=3.0):
+TORQUE = 3.0
+SPREAD = np.full(NV, TORQUE)
+
+
+def residuals(rng, seconds, size=1.0, rho=0.0, share=1.0, torque=TORQUE):
     """Residuals of a stretch; the torque is slow noise itself."""
     m = round(seconds / DT)
     predicted = torque * coloured(rng, (m, NV), 0.8)
@@ -41,7 +47,12 @@ def residuals(rng, seconds, size=1.0, rho=0.0, share=1.0, torque=3.0):
 def intervals_of(parts, others=None):
     others = parts if others is None else others
     searched, untouched = zip(parts, others)
-    return error_intervals(untouched, searched, DT)
+    return error_intervals(later(untouched), searched, SPREAD, DT)
+
+
+def later(parts):
+    """Count the rows of stretches behind all others."""
+    return tuple(replace(part, index=part.index + 10**6) for part in parts)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +67,7 @@ def test_ninety_per_cent_of_the_next_errors(seconds, rho, share):
         searched = residuals(rng, 3 * seconds, **settings)
         untouched = residuals(rng, seconds, **settings)
         found = intervals_of((searched, untouched))["after"]
-        error = residuals(rng, NEXT_SECONDS, **settings).normalised_error()
+        error = residuals(rng, NEXT_SECONDS, **settings).relative_error(SPREAD)
         inside.append((found[0] < error) & (error < found[1]))
     # 600 intervals, 1.2 % for one standard deviation
     assert 0.87 < np.mean(inside) < 0.93
@@ -78,37 +89,51 @@ def test_ninety_per_cent_of_the_next_differences():
         return before, after
 
     for _ in range(300):
-        searched, untouched, later = both(90.0), both(30.0), both(NEXT_SECONDS)
-        low, high = error_intervals(untouched, searched, DT)["difference"]
-        gain = later[1].normalised_error() - later[0].normalised_error()
+        searched, untouched, then = both(90.0), both(30.0), both(NEXT_SECONDS)
+        found = error_intervals(later(untouched), searched, SPREAD, DT)
+        low, high = found["difference"]
+        gain = then[1].relative_error(SPREAD) - then[0].relative_error(SPREAD)
         inside.append((low < gain) & (gain < high))
     assert 0.87 < np.mean(inside) < 0.93
 
 
-def test_the_spread_of_the_torque_counts():
-    """An exactly known residual over a torque that is not."""
+def test_the_order_of_time_decides_and_not_that_of_the_parts():
+    """An untouched stretch in the middle of a residual that grows."""
     rng = np.random.default_rng(2)
-    steady = residuals(rng, 100.0, torque=3.0)
-    constant = np.where(np.arange(1000)[:, None] % 2, 1.0, -1.0) * np.ones(NV)
-    parts = [
-        TorqueResiduals(
-            index=one.index,
-            torque=one.predicted + constant,
-            predicted=one.predicted,
-            weight=one.weight,
+    whole = residuals(rng, 200.0)
+    growing = replace(
+        whole,
+        torque=whole.predicted + np.linspace(0.1, 2.0, 2000)[:, None] * whole.residual,
+    )
+
+    def rows(chosen):
+        return TorqueResiduals(
+            index=growing.index[chosen],
+            torque=growing.torque[chosen],
+            predicted=growing.predicted[chosen],
+            weight=growing.weight[chosen],
         )
-        for one in (steady, residuals(rng, 100.0))
-    ]
-    low, high = intervals_of(parts)["after"]
-    # the logarithm of the spread of slow noise has a deviation of some 0.06
-    assert np.all(np.log(high / low) > 0.1)
+
+    middle = np.isin(np.arange(2000) // 500, [1])
+    parts = rows(~middle), rows(middle)
+    searched, untouched = zip(parts, parts)
+    found = error_intervals(untouched, searched, SPREAD, DT)["after"]
+    # The same rows told in another order.
+    turned = [rows(np.flatnonzero(~middle)[::-1]), rows(middle)]
+    again = error_intervals((turned[1],) * 2, (turned[0],) * 2, SPREAD, DT)["after"]
+    assert_allclose(found, again, rtol=1e-9)
+    # Growth is slow variation, which a shuffled order would not show.
+    shuffled = rng.permutation(2000)
+    mixed = [replace(part, index=shuffled[part.index]) for part in parts]
+    other = error_intervals((mixed[1],) * 2, (mixed[0],) * 2, SPREAD, DT)["after"]
+    assert np.all(np.log(found[1] / found[0]) > 1.5 * np.log(other[1] / other[0]))
 
 
 def test_intervals_lie_around_the_errors():
     rng = np.random.default_rng(0)
     parts = residuals(rng, 60.0), residuals(rng, 20.0)
     found = intervals_of(parts)
-    error = parts[1].normalised_error()
+    error = parts[1].relative_error(SPREAD)
     for key in ("before", "after"):
         low, high = found[key]
         assert np.all((low < error) & (error < high))
@@ -169,8 +194,7 @@ def test_half_widths_are_those_of_ninety_per_cent():
     for seed in range(12):
         model, states, tau, columns = pendulum(seed)
         (effect,) = loop_on(model, states, tau).effects_
-        fitted = columns[: round(0.75 * len(columns))]
-        expected = 0.05 * np.sqrt(np.linalg.inv(fitted.T @ fitted)[2, 2])
+        expected = 0.05 * np.sqrt(np.linalg.inv(columns.T @ columns)[2, 2])
         low, high = effect.intervals["Fc"]
         assert 0.5 * (low + high) == pytest.approx(effect.parameters["Fc"])
         ratio.append(0.5 * (high - low) / expected)
@@ -248,12 +272,10 @@ def test_residuals_are_those_of_the_completed_model():
         loop = recording.discover(tau, ["load_friction"])
     assert named(loop) == [("load_friction", 1)]
     (final,) = kept
-    before, after = final.residuals()
-    n = round(0.75 * len(tau))
-    for model, own in ((loop.declared_, before), (loop.identifier_, after)):
-        expected = model.residuals(recording.position[:n], tau[:n])
-        assert_array_equal(own.index, expected.index)
-        assert_allclose(own.residual, expected.residual, atol=1e-3 * tau.std())
+    _, after = final.residuals()
+    expected = loop.identifier_.residuals(recording.position, tau)
+    assert_array_equal(after.index, expected.index)
+    assert_allclose(after.residual, expected.residual, atol=1e-3 * tau.std())
 
 
 def test_results_do_not_depend_on_the_seed():

@@ -10,7 +10,7 @@ from sklearn_vbjfa.diagnosis import _report_words as words
 from sklearn_vbjfa.diagnosis._report import Report
 from sklearn_vbjfa.diagnosis._report_pictures import residual_picture, time_axis
 from sklearn_vbjfa.effects import Coulomb, available
-from tests.diagnosis._outcomes import make_effect, make_outcome, make_round
+from tests.diagnosis._outcomes import finding, make_effect, make_outcome, make_round
 
 SUCCESS = ("Nothing is missing", "what remains is")
 CASES = {
@@ -36,17 +36,17 @@ def fixture_outcome(request):
 
 def test_joints_that_vary_with_nothing_share_a_line():
     outcome = make_outcome(nv=6, n_effects=0, unexplained=(0, 1, 2, 4))
-    shares = (0.98, 0.991, 0.75, 0.95)
+    shares = (0.018, 0.021, 0.075, 0.015)
     rest = [
-        replace(u, share=share, signals=u.signals if share == 0.75 else ())
+        replace(u, of_torque=share, signals=u.signals if share == 0.075 else ())
         for u, share in zip(outcome.unexplained, shares)
     ]
     report = Report(replace(outcome, unexplained=tuple(rest)))
     for text in (str(report), report.to_markdown(), report.to_html()):
         flat = re.sub(r"\s+", " ", text)
-        assert flat.count("of what remains has no name") == 2
-        assert "joints 1, 2 and 5: 95 % to 99 % of what remains has no name" in flat
-        assert "joint 3: 75 % of what remains has no name; varies with" in flat
+        assert flat.count("of the torque has no name") == 2
+        assert "joints 1, 2 and 5: 1.5 % to 2.1 % of the torque has no name" in flat
+        assert "joint 3: 7.5 % of the torque has no name; varies with" in flat
 
 
 def test_text_fits_a_terminal(outcome):
@@ -141,10 +141,75 @@ def test_worse_than_the_mean_torque_is_said_with_its_causes():
 
 def test_what_to_do_about_a_channel_is_not_cut_off():
     message = f"The torque of joint 1 is {'very ' * 30}wrong: multiply it by -1."
-    text = str(Report(make_outcome(nv=2, n_effects=1, channels=(message,))))
+    one = finding(message)
+    text = str(Report(make_outcome(nv=2, n_effects=1, channels=(one,))))
     assert f"Channel: {message}" in " ".join(text.split())
-    many = str(Report(make_outcome(channels=(message,) * 3)))
+    many = str(Report(make_outcome(channels=(one,) * 3)))
     assert "Channel (2 more): The torque of joint 1" in many
+
+
+def test_a_doubt_comes_first_and_above_everything():
+    message = "The torque of joint 1 is 0.1 times what the model asks for."
+    doubts = (finding("Joint 2 stands still."), finding(message, "doubt"))
+    for case in CASES.values():
+        report = Report(make_outcome(**(case | {"channels": doubts})))
+        assert report.status == "doubtful"
+        assert report.headline.startswith(f"Mend the recording first. {message}")
+        assert str(report).startswith("Mend the recording first.")
+        page = report.to_html()
+        assert page.index(message) < page.index("Error of each joint")
+        assert '<header class="bad">' in page
+        for text in (str(report), report.to_markdown(), page):
+            assert not any(claim in " ".join(text.split()) for claim in SUCCESS)
+    two = Report(make_outcome(channels=(*doubts, finding("Wrapped.", "doubt"))))
+    assert "(1 more doubt below.)" in two.headline
+    assert "Wrapped." in two.to_html()
+
+
+def test_a_joint_that_hardly_moves_gets_no_verdict():
+    enough = np.array([True, True, False])
+    seconds = np.array([9.0, 9.0, 0.31])
+    after = np.array([0.05, 0.05, 3.0])
+    report = Report(
+        make_outcome(
+            nv=3,
+            n_effects=0,
+            enough=enough,
+            seconds=seconds,
+            error_after=after,
+            error_before=after,
+            floor=np.full(3, 0.05),
+            intervals={},
+        )
+    )
+    assert [v.status for v in report.joints] == ["floor", "floor", "few"]
+    assert report.joints[2].text == "no verdict: moves for 0.31 s only"
+    assert report.status == "nothing"
+    assert "Joint 3 moves too little for a verdict." in report.headline
+    # What is judged by a handful of rows is no part of the mean.
+    assert "data 5.0 %" in report.verdict
+    none = Report(make_outcome(nv=3, enough=np.zeros(3, bool)))
+    assert none.status == "no data"
+    assert "record more motion" in none.headline
+
+
+def test_errors_are_given_in_newton_metres_and_in_a_wider_band():
+    outcome = make_outcome(nv=2, n_effects=1, channels=())
+    report = Report(outcome)
+    newton_metres = f"{outcome.error_after[0] * outcome.spread[0]:.2g}"
+    for text in (str(report), report.to_markdown(), report.to_html()):
+        assert newton_metres in text
+        assert "to 40 Hz" in text
+    bare = Report(
+        make_outcome(
+            nv=2,
+            wide_cutoff=np.nan,
+            wide_before=np.full(2, np.nan),
+            wide_after=np.full(2, np.nan),
+        )
+    )
+    assert "Hz" not in bare.verdict
+    assert "? %" not in bare.to_html()
 
 
 def test_a_text_is_cut_between_words():
@@ -174,11 +239,12 @@ def test_success_is_never_claimed_while_something_is_open(changes):
 
 def test_verdict_names_the_joints_that_stay_above_the_floor():
     report = Report(make_outcome(n_effects=0, unexplained=(1, 4)))
-    assert "joints 2 and 5 stay above the noise floor" in report.verdict
+    assert "up to 4.3 % of the torque of joints 2 and 5 is above the" in report.verdict
     named = make_outcome(
         nv=2, n_effects=0, unexplained=(1,), names=("shoulder", "elbow")
     )
-    assert "joint 2 (elbow) stays above" in Report(named).verdict
+    verdict = Report(named).verdict
+    assert "4.3 % of the torque of joint 2 (elbow) is above the noise floor" in verdict
 
 
 def test_verdict_says_when_untouched_data_got_worse():
@@ -205,7 +271,7 @@ def test_dict_round_trip(outcome):
     data = Report(outcome).to_dict()
     text = json.dumps(data, allow_nan=False)
     assert json.loads(text) == data
-    assert data["schema_version"] == 2
+    assert data["schema_version"] == 3
     assert "curves" not in data
     assert len(data["effects"]) == len(outcome.effects)
     assert len(data["error_before"]) == len(outcome.joint_names)
@@ -333,7 +399,7 @@ def test_page_escapes_what_it_is_given():
     outcome = make_outcome(
         nv=1,
         names=(bad,),
-        channels=(bad,),
+        channels=(finding(bad),),
         declared={"robot": bad},
         settings={"effects": (bad,), "versions": {bad: bad}},
     )

@@ -74,7 +74,7 @@ def test_whole_robot_effects_have_columns_on_every_joint():
     now = search(CLEAN.torque(), ["payload"])
     payload = effects.Payload(joint=1, instant=10.0)
     columns = now.view.columns([payload], now.view.motion(None))
-    assert columns.shape == (2, now.view.index.size, 1, 4)
+    assert columns.shape == (2, now.view.index.size, 1, 5)
     before = CLEAN.t[now.view.index] < 9.0
     assert_array_equal(columns[:, before], 0.0)
     assert np.abs(columns[:, ~before]).max() > 0

@@ -20,14 +20,15 @@ def blocks_of(label):
     return Blocks(label=label, fold=label % 8, length=1.0)
 
 
-def test_stretches_are_recordings_or_thirds():
+def test_stretches_are_thirds_of_every_recording():
     label = np.repeat(np.arange(12), 5)
-    assert_array_equal(stretches(blocks_of(label), [0]), np.repeat([0, 1, 2], 20))
-    two = stretches(blocks_of(label), np.array([0, 25]))
-    assert_array_equal(two, np.repeat([0, 1], [25, 35]))
-    # Neighbouring recordings stay together where there are many.
-    eight = stretches(blocks_of(label), np.array([0, 5, 10, 15, 20, 25, 30, 40]))
-    assert_array_equal(eight, np.repeat([0, 1, 2, 3], [10, 10, 10, 30]))
+    one = stretches(blocks_of(label), np.zeros(60, int))
+    assert_array_equal(one, np.repeat([0, 1, 2], 20))
+    two = stretches(blocks_of(label), np.repeat([0, 1], [30, 30]))
+    assert_array_equal(two, np.tile(np.repeat([0, 1, 2], 10), 2))
+    # A recording of two blocks cannot be cut in three.
+    short = stretches(blocks_of(label), np.repeat([0, 1], [50, 10]))
+    assert_array_equal(short[50:], 1)
 
 
 def test_squares_are_those_of_models_that_did_not_see_the_stretch():
@@ -38,7 +39,7 @@ def test_squares_are_those_of_models_that_did_not_see_the_stretch():
     one, other = effects.Coulomb(1), effects.Spring(0)
     found = Transfer(view, motion, [one, other])
     both, alone = found.squares([one, other]), found.squares([other])
-    assert both.shape == (2, 2)
+    assert both.shape == (3, 2)
     assert np.all(both[:, 1] < 0.1 * alone[:, 1])
 
     # The same with rows.
@@ -47,9 +48,9 @@ def test_squares_are_those_of_models_that_did_not_see_the_stretch():
     extra[:, 0] = columns
     Phi = np.concatenate([view.equations.Phi, extra], axis=2)
     tau, weight = view.equations.tau, view.equations.weight
-    border = view.starts[1]
-    for k, kept in enumerate((slice(None, border), slice(border, None))):
-        rest = slice(border, None) if k == 0 else slice(None, border)
+    third = stretches(view.blocks, view.recording)
+    for k in range(3):
+        kept, rest = third == k, third != k
         model = JointTorqueRegressor(joint_weights=view.precision)
         model.fit(
             Phi[rest].reshape(tau[rest].shape[0], -1),
@@ -73,27 +74,28 @@ def test_bodies_of_every_stretch_are_physically_consistent(monkeypatch):
     now = search(ARM.torque(), ["coulomb"], ARM, groups=HALVES)
     made.clear()
     Transfer(now.view, now.view.motion(None), []).squares([])
-    assert len(made) == 2
+    assert len(made) == 3
 
 
-def test_what_holds_on_one_motion_only_is_withdrawn():
-    """A spring that acts in the first recording and not in the second."""
-    first = HALVES == 0
+def accepted_of(torque, candidates, chosen, groups=None):
+    """Return a search that accepted some effects, after the withdrawal."""
+    now = search(torque, candidates, ARM, groups=groups)
+    now._refresh()
+    now.accepted = list(chosen)
+    now._refresh()
+    now._withdraw()
+    return now
+
+
+def test_what_holds_on_one_stretch_only_is_withdrawn():
+    """A spring that acts in the first third and not in the others."""
+    first = ARM.t < ARM.t[-1] / 3
     torque = ARM.torque(joint_2=coulomb(1.0))
     torque[first, 0] += 4.0 * ARM.q[first, 0]
     friction = effects.Coulomb(1)
-
-    def withdrawn(torque):
-        now = search(torque, ["spring", "coulomb"], ARM, groups=HALVES)
-        now._refresh()
-        now.accepted = [effects.Spring(0), friction]
-        now._refresh()
-        now._withdraw()
-        return now
-
-    now = withdrawn(torque)
+    now = accepted_of(torque, ["spring", "coulomb"], [effects.Spring(0), friction])
     assert now.accepted == [friction]
-    (step,) = now.steps
+    step = now.steps[0]
     assert (step.action, step.effect.name, step.replaced) == (
         "withdraw",
         "spring",
@@ -103,9 +105,52 @@ def test_what_holds_on_one_motion_only_is_withdrawn():
     # It explains what it was fitted to all the same.
     assert np.sum(step.squares_after[0]) > np.sum(step.squares_before[0])
 
-    # One that acts in both stays, and a search leaves it in peace.
+
+@pytest.mark.parametrize("groups", [None, HALVES])
+def test_what_acts_everywhere_stays(groups):
     always = ARM.torque(joint_2=coulomb(1.0), joint_1=spring(4.0))
-    assert len(withdrawn(always).accepted) == 2
-    now = search(always, ["spring", "coulomb"], ARM, groups=HALVES).run()
+    chosen = [effects.Spring(0), effects.Coulomb(1)]
+    assert accepted_of(always, ["spring", "coulomb"], chosen, groups).accepted == chosen
+    now = search(always, ["spring", "coulomb"], ARM, groups=groups).run()
     assert sorted(found(now)) == [("coulomb", 1), ("spring", 0)]
     assert "withdraw" not in [s.action for s in now.steps]
+
+
+def test_what_only_one_recording_has_is_judged_inside_it():
+    """A load that the second of two recordings carries throughout."""
+    carried = 1.5 * (HALVES == 1)
+    torque = ARM.torque(joint_2=coulomb(1.0))
+    torque[:, 1] += carried * np.cos(ARM.q[:, 1])
+
+    class Carried(effects.Effect):
+        """Weight from an instant on."""
+
+        name = "carried"
+        coefficients = ("mgl",)
+        units = (("N m", "N m"),)
+        needs = ("time",)
+
+        def columns(self, motion):
+            after = motion.t >= ARM.t[ARM.t.size // 2]
+            return (np.cos(motion.q[:, self.joint]) * after)[:, None]
+
+    chosen = [Carried(1), effects.Coulomb(1)]
+    now = accepted_of(torque, ["coulomb"], chosen, HALVES)
+    assert now.accepted == chosen
+    # Left out as a whole it could not be known.
+    assert now.evidence_of(chosen[0]).gain > 0.3
+
+
+def test_nothing_useless_is_left_behind_a_withdrawal():
+    """Whatever stays pays for itself beside what stays."""
+    first = ARM.t < ARM.t[-1] / 3
+    torque = ARM.torque(joint_2=coulomb(1.0))
+    torque[first, 0] += 4.0 * ARM.q[first, 0]
+    useless = effects.Offset(1)
+    chosen = [effects.Spring(0), effects.Coulomb(1), useless]
+    now = accepted_of(torque, ["spring", "coulomb", "offset"], chosen)
+    assert useless not in now.accepted
+    for effect in now.accepted:
+        case = now.evidence_of(effect)
+        assert case.gain > 0
+        assert case.p_value < 0.05

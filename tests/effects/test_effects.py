@@ -371,7 +371,33 @@ def test_payload_is_the_torque_of_a_changed_body():
     added = inverse_dynamics(heavier, X) - inverse_dynamics(model, X)
     effect = effects.Payload(joint=1, instant=2.5)
     columns = effect.columns(signals())
-    assert_allclose(columns @ delta[:4], added * (T > 2.5)[:, None], atol=1e-9)
+    coef = np.r_[delta[:4], 0.0]
+    assert_allclose(columns @ coef, added * (T >= 2.5)[:, None], atol=1e-9)
+
+
+def test_a_payload_is_a_ball_around_its_centre_of_mass():
+    """Exactly, where it is linearised at its own centre."""
+    import pinocchio as pin
+
+    model = arm("ZY")
+    ball = pin.SE3(np.eye(3), np.array([0.08, -0.05, 0.11])).act(
+        pin.Inertia.FromSphere(0.7, 0.06)
+    )
+    delta = ball.toDynamicParameters()
+    heavier = with_changed_body(model, delta)
+    added = inverse_dynamics(heavier, X) - inverse_dynamics(model, X)
+    coef = np.r_[delta[:4], 0.4 * 0.7 * 0.06**2]
+    effect = effects.Payload(joint=1, instant=-1.0)
+    there = effect.at(coef)
+    assert_allclose(there.centre, [0.08, -0.05, 0.11])
+    assert_allclose(there.columns(signals()) @ coef, added, atol=1e-9)
+    # To first order beside it.
+    rough = np.abs(effect.columns(signals()) @ coef - added).max()
+    near = effects.Payload(joint=1, instant=-1.0, centre=(0.081, -0.05, 0.11))
+    assert np.abs(near.columns(signals()) @ coef - added).max() < 1e-3 * rough
+    # Of a mass of nothing there is no centre, and it is not far away.
+    assert effect.at(np.r_[0.0, 0.1, 0.0, 0.0, 0.0]).centre == (0.0, 0.0, 0.0)
+    assert effect.at(np.r_[0.01, 0.1, 0.0, 0.0, 0.0]).centre == (0.0, 0.0, 0.0)
 
 
 # -- recordings

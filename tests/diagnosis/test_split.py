@@ -1,0 +1,153 @@
+"""Which rows are kept for the end."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.diagnosis._split import split_in_time
+from tests.effects._arms import arm
+
+DT = 0.02
+MODEL = arm("ZY")
+
+
+def robot(**given):
+    return RobotIdentifier(MODEL, **({"dt": DT} | given))
+
+
+def motion(seconds, still=(), seed=0):
+    """Positions (n, 2) in steady motion that pauses in intervals [s] of joints."""
+    t = np.arange(round(seconds / DT)) * DT
+    going = np.ones((t.size, 2))
+    for joint, low, high in still:
+        going[(t >= low) & (t < high), joint] = 0.0
+    # Pauses begin and end in half a second.
+    smooth = np.hanning(25) / np.hanning(25).sum()
+    going = np.column_stack([np.convolve(g, smooth, mode="same") for g in going.T])
+    path = np.cumsum(going, axis=0) * DT
+    rng = np.random.default_rng(seed)
+    return np.sin(2 * np.pi * path * [0.5, 0.4]) + 1e-6 * rng.normal(size=(t.size, 2))
+
+
+def moving(q):
+    """Rows in which each joint clearly moves, (n, 2)."""
+    return np.abs(np.gradient(q, DT, axis=0)) > 0.05
+
+
+def whole(split, n):
+    """Every row is in one part, stretches are contiguous and in order."""
+    rows = np.r_[split.search, split.test]
+    assert_array_equal(np.sort(rows), np.arange(n))
+    assert np.all(np.diff(split.search) > 0)
+    assert np.all(np.diff(split.test) > 0)
+    # Nothing is filtered across a cut.
+    cut = np.diff(split.search) > 1
+    assert np.all(np.diff(split.pieces)[cut] != 0)
+    assert np.all(np.diff(split.pieces)[~cut & (np.diff(split.recording) == 0)] == 0)
+
+
+def test_several_stretches_of_a_single_recording():
+    q = motion(60.0)
+    split = split_in_time(robot(), q, None, 0.25)
+    whole(split, len(q))
+    assert len(split.stretches) == 3
+    assert split.test.size == pytest.approx(0.25 * len(q), rel=0.05)
+    assert split.stretches[-1].stop == len(q)
+    middle = [0.5 * (s.start + s.stop) / len(q) for s in split.stretches]
+    assert_allclose(middle, (np.arange(3) + 0.875) / 3, atol=0.03)
+    assert split.borders == ((True, True), (True, True), (True, False))
+
+
+def test_the_ends_of_each_of_several_recordings():
+    q = motion(90.0)
+    groups = np.repeat([7, 3, 7], [2000, 1000, 1500])
+    split = split_in_time(robot(), q, groups, 0.25)
+    whole(split, len(q))
+    assert [s.stop for s in split.stretches] == [2000, 3000, 4500]
+    lengths = [s.stop - s.start for s in split.stretches]
+    assert_allclose(lengths, [500, 250, 375], rtol=0.1)
+    assert_array_equal(np.unique(split.recording), [0, 1, 2])
+    assert all(border == (True, False) for border in split.borders)
+
+
+def test_a_robot_that_comes_to_rest_is_judged_in_motion():
+    q = motion(60.0, still=[(0, 40.0, 60.0), (1, 40.0, 60.0)])
+    split = split_in_time(robot(), q, None, 0.25)
+    whole(split, len(q))
+    share = moving(q)[split.test].sum() / moving(q).sum()
+    assert share == pytest.approx(0.25, abs=0.04)
+    # The last quarter of the rows holds none of it.
+    assert moving(q)[-len(q) // 4 :].sum() == 0
+
+
+def test_joints_that_move_one_at_a_time_are_all_judged():
+    q = motion(80.0, still=[(0, 40.0, 80.0), (1, 0.0, 40.0)])
+    for groups in (None, np.repeat([0, 1], len(q) // 2)):
+        split = split_in_time(robot(), q, groups, 0.25)
+        whole(split, len(q))
+        share = moving(q)[split.test].sum(axis=0) / moving(q).sum(axis=0)
+        assert np.all(share > 0.12), share
+        assert np.all(share < 0.4), share
+
+
+def test_two_seconds_of_motion_in_sixty():
+    q = motion(60.0, still=[(j, a, b) for j in (0, 1) for a, b in ((0, 30), (32, 60))])
+    split = split_in_time(robot(cutoff=5.0), q, None, 0.25)
+    whole(split, len(q))
+    assert moving(q)[split.test].any()
+    assert moving(q)[split.search].any()
+
+
+def test_short_recordings_are_kept_as_a_whole():
+    q = motion(40.0)
+    groups = np.repeat(np.arange(20), 100)  # 2 s each, the low-pass is 1.4 s long
+    split = split_in_time(robot(cutoff=2.5), q, groups, 0.25)
+    whole(split, len(q))
+    assert [s.stop - s.start for s in split.stretches] == [100] * 5
+    assert all(border == (False, False) for border in split.borders)
+
+
+def test_the_guard_leaves_half_of_every_stretch():
+    q = motion(60.0)
+    split = split_in_time(robot(), q, None, 0.25)
+    near = split.guarded(10)
+    assert near.test.size == split.test.size - 10 * 5
+    assert near.stretches[-1].stop == len(q)
+    assert_array_equal(near.search, split.search)
+    far = split.guarded(10**6)
+    for before, after in zip(split.stretches, far.stretches):
+        assert after.stop - after.start >= 0.5 * (before.stop - before.start)
+
+
+def test_units_and_time_do_not_matter():
+    """A robot ten times slower, recorded ten times slower, is cut at the same rows."""
+    q = motion(60.0, still=[(0, 10.0, 15.0)])
+    fast = split_in_time(robot(), q, None, 0.25)
+    slow = split_in_time(robot(dt=10 * DT), q, None, 0.25)
+    assert_array_equal(fast.search, slow.search)
+    states = np.hstack([q, np.gradient(q, DT, axis=0), np.zeros_like(q)])
+    given = split_in_time(robot(cutoff=2.5), states, None, 0.25)
+    whole(given, len(q))
+    assert given.test.size == pytest.approx(fast.test.size, rel=0.05)
+
+
+@pytest.mark.parametrize("share", [0, 1, 1.5, -0.1, np.nan, None, "a quarter", [0.2]])
+def test_wrong_shares_are_refused(share):
+    with pytest.raises(ValueError, match="test_size must be the share"):
+        split_in_time(robot(), motion(20.0), None, share)
+
+
+def test_a_stretch_in_which_something_jumps_is_not_judged():
+    q = motion(60.0)
+    split = split_in_time(robot(), q, None, 0.25)
+    clock = np.arange(len(q)) * DT
+    first, second, last = split.stretches
+    inside = clock[(second.start + second.stop) // 2]
+    assert split.decided(clock, [inside]).stretches == (first, last)
+    # Where the search begins again is as far as it knows.
+    assert split.decided(clock, [clock[second.stop]]).stretches == (first, last)
+    for known in (clock[second.start - 1], clock[second.stop + 1], clock[last.start]):
+        assert split.decided(clock, [known]).stretches == split.stretches

@@ -180,10 +180,10 @@ if missing:
 # %%
 # Before and after
 # ----------------
-# Root mean square of the residual over the standard deviation of the torque, on the
-# last quarter of each recording, which took no part in the fit or the search. Above the
-# dashed line the mean of the torque would have been the better prediction: the model
-# is not to be trusted there, or the joint had next to nothing to do in that quarter.
+# Root mean square of the residual on stretches that took no part in the fit or the
+# search, over the standard deviation of the torque in the moving time of the whole
+# recording. Above the dashed line the mean of the torque would have been the better
+# prediction: the model is not to be trusted there.
 
 figure, axes = plt.subplots(2, 2, sharey=True, layout="constrained", figsize=(8, 6))
 for axis, name in zip(axes.flat, PLANS):

@@ -12,7 +12,7 @@ has viscous friction alone.
 # %%
 # The declared model
 # ------------------
-# Two motions of 20 s. The last quarter of each is kept for the end.
+# Two motions of 20 s. An eighth at either end of each is kept for the end.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -52,7 +52,8 @@ for step in loop.rounds_:
 # %%
 # The untouched part
 # ------------------
-# Root mean square of the residual over the standard deviation of the torque.
+# Root mean square of the residual over the standard deviation of the torque in the
+# moving time of the whole recording.
 
 for name, before, after in zip(
     recording.joint_names, loop.error_before_, loop.error_after_
@@ -71,7 +72,8 @@ for effect in loop.hidden_:
 # Residual against speed
 # ----------------------
 # The residual of the declared model has a step where the joint reverses. The model of
-# joint 2 lacks more than that: the step depends on the load.
+# joint 2 lacks more than that: the step depends on the load. (The completed model is
+# the one that is handed over, fitted to all data.)
 
 tested = np.concatenate(
     [np.flatnonzero(recording.groups == label)[-1000:] for label in (0, 1)]

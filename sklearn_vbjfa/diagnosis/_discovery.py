@@ -16,7 +16,7 @@ from sklearn_vbjfa.diagnosis._search import EffectSearch
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.robot._channel_checks import inspect_channels
-from sklearn_vbjfa.robot._groups import check_clock, check_dt
+from sklearn_vbjfa.robot._groups import check_clock, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._model import joint_names, load_model
@@ -46,9 +46,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Effects to look for: names of the library (see
         `sklearn_vbjfa.effects.available`), or effects of one's own.
     test_size : float, default=0.25
-        Share of the motion that is kept for the final comparison: the end of each of
+        Share of the motion that is kept for the final comparison: both ends of each of
         several recordings, several stretches of a single one; standstill does not
-        count, and where a joint would hardly move in it there are more stretches.
+        count, where a joint would hardly move in it there are more stretches, and where
+        it would be too little for a verdict it is up to 0.4.
     alpha : float, default=0.05
         Level of significance over all effects and joints together.
     max_effects : int or None, default=None
@@ -209,8 +210,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             rows = split.search
             part = X[rows], y[rows], split.pieces, weight[rows]
             self.declared_ = clone(self.identifier).fit(*part, t=clock[rows])
+            begins = tuple(clock[k.start] for k in contiguous_groups(groups, len(X)))
             view = RecordingView(
-                self.declared_, *part, clock[rows], silent, split.recording
+                self.declared_, *part, clock[rows], silent, split.recording, begins
             )
             found = EffectSearch(
                 view=view,

@@ -6,6 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis._intervals import FinalFit, error_intervals
+from sklearn_vbjfa.diagnosis._split import FEWEST_VALUES
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 
 # The wider band reaches so many times as far as that of the fit, and at least to the
@@ -13,8 +14,6 @@ from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 _WIDER, _CONTROL = 4.0, 10.0
 # Share of the sample rate up to which it may reach.
 _HIGHEST = 0.4
-# Values that are independent in the band of the fit: fewer are no sample of an error.
-_FEWEST_VALUES = 20.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,15 +75,16 @@ class Judgement:
         """
         X, y, _, weight = whole
         dt = loop.declared_.dt
-        # Where the memory is without end nothing is far enough.
-        memory = max(filter(np.isfinite, memory_seconds(search)), default=0.0)
+        memory = max(memory_seconds(search), default=0.0)
+        # Of a memory without end nothing is far enough.
+        guard = int(min(memory / dt, X.shape[0]))
         instants = [
             getattr(effect, name)
             for effect in search.accepted
             for name in effect.jumping
         ]
         count = len(split.stretches)
-        split = split.decided(clock, instants).guarded(round(memory / dt))
+        split = split.decided(clock, instants).guarded(guard)
         rows = split.test
         rest = X[rows], y[rows], split.test_pieces, weight[rows]
         models = loop.declared_, loop.judged_
@@ -102,7 +102,9 @@ class Judgement:
         wide = None
         if np.isfinite(wide_cutoff):
             wide = tuple(part.rms() for part in errors(cutoff=wide_cutoff))
-        seconds = before.weight.sum(axis=0) * search.view.step
+        # Rows in which a joint moves throughout have its largest weight.
+        full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
+        seconds = (before.weight / full).sum(axis=0) * search.view.step
         cutoff = min(models[1].cutoff_, 0.5 / dt)
         return cls(
             before=before,
@@ -114,10 +116,10 @@ class Judgement:
                 (before, after), searched, spread, search.view.step
             ),
             seconds=seconds,
-            enough=2.0 * cutoff * seconds >= _FEWEST_VALUES,
+            enough=2.0 * cutoff * seconds >= FEWEST_VALUES,
             n_stretches=len(split.stretches),
             n_undecided=count - len(split.stretches),
-            guard=float(memory),
+            guard=float(guard * dt),
         )
 
     @property

@@ -1,5 +1,7 @@
 """A recording as the search for effects sees it: filtered rows, blocks, columns."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
@@ -33,10 +35,21 @@ class RecordingView:
     recording : ndarray of shape (n,) or None
         Number of the recording that each row is from, where `groups` cut recordings in
         pieces; None where they do not.
+    begins : tuple of float or None
+        When recordings begin [s], if their first rows are not given.
     """
 
     def __init__(
-        self, robot, X, y, groups, sample_weight, t, leave_out=(), recording=None
+        self,
+        robot,
+        X,
+        y,
+        groups,
+        sample_weight,
+        t,
+        leave_out=(),
+        recording=None,
+        begins=None,
     ):
         self.robot = robot
         sample_weight = np.array(sample_weight, dtype=float)
@@ -64,6 +77,7 @@ class RecordingView:
             sizes = [part.stop - part.start for part in self.parts]
             recording = np.repeat(np.arange(len(self.parts)), sizes)
         self.recording = recording[index]
+        self._begins = begins
         self._cache = {}
         self._first_fit()
 
@@ -101,7 +115,7 @@ class RecordingView:
         """Signals at the full rate; the load from reduced coordinates or None."""
         rigid = self.robot.features_.n_parameters_
         parameters = None if theta is None else (self.back @ theta)[:rigid]
-        return make_motion(
+        motion = make_motion(
             self.robot.features_,
             self.states,
             self.clock,
@@ -109,6 +123,7 @@ class RecordingView:
             parameters,
             self.robot.cutoff_,
         )
+        return replace(motion, begins=self._begins)
 
     def filtered(self, columns):
         """Filter full-rate columns (n, ...) as the torques were."""

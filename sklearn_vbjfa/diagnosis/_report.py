@@ -65,9 +65,9 @@ class Report:
 
     def __str__(self):
         head = textwrap.wrap(self.verdict, _WIDTH)
-        if len(head) > 3 and self.status != "doubtful":
+        if len(head) > 5 and self.status != "doubtful":
             errors = _verdict.errors_text(self.outcome)
-            head = _wrapped(self.headline, 2) + _wrapped(errors, 1)
+            head = _wrapped(self.headline, 3) + _wrapped(errors, 2)
         tail, _ = self._closing(0)
         lists = {
             "joints": self._joint_order(),

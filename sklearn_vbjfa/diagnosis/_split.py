@@ -21,15 +21,22 @@ _FILTER_LENGTHS = 2.0
 _FEWEST_SAMPLES = 24
 # Each joint should have this share of its due in the untouched part.
 _DUE = 0.5
-# At most this share of a stretch is given to the guard at either end.
+# At most this share of a stretch is given to the guard at either end, and what is tried
+# where that would leave too little.
 _MOST_GUARD = 0.25
+_GUARDS = (1.0, 0.75, 0.5, 0.25, 0.0)
+# Values that are independent in the band of the fit: fewer are no sample of an error.
+FEWEST_VALUES = 10.0
+# The untouched part may grow to this share for them.
+_LARGEST = 0.4
+_GROWTH = 1.2
 # Speeds whose quantile is a joint's fastest.
 _FAST = 0.995
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Split:
-    """Rows of the search and untouched stretches between them.
+    """Rows of the search and untouched stretches beside them.
 
     Attributes
     ----------
@@ -44,6 +51,8 @@ class Split:
         Untouched rows.
     borders : tuple of (bool, bool)
         Whether rows of the search lie right before and right after each stretch.
+    amount : Amount
+        How much of a motion a stretch holds.
     """
 
     search: np.ndarray
@@ -51,6 +60,7 @@ class Split:
     recording: np.ndarray
     stretches: tuple
     borders: tuple
+    amount: object
 
     @property
     def test(self):
@@ -96,17 +106,56 @@ class Split:
     def guarded(self, rows):
         """Return the split without the untouched rows next to rows of the search.
 
-        What is left of a residual after `rows` rows is new; of a stretch half is kept
-        whatever the residual remembers.
+        What is left of a residual after `rows` rows is new. At least half of a stretch
+        is kept, and as much as a verdict needs.
         """
+        least = np.minimum(self.amount.need, self.amount.of(self.stretches))
+        for share in _GUARDS:
+            found = self._without(int(share * rows))
+            if (self.amount.of(found.stretches) >= least).all():
+                break
+        return found
+
+    def _without(self, rows):
         stretches = []
         for stretch, (before, after) in zip(self.stretches, self.borders):
-            most = int(_MOST_GUARD * (stretch.stop - stretch.start))
-            guard = min(int(rows), most)
+            guard = min(rows, int(_MOST_GUARD * (stretch.stop - stretch.start)))
             stretches.append(
                 slice(stretch.start + before * guard, stretch.stop - after * guard)
             )
         return replace(self, stretches=tuple(stretches))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Amount:
+    """How much of each joint's motion rows hold.
+
+    Attributes
+    ----------
+    moving : ndarray of shape (n, nv), bool
+        Which joints move.
+    half : int
+        Rows that the low-pass takes at either end.
+    need : float
+        Moving rows behind it that a verdict needs.
+    """
+
+    moving: np.ndarray
+    half: int
+    need: float
+
+    @property
+    def length(self):
+        """Rows that a stretch, or what is left between two, must have."""
+        return max(int(_FILTER_LENGTHS * 2 * self.half), _FEWEST_SAMPLES)
+
+    def of(self, stretches):
+        """Count the moving rows of each joint behind the low-pass, (nv,)."""
+        count = np.zeros(self.moving.shape[1])
+        for s in stretches:
+            inner = slice(s.start + self.half, max(s.stop - self.half, s.start))
+            count += self.moving[inner].sum(axis=0)
+        return count
 
 
 def check_share(test_size):
@@ -140,28 +189,30 @@ def split_in_time(identifier, X, groups, test_size):
     Returns
     -------
     Split
-        Stretches at the end of each of several recordings, or at several places of a
-        single one; of recordings that are too short to be cut, some as a whole.
+        Stretches at both ends of each of several recordings, or at several places of
+        a single one; of recordings that are too short to be cut, some as a whole.
     """
     share = check_share(test_size)
     parts = contiguous_groups(groups, X.shape[0])
-    moving, length = _motion(identifier, X, groups, parts)
-    return _divide(moving, parts, share, length)
+    return _divide(_amount(identifier, X, groups, parts), parts, share)
 
 
-def _motion(identifier, X, groups, parts):
-    """Which joints move in which rows (n, nv), and the shortest stretch [rows]."""
+def _amount(identifier, X, groups, parts):
+    """Which joints move in which rows, and what a verdict needs of that."""
     nv = X.shape[1] // 3 if X.shape[1] == 3 * _joints(identifier) else X.shape[1]
-    estimator, states = None, X
+    estimator, states, dt = None, X, identifier.dt or 1.0
     if X.shape[1] == nv:
         estimator = fit_states(identifier.dt, identifier.state_cutoff, X, groups)
         states = estimator.transform(X, groups=groups)
     speed = np.abs(states[:, nv : 2 * nv])
     limit = resolve_standstill(identifier.standstill, np.quantile(speed, _FAST, axis=0))
     cutoff = resolve_cutoff(identifier.cutoff, parts, identifier.dt, estimator)
-    half = _lowpass.design(identifier.dt or 1.0, cutoff).half
-    length = max(int(_FILTER_LENGTHS * 2 * half), _FEWEST_SAMPLES)
-    return speed > np.maximum(limit, 0.0), length
+    band = min(cutoff, 0.5 / dt)
+    return Amount(
+        moving=speed > np.maximum(limit, 0.0),
+        half=_lowpass.design(dt, cutoff).half,
+        need=FEWEST_VALUES / (2.0 * band * dt),
+    )
 
 
 def _joints(identifier):
@@ -170,39 +221,54 @@ def _joints(identifier):
     return load_model(identifier.model).nv
 
 
-def _divide(moving, parts, share, length):
+def _divide(amount, parts, share):
     """Choose how many stretches a recording has, and where."""
-    total = np.maximum(moving.sum(axis=0), 1)
+    first = None
+    while True:
+        chosen, enough = _best_count(amount, parts, share)
+        first = chosen if first is None else first
+        if enough or share >= _LARGEST:
+            # If there is never enough, a larger part is not taken in vain.
+            return _described(amount, parts, chosen if enough else first)
+        share = min(_GROWTH * share, _LARGEST)
+
+
+def _best_count(amount, parts, share):
+    """Return the stretches by which all joints are judged best, and if well enough."""
+    moving, length = amount.moving, amount.length
+    total = moving.sum(axis=0)
     # Each joint's motion counts the same, however little of it there is.
-    amount = (moving / total).sum(axis=1)
-    if not amount.any():
-        amount = np.ones(moving.shape[0])
-    most = [_most_stretches(amount[part], share, length) for part in parts]
+    weight = (moving / np.maximum(total, 1)).sum(axis=1)
+    if not weight.any():
+        weight = np.ones(moving.shape[0])
+    most = [_most_stretches(weight[part], share, length) for part in parts]
     wanted = _STRETCHES if len(parts) == 1 else 1
-    chosen, covered = None, -1.0
-    for count in range(wanted, _MOST_STRETCHES + 1):
+    can = _LARGEST * total > amount.need
+    best, chosen = (False, -1.0), None
+    for count in (*range(wanted, _MOST_STRETCHES + 1), *range(wanted - 1, 0, -1)):
         counts = [min(count, limit) for limit in most]
-        stretches = _place(amount, parts, counts, share, length)
+        stretches = _place(weight, parts, counts, share, length)
         rows = np.zeros(moving.shape[0], dtype=bool)
         for stretch in stretches:
             rows[stretch] = True
-        due = moving[rows].sum(axis=0) / total / share
         # A joint that never moves has nothing due.
-        least = min((float(x) for x in due[moving.any(axis=0)]), default=1.0)
-        if least > covered:
-            chosen, covered = stretches, least
-        if covered >= _DUE or max(most) <= count:
+        due = (moving[rows].sum(axis=0) / np.maximum(total, 1) / share)[total > 0]
+        least = min(float(np.min(due, initial=_DUE)), _DUE)
+        enough = bool((amount.of(stretches) >= amount.need)[can].all())
+        if (enough, least) > best:
+            best, chosen = (enough, least), stretches
+        if best == (True, _DUE):
             break
-    return _described(moving.shape[0], parts, chosen)
+    return chosen, best[0]
 
 
-def _most_stretches(amount, share, length):
+def _most_stretches(weight, share, length):
     """Most stretches of a recording that leave all pieces long enough; 0 for none."""
-    if amount.size * min(share, 1 - share) < length:
+    if weight.size * min(share, 1 - share) < length:
         return 0
     count = 1
     while count < _MOST_STRETCHES:
-        pieces = _cells(amount, count + 1, share)
+        pieces = _cells(weight, count + 1, share)
         if min(b - a for cell in pieces for a, b in _pairs(cell)) < length:
             break
         count += 1
@@ -214,13 +280,13 @@ def _pairs(cell):
     return (start, border), (border, stop)
 
 
-def _cells(amount, count, share):
+def _cells(weight, count, share):
     """First row, first untouched row and end of cells of equal motion."""
-    done = np.cumsum(amount)
+    done = np.cumsum(weight)
     if done[-1] <= 0:
-        done = np.arange(1.0, amount.size + 1)
+        done = np.arange(1.0, weight.size + 1)
     done = done / done[-1]
-    edges = [0, *(_row(done, k / count) for k in range(1, count)), amount.size]
+    edges = [0, *(_row(done, k / count) for k in range(1, count)), weight.size]
     borders = [_row(done, (k + 1 - share) / count) for k in range(count)]
     return [(edges[k], borders[k], edges[k + 1]) for k in range(count)]
 
@@ -230,7 +296,7 @@ def _row(done, share):
     return int(np.searchsorted(done, share * (1 - 1e-12), side="left")) + 1
 
 
-def _place(amount, parts, counts, share, length):
+def _place(weight, parts, counts, share, length):
     """Untouched slices of all recordings, in order."""
     short = [k for k, count in enumerate(counts) if count == 0]
     # Recordings too short to be cut are kept as a whole, in turns.
@@ -240,21 +306,38 @@ def _place(amount, parts, counts, share, length):
         whole = {short[-1]} if len(short) > 1 else set()
     stretches = []
     for k, (part, count) in enumerate(zip(parts, counts)):
+        n = part.stop - part.start
         if k in whole:
-            stretches.append(part)
+            found = [(0, n)]
+        elif count == 1 and len(parts) > 1:
+            found = _ends(weight[part], share, length)
         elif count:
-            for _, border, stop in _cells(amount[part], count, share):
-                stop = min(stop, part.stop - part.start)
-                border = min(border, stop - min(length, stop))
-                stretches.append(slice(part.start + border, part.start + stop))
+            cells = _cells(weight[part], count, share)
+            found = [(min(border, stop - length), stop) for _, border, stop in cells]
         elif len(parts) == 1:
             # Too short for a verdict; the fit says what is missing.
-            n = part.stop - part.start
-            stretches.append(slice(part.stop - max(round(share * n), 1), part.stop))
+            found = [(n - max(round(share * n), 1), n)]
+        else:
+            found = []
+        stretches += [slice(part.start + a, part.start + b) for a, b in found]
     return stretches
 
 
-def _described(n, parts, stretches):
+def _ends(weight, share, length):
+    """Both ends of a recording, since motions change as they go on, or the last."""
+    done = np.cumsum(weight)
+    n = weight.size
+    if done[-1] > 0:
+        first = _row(done / done[-1], 0.5 * share)
+        last = _row(done / done[-1], 1 - 0.5 * share)
+        if length <= first and length <= n - last and length <= last - first:
+            return [(0, first), (last, n)]
+    ((_, border, stop),) = _cells(weight, 1, share)
+    return [(min(border, stop - length), stop)]
+
+
+def _described(amount, parts, stretches):
+    n = amount.moving.shape[0]
     test = np.zeros(n, dtype=bool)
     for stretch in stretches:
         test[stretch] = True
@@ -274,4 +357,5 @@ def _described(n, parts, stretches):
         recording=recording[search],
         stretches=tuple(stretches),
         borders=tuple(borders),
+        amount=amount,
     )

@@ -9,6 +9,8 @@ from sklearn_vbjfa.diagnosis._gaps import ABOVE_FLOOR
 
 # A refit moves the errors of all joints; by less than this it did no harm.
 _WORSE = 1.05
+# Effects that the headline names.
+_NAMED = 2
 # The error of whoever predicts the mean of the untouched torque and no more.
 _MEAN_TORQUE = 1.0
 
@@ -246,14 +248,17 @@ def headline(outcome, verdicts):
 
 
 def _found(outcome):
-    """Name one or two effects, count more, with their verb."""
+    """Name the first effects, which save most, and count the others; with a verb."""
     effects, names = outcome.effects, outcome.joint_names
-    count = words.plural(len(effects), "effect")
-    if len(effects) in (1, 2):
-        count = words.join(
-            f"{words.effect_label(e.name, e.parameters, names)} on "
-            f"{words.joint_label(names, e.joint)}"
-            for e in effects
-        )
-        count = count[0].upper() + count[1:]
-    return f"{count} {'was' if len(effects) == 1 else 'were'}"
+    if not effects:
+        return "0 effects were"
+    told = [
+        f"{words.effect_label(e.name, e.parameters, names)} on "
+        f"{words.joint_label(names, e.joint)}"
+        for e in effects[:_NAMED]
+    ]
+    if len(effects) > _NAMED:
+        told.append(words.plural(len(effects) - _NAMED, "more effect"))
+    text = words.join(told)
+    verb = "was" if len(effects) == 1 else "were"
+    return f"{text[0].upper()}{text[1:]} {verb}"

@@ -38,6 +38,9 @@ class Motion:
         () -> regressor of the last body's inertial parameters, (n, nv, 10).
     bandwidth : float
         Highest frequency [Hz] that will be looked at.
+    begins : tuple of float or None
+        When recordings begin [s], if their first rows are left out here; None takes
+        the first rows of all parts.
     """
 
     q: np.ndarray
@@ -51,6 +54,7 @@ class Motion:
     rigid: Callable | None = None
     last_body: Callable | None = None
     bandwidth: float = np.inf
+    begins: tuple | None = None
     _speeds: dict = field(default_factory=dict, repr=False)
 
     def __post_init__(self):

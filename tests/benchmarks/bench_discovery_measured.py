@@ -2,7 +2,7 @@
 
 Run ``python tests/benchmarks/bench_discovery_measured.py --data-home DIR [--write]``.
 The declared model is the paper's, ten inertial parameters and viscous friction per
-joint; the last quarter of every recording is touched once. Filters and masks are those
+joint; the untouched part of every recording is looked at once. Filters and masks are those
 of ``bench_measured_robots.py``, but for EMPS (20 Hz).
 """
 
@@ -98,7 +98,8 @@ def main(argv=None):
         print(" | ".join(rows[-1]), file=sys.stderr, flush=True)
     text = (
         "Root mean square of the residual over the standard deviation of the torque, "
-        "on the last quarter of each recording, touched once.\n\n"
+        "on the untouched part, over the spread of the torque in the moving time of "
+        "the whole recording.\n\n"
         + rst_table(rows, HEADERS, n_labels=3)
     )
     publish("discovery_measured", text, write=arguments.write)

@@ -196,7 +196,7 @@ EFFECTS = {
 
 
 def effects(trials, seed, chosen=tuple(EFFECTS), duration=67.0):
-    """Cells of the effects' parameters; the last quarter is not used by the fit."""
+    """Cells of the effects' parameters."""
     cells = []
     for label in chosen:
         name, joint, torque, truth = EFFECTS[label]
@@ -258,7 +258,9 @@ def _next_error(cell, duration, rho, seed):
     made = simulate("ZY", whole, rho, seed, (0, _coulomb))
     n = round(duration / DT)
     loop = discover(made, ["coulomb"], n)
-    later = loop.identifier_.residuals(made.q[n:], made.tau[n:]).normalised_error()
+    # The interval is of the model that was judged.
+    rest = loop.judged_.residuals(made.q[n:], made.tau[n:])
+    later = rest.relative_error(loop.torque_spread_)
     low, high = loop.report_.outcome.intervals["after"]
     for j, error in enumerate(later):
         cell.add(low[j], high[j], error, loop.error_after_[j])

@@ -18,7 +18,6 @@ import _manipulations as put
 import numpy as np
 from _protocol_sets import MANIPULATED_SETS
 from _report import fixed, parser, publish, rst_table, rst_title
-from bench_protocol_pairs import last_share
 from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery
@@ -287,26 +286,12 @@ def close(case, identifier, **settings):
             case=case, message=str(error), seconds=time.perf_counter() - started
         )
     seconds = time.perf_counter() - started
-    kept = last_share(case.groups, loop.test_size)
-    clock = identifier.dt * np.arange(len(case.q))
-    later = {key: values[kept] for key, values in case.signals.items()}
-    errors = [
-        fitted.residuals(
-            case.q[kept],
-            case.tau[kept],
-            groups=case.groups[kept],
-            t=clock[kept],
-            **_taken(fitted.residuals, later),
-        ).rms()
-        for fitted in (loop.declared_, loop.identifier_)
-    ]
-    whole = loop.declared_.residuals(case.q, case.tau, groups=case.groups)
     return Answer(
         case=case,
         effects=loop.effects_,
-        before=errors[0],
-        after=errors[1],
-        spread=whole.rms() / whole.normalised_error(),
+        before=loop.error_before_ * loop.torque_spread_,
+        after=loop.error_after_ * loop.torque_spread_,
+        spread=loop.torque_spread_,
         seconds=seconds,
     )
 
@@ -459,9 +444,9 @@ def section(name, answers, recording, part=""):
 INTRODUCTION = f"""Positions, torques or model of the recording with one thing
 changed. Verdict: named is the right effect on the right joint with its value within
 {100 * TOLERANCE:.0f} % of what was put in. Added and gone: against what is named on the
-recording as it is. Errors: root mean square on the last quarter of every recording,
-which the search leaves alone, in N m on the joint that was changed, and the mean of all
-joints in per cent of the torque's spread in the moving time of the whole recording.
+recording as it is. Errors: root mean square on the untouched part as the report
+gives it, in N m on the joint that was changed, and the mean of all joints in per cent
+of the torque's spread in the moving time of the whole recording.
 "As recorded" are the errors of the same joint where nothing was put in.
 Stamps are off by white noise, rows are lost at random, never two in a row; both then
 come through a file, as a user's recording does. Seed {SEED}."""

@@ -104,14 +104,6 @@ def test_a_joint_that_never_moves_is_not_counted():
     np.testing.assert_array_equal(scale.overlap(("rests",), ("moves",)), 0.0)
 
 
-def test_last_share_is_what_a_search_leaves_alone(demo):
-    from sklearn_vbjfa.diagnosis._split import split_in_time
-
-    groups = np.repeat([0, 1, 2], [101, 7, 230])
-    expected = split_in_time(groups.size, groups, 0.25)[1]
-    np.testing.assert_array_equal(pairs.last_share(groups, 0.25), expected)
-
-
 @pytest.fixture(scope="module")
 def judged_pairs():
     """Judge the demonstration in place of the KR300, both ways."""
@@ -136,14 +128,18 @@ def test_pairs_are_judged_on_what_was_not_fitted(judged_pairs, demo):
     assert scale.spread.shape == (6,)
 
 
-def test_reported_error_is_that_of_the_report(judged_pairs, demo):
+def test_intervals_are_those_of_the_report(judged_pairs):
     _, scale, verdicts, _ = judged_pairs
     for verdict in verdicts:
-        # The script's error in N m and the report's share belong to the same rows:
-        # their quotient is a spread of the torque, of the size of that of the set.
-        spread = verdict.reported_after / verdict.report_after
-        assert (spread < 2.5 * scale.spread).all()
-        assert (spread > 0.3 * scale.spread).all()
+        low, high = verdict.difference
+        gain = verdict.reported_after - verdict.reported_before
+        assert ((low <= gain) & (gain <= high)).all()
+        assert ((verdict.width > 1.0) & (verdict.width < 2.0)).all()
+        assert not verdict.surely_worse[1]
+        worse = replace(verdict, after=verdict.before + 0.6 * (high - low))
+        assert worse.surely_worse.all()
+        # Reported in N m: a few per cent of the torque of the set.
+        assert (verdict.reported_after < 0.1 * scale.spread).all()
 
 
 def test_spread_of_the_set_counts_what_moves(demo):
@@ -162,14 +158,12 @@ def test_spread_of_the_set_counts_what_moves(demo):
 
 def test_section_lists_what_is_not_counted(judged_pairs):
     recording, scale, verdicts, _ = judged_pairs
-    narrow = replace(verdicts[0], overlap=np.full((2, 6), 0.79), same_rows=False)
+    narrow = replace(verdicts[0], overlap=np.full((2, 6), 0.79))
     text = "\n".join(
         pairs.section("kuka_kr300", recording, scale, [narrow, verdicts[1]], ["x: y"])
     )
     assert f"{narrow.judged} j1" in text.partition("Not counted")[2]
     assert "Failed: x: y" in text
-    note = next(line for line in text.splitlines() if "no longer" in line)
-    assert narrow.judged in note
     total = pairs.summary("kuka_kr300", [narrow, verdicts[1]], scale.spread)
     assert total[1] == "12"
     assert int(total[2]) == verdicts[1].counted.sum()

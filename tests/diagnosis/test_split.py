@@ -61,16 +61,28 @@ def test_several_stretches_of_a_single_recording():
     assert split.borders == ((True, True), (True, True), (True, False))
 
 
-def test_the_ends_of_each_of_several_recordings():
+def test_both_ends_of_each_of_several_recordings():
     q = motion(90.0)
     groups = np.repeat([7, 3, 7], [2000, 1000, 1500])
-    split = split_in_time(robot(), q, groups, 0.25)
+    split = split_in_time(robot(cutoff=4.0), q, groups, 0.25)
     whole(split, len(q))
-    assert [s.stop for s in split.stretches] == [2000, 3000, 4500]
-    lengths = [s.stop - s.start for s in split.stretches]
-    assert_allclose(lengths, [500, 250, 375], rtol=0.1)
+    edges = [(s.start, s.stop) for s in split.stretches]
+    assert [a for a, _ in edges[::2]] == [0, 2000, 3000]
+    assert [b for _, b in edges[1::2]] == [2000, 3000, 4500]
+    lengths = [b - a for a, b in edges]
+    assert_allclose(lengths, [250, 250, 125, 125, 188, 188], rtol=0.2)
     assert_array_equal(np.unique(split.recording), [0, 1, 2])
-    assert all(border == (True, False) for border in split.borders)
+    assert split.borders == ((False, True), (True, False)) * 3
+
+
+def test_the_end_of_each_where_both_would_be_too_short():
+    q = motion(90.0)
+    groups = np.repeat([7, 3, 7], [2000, 1000, 1500])
+    split = split_in_time(robot(cutoff=1.2), q, groups, 0.25)
+    whole(split, len(q))
+    assert [s.stop for s in split.stretches][-1] == 4500
+    assert split.borders[-1] == (True, False)
+    assert len(split.stretches) < 6
 
 
 def test_a_robot_that_comes_to_rest_is_judged_in_motion():
@@ -118,8 +130,29 @@ def test_the_guard_leaves_half_of_every_stretch():
     assert near.stretches[-1].stop == len(q)
     assert_array_equal(near.search, split.search)
     far = split.guarded(10**6)
+    assert far.test.size < near.test.size
     for before, after in zip(split.stretches, far.stretches):
         assert after.stop - after.start >= 0.5 * (before.stop - before.start)
+
+
+def test_the_guard_leaves_what_a_verdict_needs():
+    q = motion(24.0)
+    split = split_in_time(robot(cutoff=2.0), q, None, 0.25)
+    need = split.amount.need
+    assert np.all(split.amount.of(split.stretches) >= need)
+    far = split.guarded(10**6)
+    assert np.all(split.amount.of(far.stretches) >= need)
+
+
+def test_a_short_recording_gives_more_for_a_verdict():
+    q = motion(16.0)
+    split = split_in_time(robot(cutoff=2.2), q, None, 0.15)
+    share = split.test.size / len(q)
+    assert 0.16 < share < 0.41
+    assert np.all(split.amount.of(split.stretches) >= split.amount.need)
+    # Not in vain, where even that is too little.
+    short = split_in_time(robot(cutoff=2.2), q[:400], None, 0.15)
+    assert short.test.size == pytest.approx(0.15 * 400, rel=0.6)
 
 
 def test_units_and_time_do_not_matter():

@@ -2,8 +2,8 @@
 
 Run ``python tests/benchmarks/bench_discovery_measured.py --data-home DIR [--write]``.
 The declared model is the paper's, ten inertial parameters and viscous friction per
-joint; the untouched part of every recording is looked at once. Filters and masks are those
-of ``bench_measured_robots.py``, but for EMPS (20 Hz).
+joint; the untouched part of every recording is looked at once. Filters and masks are
+those of ``bench_measured_robots.py``, but for EMPS (20 Hz).
 """
 
 import sys
@@ -99,8 +99,7 @@ def main(argv=None):
     text = (
         "Root mean square of the residual over the standard deviation of the torque, "
         "on the untouched part, over the spread of the torque in the moving time of "
-        "the whole recording.\n\n"
-        + rst_table(rows, HEADERS, n_labels=3)
+        "the whole recording.\n\n" + rst_table(rows, HEADERS, n_labels=3)
     )
     publish("discovery_measured", text, write=arguments.write)
 

@@ -1,0 +1,178 @@
+"""Recordings of robots that rest, pause, or change: a true verdict, or none and why."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from tests.diagnosis._recordings import named
+from tests.effects._arms import arm, inverse_dynamics
+
+DT = 0.02
+MODEL = arm("ZY")
+VISCOUS, COULOMB = np.array([0.8, 0.5]), np.array([0.6, 0.4])
+PLAIN = ["spring", "offset", "payload", "load_friction"]
+
+
+def motion(t, pace):
+    """States (n, 6) along a path in every joint, at its own pace (n, 2) from 0 to 1."""
+    smooth = np.hanning(51) / np.hanning(51).sum()
+    pace = np.column_stack([np.convolve(x, smooth, mode="same") for x in pace.T])
+    at = np.cumsum(pace, axis=0) * DT
+    rate = np.gradient(pace, DT, axis=0)
+    q, v, a = (np.zeros_like(pace) for _ in range(3))
+    for size, w, phase in ((0.7, [2.1, 2.9], 0.3), (0.4, [4.7, 3.7], 1.1)):
+        w = np.array(w)
+        q += size * np.sin(w * at + phase)
+        v += size * w * np.cos(w * at + phase) * pace
+        a += size * w * np.cos(w * at + phase) * rate
+        a -= size * w**2 * np.sin(w * at + phase) * pace**2
+    return np.hstack([q, v, a])
+
+
+def measure(t, pace, seed=0, extra=None, friction=1.0, model=MODEL):
+    """Positions and torques; at rest friction is anywhere in its band."""
+    rng = np.random.default_rng(seed)
+    states = motion(t, pace)
+    q, v, _ = np.split(states, 3, axis=1)
+    stuck = 0.5 * np.sin(0.05 * np.arange(t.size))[:, None] * np.ones(2)
+    direction = np.where(np.abs(v) > 1e-4, np.sign(v), stuck)
+    torque = inverse_dynamics(model, states)
+    torque = torque + np.reshape(friction, (-1, 1)) * (
+        VISCOUS * v + COULOMB * direction
+    )
+    if extra is not None:
+        torque = torque + extra(q, v)
+    noise = rng.normal(size=(2, *q.shape))
+    return q + 2e-5 * noise[0], torque + 0.05 * noise[1]
+
+
+def close(q, tau, effects=PLAIN, groups=None):
+    robot = RobotIdentifier(MODEL, dt=DT, friction=("viscous", "coulomb"))
+    return EffectDiscovery(robot, effects=effects).fit(q, tau, groups=groups)
+
+
+def pauses(t, *moving):
+    """Pace that is 1 in the given intervals of each joint, else 0."""
+    pace = np.zeros((t.size, 2))
+    for j, intervals in enumerate(moving):
+        for low, high in intervals:
+            pace[(t >= low) & (t < high), j] = 1.0
+    return pace
+
+
+def seconds(length):
+    return np.arange(round(length / DT)) * DT
+
+
+def elbow_spring(q, v):
+    return np.column_stack([0.0 * q[:, 0], 4.0 * q[:, 1]])
+
+
+def true_of_a_complete_robot(loop):
+    assert loop.effects_ == ()
+    assert loop.report_.status == "nothing", loop.report_.headline
+    assert all(v.status == "floor" for v in loop.report_.joints)
+
+
+@pytest.mark.parametrize("extra", [None, elbow_spring])
+def test_a_robot_that_comes_to_rest(extra):
+    t = seconds(60.0)
+    q, tau = measure(t, pauses(t, [(2, 38)], [(2, 38)]), extra=extra)
+    loop = close(q, tau)
+    if extra is None:
+        true_of_a_complete_robot(loop)
+    else:
+        assert named(loop) == [("spring", 1)]
+        assert loop.report_.status == "complete"
+    # A few per cent of the torque, whatever little of it there is at the end.
+    assert np.all(loop.error_after_ < 0.1)
+
+
+@pytest.mark.parametrize("extra", [None, elbow_spring])
+def test_joints_that_move_one_at_a_time(extra):
+    t = seconds(80.0)
+    q, tau = measure(t, pauses(t, [(1, 40)], [(41, 79)]), extra=extra)
+    loop = close(q, tau)
+    if extra is None:
+        true_of_a_complete_robot(loop)
+    else:
+        assert named(loop) == [("spring", 1)]
+    assert np.all(loop.report_.outcome.seconds > 5.0)
+
+
+def test_two_seconds_of_motion_in_sixty():
+    t = seconds(60.0)
+    q, tau = measure(t, pauses(t, [(30, 32)], [(30, 32)]), extra=elbow_spring)
+    try:
+        report = close(q, tau).report_
+    except ValueError as error:
+        said = str(error)
+        assert "record" in said or "give a longer" in said
+    else:
+        assert report.status in ("no data", "exhausted", "partial", "complete")
+        if report.status == "no data":
+            assert "record more motion" in report.headline
+        if report.status == "complete":
+            assert named_of(report) == [("spring", 1)]
+
+
+def named_of(report):
+    return sorted((e.name, e.joint) for e in report.outcome.effects)
+
+
+def groups_of(t):
+    return (np.arange(2 * t.size) >= t.size).astype(int)
+
+
+def two(make):
+    """Join two recordings of 30 s, made by (number, t)."""
+    t = seconds(30.0)
+    parts = [make(number, t) for number in (0, 1)]
+    q, tau = (np.concatenate(x) for x in zip(*parts))
+    return q, tau, groups_of(t)
+
+
+def pace_of(number, t):
+    pace = pauses(t, [(1, 29)], [(1, 29)])
+    return pace * (1.0 if number == 0 else 0.9)
+
+
+def test_groups_that_differ_in_a_payload():
+    import pinocchio as pin
+
+    heavy = MODEL.copy()
+    lump = pin.SE3(np.eye(3), np.array([0.05, 0.1, 0.02]))
+    heavy.inertias[2] += lump.act(pin.Inertia.FromSphere(0.6, 0.03))
+    q, tau, groups = two(
+        lambda k, t: measure(t, pace_of(k, t), seed=k, model=heavy if k else MODEL)
+    )
+    loop = close(q, tau, groups=groups)
+    assert named(loop) == [("payload", 1)]
+    low, high = loop.effects_[0].intervals["dm"]
+    assert low < 0.6 < high
+    # About an upright axis mass and own inertia are felt much alike.
+    assert high - low < 0.5
+    assert loop.effects_[0].parameters["instant"] == pytest.approx(30.0, abs=0.1)
+    assert loop.report_.status == "complete"
+
+
+def test_groups_that_differ_in_temperature():
+    """A third less friction in the second: never "nothing is missing"."""
+    q, tau, groups = two(
+        lambda k, t: measure(t, pace_of(k, t), seed=k, friction=0.66 if k else 1.0)
+    )
+    loop = close(q, tau, effects=[*PLAIN, "drift"], groups=groups)
+    assert loop.report_.status not in ("nothing", "complete") or {
+        e.name for e in loop.effects_
+    } == {"drift"}
+    assert "payload" not in {e.name for e in loop.effects_}
+
+
+def test_groups_that_differ_in_the_controller():
+    """Stiffer: another motion of the same robot, and nothing else."""
+    q, tau, groups = two(
+        lambda k, t: measure(t, pace_of(k, t) * (1.0 if k else 0.6), seed=k)
+    )
+    true_of_a_complete_robot(close(q, tau, groups=groups))

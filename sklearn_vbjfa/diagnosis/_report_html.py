@@ -125,8 +125,8 @@ def _band(outcome):
         return ""
     fit = words.number(outcome.declared.get("cutoff", np.nan))
     return (
-        f"; in the band of the fit, up to {fit} Hz, and in brackets up to "
-        f"{words.number(outcome.wide_cutoff, 2)} Hz, where nothing was identified"
+        f"; in the band of the fit, up to {fit} Hz. In the wider one, up to "
+        f"{words.number(outcome.wide_cutoff, 2)} Hz, nothing was identified"
     )
 
 
@@ -148,16 +148,11 @@ def _joint(outcome, verdict, scale):
         width = f"{100 * max(high - low, 0.0) / scale:.1f}%"
         reach = f'<i class="range" style="left:{place(low)};width:{width}"></i>'
         span = f" [{words.bare_percent(low)}, {words.bare_percent(high)}]"
-    unit = outcome.torque_units[j]
     bars = ""
-    for kind, value, wide, extra, text in (
-        ("before", before, outcome.wide_before[j], "", ""),
-        ("after", after, outcome.wide_after[j], reach, span),
+    for kind, value, extra, text in (
+        ("before", before, "", ""),
+        ("after", after, reach, span),
     ):
-        if np.isfinite(value):
-            text += f" {words.number(value * outcome.spread[j], 2)} {unit}"
-        if np.isfinite(wide):
-            text += f" ({words.bare_percent(wide)} %)"
         fill = ""
         if np.isfinite(value):
             fill = f'<i class="fill {kind}" style="width:{place(value)}"></i>'
@@ -165,6 +160,12 @@ def _joint(outcome, verdict, scale):
             f'<div class="bar"><div class="track">{fill}{extra}{tick}</div>'
             f"<span>{words.percent(value)}{text}</span></div>"
         )
+    if np.isfinite(after):
+        told = f"{words.number(after * outcome.spread[j], 2)} {outcome.torque_units[j]}"
+        if np.isfinite(outcome.wide_after[j]):
+            band = words.number(outcome.wide_cutoff, 2)
+            told += f"; up to {band} Hz {words.percent(outcome.wide_after[j])}"
+        bars += f'<p class="note">after: {_text(told)}</p>'
     colour = _JOINT_COLOURS.get(verdict.status, "warn")
     return (
         f'<div class="joint"><b>{_text(verdict.label)}</b>'
@@ -367,6 +368,12 @@ def _text(value):
 
 
 def _nice(text):
-    for plain, sign in (("+-", "&#177;"), ("^2", "&#178;"), ("^3", "&#179;")):
+    for plain, sign in (
+        ("+-", "&#177;"),
+        ("^2", "&#178;"),
+        ("^3", "&#179;"),
+        # A number and its sign stay on one line.
+        (" %", "\u00a0%"),
+    ):
         text = text.replace(plain, sign)
     return text

@@ -32,8 +32,9 @@ def _sampled(when):
     return change
 
 
-def _late(share):
-    return lambda t, rng: t + DT * np.clip(share * rng.normal(size=t.size), -0.45, 0.45)
+def late(share, dt=DT):
+    """Return stamps early or late by a share of a period (standard deviation)."""
+    return lambda t, rng: t + dt * np.clip(share * rng.normal(size=t.size), -0.45, 0.45)
 
 
 def _delayed(mean):
@@ -43,7 +44,9 @@ def _delayed(mean):
     )
 
 
-def _lost(share):
+def lost(share):
+    """Return rows some of which were lost."""
+
     def choose(n, rng):
         keep = rng.random(n) >= share
         keep[[0, -1]] = True
@@ -52,7 +55,9 @@ def _lost(share):
     return choose
 
 
-def _gaps(count, longest):
+def gaps(count, longest):
+    """Return rows with gaps of six rows to `longest`."""
+
     def choose(n, rng):
         keep = np.ones(n, dtype=bool)
         for start in rng.integers(50, n - longest - 50, size=count):
@@ -62,7 +67,7 @@ def _gaps(count, longest):
     return choose
 
 
-def _repeated(share):
+def repeated(share):
     """Return rows some of which were written twice."""
 
     def choose(n, rng):
@@ -71,7 +76,7 @@ def _repeated(share):
     return choose
 
 
-def _stale(share):
+def stale(share):
     """Return stamps some of which were not renewed."""
 
     def change(t, rng):
@@ -83,7 +88,8 @@ def _stale(share):
     return change
 
 
-def _drift(share):
+def drift(share):
+    """Return stamps of a clock that is faster and faster."""
     return lambda t, rng: t * (1 + share * t / t[-1])
 
 
@@ -128,12 +134,12 @@ def _stamp_cases():
         add(f"from {start:g} s on", _stamps(lambda t, rng, s=start: t + s))
     add("too few digits", _stamps(lambda t, rng: t + 1.7e9), "refused", "time")
     for share in (0.05, 0.1, 0.2, 0.3, 0.4):
-        add(f"written late {share}", _stamps(_late(share)), message="note: ")
-        add(f"sampled late {share}", _sampled(_late(share)), message="note: ")
+        add(f"written late {share}", _stamps(late(share)), message="note: ")
+        add(f"sampled late {share}", _sampled(late(share)), message="note: ")
     for mean in (0.2, 1.0):
         add(f"written after {mean} periods", _stamps(_delayed(mean)), message="note: ")
     for share in (0.01, 0.02, 0.05, 0.1):
-        add(f"{share} of the rows lost", _rows(_lost(share)), message="note: ")
+        add(f"{share} of the rows lost", _rows(lost(share)), message="note: ")
     add("each 10th row lost", _rows(lambda n, rng: np.flatnonzero(np.arange(n) % 10)))
     add(
         "each 2nd row lost at times",
@@ -144,25 +150,25 @@ def _stamp_cases():
         ),
     )
     for share in (0.01, 0.1, 1.0):
-        add(f"{share} of the rows twice", _rows(_repeated(share)), message="note: ")
+        add(f"{share} of the rows twice", _rows(repeated(share)), message="note: ")
         add(
             f"{share / 2} of the stamps stale",
-            _stamps(_stale(share / 2)),
+            _stamps(stale(share / 2)),
             message="note: ",
         )
     for share in (-0.02, 0.005, 0.02):
-        add(f"clock drifts by {share}", _stamps(_drift(share)))
+        add(f"clock drifts by {share}", _stamps(drift(share)))
         add(f"clock wanders by {share}", _stamps(_wander(share)))
     add("clock 2 % fast", _stamps(lambda t, rng: 1.02 * t))
     for size in (2, 5):
         add(f"packets of {size}", _stamps(_packets(size)))
     add(
         "packets of 5, lost ones",
-        lambda x, rng: _rows(_lost(0.02))(_stamps(_packets(5))(x, rng), rng),
+        lambda x, rng: _rows(lost(0.02))(_stamps(_packets(5))(x, rng), rng),
         "either",
     )
-    add("one gap", _rows(_gaps(1, 60)), message="gap")
-    add("three gaps", _rows(_gaps(3, 60)), "read", "gap")
+    add("one gap", _rows(gaps(1, 60)), message="gap")
+    add("three gaps", _rows(gaps(3, 60)), "read", "gap")
     add(
         "gaps close together",
         _rows(

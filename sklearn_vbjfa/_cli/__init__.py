@@ -68,6 +68,13 @@ def one_line(message):
     return text
 
 
+class _Parser(argparse.ArgumentParser):
+    """Parser whose refusals are as short as those of a run."""
+
+    def error(self, message):
+        super().error(one_line(message))
+
+
 def _clear_progress():
     if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr)
@@ -77,7 +84,7 @@ def _parser():
     from sklearn_vbjfa import __version__
     from sklearn_vbjfa._cli import _close_loop, _identify
 
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="sklearn-vbjfa",
         description="Robot identification with noise in inputs and outputs. Without "
         "a command: close the loop on the recording that the package brings along.",

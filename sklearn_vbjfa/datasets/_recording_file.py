@@ -10,6 +10,9 @@ from sklearn_vbjfa.datasets._recording import Recording, _check_dt
 from sklearn_vbjfa.datasets._table_file import Table, read_table
 from sklearn_vbjfa.datasets._uniform import on_grid
 
+# Positions [rad or m], speeds and torques [N m or N] beyond this are no robot's.
+_LARGEST = 1e12
+
 
 def read_recording(
     path: str | PathLike,
@@ -87,13 +90,13 @@ def read_recording(
     names = _strings(joint_names)
     model_names, prismatic = _robot(urdf, names)
     names = names or model_names
-    channels, taken = {}, set()
+    channels, used = {}, {}
     for kind in ("q", "tau", "v", "a"):
-        values, used = _channel(table, kind, names)
-        taken |= used
-        if values is not None:
-            channels[kind] = values
-    names = _check_joints(table, channels, names)
+        values, found = _channel(table, kind, names)
+        if found:
+            channels[kind], used[kind] = values, found
+    names = _check_joints(table, used, names)
+    taken = {column for found in used.values() for column in found}
     if model_names:
         # The order of the model, whatever that of the file.
         order = sorted(range(len(names)), key=lambda j: model_names.index(names[j]))
@@ -168,11 +171,12 @@ def _channel(table: Table, kind: str, names):
             continue
         _refuse_two(table, found.setdefault(key, column), column)
     if by_joint and by_number:
-        named, numbered = (next(iter(x.values())) for x in (by_joint, by_number))
+        j, named = next(iter(by_joint.items()))
+        numbered = by_number.get(str(j + 1), next(iter(by_number.values())))
         _refuse_two(table, named, numbered)
     found = by_joint or by_number
     if not found:
-        return None, set()
+        return None, []
     first = 0 if by_joint or "0" in found else 1
     count = len(names if by_joint else found)
     columns = []
@@ -184,8 +188,15 @@ def _channel(table: Table, kind: str, names):
                 f"{table.path}: column {missing!r} is missing beside "
                 f"{_listed(found.values())}; every joint needs one, in order."
             )
-        columns.append(_numbers(table, found[key]))
-    return np.column_stack(columns), set(found.values())
+        values = _numbers(table, found[key])
+        far = np.flatnonzero(np.abs(values) > _LARGEST)
+        if far.size:
+            raise ValueError(
+                f"{table.path}: {values[far[0]]:.3g} in {table.where(far[0])}, column "
+                f"{found[key]!r}, is beyond all robots; correct or remove that row."
+            )
+        columns.append(values)
+    return np.column_stack(columns), list(found.values())
 
 
 def _refuse_two(table, one, other):
@@ -223,20 +234,21 @@ def _numbers(table: Table, column: str):
     return values
 
 
-def _check_joints(table: Table, channels, names):
-    """Check the number of joints, return their names."""
+def _check_joints(table: Table, used, names):
+    """Check the number of joints by the columns of each kind, return their names."""
     for kind, what in (("q", "positions"), ("tau", "torques")):
-        if kind not in channels:
+        if kind not in used:
             raise ValueError(
                 f"{table.path}: no {what}: expected columns {kind}1, {kind}2, ..., "
                 f"found {_listed(table.columns)}; rename them in the header."
             )
-    nv = channels["q"].shape[1]
-    for kind, values in channels.items():
-        if values.shape[1] != nv:
+    nv = len(used["q"])
+    for kind, columns in used.items():
+        if len(columns) != nv:
             raise ValueError(
-                f"{table.path}: {nv} column(s) q and {values.shape[1]} column(s) "
-                f"{kind}; every joint needs one of each."
+                f"{table.path}: {nv} column(s) q ({_listed(used['q'])}) and "
+                f"{len(columns)} column(s) {kind} ({_listed(columns)}); every joint "
+                "needs one of each."
             )
     if not names:
         return tuple(f"joint_{k + 1}" for k in range(nv))

@@ -53,6 +53,8 @@ class TimeStamps:
         Standard deviation of the steps from the period, gaps left out [s].
     shortest, longest : float
         Shortest and longest step, gaps left out [s].
+    doubled : int
+        Number of stamps equal to the one before.
     gaps : ndarray of int
         Rows after which more than five periods are missing.
     """
@@ -65,6 +67,7 @@ class TimeStamps:
     jitter: float
     shortest: float
     longest: float
+    doubled: int
     gaps: np.ndarray
 
 
@@ -127,6 +130,7 @@ def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
         jitter=float(np.sqrt(np.mean((inside - own) ** 2))) if inside.size else 0.0,
         shortest=float(inside.min(initial=np.inf)),
         longest=float(inside.max(initial=0.0)),
+        doubled=int((step == 0).sum()),
         gaps=gaps,
     )
 
@@ -187,12 +191,12 @@ def _gaps(t, step, period):
     gaps = []
     for row in np.flatnonzero(step > GAP_PERIODS * period):
         excess = step[row] / period - 1.0
-        ahead = min(row + 1 + int(np.ceil(3 * excess)), t.size - 1)
-        left = (t[ahead] - t[row]) / period - (ahead - row)
-        before = max(row - int(np.ceil(3 * excess)), 0)
-        other = (t[row + 1] - t[before]) / period - (row + 1 - before)
+        count = int(np.ceil(3 * excess))
+        after = t[row + 1 : row + 2 + count] - t[row]
+        before = t[row + 1] - t[max(row - count, 0) : row + 1][::-1]
         # Rows that waited come quickly afterwards; those of a packet came before.
-        if min(left, other) > excess / 3:
+        left = [np.min(x / period - np.arange(1, x.size + 1)) for x in (after, before)]
+        if min(left) > excess / 3:
             gaps.append(row)
     return np.array(gaps, dtype=int)
 

@@ -168,6 +168,12 @@ def _describe(table, stamps, segments, dt, notes):
                 f"s, standard deviation {100 * jitter / dt:.2g} % of the period of "
                 f"{dt:.4g} s): {said}."
             )
+    count = sum(x.doubled for x in stamps if not x.sampled)
+    if count:
+        notes.append(
+            f"{count} stamp(s) repeat the one before; the rows are taken as "
+            "equidistant."
+        )
     count = sum(x.gaps.size for x in stamps)
     if count:
         k = next(k for k, x in enumerate(stamps) if x.gaps.size)

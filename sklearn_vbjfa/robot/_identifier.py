@@ -235,7 +235,8 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         periods = measure_periods(self, X, y, groups, weight)
         states, halves, facts = self._fit_states(X, groups, parts, periods)
         if self.state_estimator_ is not None:
-            check_speed(self.dt, facts.fast(), self.features_._model)
+            travel = facts.highest - facts.lowest
+            check_speed(self.dt, facts.fast(), travel, self.features_._model)
         check_channels(self.joint_names_, np.stack([facts.lowest, facts.highest]), y)
         self.cutoff_ = resolve_cutoff(
             self.cutoff, parts, self.dt, self.state_estimator_

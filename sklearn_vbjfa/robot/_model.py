@@ -270,7 +270,7 @@ def _check_axes(tree, path):
     if len(moving) > _MOST_JOINTS:
         raise ValueError(
             f"{str(path)!r}: the robot has {len(moving)} moving joints, at most "
-            f"{_MOST_JOINTS} can be identified; hold the others (joint_names, --joints)."
+            f"{_MOST_JOINTS} can be identified; hold the others (--joints)."
         )
     for joint in moving:
         axis = joint.find("axis")
@@ -314,6 +314,10 @@ def _left_out(tree, model):
 
 
 def _build(pin, tree, path):
+    for link in tree.getroot().findall("link"):
+        # Shapes do not enter the model, and are not worth a complaint of the parser.
+        for shape in link.findall("visual") + link.findall("collision"):
+            link.remove(shape)
     for joint in tree.getroot().findall("joint"):
         if joint.get("type") == "continuous":
             joint.set("type", "revolute")

@@ -25,6 +25,9 @@ _SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.01
 # Speeds beyond the robot's by this factor: degrees for radians make 57, and are told
 # of elsewhere. Where the robot has no limit [rad/s or m/s].
 _TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
+# A joint that stays within a turn moves to and fro, and does so more slowly still; in
+# degrees it would have moved by hundreds.
+_TURN, _TOO_FAST_NEAR, _LARGEST_NEAR_SPEED = 2 * np.pi, 3.0, 50.0
 
 
 def check_widths(names, X, y=None):
@@ -43,7 +46,7 @@ def check_widths(names, X, y=None):
         )
 
 
-def check_speed(dt, fast, model):
+def check_speed(dt, fast, travel, model):
     """Refuse a sample period with which no robot moves like that.
 
     Periods are given in seconds; a thousandth of it, or its inverse, makes speeds that
@@ -55,6 +58,8 @@ def check_speed(dt, fast, model):
         Sample period [s].
     fast : ndarray of shape (nv,)
         99.5th percentiles of the joints' speeds with it [rad/s or m/s].
+    travel : ndarray of shape (nv,)
+        Ranges of the joints' positions [rad or m].
     model : pinocchio.Model
         Robot, for the limits of its speeds.
     """
@@ -69,11 +74,16 @@ def check_speed(dt, fast, model):
             f"dt={dt:.6g} s is too slow for a motion: the fastest joint would move at "
             f"{top:.2g} rad/s or m/s. dt is in seconds{_other_units(dt, share, top)}."
         )
-    if share > _TOO_FAST:
+    reaching = travel <= _TURN
+    near = float(np.max(fast[reaching] / limit[reaching], initial=0.0))
+    if share > _TOO_FAST or (
+        near > _TOO_FAST_NEAR
+        and np.max(fast[reaching], initial=0.0) > _LARGEST_NEAR_SPEED
+    ):
         raise ValueError(
             f"dt={dt:.6g} s is too short for this motion: a joint would move at "
-            f"{share:.2g} times the speed that the robot allows. Give the sample "
-            "period in seconds."
+            f"{share:.2g} times the speed that the robot allows. Give times in "
+            "seconds (not minutes)."
         )
 
 

@@ -2,7 +2,17 @@
 
 import numpy as np
 
-from tests.hostile._case import DT, URDF, Case, N, argv, clean_text, table_case
+from tests.hostile._case import (
+    DT,
+    URDF,
+    Case,
+    N,
+    argv,
+    cells,
+    clean_text,
+    columns,
+    table_case,
+)
 
 REST = 400
 
@@ -218,7 +228,7 @@ def _option_cases():
         found.append(
             Case(name=f"option: name {shown}", build=build_long, expect="refused")
         )
-    for dt in ("4", "5", "250", "200", "5000", "0.25", "1000", "1e6"):
+    for dt in ("4", "5", "250", "200", "5000", "1000", "1e6"):
 
         def build_dt(folder, rng, dt=dt):
             lines = [line.split(",", 1)[1] for line in clean_text().splitlines()]
@@ -229,6 +239,16 @@ def _option_cases():
         found.append(
             Case(name=name, build=build_dt, expect="refused", message=r"\bs\b")
         )
+
+    def build_fast(folder, rng):
+        fine = columns(np.arange(10_000))
+        rows = [row[1:] for row in cells(fine)]
+        (folder / "arm.csv").write_text("\n".join(map(",".join, rows)))
+        return argv("arm.csv", "--dt", "0.25")
+
+    name = "option: --dt 0.25 alone, 4 kHz"
+    ms = "in milliseconds it would be 0.00025 s"
+    found.append(Case(name=name, build=build_fast, expect="refused", message=ms))
     return found
 
 

@@ -89,8 +89,8 @@ def stale(share):
 
 
 def drift(share):
-    """Return stamps of a clock that is faster and faster."""
-    return lambda t, rng: t * (1 + share * t / t[-1])
+    """Return stamps of a clock that is slow at first and fast at the end."""
+    return lambda t, rng: t + share * t * (t / t[-1] - 1)
 
 
 def _wander(share):
@@ -115,6 +115,12 @@ def _swapped(count):
 
 def _reset(t, rng):
     return t % 2.0
+
+
+def _slower(t, rng, factor=1.5):
+    """Return times whose period is longer in the second half."""
+    half = t[N // 2]
+    return np.where(t > half, half + factor * (t - half), t)
 
 
 def _random(t, rng):
@@ -159,7 +165,8 @@ def _stamp_cases():
     for share in (-0.02, 0.005, 0.02):
         add(f"clock drifts by {share}", _stamps(drift(share)))
         add(f"clock wanders by {share}", _stamps(_wander(share)))
-    add("clock 2 % fast", _stamps(lambda t, rng: 1.02 * t))
+    # Nothing in the stamps tells it.
+    add("clock 2 % fast", _stamps(lambda t, rng: 1.02 * t), "read")
     for size in (2, 5):
         add(f"packets of {size}", _stamps(_packets(size)))
     add(
@@ -209,15 +216,9 @@ def _stamp_cases():
         )
         add(f"in {unit}, 4 kHz", _sampled_fast(factor), "refused", kinds)
     add("row numbers", _stamps(lambda t, rng: np.arange(t.size)), "refused", "second")
-    add(
-        "two periods",
-        _stamps(
-            lambda t, rng: np.r_[
-                t[: (N // 2)], t[(N // 2)] + 2 * (t[(N // 2) :] - t[(N // 2)])
-            ]
-        ),
-        "refused",
-    )
+    add("a period that changes", _stamps(_slower), "refused", "period")
+    add("sampled more slowly later", _sampled(_slower))
+    add("half of the rows later", _sampled(lambda t, rng: _slower(t, rng, 2.0)))
     add(
         "two periods in segments",
         lambda x, rng: (

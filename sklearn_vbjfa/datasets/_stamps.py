@@ -26,6 +26,8 @@ _NEAR, _NEARLY_ALL = 0.15, 0.9
 # Rows over which the period is averaged, against late stamps; and over which it is
 # compared with that of the rest, by the standard deviation of its ratio.
 _WINDOW, _LONG_WINDOW, _CHANGES = 16, 64, 0.08
+# Stamps of which fewer change than this must change by small shares of the recording.
+_SOME_TICKS, _FINE_TICKS = 0.3, 0.02
 # Positions must fit the stamps better by this much, in the sum over the joints of the
 # logarithms of their roughness, than they fit a steady sampling.
 _CLEARLY = 0.2
@@ -146,10 +148,13 @@ def _check_order(t, step, where):
             f"time runs backwards to {t[row]:.9g} s in {where(row)} ({back.size} such "
             "row(s)); sort the rows, or mark separate recordings in a column segment."
         )
-    if t[-1] == t[0]:
+    ticks = step[step > 0]
+    several = ticks.size < _SOME_TICKS * step.size
+    if not ticks.size or (several and np.max(ticks) > _FINE_TICKS * (t[-1] - t[0])):
         raise ValueError(
-            f"time repeats {t[0]:.9g} s in all rows; write the stamps with more "
-            "digits, or leave them out and give dt."
+            f"time repeats {t[0]:.9g} s in all rows or in most of them "
+            f"({ticks.size + 1} different stamps in {t.size} rows); write the stamps "
+            "with more digits, or leave them out and give dt."
         )
 
 
@@ -250,9 +255,10 @@ def _check_given(own, dt):
 # -- when rows were sampled ------------------------------------------------------------
 
 
-def _followed_slots(t, dt):
+def _followed_slots(t, dt, whole):
     """Count periods, following a clock that wanders and stamps that are late."""
-    start = min(_WINDOW, t.size)
+    # Stamps at whole periods begin at one; among late ones the first may be the latest.
+    start = 1 if whole else min(_WINDOW, t.size)
     phase = float(np.median(t[:start] - dt * np.arange(start)))
     slots = np.empty(t.size, dtype=int)
     slot, behind = -1, 0.0
@@ -274,7 +280,7 @@ def _when(t, pieces, period, whole, positions, where):
     for piece in pieces:
         slots, own = None, period
         for _ in range(2):
-            slots = _followed_slots(t[piece], own)
+            slots = _followed_slots(t[piece], own, whole)
             took = t[piece.stop - 1] - t[piece.start]
             own = took / slots[-1] if slots[-1] and took > 0 else own
         followed.append(slots)
@@ -290,7 +296,7 @@ def _when(t, pieces, period, whole, positions, where):
         rough = _roughness([*times, t], pieces, positions)
     best = int(len(times) > 1 and rough[1] < rough[0] - _CLEARLY)
     if rough[-1] < rough[best] - _CLEARLY:
-        return periods[-1], candidates[-1], True
+        return periods[0], candidates[0], True
     _check_rate(t, pieces, periods[best], candidates[best], where)
     return periods[best], candidates[best], False
 

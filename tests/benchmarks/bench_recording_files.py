@@ -61,8 +61,15 @@ def kept(choose):
     return fault
 
 
+def other_samples(t, fine, rng):
+    """Return rows half a period later: another noise, and no fault."""
+    rows = np.arange(FINE // 2, fine, FINE)
+    return rows, t[: rows.size]
+
+
 FAULTS = {
     "steady": stamped(lambda t, rng: t),
+    "steady, other samples": other_samples,
     "written late, 0.1": stamped(faults.late(0.1, DT)),
     "written late, 0.3": stamped(faults.late(0.3, DT)),
     "sampled late, 0.1": sampled(faults.late(0.1, DT)),
@@ -72,6 +79,7 @@ FAULTS = {
     "2 % of rows twice": kept(faults.repeated(0.02)),
     "2 % of stamps stale": stamped(faults.stale(0.02)),
     "three gaps": kept(faults.gaps(3, 200)),
+    "packets of 5": stamped(faults.packets(5)),
     "clock drifts by 2 %": stamped(faults.drift(0.02)),
     "clock 2 % fast": stamped(lambda t, rng: 1.02 * t),
 }

@@ -98,7 +98,7 @@ def _wander(share):
     return lambda t, rng: t + share / (2 * np.pi / 3.0) * np.sin(2 * np.pi * t / 3.0)
 
 
-def _packets(size):
+def packets(size):
     """Return stamps of packets: the same one for some rows."""
     return lambda t, rng: t[(np.arange(t.size) // size) * size]
 
@@ -168,10 +168,10 @@ def _stamp_cases():
     # Nothing in the stamps tells it.
     add("clock 2 % fast", _stamps(lambda t, rng: 1.02 * t), "read")
     for size in (2, 5):
-        add(f"packets of {size}", _stamps(_packets(size)))
+        add(f"packets of {size}", _stamps(packets(size)))
     add(
         "packets of 5, lost ones",
-        lambda x, rng: _rows(lost(0.02))(_stamps(_packets(5))(x, rng), rng),
+        lambda x, rng: _rows(lost(0.02))(_stamps(packets(5))(x, rng), rng),
         "either",
     )
     add("one gap", _rows(gaps(1, 60)), message="gap")

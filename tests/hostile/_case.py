@@ -35,7 +35,7 @@ URDF = (
     )
     + "</robot>"
 )
-OPTIONS = ("--urdf", "arm.urdf", "--effects", "spring,offset", "--out", "out")
+OPTIONS = ("--urdf", "arm.urdf", "--effects", "spring", "--out", "out")
 
 
 @dataclass(frozen=True, kw_only=True)

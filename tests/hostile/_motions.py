@@ -93,7 +93,7 @@ def _motion_cases():
         lambda x, rng: {k: 0 * v if k != "t" else v for k, v in x.items()},
         "refused",
     )
-    add("positions constant", _all("q", 0.5), "refused", "No joint moves")
+    add("positions constant", _all("q", 0.5), "refused", "o joint moves")
     add("torques constant", _all("tau", 0.5), "refused", "constant")
     add(
         "noise only",

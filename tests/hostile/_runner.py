@@ -12,6 +12,7 @@ import resource
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,16 +71,11 @@ class Runner:
 
 
 def _serve():
-    import pinocchio  # noqa: F401
-
-    import sklearn_vbjfa.datasets  # noqa: F401
-    from sklearn_vbjfa import EffectDiscovery, effects  # noqa: F401
-    from sklearn_vbjfa._cli import _close_loop, main  # noqa: F401
-    from sklearn_vbjfa.datasets import read_recording  # noqa: F401
-
     with contextlib.suppress(ImportError):
         from pyarrow import parquet  # noqa: F401
-    for line in sys.stdin:
+    for number, line in enumerate(sys.stdin):
+        if number == 0:
+            _warm_up(json.loads(line))
         task = json.loads(line)
         folder = Path(task["folder"])
         out, err = folder / ".stdout", folder / ".stderr"
@@ -96,6 +92,22 @@ def _serve():
             memory=usage.ru_maxrss * 1024,
         )
         print(json.dumps(vars(outcome)), flush=True)
+
+
+def _warm_up(task):
+    """Run the first task here, so that what it imports need not be in each fork."""
+    from sklearn_vbjfa._cli import main
+
+    with tempfile.TemporaryDirectory() as out:
+        os.chdir(task["folder"])
+        argv = [*task["argv"], "--out", out]
+        with (
+            open(os.devnull, "w", encoding="utf-8") as null,
+            contextlib.redirect_stdout(null),
+            contextlib.redirect_stderr(null),
+        ):
+            main(argv)
+    os.chdir("/")
 
 
 def _run(argv, folder, out, err):

@@ -100,16 +100,12 @@ def _wide(n):
 
 
 def _long(n):
-    """Constant rows [1, 1, ...] after the motion: a robot that was left on."""
+    """Return a recording of a robot that was left on: it never moves."""
 
     def build(folder, rng):
-        lines = clean_lines()
-        last = lines[-1].split(",")[1:]
         with (folder / "arm.csv").open("w") as file:
-            file.write(",".join(lines[0].split(",")[1:]) + "\n")
-            for line in lines[1:]:
-                file.write(line.split(",", 1)[1] + "\n")
-            block = (",".join(last) + "\n") * 10_000
+            file.write("q1,q2,tau1,tau2\n")
+            block = "0.1234567,-1.1234567,3.25,-0.75\n" * 10_000
             for _ in range(n // 10_000):
                 file.write(block)
         return argv("arm.csv", "--dt", "0.005")
@@ -127,11 +123,11 @@ def cases():
     def table(name, change, *rest, **options):
         found.append(table_case(f"text: {name}", change, *rest, **options))
 
-    for k in range(20):
+    for k in range(12):
         text(f"truncated {k}", _truncated)
     for k in (0, 1, 2, 5, 9, 17):
         text(f"cut in the header at {k}", lambda rng, k=k: clean_text()[:k], "refused")
-    for k in range(30):
+    for k in range(15):
         text(f"flipped bytes {k}", _flipped)
     for k in range(3):
         text(f"NUL {k}", _with_nul, "refused", "binary")
@@ -271,8 +267,15 @@ def cases():
     table("columns shuffled", lambda x, rng: {k: x[k] for k in sorted(x)[::-1]}, "same")
     found.append(Case(name="text: 2,000 columns", build=_wide(2000), expect="read"))
     found.append(Case(name="text: 200,000 columns", build=_wide(200_000), slow=True))
-    found.append(Case(name="text: 300,000 rows at rest", build=_long(300_000)))
     found.append(
-        Case(name="text: 10,000,000 rows at rest", build=_long(10_000_000), slow=True)
+        Case(name="text: 100,000 rows at rest", build=_long(100_000), expect="refused")
+    )
+    found.append(
+        Case(
+            name="text: 10,000,000 rows at rest",
+            build=_long(10_000_000),
+            expect="refused",
+            slow=True,
+        )
     )
     return found

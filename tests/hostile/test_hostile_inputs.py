@@ -28,9 +28,17 @@ LONGEST = 1200
 
 
 @pytest.fixture(scope="module")
-def runner():
+def runner(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("first")
     with Runner() as found:
+        # The first run is without fault: what it loads, the others have.
+        run(found, _clean_recording, folder)
         yield found
+
+
+def _clean_recording(folder):
+    (folder / "arm.csv").write_text(clean_text())
+    return argv()
 
 
 def run(runner, build, folder):
@@ -51,12 +59,7 @@ def verdict(report):
 def clean(runner, tmp_path_factory):
     """Verdict on the recording without fault."""
     folder = tmp_path_factory.mktemp("clean")
-
-    def build(folder):
-        (folder / "arm.csv").write_text(clean_text())
-        return argv()
-
-    _, outcome = run(runner, build, folder)
+    _, outcome = run(runner, _clean_recording, folder)
     assert outcome.code == 0, outcome.err
     found = verdict(folder / "out" / "report.json")
     assert found == ([("spring", 0)], ["floor", "floor"])
@@ -106,6 +109,9 @@ def test_hostile_input(case, runner, clean, tmp_path):
 
     def build(folder):
         arguments = case.build(folder, case.rng())
+        if case.expect == "either" and not case.name.startswith("motion"):
+            # What is read or refused here is the file, not the motion.
+            arguments += ["--effects", "none"]
         before.update((p, p.is_file()) for p in folder.rglob("*"))
         return arguments
 

@@ -5,6 +5,9 @@ import os
 import signal
 import sys
 
+# Characters of a message.
+_LONGEST = 900
+
 
 def main(argv=None):
     """Run the command line.
@@ -52,10 +55,24 @@ def main(argv=None):
         )
         return 2
     except (ValueError, OSError, ImportError) as error:
-        message = " ".join(str(error).split())
-        print(f"sklearn-vbjfa: {message}", file=sys.stderr)
+        print(f"sklearn-vbjfa: {one_line(error)}", file=sys.stderr)
         return 2
     return 0
+
+
+def one_line(message):
+    """Return a message as one line; what is left of a long one is read."""
+    text = " ".join(str(message).split())
+    if len(text) > _LONGEST:
+        text = f"{text[: _LONGEST - 300]} ... {text[-300:]}"
+    return text
+
+
+class _Parser(argparse.ArgumentParser):
+    """Parser whose refusals are as short as those of a run."""
+
+    def error(self, message):
+        super().error(one_line(message))
 
 
 def _clear_progress():
@@ -67,7 +84,7 @@ def _parser():
     from sklearn_vbjfa import __version__
     from sklearn_vbjfa._cli import _close_loop, _identify
 
-    parser = argparse.ArgumentParser(
+    parser = _Parser(
         prog="sklearn-vbjfa",
         description="Robot identification with noise in inputs and outputs. Without "
         "a command: close the loop on the recording that the package brings along.",

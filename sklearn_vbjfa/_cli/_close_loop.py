@@ -108,6 +108,7 @@ def run(arguments):
                 effects=library,
                 cutoff=cutoff,
                 seed=seed,
+                torque_noise=recording.torque_noise,
             )
         except (ValueError, ProjectionError) as error:
             # The options are right: it is the recording.
@@ -141,11 +142,24 @@ def run_demo(arguments):
     say_warnings(caught)
 
 
-def _close(recording, urdf, *, friction, effects="all", cutoff="auto", seed=0):
+def _close(
+    recording,
+    urdf,
+    *,
+    friction,
+    effects="all",
+    cutoff="auto",
+    seed=0,
+    torque_noise=None,
+):
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
     identifier = RobotIdentifier(
-        urdf, dt=recording.dt, friction=friction, cutoff=cutoff
+        urdf,
+        dt=recording.dt,
+        friction=friction,
+        cutoff=cutoff,
+        torque_noise=torque_noise,
     )
     loop = EffectDiscovery(identifier, effects=effects, random_state=seed, verbose=True)
     return loop.fit(recording.q, recording.tau, groups=recording.groups)

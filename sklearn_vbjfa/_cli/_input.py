@@ -108,6 +108,11 @@ def read(source, dt, urdf, joints):
             f"({longest * recording.dt:.3g} s), too few; record some tens of seconds "
             "of motion."
         )
+    if not np.ptp(recording.q, axis=0).any():
+        raise ValueError(
+            f"{source}: no joint moves in any row; expected a motion. Check the "
+            "columns of positions."
+        )
     return recording
 
 

@@ -46,6 +46,10 @@ class Recording:
         quantity that is proportional to the torque by an unknown factor.
     v : ndarray of shape (n_samples, nv) or None, default=None
         The robot's own velocities [rad/s or m/s], if recorded.
+    torque_noise : ndarray of shape (nv,) or None, default=None
+        Standard deviation of the white noise of a torque sample [see `torque_units`],
+        measured before rows were interpolated, which takes some of it away; None if
+        none was. `RobotIdentifier` takes it.
     signals : mapping of str to ndarray, default={}
         Other channels on the same rows; the loader gives their units.
     urdf : str or None, default=None
@@ -87,6 +91,7 @@ class Recording:
     position_units: tuple[str, ...]
     torque_units: tuple[str, ...]
     v: np.ndarray | None = None
+    torque_noise: np.ndarray | None = None
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
     urdf: str | None = None
     source: str = ""

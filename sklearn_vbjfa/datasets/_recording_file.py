@@ -7,17 +7,11 @@ from os import PathLike, fspath
 import numpy as np
 
 from sklearn_vbjfa.datasets._recording import Recording, _check_dt
-from sklearn_vbjfa.datasets._stamps import (
-    GAP_PERIODS,
-    inspect_time_stamps,
-    interpolate,
-)
 from sklearn_vbjfa.datasets._table_file import Table, read_table
+from sklearn_vbjfa.datasets._uniform import on_grid
 
-# Fewer samples than this between two gaps cannot be differentiated.
-_MIN_SAMPLES = 10
-# Relative difference between the periods of segments.
-_DT_TOLERANCE = 0.05
+# Positions [rad or m], speeds and torques [N m or N] beyond this are no robot's.
+_LARGEST = 1e12
 
 
 def read_recording(
@@ -96,13 +90,13 @@ def read_recording(
     names = _strings(joint_names)
     model_names, prismatic = _robot(urdf, names)
     names = names or model_names
-    channels, taken = {}, set()
+    channels, used = {}, {}
     for kind in ("q", "tau", "v", "a"):
-        values, used = _channel(table, kind, names)
-        taken |= used
-        if values is not None:
-            channels[kind] = values
-    names = _check_joints(table, channels, names)
+        values, found = _channel(table, kind, names)
+        if found:
+            channels[kind], used[kind] = values, found
+    names = _check_joints(table, used, names)
+    taken = {column for found in used.values() for column in found}
     if model_names:
         # The order of the model, whatever that of the file.
         order = sorted(range(len(names)), key=lambda j: model_names.index(names[j]))
@@ -113,7 +107,7 @@ def read_recording(
     notes = []
     signals = _signals(table, taken, notes)
     dt = _given_period(table, dt, t)
-    fields = _on_grid(table, t, labels, dt, {**channels, **signals}, notes)
+    fields = on_grid(table, t, labels, dt, {**channels, **signals}, notes)
     for note in notes:
         warnings.warn(f"{table.path}: {note}", UserWarning, stacklevel=2)
     slides = [model_names and prismatic[model_names.index(x)] for x in names]
@@ -167,26 +161,57 @@ def _channel(table: Table, kind: str, names):
             continue
         suffix = match.group(1)
         if suffix in names:
-            by_joint[names.index(suffix)] = column
-        elif suffix.isdecimal():
-            by_number[int(suffix)] = column
+            found, key = by_joint, names.index(suffix)
+        elif suffix.isdecimal() and suffix.isascii():
+            # Not int() of thousands of digits.
+            found, key = by_number, suffix.lstrip("0").rjust(1, "0")
         elif not suffix and column.lower() == kind:
-            by_number[1] = column
+            found, key = by_number, "1"
+        else:
+            continue
+        _refuse_two(table, found.setdefault(key, column), column)
+    if by_joint and by_number:
+        j, named = next(iter(by_joint.items()))
+        numbered = by_number.get(str(j + 1), next(iter(by_number.values())))
+        _refuse_two(table, named, numbered)
     found = by_joint or by_number
     if not found:
-        return None, set()
-    first = 0 if by_joint or 0 in found else 1
-    count = len(names) if by_joint else max(found) + 1 - first
+        return None, []
+    first = 0 if by_joint or "0" in found else 1
+    count = len(names if by_joint else found)
     columns = []
     for k in range(count):
-        if first + k not in found:
-            missing = f"{kind}_{names[k]}" if by_joint else f"{kind}{first + k}"
+        key = k if by_joint else str(first + k)
+        if key not in found:
+            missing = f"{kind}_{names[k]}" if by_joint else f"{kind}{key}"
             raise ValueError(
                 f"{table.path}: column {missing!r} is missing beside "
-                f"{', '.join(found.values())}; every joint needs one, in order."
+                f"{_listed(found.values())}; every joint needs one, in order."
             )
-        columns.append(_numbers(table, found[first + k]))
-    return np.column_stack(columns), set(found.values())
+        values = _numbers(table, found[key])
+        far = np.flatnonzero(np.abs(values) > _LARGEST)
+        if far.size:
+            raise ValueError(
+                f"{table.path}: {values[far[0]]:.3g} in {table.where(far[0])}, column "
+                f"{found[key]!r}, is beyond all robots; correct or remove that row."
+            )
+        columns.append(values)
+    return np.column_stack(columns), list(found.values())
+
+
+def _refuse_two(table, one, other):
+    """Refuse two columns that could both be meant."""
+    if one != other:
+        raise ValueError(
+            f"{table.path}: columns {one!r} and {other!r} could both be meant; rename "
+            "or remove the one that is not."
+        )
+
+
+def _listed(names):
+    """Name columns, some of many."""
+    names = [name if len(name) < 40 else f"{name[:37]}..." for name in names]
+    return ", ".join(names if len(names) <= 20 else [*names[:19], "..."])
 
 
 def _numbers(table: Table, column: str):
@@ -194,10 +219,11 @@ def _numbers(table: Table, column: str):
     values = table.columns[column]
     if values.dtype.kind not in "biuf":
         raise ValueError(
-            f"{table.path}: column {column!r} holds {values[0]!r} and not numbers; "
-            "correct or rename it."
+            f"{table.path}: column {column!r} holds {str(values[0])[:40]!r} and not "
+            "numbers; correct or rename it."
         )
-    values = values.astype(float)
+    with np.errstate(over="ignore"):
+        values = values.astype(float)
     bad = np.flatnonzero(~np.isfinite(values))
     if bad.size:
         raise ValueError(
@@ -208,20 +234,21 @@ def _numbers(table: Table, column: str):
     return values
 
 
-def _check_joints(table: Table, channels, names):
-    """Check the number of joints, return their names."""
+def _check_joints(table: Table, used, names):
+    """Check the number of joints by the columns of each kind, return their names."""
     for kind, what in (("q", "positions"), ("tau", "torques")):
-        if kind not in channels:
+        if kind not in used:
             raise ValueError(
                 f"{table.path}: no {what}: expected columns {kind}1, {kind}2, ..., "
-                f"found {', '.join(table.columns)}; rename them in the header."
+                f"found {_listed(table.columns)}; rename them in the header."
             )
-    nv = channels["q"].shape[1]
-    for kind, values in channels.items():
-        if values.shape[1] != nv:
+    nv = len(used["q"])
+    for kind, columns in used.items():
+        if len(columns) != nv:
             raise ValueError(
-                f"{table.path}: {nv} column(s) q and {values.shape[1]} column(s) "
-                f"{kind}; every joint needs one of each."
+                f"{table.path}: {nv} column(s) q ({_listed(used['q'])}) and "
+                f"{len(columns)} column(s) {kind} ({_listed(columns)}); every joint "
+                "needs one of each."
             )
     if not names:
         return tuple(f"joint_{k + 1}" for k in range(nv))
@@ -230,23 +257,27 @@ def _check_joints(table: Table, channels, names):
             "leave out surplus columns, or name one joint per column in joint_names"
             if nv > len(names)
             else "name those recorded, in the order of the columns, in joint_names "
-            f"(command line: --joints {','.join(names[:nv])}), the others are then "
-            "held at zero"
+            f"(command line: --joints {','.join(names[: min(nv, 8)])}), the others are "
+            "then held at zero"
         )
         raise ValueError(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
-            f"({', '.join(names)}); {remedy}."
+            f"({_listed(names)}); {remedy}."
         )
     return names
 
 
 def _time_and_segments(table: Table):
     """Return stamps [s] or None, segment labels or None, and the columns' names."""
-    lower = {column.lower(): column for column in table.columns}
+    lower = {}
+    for column in table.columns:
+        name = column.lower()
+        if name in ("t", "segment"):
+            _refuse_two(table, lower.setdefault(name, column), column)
     t = labels = None
     if "t" in lower:
         values = table.columns[lower["t"]]
-        if values.dtype.kind == "M":
+        if values.dtype.kind == "M" and not np.isnat(values).any():
             t = (values - values[0]) / np.timedelta64(1, "s")
         else:
             t = _numbers(table, lower["t"])
@@ -254,7 +285,7 @@ def _time_and_segments(table: Table):
         labels = table.columns[lower["segment"]]
         if labels.dtype.kind == "f":
             labels = _numbers(table, lower["segment"])
-    return t, labels, {lower[x] for x in ("t", "segment") if x in lower}
+    return t, labels, set(lower.values())
 
 
 def _signals(table: Table, taken, notes):
@@ -269,7 +300,7 @@ def _signals(table: Table, taken, notes):
             left_out.append(column)
     if left_out:
         notes.append(
-            f"column(s) {', '.join(left_out)} hold no finite numbers and are left out."
+            f"column(s) {_listed(left_out)} hold no finite numbers and are left out."
         )
     return signals
 
@@ -294,122 +325,3 @@ def _given_period(table: Table, dt, t):
             "or give the sample period dt in seconds."
         )
     return dt
-
-
-def _on_grid(table: Table, t, labels, dt, channels, notes):
-    """Cut at segments and gaps, put on a uniform grid; fields of a Recording."""
-    segments = _segments(labels, table.n_rows)
-    if t is None:
-        parts = [
-            (name, dt * np.arange(rows.size), {k: x[rows] for k, x in channels.items()})
-            for name, rows in segments
-        ]
-        return _join(parts, dt)
-    stamps = []
-    for _, rows in segments:
-        if rows.size < 2:
-            raise ValueError(
-                f"{table.path}: the segment at {table.where(rows[0])} has one row "
-                "only; give it another label, or remove it."
-            )
-        try:
-            stamps.append(
-                inspect_time_stamps(
-                    t[rows], dt, lambda k, rows=rows: table.where(rows[k])
-                )
-            )
-        except ValueError as error:
-            raise ValueError(f"{table.path}: {error}") from None
-    if dt is None:
-        periods = [x.dt for x in stamps]
-        dt = float(np.median(periods))
-        stamps = [
-            inspect_time_stamps(t[rows], dt)
-            if abs(x.dt - dt) < _DT_TOLERANCE * dt
-            else x
-            for x, (_, rows) in zip(stamps, segments)
-        ]
-        if max(periods) - min(periods) > 2 * _DT_TOLERANCE * dt:
-            raise ValueError(
-                f"{table.path}: segments have periods of {min(periods):.6g} to "
-                f"{max(periods):.6g} s; put those of one period into one file."
-            )
-    _describe(table, stamps, segments, dt, notes)
-    parts, short = [], 0
-    for (name, rows), checked in zip(segments, stamps):
-        pieces = np.split(rows, checked.gaps + 1)
-        long = [x for x in pieces if x.size >= min(_MIN_SAMPLES, rows.size)]
-        short += len(pieces) - len(long)
-        for number, piece in enumerate(long, start=1):
-            values = {k: x[piece] for k, x in channels.items()}
-            label = name if len(long) == 1 else f"{name} [{number}]"
-            if not checked.uniform:
-                grid, values = interpolate(t[piece] - t[piece[0]], values, dt)
-            else:
-                grid = dt * np.arange(piece.size)
-            parts.append((label, grid, values))
-    if short:
-        notes.append(
-            f"{short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps are "
-            "left out."
-        )
-    if not parts:
-        raise ValueError(
-            f"{table.path}: no {_MIN_SAMPLES} samples follow one another without a gap "
-            f"of more than {GAP_PERIODS:g} periods of {dt:.4g} s; check column t."
-        )
-    return _join(parts, dt)
-
-
-def _describe(table, stamps, segments, dt, notes):
-    """Say in words what is irregular."""
-    irregular = [x for x in stamps if not x.uniform]
-    if irregular:
-        jitter = max(x.jitter for x in irregular)
-        shortest = min(x.shortest for x in irregular)
-        longest = max(x.longest for x in irregular)
-        notes.append(
-            f"time stamps are irregular (steps of {shortest:.4g} to {longest:.4g} s, "
-            "standard deviation "
-            f"{100 * jitter / dt:.2g} % of the period of {dt:.4g} s): samples are "
-            "interpolated on a uniform grid."
-        )
-    count = sum(x.gaps.size for x in stamps)
-    if count:
-        k = next(k for k, x in enumerate(stamps) if x.gaps.size)
-        row = segments[k][1][stamps[k].gaps[0]]
-        notes.append(
-            f"{count} gap(s) of more than {GAP_PERIODS:g} periods in time, the first "
-            f"after {table.where(row)}: the recording is split there."
-        )
-
-
-def _segments(labels, n_rows):
-    """Return (name, rows) of each run of equal labels, names made unique."""
-    if labels is None:
-        return [("recording", np.arange(n_rows))]
-    borders = np.flatnonzero(labels[1:] != labels[:-1]) + 1
-    runs, seen = [], {}
-    for rows in np.split(np.arange(n_rows), borders):
-        label = labels[rows[0]]
-        is_whole = labels.dtype.kind == "f" and float(label).is_integer()
-        text = str(int(label) if is_whole else label)
-        seen[text] = seen.get(text, 0) + 1
-        runs.append((text if seen[text] == 1 else f"{text} ({seen[text]})", rows))
-    return runs
-
-
-def _join(parts, dt):
-    """Concatenate (name, t, channels) into the array fields of a Recording."""
-    tables = [channels for _, _, channels in parts]
-    columns = {key: np.concatenate([x[key] for x in tables]) for key in tables[0]}
-    return {
-        "q": columns.pop("q"),
-        "tau": columns.pop("tau"),
-        "v": columns.pop("v", None),
-        "t": np.concatenate([t for _, t, _ in parts]),
-        "dt": dt,
-        "groups": np.repeat(np.arange(len(parts)), [len(t) for _, t, _ in parts]),
-        "group_names": tuple(name for name, _, _ in parts),
-        "signals": columns,
-    }

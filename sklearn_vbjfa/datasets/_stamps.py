@@ -1,4 +1,11 @@
-"""Time stamps of a recording: are they equidistant, and if not, a grid that is."""
+"""Time stamps of a recording: which period they have, and when its rows were sampled.
+
+Stamps are irregular for three reasons, which call for different remedies. A steady
+sampling was stamped late: the rows are taken as they are. Rows are missing: the others
+are taken as they are, and the missing ones interpolated. The robot was really sampled
+at irregular times: all is interpolated. Positions tell the first from the last, as they
+are smooth functions of the time at which they were sampled, and of no other.
+"""
 
 from dataclasses import dataclass
 
@@ -8,14 +15,22 @@ from scipy.interpolate import CubicHermiteSpline
 # Stamps within this share of a period of equidistant times are a steady clock that was
 # written with few digits: the samples are taken as they are.
 _STEADY = 0.02
-# The median of rounded steps may be wrong by this share of a period.
-_ROUNDED = 0.2
 # A step longer than this many periods is a gap, not bridged by interpolation.
 GAP_PERIODS = 5.0
 # A slower clock [s] records no motion: stamps in ms or ns come out like that.
 _SLOWEST = 1.0
 # Relative difference between `dt` as given and as stamped.
 _DT_TOLERANCE = 0.05
+# Steps this near to whole periods, nine in ten of them, tell how many rows are missing.
+_NEAR, _NEARLY_ALL = 0.15, 0.9
+# Rows over which the period is averaged, against late stamps; and over which it is
+# compared with that of the rest, by the standard deviation of its ratio.
+_WINDOW, _LONG_WINDOW, _CHANGES = 16, 64, 0.08
+# Stamps of which fewer change than this must change by small shares of the recording.
+_SOME_TICKS, _FINE_TICKS = 0.3, 0.02
+# Positions must fit the stamps better by this much, in the sum over the joints of the
+# logarithms of their roughness, than they fit a steady sampling.
+_CLEARLY = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,24 +42,38 @@ class TimeStamps:
     dt : float
         Sample period [s].
     uniform : bool
-        Whether the stamps are those of a steady clock, but for rounding and gaps.
+        Whether the stamps are those of a steady clock, but for rounding and gaps, and
+        no row is missing between gaps.
+    sampled : bool
+        Whether the robot was sampled at the time of the stamps, else steadily.
+    late : bool
+        Whether stamps are irregular while the sampling was steady.
+    slots : ndarray of int
+        Period in which each row was sampled, from 0 on in each piece between gaps;
+        without meaning if `sampled`.
     jitter : float
         Standard deviation of the steps from the period, gaps left out [s].
     shortest, longest : float
         Shortest and longest step, gaps left out [s].
+    doubled : int
+        Number of stamps equal to the one before.
     gaps : ndarray of int
         Rows after which more than five periods are missing.
     """
 
     dt: float
     uniform: bool
+    sampled: bool
+    late: bool
+    slots: np.ndarray
     jitter: float
     shortest: float
     longest: float
+    doubled: int
     gaps: np.ndarray
 
 
-def inspect_time_stamps(t, dt=None, where=None) -> TimeStamps:
+def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
     """Check the time stamps of one recording.
 
     Parameters
@@ -55,6 +84,9 @@ def inspect_time_stamps(t, dt=None, where=None) -> TimeStamps:
         Sample period [s], if it is known; None estimates it.
     where : callable, default=None
         Turns a row (from 0) into words, for messages; None counts from 0.
+    positions : ndarray of shape (n_samples, nv), default=None
+        Positions, which tell whether irregular stamps are the time of sampling; None
+        takes a steady sampling.
 
     Returns
     -------
@@ -64,55 +96,133 @@ def inspect_time_stamps(t, dt=None, where=None) -> TimeStamps:
     Raises
     ------
     ValueError
-        If time stands still or runs backwards, is not in seconds, or contradicts
-        `dt`.
+        If time stands still or runs backwards, is not in seconds, contradicts `dt`, or
+        says nothing of the period.
     """
     t = np.asarray(t, dtype=float)
     where = where or (lambda row: f"row {row}")
     if t.ndim != 1 or t.size < 2:
         raise ValueError(f"t must hold two time stamps or more, got shape {t.shape}.")
     step = np.diff(t)
-    bad = np.flatnonzero(~(step > 0))
-    if bad.size:
-        row = bad[0] + 1
-        problem = "repeats" if step[bad[0]] == 0 else "runs backwards to"
-        raise ValueError(
-            f"time {problem} {t[row]:.9g} s in {where(row)} ({bad.size} such row(s)); "
-            "remove doubled rows and sort the others, or mark separate recordings in "
-            "a column segment."
-        )
-    period = float(np.median(step))
+    _check_order(t, step, where)
+    period, whole = _first_period(t, step)
     if period >= _SLOWEST:
         raise ValueError(
             f"time steps by {period:.6g} s at the median, too slow for a motion; t "
-            "must be in seconds (not ms or ns)."
+            f"must be in seconds, {_other_unit(period)}."
         )
-    gaps = np.flatnonzero(step > GAP_PERIODS * period)
+    gaps = _gaps(t, step, period)
+    pieces = [slice(a, b) for a, b in zip(np.r_[0, gaps + 1], np.r_[gaps + 1, t.size])]
+    steady, own = _steady(t, step, pieces, period)
+    sampled = False
+    if steady:
+        slots = np.concatenate([np.arange(x.stop - x.start) for x in pieces])
+    else:
+        own, slots, sampled = _when(t, pieces, period, whole, positions, where)
+    _check_given(own, dt)
+    missing = np.delete(np.diff(slots), gaps) > 1
     inside = np.delete(step, gaps)
-    # The mean averages rounding out; missing samples count as the periods that they
-    # are.
-    mean = float(inside.sum() / np.maximum(np.round(inside / period), 1.0).sum())
-    own = mean if abs(mean - period) < _ROUNDED * period else period
-    if dt is None:
-        dt = float(f"{own:.7g}")
-    if abs(own - dt) > _DT_TOLERANCE * dt:
-        raise ValueError(
-            f"time steps by {own:.6g} s but dt = {dt:.6g} s; correct one of them, or "
-            "leave out dt."
-        )
-    steady = max(2 * _STEADY * dt, 1.01 * _resolution(t, dt))
-    uniform = True
-    for piece in np.split(t, gaps + 1):
-        late = piece - piece[0] - dt * np.arange(piece.size)
-        uniform &= bool(np.ptp(late) <= steady)
+    off = [np.ptp(t[x] - own * slots[x]) for x in pieces]
     return TimeStamps(
-        dt=float(dt),
-        uniform=uniform,
-        jitter=float(np.sqrt(np.mean((inside - dt) ** 2))),
-        shortest=float(inside.min()),
-        longest=float(inside.max()),
+        dt=float(f"{own:.7g}") if dt is None else float(dt),
+        uniform=steady and not missing.any(),
+        sampled=sampled,
+        late=not steady and not sampled and max(off) > 2 * _STEADY * own,
+        slots=slots,
+        jitter=float(np.sqrt(np.mean((inside - own) ** 2))) if inside.size else 0.0,
+        shortest=float(inside.min(initial=np.inf)),
+        longest=float(inside.max(initial=0.0)),
+        doubled=int((step == 0).sum()),
         gaps=gaps,
     )
+
+
+# -- the period ------------------------------------------------------------------------
+
+
+def _check_order(t, step, where):
+    back = np.flatnonzero(step < 0)
+    if back.size:
+        row = back[0] + 1
+        raise ValueError(
+            f"time runs backwards to {t[row]:.9g} s in {where(row)} ({back.size} such "
+            "row(s)); sort the rows, or mark separate recordings in a column segment."
+        )
+    ticks = step[step > 0]
+    several = ticks.size < _SOME_TICKS * step.size
+    if not ticks.size or (several and np.max(ticks) > _FINE_TICKS * (t[-1] - t[0])):
+        raise ValueError(
+            f"time repeats {t[0]:.9g} s in all rows or in most of them "
+            f"({ticks.size + 1} different stamps in {t.size} rows); write the stamps "
+            "with more digits, or leave them out and give dt."
+        )
+
+
+def _other_unit(period):
+    """Say which unit stamps with this period have."""
+    units = (("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9))
+    for name, factor in units:
+        if period * factor < 0.1:
+            return (
+                f"in {name} this would be a period of {period * factor:.4g} s: "
+                f"multiply t by {factor:g}"
+            )
+    return "which these are not"
+
+
+def _first_period(t, step):
+    """Return a first period [s], and whether steps are whole multiples of it."""
+    some = step[step > 0]
+    usual = float(np.median(some))
+    counts = np.round(step / usual)
+    near = (np.abs(step / usual - counts) < _NEAR) & (counts > 0)
+    if near.mean() >= _NEARLY_ALL:
+        return _whole_period(step[near & (counts <= GAP_PERIODS)], usual), True
+    m = min(_WINDOW, step.size)
+    period = float(np.median(t[m:] - t[:-m])) / m
+    # Many rows with one stamp, and then a long step.
+    return (period if period > 0 else (t[-1] - t[0]) / step.size), False
+
+
+def _whole_period(step, period):
+    """Average the period over steps of one or several of them [s]."""
+    for _ in range(2):
+        period = float(step.sum() / np.maximum(np.round(step / period), 1.0).sum())
+    return period
+
+
+def _gaps(t, step, period):
+    """Return rows after which rows are missing, not only stamps late."""
+    gaps = []
+    for row in np.flatnonzero(step > GAP_PERIODS * period):
+        excess = step[row] / period - 1.0
+        count = int(np.ceil(3 * excess))
+        after = t[row + 1 : row + 2 + count] - t[row]
+        before = t[row + 1] - t[max(row - count, 0) : row + 1][::-1]
+        # Rows that waited come quickly afterwards; those of a packet came before.
+        left = [np.min(x / period - np.arange(1, x.size + 1)) for x in (after, before)]
+        if min(left) > excess / 3:
+            gaps.append(row)
+    return np.array(gaps, dtype=int)
+
+
+def _steady(t, step, pieces, period):
+    """Whether stamps are equidistant but for rounding; their period [s]."""
+    rows = sum(x.stop - x.start - 1 for x in pieces)
+    if rows < 1:
+        return True, period
+    own = sum(t[x.stop - 1] - t[x.start] for x in pieces) / rows
+    if own <= 0:
+        return False, period
+    steady = max(2 * _STEADY * own, 1.01 * _resolution(t, own))
+    if np.mean(step == 0) > 1 - _NEARLY_ALL:
+        # A clock that ticks more slowly than the robot is sampled.
+        steady = max(steady, 1.01 * float(np.median(step[step > 0])))
+    worst = 0.0
+    for piece in pieces:
+        late = t[piece] - t[piece.start] - own * np.arange(piece.stop - piece.start)
+        worst = max(worst, float(np.ptp(late)))
+    return worst <= steady, own
 
 
 def _resolution(t, dt):
@@ -125,6 +235,184 @@ def _resolution(t, dt):
             if step < _STEADY * dt:
                 break
     return 0.0
+
+
+def _check_given(own, dt):
+    """Refuse a period that contradicts the stamps."""
+    if dt is None or abs(own - dt) <= _DT_TOLERANCE * dt:
+        return
+    meant = ""
+    if abs(1 / dt - own) <= _DT_TOLERANCE * own:
+        meant = f" ({dt:.6g} Hz is a period of {1 / dt:.6g} s)"
+    elif abs(dt / 1e3 - own) <= _DT_TOLERANCE * own:
+        meant = f" ({dt:.6g} ms are {dt / 1e3:.6g} s)"
+    raise ValueError(
+        f"time steps by {own:.6g} s but dt = {dt:.6g} s{meant}; correct one of them, "
+        "or leave out dt."
+    )
+
+
+# -- when rows were sampled ------------------------------------------------------------
+
+
+def _followed_slots(t, dt, whole):
+    """Count periods, following a clock that wanders and stamps that are late."""
+    # Stamps at whole periods begin at one; among late ones the first may be the latest.
+    start = 1 if whole else min(_WINDOW, t.size)
+    phase = float(np.median(t[:start] - dt * np.arange(start)))
+    slots = np.empty(t.size, dtype=int)
+    slot, behind = -1, 0.0
+    for row, stamp in enumerate(t.tolist()):
+        found = (stamp - phase) / dt
+        slot = max(slot + 1, round(found - behind))
+        # The clock of the stamps against that of the rows, averaged.
+        behind += 0.1 * (found - slot - behind)
+        slots[row] = slot
+    return slots - slots[0]
+
+
+def _when(t, pieces, period, whole, positions, where):
+    """Return the period [s], slots, and whether the stamps are the time of sampling.
+
+    `whole` tells whether the steps show how many rows are missing.
+    """
+    followed = []
+    for piece in pieces:
+        slots, own = None, period
+        for _ in range(2):
+            slots = _followed_slots(t[piece], own, whole)
+            took = t[piece.stop - 1] - t[piece.start]
+            own = took / slots[-1] if slots[-1] and took > 0 else own
+        followed.append(slots)
+    candidates = [np.concatenate(followed)]
+    if not whole:
+        # Late stamps may look like missing rows.
+        plain = np.concatenate([np.arange(x.stop - x.start) for x in pieces])
+        candidates.insert(0, plain)
+    periods = [_average_period(t, pieces, slots) for slots in candidates]
+    times = [dt * slots for dt, slots in zip(periods, candidates)]
+    rough = np.zeros(len(times) + 1)
+    if positions is not None:
+        rough = _roughness([*times, t], pieces, positions)
+    best = int(len(times) > 1 and rough[1] < rough[0] - _CLEARLY)
+    if rough[-1] < rough[best] - _CLEARLY:
+        return periods[0], candidates[0], True
+    _check_rate(t, pieces, periods[best], candidates[best], where)
+    return periods[best], candidates[best], False
+
+
+def _average_period(t, pieces, slots):
+    """Average the period over pieces [s]."""
+    ends = [x for x in pieces if x.stop - x.start > 1]
+    took = sum(t[x.stop - 1] - t[x.start] for x in ends)
+    count = sum(int(slots[x.stop - 1] - slots[x.start]) for x in ends)
+    return took / count
+
+
+def _check_rate(t, pieces, dt, slots, where):
+    """Refuse stamps whose period changes."""
+    rates, rows = [], []
+    for piece in pieces:
+        ends = np.arange(piece.start, piece.stop, _LONG_WINDOW)
+        if ends.size > 1:
+            rates.append(np.diff(t[ends]) / np.diff(slots[ends]) / dt)
+            rows.append(ends[:-1])
+    if rates:
+        rate, row = np.concatenate(rates), np.concatenate(rows)
+        if rate.size > 3 and np.std(rate) > _CHANGES:
+            slow, fast = row[rate.argmax()], row[rate.argmin()]
+            raise ValueError(
+                f"time steps by {rate.min() * dt:.4g} s on average after "
+                f"{where(fast)} and by {rate.max() * dt:.4g} s after {where(slow)}, "
+                "and the positions do not follow these stamps; correct t, or mark "
+                "recordings of different periods in a column segment."
+            )
+
+
+def _roughness(times, pieces, positions):
+    """Compare the smoothness of positions under several times of their rows.
+
+    Each position is predicted by the cubic through two rows on either side of it, as
+    white noise would let it.
+
+    Returns
+    -------
+    ndarray
+        For each of `times` the sum over the joints of the logarithm of the mean squared
+        difference; zeros if no joint moves.
+    """
+    squares = np.zeros((len(times), positions.shape[1]))
+    for piece in pieces:
+        for k, t in enumerate(times):
+            squares[k] += (prediction_errors(t[piece], positions[piece]) ** 2).sum(0)
+    moves = (np.ptp(positions, axis=0) > 0) & (squares > 0).all(axis=0)
+    return np.log(squares[:, moves]).sum(axis=1)
+
+
+def prediction_errors(t, values):
+    """Differences from the cubic through the neighbours, as large as white noise.
+
+    Parameters
+    ----------
+    t : ndarray of shape (n,)
+        Times, which must not fall [s]; rows beside equal ones are left out.
+    values : ndarray of shape (n, k)
+        Values.
+
+    Returns
+    -------
+    ndarray of shape (m, k)
+        Differences, divided by their standard deviation for unit white noise.
+    """
+    near = (-2, -1, 1, 2)
+    n = t.size - 4
+    if n < 1:
+        return np.empty((0, values.shape[1]))
+    middle = t[2:-2]
+    at = np.stack([t[2 + k : 2 + k + n] for k in near]) - middle
+    good = (np.diff(at[[0, 1]], axis=0)[0] > 0) & (at[1] < 0) & (at[2] > 0)
+    good &= at[3] > at[2]
+    at = at[:, good]
+    predicted, gain = 0.0, 1.0
+    for i, k in enumerate(near):
+        weight = np.ones(at.shape[1])
+        for j in range(4):
+            if j != i:
+                weight *= at[j] / (at[j] - at[i])
+        predicted = predicted + weight[:, None] * values[2 + k : 2 + k + n][good]
+        gain = gain + weight**2
+    return (values[2:-2][good] - predicted) / np.sqrt(gain)[:, None]
+
+
+# -- a grid ----------------------------------------------------------------------------
+
+
+def merge_doubled(t, channels):
+    """Average rows of one stamp.
+
+    Parameters
+    ----------
+    t : ndarray of shape (n_samples,)
+        Stamps that do not fall [s].
+    channels : mapping of str to ndarray of shape (n_samples, ...)
+        Values.
+
+    Returns
+    -------
+    t : ndarray of shape (n_merged,)
+        Stamps that rise.
+    channels : dict
+        Values.
+    """
+    starts = np.flatnonzero(np.r_[True, np.diff(t) > 0])
+    if starts.size == t.size:
+        return t, dict(channels)
+    count = np.diff(starts, append=t.size)
+    return t[starts], {
+        key: np.add.reduceat(values.astype(float), starts, axis=0)
+        / count.reshape(-1, *[1] * (values.ndim - 1))
+        for key, values in channels.items()
+    }
 
 
 def interpolate(t, channels, dt):

@@ -1,6 +1,8 @@
 """Columns with names out of CSV, npz and parquet files."""
 
+import array
 import csv
+import re
 import struct
 import tokenize
 import zipfile
@@ -26,6 +28,8 @@ _BROKEN_ARCHIVE = (
     zipfile.BadZipFile,
     zlib.error,
 )
+# Bytes of arrays in an archive: some hours of a robot at 1 kHz. What is read is copied.
+_LARGEST_ARCHIVE = 1 << 30
 # Separators that are guessed, and others that a header in one piece may have.
 _MARKS = (";", "\t", ",")
 _OTHER_MARKS = ("|", ":", "/")
@@ -115,62 +119,121 @@ def _row(row: int) -> str:
 
 # -- text ------------------------------------------------------------------------------
 
+# Rows that are split by hand at once: text takes ten times the memory of numbers.
+_CHUNK_ROWS = 20_000
+# Longer lines are no rows of a table.
+_LONGEST_LINE = 1 << 25
+# What float() takes beyond it (1_000, digits of other scripts) is no number of a log.
+_NUMBER = re.compile(
+    r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
+)
+# A cell of a spreadsheet, not the beginning of a comment.
+_SHEET_ERROR = re.compile(r"#(N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
 
-def _read_text(path: Path) -> Table:
-    """Read text with a header line; blank lines and comments (#) are skipped."""
+
+class _Lines:
+    """Lines of data of a text file, without blank ones and comments.
+
+    Iterating reads the file anew, line by line.
+    """
+
+    def __init__(self, path, header=-1):
+        self.path = path
+        self.header = header
+        self.numbers = array.array("q")
+
+    def __iter__(self):
+        self.numbers = array.array("q")
+        for k, line in _raw_lines(self.path):
+            if k <= self.header:
+                continue
+            error = _SHEET_ERROR.search(line) if "#" in line else None
+            if error:
+                raise ValueError(
+                    f"{self.path}: {error.group()!r} in line {k + 1} is no number; "
+                    "correct or remove that line."
+                )
+            content = line.split("#", 1)[0] if "#" in line else line
+            if content.strip():
+                self.numbers.append(k)
+                yield content
+
+    def where(self, row):
+        """Line of a row in words."""
+        return f"line {self.numbers[row] + 1}"
+
+
+def _raw_lines(path):
+    """Yield the number (from 0) and the text of every line."""
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
+        with path.open(encoding="utf-8-sig") as file:
+            k = 0
+            while line := file.readline(_LONGEST_LINE):
+                if "\0" in line:
+                    raise ValueError(
+                        f"{path}: is no text but binary; save it as CSV in UTF-8."
+                    )
+                if len(line) == _LONGEST_LINE:
+                    raise ValueError(
+                        f"{path}: line {k + 1} has more than {_LONGEST_LINE} "
+                        "characters; expected one row per sample."
+                    )
+                yield k, line.rstrip("\n")
+                k += 1
     except UnicodeDecodeError as error:
         raise ValueError(
             f"{path}: is no UTF-8 text ({error.reason} at byte {error.start}); save it "
             "as CSV in UTF-8."
         ) from error
-    if any("\0" in line for line in lines):
-        raise ValueError(f"{path}: is no text but binary; save it as CSV in UTF-8.")
-    full = [k for k, line in enumerate(lines) if line.split("#")[0].strip()]
-    if not full:
-        raise ValueError(f"{path}: no rows of data; expected one row per sample.")
-    header, names, separator = _header(path, lines, full)
-    rows = [k for k in full if k > header]
-    if not rows:
+
+
+def _read_text(path: Path) -> Table:
+    """Read text with a header line; blank lines and comments (#) are skipped."""
+    header, names, separator = _header(path)
+    lines = _Lines(path, header)
+    columns = None
+    if next(iter(lines), None) is None:
         raise ValueError(f"{path}: only a header and no rows of data.")
     try:
         values = np.loadtxt(
-            [lines[k] for k in rows],
-            delimiter=separator,
-            comments="#",
-            quotechar='"',
-            ndmin=2,
+            lines, delimiter=separator, comments=None, quotechar='"', ndmin=2
         )
+    except UnicodeDecodeError:
+        raise
+    except ValueError as error:
+        if str(error).startswith(f"{path}: "):
+            raise
+        values = None
+    # In quotes a line may end where the row does not.
+    if values is not None and values.shape == (len(lines.numbers), len(names)):
         columns = dict(zip(names, values.T))
-        fast = values.shape[1] == len(names)
-    except ValueError:
-        fast = False
-    if not fast:
+    else:
         # Text, empty cells, decimal commas; or to say where the trouble is.
-        columns = _cells(path, lines, rows, names, separator)
-    return Table(
-        path=path,
-        columns=columns,
-        scalars={},
-        where=lambda row: f"line {rows[row] + 1}",
-    )
+        columns = _cells(lines, names, separator)
+    return Table(path=path, columns=columns, scalars={}, where=lines.where)
 
 
-def _header(path, lines, full):
+def _header(path):
     """Return the header's line number, the column names and the separator."""
-    first = full[0]
-    candidates = [first]
-    if all(_is_number(cell) for cell in _split(lines[first], _separator(lines[first]))):
+    before = first = None
+    for k, line in _raw_lines(path):
+        if line.split("#", 1)[0].strip():
+            first = k, line
+            break
+        if line.strip():
+            before = k, line
+    if first is None:
+        raise ValueError(f"{path}: no rows of data; expected one row per sample.")
+    header, text = first
+    if all(_is_number(cell) for cell in _split(text, _separator(text))):
         # Numbers at once: the header may be the last comment before them.
-        candidates = [k for k in range(first - 1, -1, -1) if lines[k].strip()][:1]
-        if not candidates:
+        if before is None:
             raise ValueError(
-                f"{path}: line {first + 1} holds numbers where the header should be; "
+                f"{path}: line {header + 1} holds numbers where the header should be; "
                 "put column names such as t,q1,q2,tau1,tau2 in the first line."
             )
-    header = candidates[0]
-    text = lines[header].strip().lstrip("#").split("#")[0]
+        header, text = before
+    text = text.strip().lstrip("#").split("#")[0]
     separator = _separator(text)
     names = [cell.strip("\"' ") for cell in _split(text, separator)]
     marks = [mark for mark in _OTHER_MARKS if mark in text]
@@ -181,18 +244,25 @@ def _header(path, lines, full):
         )
     while names and not names[-1]:
         names.pop()
+    seen = set()
     for k, name in enumerate(names):
         if not name:
             raise ValueError(
                 f"{path}: column {k + 1} has no name in line {header + 1}; name it "
                 "(t, q1, tau1, ...) or remove it."
             )
-        if name in names[:k]:
+        if name in seen:
             raise ValueError(
-                f"{path}: line {header + 1} names column {name!r} twice; each column "
-                "needs its own name."
+                f"{path}: line {header + 1} names column {_short(name)} twice; each "
+                "column needs its own name."
             )
+        seen.add(name)
     return header, names, separator
+
+
+def _short(text):
+    """Quote a text, its beginning if it is long."""
+    return repr(text if len(text) < 60 else f"{text[:57]}...")
 
 
 def _separator(line: str) -> str | None:
@@ -214,27 +284,37 @@ def _split(line, separator):
 
 
 def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+    return _NUMBER.fullmatch(cell) is not None
 
 
-def _cells(path, lines, rows, names, separator):
-    """Split every line by hand."""
-    table = []
-    for k in rows:
-        cells = _split(lines[k], separator)
+def _cells(lines, names, separator):
+    """Split every line by hand, a chunk of rows at a time."""
+    columns = [_Column(lines, name) for name in names]
+    chunk = []
+    for line in lines:
+        cells = _split(line, separator)
         while len(cells) > len(names) and not cells[-1]:
             cells.pop()
         if len(cells) != len(names):
             raise ValueError(
-                f"{path}: line {k + 1} has {len(cells)} cells, the header names "
-                f"{len(names)} columns; {_remedy(lines[k], cells, names, separator)}."
+                f"{lines.path}: {lines.where(-1)} has {len(cells)} cells, the header "
+                f"names {len(names)} columns; "
+                f"{_remedy(line, cells, names, separator)}."
             )
-        table.append(cells)
-    return _typed(path, rows, names, table, separator)
+        chunk.append(cells)
+        if len(chunk) == _CHUNK_ROWS:
+            _add(columns, chunk, separator)
+            chunk = []
+    if chunk:
+        _add(columns, chunk, separator)
+    return {column.name: column.joined() for column in columns}
+
+
+def _add(columns, chunk, separator):
+    for column, cells in zip(columns, zip(*chunk)):
+        if separator != ",":
+            cells = [cell.replace(",", ".", 1) for cell in cells]
+        column.add(cells)
 
 
 def _remedy(line, cells, names, separator):
@@ -246,27 +326,46 @@ def _remedy(line, cells, names, separator):
     return "correct or remove that line"
 
 
-def _typed(path, rows, names, table, separator):
-    """Turn columns of cells into numbers where the first cell is one."""
-    columns = {}
-    for name, cells in zip(names, zip(*table)):
-        if separator != ",":
-            cells = [cell.replace(",", ".", 1) for cell in cells]
-        filled = [cell for cell in cells if cell]
-        if filled and not _is_number(filled[0]):
-            columns[name] = np.array(cells)
-            continue
-        values = np.full(len(cells), np.nan)
-        for row, cell in enumerate(cells):
-            if cell:
-                if not _is_number(cell):
-                    raise ValueError(
-                        f"{path}: {cell!r} in line {rows[row] + 1}, column {name!r} is "
-                        "no number; correct or remove that line."
-                    )
-                values[row] = float(cell)
-        columns[name] = values
-    return columns
+class _Column:
+    """Cells of a column: numbers if the first that is filled is one, else text."""
+
+    def __init__(self, lines, name):
+        self.name = name
+        self._lines = lines
+        self._is_text = None
+        self._n = 0
+        self._parts = []
+
+    def add(self, cells):
+        """Add the cells of a chunk."""
+        if self._is_text is None:
+            filled = next((cell for cell in cells if cell), None)
+            self._is_text = None if filled is None else not _is_number(filled)
+        if self._is_text:
+            self._parts.append(np.array(cells))
+        else:
+            values = np.full(len(cells), np.nan)
+            for row, cell in enumerate(cells):
+                if cell:
+                    if not _is_number(cell):
+                        raise ValueError(
+                            f"{self._lines.path}: {_short(cell)} in "
+                            f"{self._lines.where(self._n + row)}, column "
+                            f"{_short(self.name)} is no number; correct or remove that "
+                            "line."
+                        )
+                    values[row] = float(cell)
+            self._parts.append(values)
+        self._n += len(cells)
+
+    def joined(self):
+        """Return all cells, (n_rows,)."""
+        if self._is_text:
+            # Before the first text there were empty cells only.
+            self._parts = [
+                x if x.dtype.kind == "U" else np.full(x.size, "") for x in self._parts
+            ]
+        return np.concatenate(self._parts)
 
 
 # -- binary ----------------------------------------------------------------------------
@@ -276,9 +375,9 @@ def _read_npz(path: Path) -> Table:
     """Read arrays; a matrix such as q becomes the columns q1, q2, ..."""
     arrays = _arrays(path)
     lengths = {
-        name: len(array)
-        for name, array in arrays.items()
-        if array.ndim > 0 and _is_channel(name)
+        name: len(values)
+        for name, values in arrays.items()
+        if values.ndim > 0 and _is_channel(name)
     }
     if not lengths:
         raise ValueError(
@@ -293,17 +392,23 @@ def _read_npz(path: Path) -> Table:
                 "channels need one row per sample."
             )
     columns, scalars = {}, {}
-    for name, array in arrays.items():
-        if array.ndim == 0 or len(array) != n_rows:
-            scalars[name] = array
-        elif array.ndim == 1:
-            columns[name] = array
-        elif array.ndim == 2 and array.shape[1] == 1:
-            columns[name] = array[:, 0]
-        elif array.ndim == 2:
-            columns.update({f"{name}{k + 1}": x for k, x in enumerate(array.T)})
+    for name, values in arrays.items():
+        if values.ndim not in (1, 2) or len(values) != n_rows:
+            scalars[name] = values
+            continue
+        if values.ndim == 1:
+            own = {name: values}
+        elif values.shape[1] == 1:
+            own = {name: values[:, 0]}
         else:
-            scalars[name] = array
+            own = {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
+        twice = sorted(columns.keys() & own.keys())
+        if twice:
+            raise ValueError(
+                f"{path}: column {twice[0]!r} is there twice, on its own and in a "
+                "matrix; each needs its own name."
+            )
+        columns.update(own)
     return Table(path=path, columns=columns, scalars=scalars, where=_row)
 
 
@@ -315,13 +420,17 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
         raise ValueError(broken)
     arrays, name = {}, ""
     try:
+        with zipfile.ZipFile(path) as archive:
+            size = sum(member.file_size for member in archive.infolist())
+        if size > _LARGEST_ARCHIVE:
+            raise MemoryError(f"{size / (1 << 30):.1f} GiB unpacked")
         with np.load(path, allow_pickle=False) as archive:
             for name in archive.files:
                 arrays[name] = archive[name]
     except MemoryError as error:
         raise ValueError(
-            f"{path}: array {name!r} does not fit into memory or is damaged ({error}); "
-            "save a shorter recording, or this one anew."
+            f"{path}: is too large to be read at once, or damaged ({error}); save a "
+            "shorter recording, or this one anew."
         ) from error
     except _BROKEN_ARCHIVE as error:
         if name and "allow_pickle" in str(error):
@@ -337,8 +446,10 @@ def _arrays(path: Path) -> dict[str, np.ndarray]:
 
 
 def _is_channel(name: str) -> bool:
-    """Whether a name begins like a position or a torque."""
-    return name.lower().startswith(("q", "tau"))
+    """Whether a name is one of a channel, which has a value for every row."""
+    name = name.lower()
+    own = re.fullmatch(r"t|segment|[va]([_.\[(]?\d+[\])]?)?", name)
+    return own is not None or name.startswith(("q", "tau"))
 
 
 def _read_parquet(path: Path) -> Table:

@@ -15,6 +15,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_input_noise,
     check_length,
+    check_speed,
     check_time_stamps,
     check_widths,
     resolve_clock,
@@ -22,7 +23,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     resolve_standstill,
 )
 from sklearn_vbjfa.robot._recording_score import RecordingRegressorMixin
-from sklearn_vbjfa.robot._torque_noise import torque_noise
+from sklearn_vbjfa.robot._torque_noise import filtered_torque_noise
 from sklearn_vbjfa.robot._urdf import write_identified
 
 
@@ -78,6 +79,11 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         on: a whole number of samples, twice or more. The even and the odd periods are
         then averaged separately. They share no noise of any colour, where even and odd
         samples share all that is not white, and the fit is to the mean period.
+    torque_noise : float or array-like of shape (nv,), default=None
+        Standard deviation of the white noise of one torque sample [N m or N], for
+        `noise_floor_`. None measures it in the torques of the fit, above the band of
+        the low-pass; where rows were interpolated, which takes noise away, give the
+        `torque_noise` of the recording.
 
     Attributes
     ----------
@@ -171,6 +177,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         block_noise=False,
         input_noise="auto",
         period=None,
+        torque_noise=None,
         n_jobs=None,
         forgetting=1.0,
     ):
@@ -187,6 +194,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         self.block_noise = block_noise
         self.input_noise = input_noise
         self.period = period
+        self.torque_noise = torque_noise
         self.n_jobs = n_jobs
         self.forgetting = forgetting
 
@@ -226,6 +234,9 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
         periods = measure_periods(self, X, y, groups, weight)
         states, halves, facts = self._fit_states(X, groups, parts, periods)
+        if self.state_estimator_ is not None:
+            travel = facts.highest - facts.lowest
+            check_speed(self.dt, facts.fast(), travel, self.features_._model)
         check_channels(self.joint_names_, np.stack([facts.lowest, facts.highest]), y)
         self.cutoff_ = resolve_cutoff(
             self.cutoff, parts, self.dt, self.state_estimator_
@@ -234,8 +245,8 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         if periods is None:
             check_length(parts, lowpass, self.cutoff_)
-            self.torque_noise_ = torque_noise(
-                [y[part] for part in parts], self.dt, self.cutoff_
+            self.torque_noise_ = filtered_torque_noise(
+                self.torque_noise, [y[part] for part in parts], self.dt, self.cutoff_
             )
             recordings = states, y, weight, parts, halves, clock
         else:

@@ -4,6 +4,8 @@ import os
 import warnings
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from xml.parsers import expat
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -13,7 +15,11 @@ from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 # below which the body has next to no extension in some direction; and below which it is
 # told of. (What was identified and projected lies between the two.)
 _SOLID, _POSSIBLE = 1e-6, 1e-12
+# Robots of a hundred joints stay far below.
+_DEEPEST, _MOST_ELEMENTS, _MOST_ATTRIBUTES = 100, 200_000, 1000
+_MOST_JOINTS = 200
 # What a joint has no use for once it is fixed.
+_AXIAL = ("revolute", "continuous", "prismatic")
 _MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
 
 INERTIAL_NAMES = (
@@ -158,12 +164,48 @@ def _parse(path):
             f"No robot description at {str(path)!r}; expected the path of a URDF file."
         )
     try:
+        _check_structure(path)
         return ElementTree.parse(path)
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, ExpatError, LookupError, ValueError) as error:
         raise ValueError(
             f"{str(path)!r} is not readable as URDF (XML): {error}. "
             "A xacro file must be expanded first."
         ) from error
+
+
+def _check_structure(path):
+    """Refuse XML that is no robot's, before a parser makes a tree of it.
+
+    Parsers call themselves once a level: a file of some hundred kilobytes can overrun
+    the stack of the process.
+    """
+    depth, elements = 0, 0
+
+    def start(name, attributes):
+        nonlocal depth, elements
+        depth, elements = depth + 1, elements + 1
+        if depth > _DEEPEST:
+            raise ValueError(f"elements are nested more than {_DEEPEST} deep")
+        if elements > _MOST_ELEMENTS:
+            raise ValueError(f"there are more than {_MOST_ELEMENTS} elements")
+        if len(attributes) > _MOST_ATTRIBUTES:
+            raise ValueError(f"<{name}> has more than {_MOST_ATTRIBUTES} attributes")
+
+    def end(name):
+        nonlocal depth
+        depth -= 1
+
+    def entity(name, *rest):
+        raise ValueError(
+            f"it declares the entity {name[:40]!r}, write what it stands for"
+        )
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.EntityDeclHandler = entity
+    with path.open("rb") as file:
+        parser.ParseFile(file)
 
 
 def _hold_others(tree, path, moving):
@@ -191,6 +233,7 @@ def _hold_others(tree, path, moving):
 def _from_description(pin, tree, path):
     """Build and check a model; say what of its description does not enter it."""
     _check_masses(tree, path)
+    _check_axes(tree, path)
     loaded = _check_joints(_build(pin, tree, path))
     left_out = _left_out(tree, loaded)
     if left_out:
@@ -215,6 +258,33 @@ def _check_masses(tree, path):
                     f"{str(path)!r}: link {link.get('name')!r} has the mass {value:g} "
                     "kg; correct the description."
                 )
+
+
+def _check_axes(tree, path):
+    """Refuse joints without direction, and more joints than robots have."""
+    moving = [
+        joint
+        for joint in tree.getroot().findall("joint")
+        if joint.get("type") in _AXIAL
+    ]
+    if len(moving) > _MOST_JOINTS:
+        raise ValueError(
+            f"{str(path)!r}: the robot has {len(moving)} moving joints, at most "
+            f"{_MOST_JOINTS} can be identified; hold the others (--joints)."
+        )
+    for joint in moving:
+        axis = joint.find("axis")
+        text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+        try:
+            length = float(np.linalg.norm([float(x) for x in text.split()]))
+        except ValueError:
+            # The parser says what is wrong.
+            continue
+        if not 1e-6 < length < np.inf:
+            raise ValueError(
+                f"{str(path)!r}: joint {joint.get('name')!r} has the axis {text!r}, "
+                "which is no direction; correct the description."
+            )
 
 
 def _left_out(tree, model):
@@ -244,6 +314,10 @@ def _left_out(tree, model):
 
 
 def _build(pin, tree, path):
+    for link in tree.getroot().findall("link"):
+        # Shapes do not enter the model, and are not worth a complaint of the parser.
+        for shape in link.findall("visual") + link.findall("collision"):
+            link.remove(shape)
     for joint in tree.getroot().findall("joint"):
         if joint.get("type") == "continuous":
             joint.set("type", "revolute")

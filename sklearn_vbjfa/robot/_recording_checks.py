@@ -19,6 +19,16 @@ STANDSTILL_SHARE = 0.02
 # this much of it, and no less than a sample over a recording, is refused.
 _MISSING, _JITTER, _WRONG_PERIOD = 1.5, 0.1, 0.002
 
+# A period [s] that is no robot's; and one that is none if the fastest joint is as slow
+# as this [rad/s or m/s], which a unit of time that is no second makes of every motion.
+_SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.01
+# Speeds beyond the robot's by this factor: degrees for radians make 57, and are told
+# of elsewhere. Where the robot has no limit [rad/s or m/s].
+_TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
+# A joint that stays within a turn moves to and fro, and does so more slowly still; in
+# degrees it would have moved by hundreds.
+_TURN, _TOO_FAST_NEAR, _LARGEST_NEAR_SPEED = 2 * np.pi, 3.0, 50.0
+
 
 def check_widths(names, X, y=None):
     """Refuse positions, states or torques of another number of joints."""
@@ -34,6 +44,62 @@ def check_widths(names, X, y=None):
         raise ValueError(
             f"{robot}y must have {nv} column(s) of torques; got {y.shape[1]}."
         )
+
+
+def check_speed(dt, fast, travel, model):
+    """Refuse a sample period with which no robot moves like that.
+
+    Periods are given in seconds; a thousandth of it, or its inverse, makes speeds that
+    are a thousandth of, or a thousand times, those of robots.
+
+    Parameters
+    ----------
+    dt : float
+        Sample period [s].
+    fast : ndarray of shape (nv,)
+        99.5th percentiles of the joints' speeds with it [rad/s or m/s].
+    travel : ndarray of shape (nv,)
+        Ranges of the joints' positions [rad or m].
+    model : pinocchio.Model
+        Robot, for the limits of its speeds.
+    """
+    if dt is None or not np.max(fast, initial=0.0) > 0:
+        return
+    limit = np.asarray(model.velocityLimit, dtype=float)
+    limit = np.where((limit > 0) & (limit < _NO_LIMIT), limit, _LARGEST_SPEED)
+    share = float(np.max(fast / limit))
+    top = float(np.max(fast))
+    if dt >= _SLOWEST_PERIOD or (dt >= _SLOW_PERIOD and top < _SLOW_SPEED):
+        raise ValueError(
+            f"dt={dt:.6g} s is too slow for a motion: the fastest joint would move at "
+            f"{top:.2g} rad/s or m/s. dt is in seconds{_other_units(dt, share, top)}."
+        )
+    reaching = travel <= _TURN
+    near = float(np.max(fast[reaching] / limit[reaching], initial=0.0))
+    if share > _TOO_FAST or (
+        near > _TOO_FAST_NEAR
+        and np.max(fast[reaching], initial=0.0) > _LARGEST_NEAR_SPEED
+    ):
+        raise ValueError(
+            f"dt={dt:.6g} s is too short for this motion: a joint would move at "
+            f"{share:.2g} times the speed that the robot allows. Give times in "
+            "seconds (not minutes)."
+        )
+
+
+def _other_units(dt, share, top):
+    """Say which period it is if it was given in another unit."""
+    meant = []
+    for name, period in (
+        ("milliseconds", dt / 1e3),
+        ("microseconds", dt / 1e6),
+        ("nanoseconds", dt / 1e9),
+        ("Hz", 1 / dt),
+    ):
+        times = dt / period
+        if period < _SLOW_PERIOD and share * times <= 2.0 and top * times > 0.01:
+            meant.append(f"in {name} it would be {period:.4g} s")
+    return f"; {', '.join(meant)}" if meant else ""
 
 
 def check_input_noise(input_noise):

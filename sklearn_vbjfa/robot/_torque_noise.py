@@ -16,6 +16,32 @@ _ORDER = 5
 _CLEARLY_LESS = 0.7
 
 
+def filtered_torque_noise(given, segments, dt, cutoff):
+    """Return the white torque noise (nv,) that passes the low-pass, given or measured.
+
+    Parameters
+    ----------
+    given : float, array-like of shape (nv,) or None
+        Standard deviation of the white noise of a sample [N m or N]; None measures it.
+    segments, dt, cutoff
+        As of `torque_noise`.
+    """
+    if given is None:
+        return torque_noise(segments, dt, cutoff)
+    nv = segments[0].shape[1]
+    noise = np.asarray(given, dtype=float)
+    if noise.shape not in {(), (nv,)} or not ((noise >= 0) & np.isfinite(noise)).all():
+        raise ValueError(
+            "torque_noise must be a non-negative standard deviation of one torque "
+            f"sample [N m or N], or {nv} of them, or None; got {given!r}."
+        )
+    noise = np.broadcast_to(noise, (nv,))
+    if not np.isfinite(cutoff):
+        return noise.copy()
+    taps = _lowpass.design(dt, cutoff).taps
+    return noise * np.sqrt(taps @ taps)
+
+
 def torque_noise(segments, dt, cutoff):
     """Measure the white torque noise that passes the low-pass.
 

@@ -1,0 +1,158 @@
+"""What the cases share: a case, a robot, and a recording without fault."""
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_vbjfa.datasets import make_robot_recording
+
+SEED = 20260
+DT = 0.005
+# The robot is sampled this much finer, for samples at any time.
+FINE = 20
+DURATION = 8.0
+N = 1600  # rows without fault
+
+_LINK = """
+<link name="{name}"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/>
+  <inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/>
+</inertial></link>
+<joint name="{joint}" type="revolute"><parent link="{parent}"/><child link="{name}"/>
+  <origin xyz="{origin} 0 0"/><axis xyz="0 1 0"/>
+  <limit lower="-3" upper="3" effort="100" velocity="10"/>
+</joint>"""
+URDF = (
+    '<robot name="arm"><link name="base"/>'
+    + _LINK.format(
+        name="upper", joint="shoulder", parent="base", origin=0, centre=0.2, mass=3
+    )
+    + _LINK.format(
+        name="lower", joint="elbow", parent="upper", origin=0.4, centre=0.15, mass=2
+    )
+    + "</robot>"
+)
+OPTIONS = ("--urdf", "arm.urdf", "--effects", "spring", "--out", "out")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One input.
+
+    Attributes
+    ----------
+    name : str
+        Name of the test.
+    build : callable
+        Writes files into a folder, which has ``arm.urdf``, drawing from a generator;
+        returns the arguments of ``close-loop``.
+    expect : {"refused", "read", "same", "either"}
+        Refused in one line; read; read with the verdict of the recording without
+        fault; or one of refused and read.
+    message : str
+        Regular expression that the refusal or a note must match.
+    slow : bool
+        Whether the case is run with the slow tests only.
+    """
+
+    name: str
+    build: Callable[[Path, np.random.Generator], list]
+    expect: str = "either"
+    message: str = ""
+    slow: bool = field(default=False)
+
+    def rng(self):
+        """Return the generator of this case, whatever the others draw."""
+        return np.random.default_rng([SEED, zlib.crc32(self.name.encode())])
+
+
+@cache
+def fine_recording():
+    """Simulate two joints at twenty times the rate; a spring is not declared."""
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(URDF)
+        return make_robot_recording(
+            str(path),
+            duration=DURATION,
+            dt=DT / FINE,
+            n_harmonics=8,
+            undeclared={"spring": (0, 4.0)},
+            random_state=6,
+        )
+
+
+def columns(rows=None):
+    """Columns t, q1, q2, tau1, tau2 without fault; or at some rows of the fine one."""
+    fine = fine_recording()
+    if rows is None:
+        rows = np.arange(0, fine.n_samples, FINE)
+    return {
+        "t": fine.t[rows],
+        "q1": fine.q[rows, 0],
+        "q2": fine.q[rows, 1],
+        "tau1": fine.tau[rows, 0],
+        "tau2": fine.tau[rows, 1],
+    }
+
+
+def cells(table):
+    """Header and cells as text, a list of rows."""
+    rows = [list(table)]
+    texts = [
+        [x if isinstance(x, str) else f"{x:.9g}" for x in column]
+        for column in table.values()
+    ]
+    rows.extend(map(list, zip(*texts)))
+    return rows
+
+
+@cache
+def _clean_text():
+    return "\n".join(",".join(row) for row in cells(columns())) + "\n"
+
+
+def clean_text():
+    """Return the recording without fault as CSV."""
+    return _clean_text()
+
+
+def clean_lines():
+    """Return its lines, the header first."""
+    return clean_text().splitlines()
+
+
+def argv(source="arm.csv", *options):
+    """Return the arguments for a recording; later options replace earlier ones."""
+    return [source, *OPTIONS, *options]
+
+
+def text_case(name, change, expect="either", message="", *, ending="csv", options=()):
+    """Return a case of a file whose text or bytes are ``change(rng)``."""
+
+    def build(folder, rng):
+        content = change(rng)
+        if isinstance(content, str):
+            content = content.encode()
+        path = folder / f"arm.{ending}"
+        path.write_bytes(content)
+        return argv(path.name, *options)
+
+    return Case(name=name, build=build, expect=expect, message=message)
+
+
+def table_case(name, change, expect="either", message="", *, options=()):
+    """Return a case of columns ``change(columns, rng)``, written as CSV."""
+
+    def build(folder, rng):
+        table = change(columns(), rng)
+        text = "\n".join(",".join(row) for row in cells(table)) + "\n"
+        (folder / "arm.csv").write_text(text, encoding="utf-8")
+        return argv("arm.csv", *options)
+
+    return Case(name=name, build=build, expect=expect, message=message)

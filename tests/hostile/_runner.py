@@ -1,0 +1,141 @@
+"""Run the command line in processes of their own, with bounded memory and time.
+
+A process is started once, imports what a run needs and forks for every case: a crash of
+a parser, a hang or a full memory ends that fork and no more, and a case costs some
+milliseconds.
+"""
+
+import contextlib
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+SECONDS = 30
+MEMORY = 2 << 30  # bytes
+# The address space holds more than the memory in use; beyond it an allocation fails.
+_ADDRESS_SPACE = 3 << 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of a run.
+
+    Attributes
+    ----------
+    code : int
+        Exit code; negative for a signal.
+    out, err : str
+        What was printed.
+    seconds : float
+        Time.
+    memory : int
+        Largest memory in use [bytes].
+    """
+
+    code: int
+    out: str
+    err: str
+    seconds: float
+    memory: int
+
+
+class Runner:
+    """A process that runs the command line in forks."""
+
+    def __enter__(self):
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "tests.hostile._runner"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=Path(__file__).resolve().parents[2],
+        )
+        return self
+
+    def __exit__(self, *exception):
+        self._process.stdin.close()
+        self._process.wait()
+
+    def run(self, argv, folder):
+        """Run the command line in a folder; its outcome."""
+        task = {"argv": [str(x) for x in argv], "folder": str(folder)}
+        print(json.dumps(task), file=self._process.stdin, flush=True)
+        return Outcome(**json.loads(self._process.stdout.readline()))
+
+
+def _serve():
+    with contextlib.suppress(ImportError):
+        from pyarrow import parquet  # noqa: F401
+    for number, line in enumerate(sys.stdin):
+        if number == 0:
+            _warm_up(json.loads(line))
+        task = json.loads(line)
+        folder = Path(task["folder"])
+        out, err = folder / ".stdout", folder / ".stderr"
+        begun = time.monotonic()
+        child = os.fork()
+        if child == 0:
+            _run(task["argv"], folder, out, err)
+        _, status, usage = os.wait4(child, 0)
+        outcome = Outcome(
+            code=os.waitstatus_to_exitcode(status),
+            out=out.read_text(encoding="utf-8", errors="replace"),
+            err=err.read_text(encoding="utf-8", errors="replace"),
+            seconds=time.monotonic() - begun,
+            memory=usage.ru_maxrss * 1024,
+        )
+        print(json.dumps(vars(outcome)), flush=True)
+
+
+def _warm_up(task):
+    """Run the first task here, so that what it imports need not be in each fork."""
+    from sklearn_vbjfa._cli import main
+
+    with tempfile.TemporaryDirectory() as out:
+        os.chdir(task["folder"])
+        argv = [*task["argv"], "--out", out]
+        with (
+            open(os.devnull, "w", encoding="utf-8") as null,
+            contextlib.redirect_stdout(null),
+            contextlib.redirect_stderr(null),
+        ):
+            main(argv)
+    os.chdir("/")
+
+
+def _run(argv, folder, out, err):
+    """Become the run; never returns."""
+    from sklearn_vbjfa._cli import main
+
+    code = 70
+    try:
+        os.chdir(folder)
+        for path, number in ((out, 1), (err, 2)):
+            os.dup2(os.open(path, os.O_CREAT | os.O_WRONLY | os.O_TRUNC), number)
+        sys.stdin = open(os.devnull, encoding="utf-8")
+        resource.setrlimit(resource.RLIMIT_AS, (_ADDRESS_SPACE, _ADDRESS_SPACE))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        # No handler of Python's: what hangs inside of a library is ended as well.
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(SECONDS)
+        code = main(argv)
+    except SystemExit as stop:
+        code = stop.code
+    except BaseException:
+        sys.excepthook(*sys.exc_info())
+    finally:
+        with contextlib.suppress(OSError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code if isinstance(code, int) else 1)
+
+
+if __name__ == "__main__":
+    _serve()

@@ -1,0 +1,142 @@
+"""No input ends in a traceback, a crash, a hang, a full memory or half a report."""
+
+import json
+import re
+import sys
+import warnings
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+if sys.platform != "linux":
+    pytest.skip("processes with limits are Linux's here", allow_module_level=True)
+pytest.importorskip("pinocchio")
+
+from tests.hostile import _archives, _descriptions, _motions, _tables, _times
+from tests.hostile._case import URDF, argv, clean_text
+from tests.hostile._runner import MEMORY, SECONDS, Runner
+
+CASES = [
+    case
+    for family in (_tables, _archives, _descriptions, _motions, _times)
+    for case in family.cases()
+]
+FILES = {"identified.urdf", "parameters.csv", "report.html", "report.json"}
+# Longer lines are read by nobody.
+LONGEST = 1200
+
+
+@pytest.fixture(scope="module")
+def runner(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("first")
+    with Runner() as found:
+        # The first run is without fault: what it loads, the others have.
+        run(found, _clean_recording, folder)
+        yield found
+
+
+def _clean_recording(folder):
+    (folder / "arm.csv").write_text(clean_text())
+    return argv()
+
+
+def run(runner, build, folder):
+    """Write the input and run the command line on it; arguments and outcome."""
+    (folder / "arm.urdf").write_text(URDF)
+    arguments = build(folder)
+    return arguments, runner.run(["close-loop", *arguments], folder)
+
+
+def verdict(report):
+    """Return what a report says is missing, and what of each joint's rest."""
+    content = json.loads(Path(report).read_text(encoding="utf-8"))
+    effects = sorted((x["name"], x["joint"]) for x in content["effects"])
+    return effects, [joint["status"] for joint in content["joints"]]
+
+
+@pytest.fixture(scope="module")
+def clean(runner, tmp_path_factory):
+    """Verdict on the recording without fault."""
+    folder = tmp_path_factory.mktemp("clean")
+    _, outcome = run(runner, _clean_recording, folder)
+    assert outcome.code == 0, outcome.err
+    found = verdict(folder / "out" / "report.json")
+    assert found == ([("spring", 0)], ["floor", "floor"])
+    return found
+
+
+def folder_of(arguments, folder):
+    """Return the folder for the report."""
+    last = max(k for k, x in enumerate(arguments) if x == "--out")
+    return folder / arguments[last + 1]
+
+
+def check_refusal(outcome):
+    """One line says what is wrong; its text."""
+    lines = [x for x in outcome.err.splitlines() if not x.startswith("note: ")]
+    if any(line.startswith("usage: ") for line in lines):
+        lines = lines[-1:]
+    assert len(lines) == 1, outcome.err[-3000:]
+    assert lines[0].startswith("sklearn-vbjfa"), lines
+    assert len(lines[0]) < LONGEST, lines[0][:300]
+    return lines[0]
+
+
+def check_report(out):
+    """All files are there and whole."""
+    assert FILES <= {path.name for path in out.iterdir()}
+    assert verdict(out / "report.json")
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert page.endswith("</html>\n")
+    ElementTree.parse(out / "identified.urdf")
+
+
+def test_there_are_enough_cases():
+    assert len(CASES) >= 400
+    names = [case.name for case in CASES]
+    assert len(set(names)) == len(names)
+
+
+def params():
+    marks = {True: [pytest.mark.slow], False: []}
+    return [pytest.param(x, id=x.name, marks=marks[x.slow]) for x in CASES]
+
+
+@pytest.mark.parametrize("case", params())
+def test_hostile_input(case, runner, clean, tmp_path):
+    before = {}
+
+    def build(folder):
+        arguments = case.build(folder, case.rng())
+        if case.expect == "either" and not case.name.startswith("motion"):
+            # What is read or refused here is the file, not the motion.
+            arguments += ["--effects", "none"]
+        before.update((p, p.is_file()) for p in folder.rglob("*"))
+        return arguments
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        arguments, outcome = run(runner, build, tmp_path)
+    told = outcome.err[-2000:]
+    assert "Traceback" not in outcome.err, told
+    assert outcome.code in (0, 2), f"{outcome.code}: {told}"
+    assert outcome.seconds < SECONDS
+    assert outcome.memory < MEMORY
+    if outcome.code == 2:
+        assert case.expect in ("refused", "either"), told
+        line = check_refusal(outcome)
+        assert re.search(case.message, line), line
+        made = {p for p in tmp_path.rglob("*") if p not in before}
+        assert {path.name for path in made} <= {".stdout", ".stderr"}
+        return
+    assert case.expect in ("read", "same", "either"), outcome.out[:1000]
+    out = folder_of(arguments, tmp_path)
+    check_report(out)
+    for line in outcome.err.splitlines():
+        assert line.startswith("note: "), told
+        assert len(line) < LONGEST, line[:300]
+    if case.expect == "same":
+        assert verdict(out / "report.json") == clean, outcome.out + told
+    if case.message:
+        assert re.search(case.message, outcome.err), told

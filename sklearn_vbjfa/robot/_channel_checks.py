@@ -6,7 +6,7 @@ from sklearn_vbjfa.robot._channel_finding import ChannelFinding, in_order
 from sklearn_vbjfa.robot._channel_fits import channel_signals
 from sklearn_vbjfa.robot._channel_geometry import misplaced
 from sklearn_vbjfa.robot._channel_signs import torque_signs
-from sklearn_vbjfa.robot._channel_timing import delays, sample_periods
+from sklearn_vbjfa.robot._channel_timing import delays, sample_periods, too_fast
 from sklearn_vbjfa.robot._channel_units import (
     counts,
     degrees,
@@ -102,28 +102,29 @@ def inspect_channels(model, q, tau, dt, groups=None):
     q, tau = q[rows], tau[rows]
     revolute = ~is_prismatic(model)
     findings, usable, q = inspect_samples(names, q, tau, dt, parts, rows, revolute)
-    signals = channel_signals(q, tau, dt, parts, usable)
-    findings += counts(model, names, q, signals)
+    impossible, ratio = too_fast(model, names, q, dt, parts)
+    findings += counts(model, names, q, ratio)
     # With such positions nothing else can be asked.
-    if signals is not None and not _names(findings, "position_counts"):
-        findings += _with_model(model, names, q, tau, dt, parts, usable, signals)
+    if _names(findings, "position_counts"):
+        return in_order(findings)
+    signals = channel_signals(q, tau, dt, parts, usable)
+    if signals is None or not signals.informative().any():
+        return in_order(findings + impossible)
+    found, signals = degrees(model, names, q, signals)
+    if not found:
+        found = velocities(model, names, q, tau, dt, parts, usable, signals)
+    if not found:
+        found = impossible or sample_periods(model, names, dt, ratio, signals)
+    findings += found
+    # What was put right goes on; of the others the rest would be about that.
+    if not _names(findings, "velocity_as_position", "wrong_dt"):
+        findings += _with_model(model, names, dt, signals)
     return in_order(findings)
 
 
-def _with_model(model, names, q, tau, dt, parts, usable, signals):
-    """Ask what needs the robot's inertias."""
-    if not signals.informative().any():
-        return sample_periods(model, names, dt, signals)
-    findings, signals = degrees(model, names, q, signals)
-    if not findings:
-        findings += velocities(model, names, q, tau, dt, parts, usable, signals)
-    if not findings:
-        findings += sample_periods(model, names, dt, signals)
-    # What was put right goes on; of the others the rest would be about that.
-    if _names(findings, "velocity_as_position", "wrong_dt"):
-        return findings
-    found, signals = misplaced(model, names, signals)
-    findings += found
+def _with_model(model, names, dt, signals):
+    """Ask whether channels are what they are called."""
+    findings, signals = misplaced(model, names, signals)
     found, signals = torque_signs(model, names, signals)
     findings += found
     findings += gear_factors(model, names, signals)

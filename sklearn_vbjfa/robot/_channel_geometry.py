@@ -15,6 +15,8 @@ from sklearn_vbjfa.robot._model import is_prismatic
 _SWAP_GAIN = np.log(4.0)
 # Nothing is looked for where all joints are predicted as well as this.
 _GOOD_FIT = 0.1
+# Gain of all joints that an exchange on the way to another order must bring.
+_CLIMB = 0.05
 # Rows with which other orders, directions and zeros are tried, which is dear.
 _TRIAL_ROWS = 700
 # Offsets of a joint's zero that are tried [rad].
@@ -185,38 +187,59 @@ class _Trial:
         self._model, self._signals, self._joints = model, signals, joints
         self._now = total(fits_of(ChannelEquations(model, signals), signals))
 
-    def _judge(self, moved, several=None, **how):
-        """Return the correction if it is sure, else None."""
-        correction = Correction(joints=moved, gain=0.0, gain_t=0.0, **how)
+    def _gain(self, correction):
+        """Gain of all joints and its standard errors; zero if too little is left."""
         signals = correction.put_right(self._signals)
         fits = fits_of(ChannelEquations(self._model, signals), signals)
         if len(fits) < len(self._joints):
-            return None
-        better, better_t = gain(total(fits), self._now)
+            return 0.0, 0.0
+        return gain(total(fits), self._now)
+
+    def _judge(self, moved, **how):
+        """Return the correction if it is sure, else None."""
+        better, better_t = self._gain(_correction(moved, **how))
         # Of all joints, some of which changed.
-        nv = self._model.nv
-        better *= nv / max(len(moved), 2)
+        better *= self._model.nv / max(len(moved), 2)
         if not (better > _SWAP_GAIN and better_t > SURE):
             return None
         return Correction(joints=moved, gain=better, gain_t=better_t, **how)
 
     def orders(self):
-        """Exchange two joints, or put all in reverse or cyclic order."""
+        """Exchange positions of two joints, or whole joints in any way."""
         nv, prismatic = self._model.nv, is_prismatic(self._model)
         found = []
         for pair in combinations(self._joints, 2):
-            order = np.arange(nv)
-            order[list(pair)] = pair[::-1]
-            for kind in ("swapped_positions", "swapped_joints"):
-                if kind == "swapped_joints" or prismatic[pair[0]] == prismatic[pair[1]]:
-                    found.append(self._judge(pair, kind=kind, order=order))
-        if nv > 2:
-            several = [np.arange(nv)[::-1]]
-            several += [np.roll(np.arange(nv), k) for k in range(1, nv)]
-            for order in several:
-                moved = tuple(int(j) for j in np.flatnonzero(order != np.arange(nv)))
+            if prismatic[pair[0]] == prismatic[pair[1]]:
+                order = _exchanged(np.arange(nv), pair)
+                found.append(self._judge(pair, kind="swapped_positions", order=order))
+        if nv > 1:
+            order = self._best_order()
+            moved = tuple(int(j) for j in np.flatnonzero(order != np.arange(nv)))
+            if moved:
                 found.append(self._judge(moved, kind="swapped_joints", order=order))
         return [c for c in found if c is not None]
+
+    def _best_order(self):
+        """Climb from the best of plain orders by exchanges, ndarray (nv,) of int."""
+        nv = self._model.nv
+        starts = [np.roll(np.arange(nv), k) for k in range(nv)]
+        starts.append(np.arange(nv)[::-1])
+        rated = [(self._rate(order), order) for order in starts]
+        best, order = max(rated, key=lambda x: x[0])
+        # Each exchange puts one joint at least into its place.
+        for _ in range(nv):
+            tried = [_exchanged(order, pair) for pair in combinations(self._joints, 2)]
+            better, other = max(((self._rate(x), x) for x in tried), key=lambda x: x[0])
+            if better < best + _CLIMB:
+                break
+            best, order = better, other
+        return order
+
+    def _rate(self, order):
+        """Gain of all joints by an order of theirs."""
+        if (order == np.arange(order.size)).all():
+            return 0.0
+        return self._gain(_correction((), kind="swapped_joints", order=order))[0]
 
     def directions(self):
         """Let a joint turn the other way round."""
@@ -238,6 +261,16 @@ class _Trial:
                     self._judge((int(j),), kind="position_zero", offset=offset)
                 )
         return [c for c in found if c is not None]
+
+
+def _correction(joints, **how):
+    return Correction(joints=joints, gain=0.0, gain_t=0.0, **how)
+
+
+def _exchanged(order, pair):
+    order = order.copy()
+    order[list(pair)] = order[list(pair[::-1])]
+    return order
 
 
 def _joined(found):

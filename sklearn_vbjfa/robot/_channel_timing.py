@@ -12,6 +12,8 @@ _FASTEST_TURN = 60.0
 _FASTEST_SLIDE = 10.0
 # ... nor any joint faster than its limit by this factor.
 _TOO_FAST = 5.0
+# Samples over which speeds are taken: noise of the encoder is no motion.
+_SPEED_SAMPLES = 5
 # A robot that is slower than its limits by this factor hardly moves ...
 _TOO_SLOW = 0.01
 # ... and nobody samples a motion at that period [s].
@@ -48,7 +50,54 @@ def fastest(model):
     return _TOO_FAST * np.where(known, limit, unlimited)
 
 
-def sample_periods(model, names, dt, signals):
+def too_fast(model, names, q, dt, parts):
+    """Find a sample period with which no robot is as fast.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    names : sequence of str
+        Joints.
+    q : ndarray of shape (n, nv)
+        Positions.
+    dt : float
+        Sample period as given [s].
+    parts : list of slice
+        Recordings.
+
+    Returns
+    -------
+    findings : list of ChannelFinding
+        One error or none.
+    ratio : ndarray of shape (nv,)
+        Speeds in shares of `fastest`.
+    """
+    speed = _speeds(q, dt, parts)
+    ratio = speed / fastest(model)
+    j = int(np.argmax(ratio))
+    if ratio[j] <= 1.0:
+        return [], ratio
+    unit = "m/s" if is_prismatic(model)[j] else "rad/s"
+    found = ChannelFinding(
+        "wrong_dt",
+        tuple(range(len(names))),
+        "error",  # Accelerations are wrong by the square.
+        f"No robot is as fast: with dt={dt:.6g} s {names[j]} moves at {speed[j]:.3g} "
+        f"{unit}, and {fastest(model)[j]:.3g} would be five times what it can; give dt "
+        "as the sample period in seconds, and positions in rad or m.",
+    )
+    return [found], ratio
+
+
+def _speeds(q, dt, parts):
+    """Speeds of the joints that are seldom surpassed, ndarray (nv,)."""
+    width = _SPEED_SAMPLES
+    travel = [np.abs(q[p][width:] - q[p][:-width]) for p in parts]
+    return np.quantile(np.concatenate(travel), 0.995, axis=0) / (width * dt)
+
+
+def sample_periods(model, names, dt, ratio, signals):
     """Find a sample period in other units.
 
     Parameters
@@ -59,6 +108,8 @@ def sample_periods(model, names, dt, signals):
         Joints.
     dt : float
         Sample period as given [s].
+    ratio : ndarray of shape (nv,)
+        Speeds in shares of `fastest`.
     signals : ChannelSignals
         Recording.
 
@@ -67,25 +118,8 @@ def sample_periods(model, names, dt, signals):
     list of ChannelFinding
         One finding or none.
     """
-    nv = len(names)
-    speed = np.quantile(np.abs(signals.states[:, nv : 2 * nv]), 0.995, axis=0)
-    possible = fastest(model)
-    ratio = speed / possible
-    everyone = tuple(range(nv))
     j = int(np.argmax(ratio))
     unit = "m/s" if is_prismatic(model)[j] else "rad/s"
-    if ratio[j] > 1.0:
-        return [
-            ChannelFinding(
-                "wrong_dt",
-                everyone,
-                "error",  # Accelerations are wrong by the square.
-                f"No robot is as fast: with dt={dt:.6g} s {names[j]} moves at "
-                f"{speed[j]:.3g} {unit} (limit of the model "
-                f"{model.velocityLimit[j]:.3g}); dt is the sample period in seconds, "
-                "not in another unit, and positions are in rad or m.",
-            )
-        ]
     crawls = ratio.max() * _TOO_FAST < _TOO_SLOW and dt >= _LONG_PERIOD
     found = _other_period(model, signals, ratio, dt)
     if found is None and crawls:
@@ -93,7 +127,8 @@ def sample_periods(model, names, dt, signals):
     if found is None and not crawls:
         return []
     evidence = found or (
-        f"the fastest joint, {names[j]}, moves at {speed[j]:.2g} {unit}, "
+        f"the fastest joint, {names[j]}, moves at "
+        f"{ratio[j] * fastest(model)[j]:.2g} {unit}, "
         f"{_TOO_FAST * ratio[j]:.1g} of what it can"
     )
     units = (
@@ -105,7 +140,7 @@ def sample_periods(model, names, dt, signals):
     return [
         ChannelFinding(
             "wrong_dt",
-            everyone,
+            tuple(range(len(names))),
             # Poses that are hardly left for hours may be on purpose.
             "error" if found else "doubt",
             f"dt={dt:.6g} s does not go with the motion: {evidence}{units}; dt is the "

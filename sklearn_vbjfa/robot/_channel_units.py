@@ -5,7 +5,6 @@ import numpy as np
 from sklearn_vbjfa.robot._channel_evidence import SURE, fits_of, total
 from sklearn_vbjfa.robot._channel_finding import ChannelFinding, listed
 from sklearn_vbjfa.robot._channel_fits import ChannelEquations, channel_signals, gain
-from sklearn_vbjfa.robot._channel_timing import fastest
 from sklearn_vbjfa.robot._model import is_prismatic
 
 # Share of the torque that the nominal model must explain to say something.
@@ -29,7 +28,7 @@ _RANGE_TURN, _RANGE_SLIDE = 4 * np.pi, 5.0
 # -- positions -------------------------------------------------------------------------
 
 
-def counts(model, names, q, signals):
+def counts(model, names, q, ratio):
     """Find positions that are neither radians nor degrees.
 
     Parameters
@@ -40,8 +39,8 @@ def counts(model, names, q, signals):
         Joints.
     q : ndarray of shape (n, nv)
         Positions.
-    signals : ChannelSignals or None
-        Filtered recording; None leaves out what needs velocities.
+    ratio : ndarray of shape (nv,)
+        Speeds in shares of what joints can.
 
     Returns
     -------
@@ -57,12 +56,8 @@ def counts(model, names, q, signals):
     # Whole degrees are degrees.
     whole &= ~((beyond > _FAR_BEYOND) & (as_degrees == 0)) | (travel > 720)
     wrong = far | whole
-    if signals is not None:
-        # A joint that may turn for ever, but not at that speed.
-        nv = len(names)
-        speed = np.quantile(np.abs(signals.states[:, nv : 2 * nv]), 0.995, axis=0)
-        few = speed * degrees > fastest(model)
-        wrong |= few & (travel * degrees > _LARGEST_TURN)
+    # A joint that may turn for ever, but not at that speed, not even in degrees.
+    wrong |= (ratio * degrees > 1.0) & (travel * degrees > _LARGEST_TURN)
     if not wrong.any():
         return []
     joints = tuple(int(k) for k in np.flatnonzero(wrong))

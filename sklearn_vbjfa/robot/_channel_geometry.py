@@ -1,7 +1,7 @@
 """Do channels belong to the joints that they are said to: order, direction, zero."""
 
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from sklearn_vbjfa.robot._channel_evidence import SURE, fits_of, total
 from sklearn_vbjfa.robot._channel_finding import ChannelFinding
 from sklearn_vbjfa.robot._channel_fits import FEWEST_ROWS, ChannelEquations, gain
-from sklearn_vbjfa.robot._model import is_prismatic
+from sklearn_vbjfa.robot._model import is_prismatic, joint_names
 
 # Exchanging two channels must lower the squared errors of both by this factor.
 _SWAP_GAIN = np.log(4.0)
@@ -17,6 +17,10 @@ _SWAP_GAIN = np.log(4.0)
 _GOOD_FIT = 0.1
 # Gain of all joints that an exchange on the way to another order must bring.
 _CLIMB = 0.05
+# All orders of so many joints are tried where half of the joints have errors above
+# this: exchanges help little before most joints are in place.
+_MOST_ORDERS = 5
+_NO_FIT = 0.5
 # Rows with which other orders, directions and zeros are tried, which is dear.
 _TRIAL_ROWS = 700
 # Offsets of a joint's zero that are tried [rad].
@@ -185,7 +189,11 @@ class _Trial:
 
     def __init__(self, model, signals, joints):
         self._model, self._signals, self._joints = model, signals, joints
-        self._now = total(fits_of(ChannelEquations(model, signals), signals))
+        self._names = joint_names(model)
+        fits = fits_of(ChannelEquations(model, signals), signals)
+        self._now = total(fits)
+        errors = [fit.error[0] for fit in fits.values()]
+        self._lost = np.median(errors) > _NO_FIT
 
     def _gain(self, correction):
         """Gain of all joints and its standard errors; zero if too little is left."""
@@ -212,7 +220,7 @@ class _Trial:
             if prismatic[pair[0]] == prismatic[pair[1]]:
                 order = _exchanged(np.arange(nv), pair)
                 found.append(self._judge(pair, kind="swapped_positions", order=order))
-        if nv > 1:
+        if len(self._joints) > 1:
             order = self._best_order()
             moved = tuple(int(j) for j in np.flatnonzero(order != np.arange(nv)))
             if moved:
@@ -224,6 +232,11 @@ class _Trial:
         nv = self._model.nv
         starts = [np.roll(np.arange(nv), k) for k in range(nv)]
         starts.append(np.arange(nv)[::-1])
+        # As programs write a table of joints whose order they do not know.
+        named = np.argsort(self._names, kind="stable")
+        starts += [named, np.argsort(named)]
+        if self._lost and nv <= _MOST_ORDERS:
+            starts = [np.array(order) for order in permutations(range(nv))]
         rated = [(self._rate(order), order) for order in starts]
         best, order = max(rated, key=lambda x: x[0])
         # Each exchange puts one joint at least into its place.

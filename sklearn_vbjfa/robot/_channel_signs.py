@@ -6,8 +6,12 @@ from sklearn_vbjfa.robot._channel_evidence import SURE, fits_of
 from sklearn_vbjfa.robot._channel_finding import ChannelFinding
 from sklearn_vbjfa.robot._channel_fits import ChannelEquations
 
-# Friction below this share of a torque says nothing of its sign.
+# Friction below this share of a torque is no evidence of its sign.
 _FRICTION_SHARE = 0.1
+# ... and below this it does not even contradict.
+_CONTRADICTS = 0.02
+# A torque that neither inertias nor friction predict better has no friction to go by.
+_WORST_ERROR = 0.3
 # Share of the torque that the nominal model must explain to say something.
 _NOMINAL_SHARE = 0.5
 
@@ -36,11 +40,16 @@ def torque_signs(model, names, signals):
     sign = np.ones(model.nv)
     for j, fit in fits_of(equations, signals).items():
         scale, scale_t, share = equations.nominal_scale(j)
+        if fit.error[0] > _WORST_ERROR:
+            continue
+        # It takes more to accuse than to contradict.
         friction = fit.power_t * (fit.friction > _FRICTION_SHARE)
         rigid = scale_t * (share > _NOMINAL_SHARE)
-        # Neither witness may say the contrary.
-        says = min(friction, rigid)
-        if says > -SURE or max(friction, rigid) > 2.0:
+        against = max(
+            fit.power_t * (fit.friction > _CONTRADICTS),
+            scale_t * (share > 0.5 * _NOMINAL_SHARE),
+        )
+        if min(friction, rigid) > -SURE or against > 2.0:
             continue
         sign[j] = -1.0
         evidence = []

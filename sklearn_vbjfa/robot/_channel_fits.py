@@ -215,6 +215,8 @@ class ChannelFit:
     log_error : ndarray of shape (n_blocks, n_versions)
         Logarithm of the mean squared error of each block, predicted from the others;
         nan for blocks without rows.
+    log_variance : float
+        Logarithm of the torque's variance.
     friction : float
         Root mean square of the friction found, relative to the torque's.
     power : float
@@ -225,6 +227,7 @@ class ChannelFit:
 
     error: np.ndarray
     log_error: np.ndarray
+    log_variance: float
     friction: float
     power: float
     power_t: float
@@ -289,9 +292,11 @@ class ChannelEquations:
         log_error, error = moments.errors(without)
         power, power_t = _power(free[:, :2], theta, without, middle, w)
         found = free[:, :2] @ theta[:2, middle]
+        spread = max(_spread_of(y, w), np.finfo(float).tiny)
         return ChannelFit(
-            error=error / max(_spread_of(y, w), np.finfo(float).tiny),
+            error=error / spread,
             log_error=log_error,
+            log_variance=2 * np.log(spread),
             friction=_rms(found, w) / max(_rms(y, w), np.finfo(float).tiny),
             power=power,
             power_t=power_t,

@@ -10,6 +10,8 @@ from sklearn_vbjfa.robot._channel_fits import ChannelEquations
 _FRICTION_SHARE = 0.1
 # ... and below this it does not even contradict.
 _CONTRADICTS = 0.02
+# A torque of which the nominal one explains less than this does not follow it.
+_FOLLOWS = 0.1
 # A torque that neither inertias nor friction predict better has no friction to go by.
 _WORST_ERROR = 0.3
 # Share of the torque that the nominal model must explain to say something.
@@ -63,11 +65,14 @@ def torque_signs(model, names, signals):
                 f"it follows {scale:.2g} times the model's torque "
                 f"({-scale_t:.0f} standard errors)"
             )
+        # Where the model asks for a torque that the channel does not follow, with
+        # neither sign, its friction may be what a controller compensates.
+        follows = rigid < -SURE or scale_t == 0.0
         found.append(
             ChannelFinding(
                 "torque_sign",
                 (j,),
-                "error",
+                "error" if follows or share > _FOLLOWS else "doubt",
                 f"The torque of {names[j]} has the wrong sign: "
                 f"{' and '.join(evidence)}; multiply it by -1.",
             )

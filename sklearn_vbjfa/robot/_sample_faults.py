@@ -84,9 +84,9 @@ def inspect_samples(names, q, tau, dt, parts, rows, revolute):
             findings.append(_constant(names[j], j, tau[:, j]))
             continue
         finding, bad = _clipped(names[j], j, tau[:, j], moving, parts)
-        findings += finding
-        findings += _coarse(names[j], j, tau[:, j], moving, parts, held[1, j])
-        usable[:, j] &= ~bad
+        coarse = _coarse(names[j], j, tau[:, j], moving, parts, held[1, j])
+        findings += finding + coarse
+        usable[:, j] &= ~bad & (not coarse)
     for j in np.flatnonzero(~still):
         known = lost
         if not held[0, j]:

@@ -38,7 +38,7 @@ MEASURED = (
 )
 WITH_FAULTS = ("staubli_tx40", "ur5", "franka_panda")
 # Stretches of a measured set that a fault is put into.
-PIECES = 7
+PIECES = 4
 # Recordings below this length are not cut in halves.
 SHORTEST = 1000
 URDFS = ("demo_arm", "arm", "head", "kr300_nominal")

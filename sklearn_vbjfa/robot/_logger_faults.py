@@ -156,23 +156,21 @@ def wrapped_positions(names, q, revolute, parts, rows):
 
 def _turns(x, turn, parts):
     """First row behind a jump by a whole turn, and the number of such jumps."""
-    if np.ptp(x) > 1.1 * turn or np.ptp(x) < (1 - _TURN_LEFT) * turn:
-        return 0, 0
-    first, count = None, 0
+    first, count = 0, 0
     for part in parts:
-        step = np.diff(x[part])
+        y = x[part]
+        if not (1 - _TURN_LEFT) * turn < np.ptp(y) < 1.1 * turn:
+            continue
+        step = np.diff(y)
         over = np.flatnonzero(np.abs(step) > (1 - _TURN_LEFT) * turn)
-        if not over.size:
+        # Steps as large as a turn everywhere are another fault.
+        if not over.size or over.size > 0.05 * step.size:
             continue
         rest = step - turn * np.round(step / turn)
-        others = np.abs(np.delete(step, over))
-        usual = np.quantile(others, 0.999) if others.size else 0.0
+        usual = np.quantile(np.abs(np.delete(step, over)), 0.999)
         # Without the turn the steps must be those of the motion.
         over = over[np.abs(rest[over]) <= 3 * usual + 1e-3 * turn]
-        # Steps as large as a turn everywhere are another fault.
-        if over.size > 0.05 * step.size:
-            return 0, 0
-        if over.size and first is None:
+        if over.size and not count:
             first = part.start + int(over[0]) + 1
         count += over.size
     return first, count
@@ -335,18 +333,18 @@ def held_channels(names, q, tau, dt, lost, parts, skip):
 
 
 def _repetition(x, lost, parts):
-    """Rows for one new value, None if every row has one."""
-    steps, gaps = [], []
-    for part in parts:
-        y = x[part][~lost[part]]
-        change = np.flatnonzero(np.diff(y) != 0)
-        if change.size < 3:
-            continue
-        steps.append(np.abs(y[change + 1] - y[change])[1:])
-        gaps.append(np.diff(change))
-    if not steps:
+    """Rows for one new value, None if every row of every recording has one."""
+    found = [k for part in parts if (k := _period(x[part][~lost[part]])) is not None]
+    return float(np.median(found)) if found else None
+
+
+def _period(y):
+    """Rows for one new value of a single recording, None for one."""
+    change = np.flatnonzero(np.diff(y) != 0)
+    if change.size <= _FEWEST_STEPS:
         return None
-    steps, gaps = np.concatenate(steps), np.concatenate(gaps)
+    steps = np.abs(y[change + 1] - y[change])[1:]
+    gaps = np.diff(change)
     # An encoder or a converter that rounds goes by its resolution, and stands still
     # where the signal is slow; steps of several of them within one row cannot follow
     # upon rows without any.
@@ -354,7 +352,6 @@ def _repetition(x, lost, parts):
     if fast.sum() < max(_FEWEST_STEPS, _STEP_SHARE * steps.size):
         return None
     k = np.median(gaps[fast])
-    if k < 2 or np.mean(np.abs(gaps[fast] - k) <= 1) < _SAME_RATE:
-        return None
-    # Of a rate that is no whole multiple some rows follow at once.
-    return float(k) if np.mean(gaps[fast] >= 2) >= _SAME_RATE else None
+    # Where the rate is no whole multiple, some gaps are longer or shorter by a row.
+    regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
+    return float(k) if np.mean(regular) >= _SAME_RATE else None

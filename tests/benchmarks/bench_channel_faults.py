@@ -6,7 +6,7 @@ alone, and halves of each; simulated ones of several robots, lengths, rates, noi
 friction. Then one fault at a time is put into simulated recordings and into TX40, UR5
 and Panda. A case counts as seen if an error or a doubt of the fault's own kind names
 it, as "other" if some error or doubt does, else as missed; where the nominal model
-cannot show the fault (see `_channel_faults.visible`) nothing should be said.
+cannot show the fault (see `visible`) nothing should be said.
 """
 
 import time
@@ -16,13 +16,15 @@ from importlib import resources
 
 import _undeclared_robots as robots
 import numpy as np
-from _channel_faults import FAULTS, visible
-from _report import fixed, parser, publish, rst_table, rst_title
+from _report import add_root_to_path, fixed, parser, publish, rst_table, rst_title
 
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import Recording, make_robot_recording
 from sklearn_vbjfa.robot._channel_checks import inspect_channels
 from sklearn_vbjfa.robot._model import is_prismatic, load_model
+
+add_root_to_path()
+from tests.robot._channel_faults import FAULTS, visible  # noqa: E402
 
 MEASURED = (
     "bam_xl330",

@@ -6,7 +6,8 @@ import pytest
 pytest.importorskip("pinocchio")
 
 import bench_channel_faults as bench
-from _channel_faults import FAULTS, visible
+
+from tests.robot._channel_faults import FAULTS, visible
 
 
 def test_every_fault_changes_the_recording():

@@ -26,8 +26,8 @@ class Fault:
     kinds : frozenset of str
         Kinds of findings that name it.
     seen_by : {"samples", "geometry", "size"}
-        What shows it: the samples alone; the geometry of the nominal model; the size
-        of the nominal torque beside the joint's others.
+        What shows it: the samples alone; the torques that joints of the nominal model
+        make on one another; the size of the nominal torque beside the joint's others.
     revolute : bool
         Whether it needs a revolute joint.
     """
@@ -249,7 +249,7 @@ FAULTS = {
     "dt in ms": Fault(put=milliseconds, kinds=_DT),
     "rate as dt": Fault(put=hertz, kinds=_DT),
     "dt a thousandth": Fault(put=microseconds, kinds=_DT),
-    "dt off by ten": Fault(put=tenfold, kinds=_DT),
+    "dt off by ten": Fault(put=tenfold, kinds=_DT, seen_by="geometry"),
     "shuffled rows": Fault(put=shuffled, kinds=frozenset({"shuffled_rows"})),
 }
 
@@ -285,8 +285,8 @@ def visible(model, fault, q, tau, dt, j, rng):
         share = [_share_left(tau[:, k], v, a, q, k, None) for k in joints]
         with_it = [_share_left(tau[:, k], v, a, q, k, rigid[:, k]) for k in joints]
         return max(b - a for a, b in zip(with_it, share)) > 0.5
-    wrong_q, wrong_torque, _ = fault.put(q, rigid, dt, j, rng)
-    wrong_v, wrong_a, wrong = nominal(model, wrong_q, dt)
+    wrong_q, wrong_torque, wrong_dt = fault.put(q, rigid, dt, j, rng)
+    wrong_v, wrong_a, wrong = nominal(model, wrong_q, wrong_dt)
     left = [
         _share_left(wrong_torque[:, k], wrong_v, wrong_a, wrong_q, k, wrong[:, k])
         * np.var(wrong_torque[:, k])

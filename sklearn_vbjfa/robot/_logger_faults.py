@@ -137,7 +137,9 @@ def wrapped_positions(names, q, revolute, parts, rows):
             if unwrapped is q:
                 unwrapped = q.copy()
             for part in parts:
-                unwrapped[part, j] = np.unwrap(q[part, j], period=turn)
+                x = np.unwrap(q[part, j], period=turn)
+                # Each recording may begin in another turn.
+                unwrapped[part, j] = x - turn * np.round(x.mean() / turn)
             period = "" if turn < 7 else ", period=360"
             findings.append(
                 ChannelFinding(

@@ -23,6 +23,8 @@ _FEWEST_COUNTS = 25.0
 # which is so many radians (or metres) where the model tells none.
 _RANGE_MARGIN = 1.25
 _RANGE_TURN, _RANGE_SLIDE = 4 * np.pi, 5.0
+# ... and have means of at most this share of their standard deviation.
+_LARGEST_MEAN = 0.5
 
 
 # -- positions -------------------------------------------------------------------------
@@ -188,6 +190,13 @@ def velocities(model, names, q, tau, dt, parts, usable, signals):
     low, high = _limits(model)
     free = np.where(is_prismatic(model), _RANGE_SLIDE, _RANGE_TURN)
     width = np.where(_limited(model), high - low, free)
+    # A joint that stays within its range goes to and fro: at rest, or in part of a
+    # swing, anything may be the derivative of anything.
+    swing = np.array(
+        [np.abs(q[p].mean(axis=0)) / _tiny(q[p].std(axis=0)) for p in parts]
+    )
+    if np.median(swing) > _LARGEST_MEAN:
+        return []
     integral = np.empty_like(q)
     for part in parts:
         integral[part] = np.cumsum(q[part], axis=0) * dt
@@ -219,6 +228,10 @@ def velocities(model, names, q, tau, dt, parts, usable, signals):
             "positions, or states [q | v | a].",
         )
     ]
+
+
+def _tiny(x):
+    return np.maximum(x, np.finfo(float).tiny)
 
 
 # -- torques ---------------------------------------------------------------------------

@@ -248,11 +248,18 @@ def _frozen_rows(names, q, dt, same, parts, rows):
         for a, b in zip(*runs(same[part])):
             # Samples a - 1 to b are equal.
             before, behind = a - 1 - _FROZEN_BESIDE, b + 1 + _FROZEN_BESIDE
-            if b - a + 2 < _FROZEN_ROWS or before < 0 or behind >= x.shape[0]:
+            for_good = b + 1 == x.shape[0]
+            if (
+                b - a + 2 < _FROZEN_ROWS
+                or before < 0
+                or (behind >= x.shape[0] and not for_good)
+            ):
                 continue
             into = (x[a - 1] - x[before]) / _FROZEN_BESIDE
-            out = (x[behind] - x[b + 1]) / _FROZEN_BESIDE
-            fast = (np.abs(into) > speed) & (np.abs(out) > speed) & (into * out > 0)
+            fast = np.abs(into) > speed
+            if not for_good:
+                out = (x[behind] - x[b + 1]) / _FROZEN_BESIDE
+                fast &= (np.abs(out) > speed) & (into * out > 0)
             if fast.any():
                 found.append((part.start + a - 1, b - a + 2))
                 frozen[part.start + a : part.start + b + 1] = True

@@ -149,9 +149,9 @@ def random_order(q, tau, dt, j, rng):
 
 
 def frozen_logger(q, tau, dt, j, rng):
-    """One row written for 0.3 s, three times."""
+    """One row written for 0.3 s, or a twentieth of the recording, three times."""
     q, tau = q.copy(), tau.copy()
-    n = max(8, round(0.3 / dt))
+    n = max(8, min(round(0.3 / dt), len(q) // 20))
     for share in (0.25, 0.5, 0.7):
         start = int(share * len(q))
         q[start : start + n], tau[start : start + n] = q[start], tau[start]

@@ -99,6 +99,25 @@ class ChannelSignals:
         """Return the signals with torques multiplied by signs (nv,)."""
         return replace(self, tau=self.tau * sign[:, None])
 
+    def flipped(self, sign):
+        """Return the signals with joints that turn the other way round, by signs."""
+        return replace(
+            self.signed(sign),
+            states=self.states * np.tile(sign, 3),
+            sign=self.sign * sign,
+        )
+
+    def shifted(self, offset):
+        """Return the signals with offsets (nv,) added to the positions."""
+        still = np.zeros_like(offset)
+        return replace(self, states=self.states + np.r_[offset, still, still])
+
+    def retimed(self, factor):
+        """Return the signals with a sample period that is shorter by a factor."""
+        nv = self.sign.shape[1]
+        scale = np.repeat([1.0, factor, factor**2], nv)
+        return replace(self, states=self.states * scale)
+
     def thinned(self, most):
         """Return every k-th row, about `most` of them."""
         k = max(1, self.block.size // most)
@@ -196,6 +215,8 @@ class ChannelFit:
     log_error : ndarray of shape (n_blocks, n_versions)
         Logarithm of the mean squared error of each block, predicted from the others;
         nan for blocks without rows.
+    log_variance : float
+        Logarithm of the torque's variance.
     friction : float
         Root mean square of the friction found, relative to the torque's.
     power : float
@@ -206,6 +227,7 @@ class ChannelFit:
 
     error: np.ndarray
     log_error: np.ndarray
+    log_variance: float
     friction: float
     power: float
     power_t: float
@@ -224,9 +246,11 @@ class ChannelEquations:
 
     def __init__(self, model, signals):
         n, nv = signals.sign.shape
-        features = RigidBodyFeatures(model, friction=())._load()
-        self._rigid = features._compute(signals.states).reshape(n, nv, -1)
-        self._nominal = self._rigid @ nominal_parameters(model).ravel()
+        self._features = RigidBodyFeatures(model, friction=())._load()
+        self._rigid = self._features._compute(signals.states).reshape(n, nv, -1)
+        self._parameters = nominal_parameters(model).ravel()
+        self._nominal = self._rigid @ self._parameters
+        self._at_rest = None
         # Rounding of a torque that is zero in every motion.
         size = np.abs(self._nominal).max(axis=0)
         self._nominal[:, size < 1e-9 * size.max(initial=0.0)] = 0.0
@@ -268,13 +292,62 @@ class ChannelEquations:
         log_error, error = moments.errors(without)
         power, power_t = _power(free[:, :2], theta, without, middle, w)
         found = free[:, :2] @ theta[:2, middle]
+        spread = max(_spread_of(y, w), np.finfo(float).tiny)
         return ChannelFit(
-            error=error / max(_spread_of(y, w), np.finfo(float).tiny),
+            error=error / spread,
             log_error=log_error,
+            log_variance=2 * np.log(spread),
             friction=_rms(found, w) / max(_rms(y, w), np.finfo(float).tiny),
             power=power,
             power_t=power_t,
         )
+
+    def inertia_scale(self, j):
+        """Regress the torque on gravity and on what motion adds to it, apart.
+
+        Parameters
+        ----------
+        j : int
+            Joint.
+
+        Returns
+        -------
+        gravity, gravity_t : float
+            Factor of the nominal torque at rest, and the same in standard errors.
+        motion, motion_error : float
+            Factor of the rest of the nominal torque, and its standard error.
+        """
+        n = self._signals.block.size
+        w = self.weight(j)
+        friction, _ = self._columns(j)
+        gravity = self._gravity()[:, j]
+        motion = self._nominal[:, j] - gravity
+        q = self._signals.states[:, j]
+        rest = np.column_stack([friction, np.ones(n), q, np.sin(q), np.cos(q)])
+        columns = np.column_stack([gravity, motion, rest])
+        y = self._signals.now[:, [j]]
+        block = self._signals.block
+        none = np.zeros((n, 0))
+        theta, without = _Moments(columns, none, y, w, block).solve(0)
+        errors = [_jackknife_error(without[:, k, 0]) for k in (0, 1)]
+        return (
+            float(theta[0, 0]),
+            float(theta[0, 0] / errors[0]),
+            float(theta[1, 0]),
+            float(errors[1]),
+        )
+
+    def _gravity(self):
+        """Nominal torques of the robot at rest, ndarray of shape (n, nv)."""
+        if self._at_rest is None:
+            nv = self._signals.sign.shape[1]
+            still = self._signals.states.copy()
+            still[:, nv:] = 0.0
+            rigid = self._features._compute(still).reshape(
+                *self._signals.sign.shape, -1
+            )
+            self._at_rest = rigid @ self._parameters
+        return self._at_rest
 
     def _expected(self, j, w):
         """Root mean square torque of inertias drawn from the prior."""
@@ -290,13 +363,16 @@ class ChannelEquations:
         others = [self._nominal[:, j], np.ones(n), a, q, np.sin(q), np.cos(q)]
         return friction, np.column_stack(others)
 
-    def nominal_scale(self, j):
+    def nominal_scale(self, j, *, rotor=False):
         """Regress the torque on the nominal one, friction and a spring.
 
         Parameters
         ----------
         j : int
             Joint.
+        rotor : bool, default=False
+            Whether the joint's acceleration has a column of its own: a geared rotor
+            may have many times the inertia of a light link.
 
         Returns
         -------
@@ -307,7 +383,7 @@ class ChannelEquations:
         share : float
             Share of what friction and spring leave that the nominal torque explains.
         """
-        n = self._signals.block.size
+        n, nv = self._signals.sign.shape
         w = self.weight(j)
         y = self._signals.now[:, [j]]
         nominal = self._nominal[:, j]
@@ -316,6 +392,8 @@ class ChannelEquations:
         friction, _ = self._columns(j)
         q = self._signals.states[:, j]
         rest = np.column_stack([friction, np.ones(n), q])
+        if rotor:
+            rest = np.column_stack([rest, self._signals.states[:, 2 * nv + j]])
         with_nominal = np.column_stack([nominal, rest])
         none = np.zeros((n, 0))
         block = self._signals.block

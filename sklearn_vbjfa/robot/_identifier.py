@@ -9,6 +9,7 @@ from sklearn_vbjfa.robot import _friction, _identification, _online
 from sklearn_vbjfa.robot._effect_columns import fit_passes, needs_load
 from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._identification import IdentificationSteps
+from sklearn_vbjfa.robot._joint_columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._recording_checks import (
@@ -21,6 +22,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     resolve_clock,
     resolve_cutoff,
     resolve_standstill,
+    warn_of_disorder,
 )
 from sklearn_vbjfa.robot._recording_score import RecordingRegressorMixin
 from sklearn_vbjfa.robot._torque_noise import filtered_torque_noise
@@ -205,9 +207,12 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         ----------
         X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
             Joint positions [rad or m], rows equidistant in time; or states
-            [q | v | a].
+            [q | v | a]. The columns of a data frame may be in any order: they are
+            found by name, ``q_<joint>``, ``<joint>`` or ``q1, q2, ...`` (``v``, ``a``
+            for states), here and in `predict`.
         y : array-like of shape (n_samples, nv)
-            Joint torques [N m] or forces [N].
+            Joint torques [N m] or forces [N]; of a data frame by name, too,
+            ``tau_<joint>``, ``<joint>`` or ``tau1, tau2, ...``.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings; nothing is differentiated or filtered
             across their borders.
@@ -229,6 +234,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         X, y = self._validate(X, y)
         check_input_noise(self.input_noise)
         parts = contiguous_groups(groups, X.shape[0])
+        warn_of_disorder(self.joint_names_, X[:, : self._nv], parts, groups)
         check_time_stamps(t, self.dt, parts)
         clock = resolve_clock(t, self.dt, parts, self.effects_)
         weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
@@ -300,12 +306,19 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
             self._online = _online.begin(self)
             self.n_features_in_ = 3 * self._nv
         self._online.forgetting = float(self.forgetting)
+        X = positions_in_order(X, self.joint_names_)
+        y = torques_in_order(y, self.joint_names_)
         self._online.add(*_online.check_rows(self, X, y, sample_weight))
         return self._fit_statistics(self._online.statistics()) if refit else self
 
     def _validate(self, X, y):
         X, y = validate_data(
-            self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
+            self,
+            positions_in_order(X, self.joint_names_),
+            torques_in_order(y, self.joint_names_),
+            dtype=np.float64,
+            multi_output=True,
+            y_numeric=True,
         )
         y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
@@ -348,7 +361,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
 
     def _validate_query(self, X):
         # Positions and states are both welcome, whichever the fit got.
-        X = check_array(X, dtype=np.float64)
+        X = check_array(positions_in_order(X, self.joint_names_), dtype=np.float64)
         check_widths(self.joint_names_, X)
         return X
 
@@ -379,6 +392,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         """
         check_is_fitted(self)
         X = self._validate_query(X)
+        y = torques_in_order(y, self.joint_names_)
         y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
         parts = contiguous_groups(groups, X.shape[0])

@@ -5,6 +5,8 @@ import warnings
 import numpy as np
 
 from sklearn_vbjfa.robot._groups import check_clock, check_cutoff, check_dt
+from sklearn_vbjfa.robot._logger_faults import shuffled_rows
+from sklearn_vbjfa.robot._sample_faults import position_jumps
 
 # Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of
 # the motion, high enough for the friction at reversals, low enough for what shakes.
@@ -145,6 +147,28 @@ def check_channels(names, positions, torques):
             UserWarning,
             stacklevel=3,
         )
+
+
+def warn_of_disorder(names, positions, parts, groups):
+    """Warn of rows that are not in the order of time, and of borders without labels.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    positions : ndarray of shape (n, nv)
+        Joint positions.
+    parts : list of slice
+        Recordings.
+    groups : array-like of shape (n,) or None
+        Labels of the recordings.
+    """
+    found = shuffled_rows(names, positions, parts, groups)
+    if not found:
+        rows = np.arange(positions.shape[0])
+        found = position_jumps(names, positions, parts, rows)
+    for finding in found:
+        warnings.warn(finding.message, UserWarning, stacklevel=3)
 
 
 def resolve_cutoff(cutoff, parts, dt, state_estimator):

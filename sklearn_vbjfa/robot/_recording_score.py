@@ -3,6 +3,8 @@
 from sklearn.base import RegressorMixin
 from sklearn.metrics import r2_score
 
+from sklearn_vbjfa.robot._joint_columns import torques_in_order
+
 
 class RecordingRegressorMixin(RegressorMixin):
     """A regressor of several outputs whose rows are recordings in the order of time."""
@@ -36,4 +38,6 @@ class RecordingRegressorMixin(RegressorMixin):
             R^2, the mean over the joints.
         """
         predicted = self.predict(X, groups=groups, t=t)
+        if hasattr(self, "joint_names_"):
+            y = torques_in_order(y, self.joint_names_)
         return r2_score(y, predicted, sample_weight=sample_weight)

@@ -1,11 +1,19 @@
 """Faults of single channels that their samples show: no robot model is asked."""
 
-from dataclasses import dataclass
-
 import numpy as np
+
+from sklearn_vbjfa.robot._channel_finding import ChannelFinding
+from sklearn_vbjfa.robot._logger_faults import (
+    held_channels,
+    repeated_rows,
+    runs,
+    wrapped_positions,
+)
 
 # A joint whose travel is below this many standard deviations of its own noise rests.
 _STILL_TRAVEL = 12.0
+# A torque is coarse if rounding makes errors of this share of its spread.
+_COARSE = 0.05
 # Clipping: samples within this share of the channel's range of an extreme value, ...
 _PLATEAU = 1e-3
 # ... in runs of at least so many, in at least so many places, ...
@@ -16,9 +24,6 @@ _LONG_PLATEAU = 12
 # ... and denser by this factor than the torques next to the extreme value. Of a sine
 # without noise, whose extremes are flat, 3.4 times as many lie there.
 _PLATEAU_DENSITY = 8.0
-# Rows written twice that are worth a word.
-_FEWEST_REPEATED = 3
-_REPEATED_SHARE = 0.002
 # Repeated positions are a dropout if the motion around them covers so many standard
 # deviations of the noise and the step after them is so many times the others (an
 # encoder's quantum at low speed is as large as the steps around it).
@@ -29,40 +34,13 @@ _FROZEN_RUN = 3
 _FROZEN_SPEED = 0.02
 # Steps and spikes, in robust standard deviations of what the neighbours leave open.
 _OUTLIER = 25.0
+# ... and of the channel's range.
+_LEAST_JUMP = 0.003
 # More than this share of outliers is no fault of single samples, but noise.
 _MOST_OUTLIERS = 0.01
 
 
-@dataclass(frozen=True)
-class ChannelFinding:
-    """What is wrong with one or two channels of a recording.
-
-    Attributes
-    ----------
-    kind : str
-        Name of the fault, such as "torque_sign"; see `inspect_channels`.
-    joints : tuple of int
-        Joints concerned, counted from 0.
-    severity : {"error", "warning"}
-        "error": a fit would be wrong. "warning": it would be worse than need be, or
-        the evidence has another explanation.
-    message : str
-        One line: the channel by name, the evidence in numbers, the remedy.
-    """
-
-    kind: str
-    joints: tuple[int, ...]
-    severity: str
-    message: str
-
-
-def runs(flags):
-    """Return first and last index of every run of True, two ndarrays of int."""
-    edges = np.diff(np.r_[0, np.asarray(flags, dtype=np.int8), 0])
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-
-
-def inspect_samples(names, q, tau, dt, parts, rows):
+def inspect_samples(names, q, tau, dt, parts, rows, revolute):
     """Look at every channel by itself.
 
     Parameters
@@ -77,6 +55,8 @@ def inspect_samples(names, q, tau, dt, parts, rows):
         Recordings, which together cover all rows.
     rows : ndarray of shape (n,) of int
         Numbers of the rows, for messages.
+    revolute : ndarray of shape (nv,) of bool
+        Which joints turn.
 
     Returns
     -------
@@ -84,15 +64,19 @@ def inspect_samples(names, q, tau, dt, parts, rows):
         Faults.
     usable : ndarray of shape (n, nv), bool
         Samples of each joint that no fault concerns.
+    q : ndarray of shape (n, nv)
+        Positions, unwrapped.
     """
-    findings = []
     usable = np.ones(q.shape, dtype=bool)
+    findings, q = wrapped_positions(names, q, revolute, parts, rows)
     still = _still(q, parts)
     for j in np.flatnonzero(still):
         usable[:, j] = False
         findings.append(_still_joint(names[j], j, q[:, j]))
     moving = _moving(q, parts)
-    lost, finding = _repeated_rows(q, tau, moving, parts, rows)
+    lost, finding = repeated_rows(names, q, tau, dt, moving, parts, rows)
+    findings += finding
+    finding, held = held_channels(names, q, tau, dt, lost, parts, still)
     findings += finding
     for j in np.flatnonzero(~still):
         if np.ptp(tau[:, j]) == 0:
@@ -100,21 +84,65 @@ def inspect_samples(names, q, tau, dt, parts, rows):
             findings.append(_constant(names[j], j, tau[:, j]))
             continue
         finding, bad = _clipped(names[j], j, tau[:, j], moving, parts)
-        findings += finding + _coarse(names[j], j, tau[:, j], moving, parts)
-        usable[:, j] &= ~bad
+        coarse = _coarse(names[j], j, tau[:, j], moving, parts, held[1, j])
+        findings += finding + coarse
+        usable[:, j] &= ~bad & (not coarse)
     for j in np.flatnonzero(~still):
-        finding, bad = _frozen(names[j], j, q[:, j], dt, parts, lost, rows)
-        findings += finding
-        # Where samples were lost there is a jump behind them, which is known.
-        known = lost | bad
+        known = lost
+        if not held[0, j]:
+            finding, bad = _frozen(names[j], j, q[:, j], dt, parts, lost, rows)
+            findings += finding
+            usable[bad] = False  # a wrong position spoils every torque
+            # Where samples were lost there is a jump behind them, which is known.
+            known = lost | bad
         finding, jumps = _outliers(names[j], j, "position", q[:, j], parts, known, rows)
         findings += finding
-        usable[bad | jumps] = False  # a wrong position spoils every torque
+        usable[jumps] = False
         finding, bad = _outliers(names[j], j, "torque", tau[:, j], parts, lost, rows)
         findings += finding
         usable[:, j] &= ~bad
     usable[lost] = False
-    return findings, usable
+    return findings, usable, q
+
+
+def position_jumps(names, q, parts, rows):
+    """Find steps of positions that are no motion, as where recordings meet.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    q : ndarray of shape (n, nv)
+        Positions.
+    parts : list of slice
+        Recordings.
+    rows : ndarray of shape (n,) of int
+        Numbers of the rows, for messages.
+
+    Returns
+    -------
+    list of ChannelFinding
+        Those findings of `inspect_samples` of the kind "position_jumps".
+    """
+    nothing = np.zeros(q.shape[0], dtype=bool)
+    found = []
+    for j in range(q.shape[1]):
+        if _steps_off(q[:, j], parts):
+            found += _outliers(names[j], j, "position", q[:, j], parts, nothing, rows)[
+                0
+            ]
+    return [finding for finding in found if finding.kind == "position_jumps"]
+
+
+def _steps_off(x, parts):
+    """Whether a step is large enough to be a jump; far quicker than to look closer."""
+    # Interpolated, a jump takes two steps.
+    least = 0.4 * _LEAST_JUMP * np.ptp(x)
+    for part in parts:
+        step = np.diff(x[part])
+        if step.size > 2 and (np.abs(np.diff(step)) > least).any():
+            return True
+    return False
 
 
 # -- nothing in the channel ------------------------------------------------------------
@@ -157,20 +185,30 @@ def _constant(name, j, x):
     )
 
 
-def _coarse(name, j, x, moving, parts):
-    """Find a torque that takes a few values only, or seldom a new one."""
-    same = np.concatenate([np.diff(x[part])[moving[part][1:]] == 0 for part in parts])
-    if same.size == 0 or np.mean(same) < 0.5:
+def _coarse(name, j, x, moving, parts, held):
+    """Find a torque whose resolution leaves little of its shape."""
+    step = np.abs(np.concatenate([np.diff(x[p])[moving[p][1:]] for p in parts]))
+    changes = step[step > 0]
+    if changes.size == 0:
+        return []
+    same = 1.0 - changes.size / step.size
+    # Where the torque mostly stands still between two values of its grid, a change is
+    # one step of it; where it is sampled so seldom that it passes several, the
+    # smallest is. What is held is far from its next value, whatever its grid.
+    typical = same >= 0.5 and not held
+    size = np.median(changes) if typical else np.quantile(changes, 0.02)
+    rounding = size / np.sqrt(12) / max(x[moving].std(), np.finfo(float).tiny)
+    if rounding < _COARSE:
         return []
     return [
         ChannelFinding(
             "coarse_torque",
             (int(j),),
             "warning",
-            f"The torque of {name} stays the same in {100 * np.mean(same):.0f} % of "
-            f"its steps while the robot moves (range {np.ptp(x):.3g}): its resolution "
-            "or its rate is too coarse to tell much; leave it out of the fit, or "
-            "record it finer.",
+            f"The torque of {name} goes in steps of {size:.3g}, its spread is "
+            f"{x[moving].std():.3g}, and it stays the same in {100 * same:.0f} % of "
+            "its rows while the robot moves: its resolution is too coarse to tell "
+            "much; leave it out of the fit, or record it finer.",
         )
     ]
 
@@ -239,27 +277,6 @@ def _clipped(name, j, x, moving, parts):
 # -- dropouts --------------------------------------------------------------------------
 
 
-def _repeated_rows(q, tau, moving, parts, rows):
-    """Find rows that the logger wrote twice while the robot moved."""
-    same = np.zeros(q.shape[0], dtype=bool)
-    for part in parts:
-        table = np.hstack([q[part], tau[part]])
-        same[part][1:] = (np.diff(table, axis=0) == 0).all(axis=1)
-    same &= moving
-    count = np.count_nonzero(same)
-    if count < max(_FEWEST_REPEATED, _REPEATED_SHARE * q.shape[0]):
-        return np.zeros_like(same), []
-    finding = ChannelFinding(
-        "repeated_rows",
-        tuple(range(q.shape[1])),
-        "warning",
-        f"{count} rows ({100 * count / q.shape[0]:.2g} %) equal the row before them in "
-        f"every position and torque, the first is row {rows[np.argmax(same)]}: the "
-        "logger wrote old values again; drop them and resample on the time stamps.",
-    )
-    return same, [finding]
-
-
 def _frozen(name, j, x, dt, parts, lost, rows):
     """Find positions that stand still in the middle of a motion."""
     bad = np.zeros(x.shape, dtype=bool)
@@ -315,7 +332,7 @@ def _outliers(name, j, what, x, parts, known, rows):
     """Find single samples, and steps of the position, that the others contradict."""
     bad = np.zeros(x.shape, dtype=bool)
     # A torque may ring; a position is smooth.
-    least = (0.05 if what == "torque" else 0.003) * np.ptp(x)
+    least = (0.05 if what == "torque" else _LEAST_JUMP) * np.ptp(x)
     spikes, jumps = [], []
     for part in parts:
         lone = _spikes(x[part], least)

@@ -49,7 +49,7 @@ def inspect(arm, q=None, tau=None):
     findings = inspect_channels(model, q, tau, recording.dt)
     for finding in findings:
         assert isinstance(finding, ChannelFinding)
-        assert finding.severity in {"error", "warning"}
+        assert finding.severity in {"error", "doubt", "warning"}
         assert "\n" not in finding.message
         if len(finding.joints) < recording.nv:
             for j in finding.joints:
@@ -168,7 +168,7 @@ def test_motor_torques_are_told_by_their_size(arm):
     tau = arm[0].tau.copy()
     tau[:, 1] /= 100.0
     findings = inspect(arm, tau=tau)
-    message = only(findings, "gear_factor", (1,), "warning")
+    message = only(findings, "gear_factor", (1,), "doubt")
     factor = float(message.split("about ")[1].split()[0])
     assert 60 < factor < 160
 
@@ -290,3 +290,155 @@ def test_a_robot_at_rest_is_all_still(arm):
         model, np.zeros_like(recording.q), recording.tau, recording.dt
     )
     assert found(findings) == {("still_joint", (j,)) for j in range(6)}
+
+
+# -- loggers, units, order, direction, zero and sample period --------------------------
+
+
+def grave(findings, kind):
+    """Joints and severities of the findings of one kind."""
+    return [(f.joints, f.severity) for f in findings if f.kind == kind]
+
+
+def test_wrapped_angles_are_named_with_the_row_and_the_remedy(arm):
+    q = arm[0].q.copy()
+    at = np.median(q[:, 3])
+    q[q[:, 3] > at, 3] -= 2 * np.pi
+    message = only(inspect(arm, q=q), "wrapped_position", (3,), "error")
+    first = np.flatnonzero(np.abs(np.diff(q[:, 3])) > 3)[0] + 1
+    assert f"first to row {first};" in message
+    assert "q[:, 3] = numpy.unwrap(q[:, 3])" in message
+
+
+def test_degrees_that_are_wrapped_are_both(arm):
+    q = np.rad2deg(arm[0].q)
+    q[q[:, 3] > np.median(q[:, 3]), 3] -= 360.0
+    kinds = {finding.kind for finding in inspect(arm, q=q)}
+    assert kinds == {"wrapped_position", "position_degrees"}
+
+
+def test_a_frozen_logger(arm):
+    q, tau = arm[0].q.copy(), arm[0].tau.copy()
+    q[1000:1060], tau[1000:1060] = q[1000], tau[1000]
+    findings = inspect(arm, q=q, tau=tau)
+    ((joints, severity),) = grave(findings, "frozen_recording")
+    assert (joints, severity) == (tuple(range(6)), "doubt")
+    assert "the longest 60 rows, the first from row 1000 on" in findings[0].message
+
+
+def test_a_robot_that_pauses_is_not_frozen(arm):
+    """Without noise all rows of a pause are equal; the motion runs out before it."""
+    recording, model = arm
+    q = recording.states[:, :6]
+    stop = 1200
+    ramp = np.cumsum(0.5 * (1 + np.cos(np.linspace(0, np.pi, 200))))
+    back = np.cumsum(0.5 * (1 - np.cos(np.linspace(0, np.pi, 200))))
+    clock = np.r_[np.arange(stop), stop + ramp, np.full(100, stop + ramp[-1])]
+    clock = np.r_[clock, clock[-1] + back]
+    at = np.arange(len(q))
+    slow = np.column_stack([np.interp(clock, at, x) for x in q.T])
+    tau = np.column_stack([np.interp(clock, at, x) for x in recording.tau_clean.T])
+    findings = inspect_channels(model, slow, tau, recording.dt)
+    assert not grave(findings, "frozen_recording")
+
+
+@pytest.mark.parametrize("k", [2, 5])
+@pytest.mark.parametrize("what", ["position", "torque"])
+def test_channels_at_a_lower_rate(arm, what, k):
+    rows = k * (np.arange(arm[0].n_samples) // k)
+    held = {"q" if what == "position" else "tau": None}
+    held = {name: getattr(arm[0], name)[rows] for name in held}
+    findings = inspect(arm, **held)
+    ((joints, severity),) = grave(findings, f"held_{what}")
+    assert (joints, severity) == (tuple(range(6)), "doubt")
+    assert f"every {k} rows" in findings[0].message
+    assert not grave(findings, "coarse_torque")
+
+
+@pytest.mark.parametrize("quantum", [1e-5, 1e-3])
+def test_an_encoder_that_rounds_is_not_held(arm, quantum):
+    q = quantum * np.round(arm[0].q / quantum)
+    assert not grave(inspect(arm, q=q), "held_position")
+
+
+def test_a_torque_is_coarse_by_its_step_against_its_spread():
+    recording = make_robot_recording(
+        random_state=3, duration=6.0, dt=0.001, torque_noise=0.001
+    )
+    model = recording.robot_model()
+    for share, coarse in ((1 / 40, False), (1 / 2, True)):
+        tau = recording.tau.copy()
+        step = share * tau[:, 1].std()
+        tau[:, 1] = step * np.round(tau[:, 1] / step)
+        # As most steps are zero, it is not their number that counts.
+        assert np.mean(np.diff(tau[:, 1]) == 0) > 0.5
+        findings = inspect_channels(model, recording.q, tau, recording.dt)
+        assert grave(findings, "coarse_torque") == (
+            [((1,), "warning")] if coarse else []
+        )
+
+
+def test_encoder_counts_of_a_joint_without_limits():
+    """Whole numbers are counts, whatever the joint may do."""
+    import pinocchio as pin
+
+    model = pin.Model()
+    number = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "wheel")
+    model.appendBodyToJoint(
+        number, pin.Inertia.FromBox(2.0, 0.1, 0.1, 0.4), pin.SE3(np.eye(3), np.ones(3))
+    )
+    t = 0.01 * np.arange(3000)
+    turning = 6.0 * t + np.sin(2 * t)
+    rng = np.random.default_rng(0)
+    tau = np.cos(turning) + 0.2 + 0.01 * rng.normal(size=t.size)
+    sound = inspect_channels(model, turning[:, None], tau[:, None], 0.01)
+    assert not {f.severity for f in sound} & {"error", "doubt"}
+    counts = np.round(turning * 4096 / (2 * np.pi))
+    found_ = inspect_channels(model, counts[:, None], tau[:, None], 0.01)
+    assert grave(found_, "position_counts") == [((0,), "error")]
+
+
+def test_both_signs_of_a_joint(arm):
+    q, tau = arm[0].q.copy(), arm[0].tau.copy()
+    q[:, 1] *= -1
+    tau[:, 1] *= -1
+    message = only(inspect(arm, q=q, tau=tau), "flipped_joint", (1,), "error")
+    assert "multiply both columns by -1" in message
+
+
+def test_joints_in_another_order_are_read_as_what_they_are(arm):
+    order = [5, 4, 3, 2, 1, 0]
+    findings = inspect(arm, q=arm[0].q[:, order], tau=arm[0].tau[:, order])
+    message = only(findings, "joint_order", tuple(range(6)), "error")
+    assert "read as joint_6, joint_5, joint_4, joint_3, joint_2, joint_1 " in message
+
+
+def test_a_zero_off_by_a_quarter_turn(arm):
+    q = arm[0].q.copy()
+    q[:, 1] += np.pi / 2
+    message = only(inspect(arm, q=q), "position_zero", (1,), "doubt")
+    assert "off by about 90 degrees" in message
+
+
+def test_the_zero_of_a_vertical_axis_is_no_ones_business(arm):
+    q = arm[0].q.copy()
+    q[:, 0] += np.pi / 2
+    assert inspect(arm, q=q) == ()
+
+
+def test_velocities_as_positions(arm):
+    findings = inspect(arm, q=arm[0].states[:, 6:12])
+    only(findings, "velocity_as_position", tuple(range(6)), "error")
+
+
+@pytest.mark.parametrize("dt", [5.0, 200.0, 5e-6, 0.05])
+def test_sample_periods_in_other_units(arm, dt):
+    recording, model = arm
+    findings = inspect_channels(model, recording.q, recording.tau, dt)
+    assert grave(findings, "wrong_dt") == [(tuple(range(6)), "error")]
+
+
+def test_shuffled_rows(arm):
+    order = np.random.default_rng(0).permutation(arm[0].n_samples)
+    findings = inspect(arm, q=arm[0].q[order], tau=arm[0].tau[order])
+    assert "shuffle=False" in only(findings, "shuffled_rows", tuple(range(6)), "error")

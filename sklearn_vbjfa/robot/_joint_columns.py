@@ -1,0 +1,117 @@
+"""Columns of data frames, by the names of joints instead of by their places."""
+
+import re
+
+_NUMBERED = re.compile(r"([a-z]+?)_?(\d+)")
+
+
+def positions_in_order(X, names):
+    """Put the columns of a data frame of positions or states into the model's order.
+
+    Parameters
+    ----------
+    X : array-like or data frame of shape (n_samples, nv) or (n_samples, 3 * nv)
+        Columns ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0 if there is a
+        ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``.
+    names : sequence of str
+        Joints in the model's order.
+
+    Returns
+    -------
+    array-like or data frame
+        What came in, if it has no names; else its columns in order.
+
+    Raises
+    ------
+    ValueError
+        If there are as many columns as there should be, and some name is not one of
+        these.
+    """
+    return _in_order(X, names, "X", (("q", ""), ("v",), ("a",)))
+
+
+def torques_in_order(y, names):
+    """Put the columns of a data frame of torques into the model's order.
+
+    Parameters
+    ----------
+    y : array-like or data frame of shape (n_samples, nv)
+        Columns ``tau_<joint>``, ``<joint>``, or ``tau1, tau2, ...`` (from 0 if there
+        is a ``tau0``).
+    names : sequence of str
+        Joints in the model's order.
+
+    Returns
+    -------
+    array-like or data frame
+        What came in, if it has no names; else its columns in order.
+
+    Raises
+    ------
+    ValueError
+        If there are as many columns as there should be, and some name is not one of
+        these.
+    """
+    return _in_order(y, names, "y", (("tau", ""),))
+
+
+def _in_order(frame, names, what, kinds):
+    """Order columns; `kinds` are the prefixes of each quantity in a row."""
+    columns = getattr(frame, "columns", None)
+    if columns is None:
+        return frame
+    columns = list(columns)
+    count, rest = divmod(len(columns), len(names))
+    # Numbers of columns are told of elsewhere, as for arrays; as in scikit-learn only
+    # text is a name.
+    if rest or count not in {1, len(kinds)}:
+        return frame
+    if not all(isinstance(column, str) for column in columns):
+        return frame
+    wanted = []
+    for prefixes in kinds[:count]:
+        found = _by_joint(columns, names, prefixes) or _by_number(
+            columns, len(names), prefixes
+        )
+        if not found:
+            expected = [f"{kind[0]}_{name}" for kind in kinds[:count] for name in names]
+            strange = [c for c in columns if not _known(c, names, kinds)]
+            raise ValueError(
+                f"{what} has columns {', '.join(columns)}"
+                + (f", of which {', '.join(strange)} name no joint" if strange else "")
+                + f" of the robot; expected {', '.join(expected)} in any order (or the "
+                "joints' names alone). Rename the columns, or give an array "
+                f"({what}.to_numpy()) in the robot's order."
+            )
+        wanted += found
+    return frame if wanted == columns else frame[wanted]
+
+
+def _by_joint(columns, names, prefixes):
+    """Columns of one quantity by joints, empty if some is missing."""
+    for prefix in prefixes:
+        found = [f"{prefix}_{name}" if prefix else name for name in names]
+        if set(found) <= set(columns):
+            return found
+    return []
+
+
+def _by_number(columns, nv, prefixes):
+    """Columns of one quantity by their numbers, empty if some is missing."""
+    numbers = {}
+    for column in columns:
+        match = _NUMBERED.fullmatch(column)
+        if match and match[1] == prefixes[0]:
+            numbers[int(match[2])] = column
+    first = 0 if 0 in numbers else 1
+    if sorted(numbers) != list(range(first, first + nv)):
+        return []
+    return [numbers[k] for k in sorted(numbers)]
+
+
+def _known(column, names, kinds):
+    return any(
+        column in _by_joint([column], [name], prefixes)
+        for prefixes in kinds
+        for name in names
+    )

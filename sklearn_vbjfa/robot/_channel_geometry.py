@@ -117,7 +117,12 @@ def _best(model, signals):
         if all(fit.error[0] < _GOOD_FIT for fit in again.values()):
             return best
     few = signals.thinned(_TRIAL_ROWS)
-    trial = _Trial(model, few, sorted(fits))
+    # A joint that moves in a small part of the recording has too few rows left.
+    told = few.informative()
+    joints = [j for j in sorted(fits) if told[j]]
+    if not joints:
+        return best
+    trial = _Trial(model, few, joints)
     candidates += trial.orders() + trial.directions() + trial.zeros()
     return max(candidates, key=lambda c: c.gain, default=None)
 

@@ -66,7 +66,9 @@ def check_speed(dt, fast, travel, model):
     if dt is None or not np.max(fast, initial=0.0) > 0:
         return
     limit = np.asarray(model.velocityLimit, dtype=float)
-    limit = np.where((limit > 0) & (limit < _NO_LIMIT), limit, _LARGEST_SPEED)
+    known = (limit > 0) & (limit < _NO_LIMIT)
+    near_limit = np.where(known, limit, _LARGEST_NEAR_SPEED / _TOO_FAST_NEAR)
+    limit = np.where(known, limit, _LARGEST_SPEED)
     share = float(np.max(fast / limit))
     top = float(np.max(fast))
     if dt >= _SLOWEST_PERIOD or (dt >= _SLOW_PERIOD and top < _SLOW_SPEED):
@@ -75,15 +77,15 @@ def check_speed(dt, fast, travel, model):
             f"{top:.2g} rad/s or m/s. dt is in seconds{_other_units(dt, share, top)}."
         )
     reaching = travel <= _TURN
-    near = float(np.max(fast[reaching] / limit[reaching], initial=0.0))
+    near = float(np.max(fast[reaching] / near_limit[reaching], initial=0.0))
     if share > _TOO_FAST or (
         near > _TOO_FAST_NEAR
         and np.max(fast[reaching], initial=0.0) > _LARGEST_NEAR_SPEED
     ):
         raise ValueError(
-            f"dt={dt:.6g} s is too short for this motion: a joint would move at "
-            f"{share:.2g} times the speed that the robot allows. Give times in "
-            "seconds (not minutes)."
+            f"dt={dt:.6g} s is too short for this motion: the fastest joint would "
+            f"move at {top:.2g} rad/s or m/s, far more than the robot allows. Give "
+            "times in seconds (not minutes)."
         )
 
 

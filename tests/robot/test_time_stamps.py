@@ -124,11 +124,13 @@ def test_sample_periods_in_other_units(dt, message):
     t = DT * np.arange(800)
     q = 0.3 * np.sin(2 * t) + 0.3 * np.sin(8 * t) + 1e-4 * rng.normal(size=800)
     tau = 3.0 * np.sin(q) + 0.1 * rng.normal(size=800)
+    model = swing()
+    model.velocityLimit[:] = 10.0
     with pytest.raises(ValueError, match=message):
-        RobotIdentifier(swing(), dt=dt, projector=None).fit(q[:, None], tau)
-    RobotIdentifier(swing(), dt=DT, projector=None).fit(q[:, None], tau)
+        RobotIdentifier(model, dt=dt, projector=None).fit(q[:, None], tau)
+    RobotIdentifier(model, dt=DT, projector=None).fit(q[:, None], tau)
     # Slow on purpose, and sampled fast.
-    RobotIdentifier(swing(), dt=10 * DT / 8, projector=None).fit(0.01 * q[:, None], tau)
+    RobotIdentifier(model, dt=DT / 8, projector=None).fit(0.001 * q[:, None], tau)
 
 
 def test_too_few_samples_to_split():

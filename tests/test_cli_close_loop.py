@@ -428,7 +428,7 @@ FAULTS = {
     ),
     "fewer torques": (
         lambda r: {"tau": r.tau[:, :1]},
-        r"2 column\(s\) q and 1 column\(s\) tau",
+        r"2 column\(s\) q \(q1, q2\) and 1 column\(s\) tau \(tau1\)",
     ),
     "no time step": (lambda r: {"t": False}, r"no column t and no dt; add time stamps"),
     "degrees": (

@@ -50,7 +50,8 @@ def read_recording(
     -------
     recording : Recording
         On a uniform time grid. Other numeric columns are in its `signals`, as are the
-        accelerations ("a").
+        accelerations ("a"). Where rows were interpolated, its `torque_noise` is the
+        white noise that the torques had before.
 
     Raises
     ------
@@ -60,16 +61,20 @@ def read_recording(
         If a parquet file is to be read without pyarrow, or `urdf` without Pinocchio.
     ValueError
         If the file is damaged or not what its ending says, columns are missing or of
-        the wrong number, a value is no finite number, time stands still or runs
-        backwards, or there is neither t nor `dt`. The message names the file, what
-        was expected and what to do.
+        the wrong number, two of them could be meant, a value is no finite number or
+        beyond 1e12, time runs backwards, is not in seconds or says nothing of the
+        period, or there is neither t nor `dt`. The message names the file, what was
+        expected and what to do.
 
     Warns
     -----
     UserWarning
-        If time stamps are irregular: the samples are then interpolated on a uniform
-        grid, from the neighbouring ones only. If stamps leave out more than five
-        periods: the recording is split there.
+        If time stamps are irregular: where positions follow the stamps, samples are
+        interpolated on a uniform grid, from the neighbouring ones only; else the rows
+        are taken as equidistant. If up to five rows in succession are missing: they
+        are interpolated, and the others kept. If stamps leave out more: the recording
+        is split there, and pieces of fewer than ten rows are left out. If rows are
+        there twice, or stamps repeat.
 
     Examples
     --------

@@ -284,17 +284,17 @@ def _when(t, pieces, period, whole, positions, where):
             took = t[piece.stop - 1] - t[piece.start]
             own = took / slots[-1] if slots[-1] and took > 0 else own
         followed.append(slots)
-    candidates = [np.concatenate(followed)]
-    if not whole:
-        # Late stamps may look like missing rows.
-        plain = np.concatenate([np.arange(x.stop - x.start) for x in pieces])
-        candidates.insert(0, plain)
+    # Late stamps may look like missing rows, also among others that are whole.
+    plain = np.concatenate([np.arange(x.stop - x.start) for x in pieces])
+    candidates = [plain, np.concatenate(followed)]
+    if whole:
+        candidates.reverse()
     periods = [_average_period(t, pieces, slots) for slots in candidates]
     times = [dt * slots for dt, slots in zip(periods, candidates)]
     rough = np.zeros(len(times) + 1)
     if positions is not None:
         rough = _roughness([*times, t], pieces, positions)
-    best = int(len(times) > 1 and rough[1] < rough[0] - _CLEARLY)
+    best = int(rough[1] < rough[0] - _CLEARLY)
     if rough[-1] < rough[best] - _CLEARLY:
         return periods[0], candidates[0], True
     _check_rate(t, pieces, periods[best], candidates[best], where)

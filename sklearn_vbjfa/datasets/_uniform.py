@@ -70,7 +70,10 @@ def on_grid(table: Table, t, labels, dt, channels, notes):
                 merged += before - at.size
             else:
                 slots = checked.slots[piece]
-                own = dt if abs(checked.dt - dt) < _SAME_DT * dt else checked.dt
+                # What late stamps make of the period is no other period.
+                unsure = 3 * checked.jitter / rows.size
+                same = abs(checked.dt - dt) < max(_SAME_DT * dt, unsure)
+                own = dt if same else checked.dt
                 at = own * (slots - slots[0])
                 single += int(slots[-1] - slots[0]) + 1 - piece.size
             if at.size == round(at[-1] / dt) + 1 and not checked.sampled and own == dt:

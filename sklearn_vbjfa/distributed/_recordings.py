@@ -147,7 +147,11 @@ def fit_recordings(identifier, source):
     check_channels(identifier.joint_names_, ranges, extent["torques"])
     identifier.standstill_ = resolve_standstill(identifier.standstill, motion.fast())
     identifier.torque_noise_ = np.full(identifier._nv, np.nan)
-    if noise is not None:
+    if identifier.torque_noise is not None:
+        identifier.torque_noise_ = _torque_noise.given_noise(
+            identifier.torque_noise, identifier._nv, dt, identifier.cutoff_
+        )
+    elif noise is not None:
         quartile = quantile(extent["counts"], between, _QUARTILE)
         identifier.torque_noise_ = _torque_noise.filtered_noise(
             *noise, quartile, dt, identifier.cutoff_

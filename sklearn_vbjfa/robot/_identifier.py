@@ -25,7 +25,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     warn_of_disorder,
 )
 from sklearn_vbjfa.robot._recording_score import RecordingRegressorMixin
-from sklearn_vbjfa.robot._torque_noise import filtered_torque_noise
+from sklearn_vbjfa.robot._torque_noise import given_noise, torque_noise
 from sklearn_vbjfa.robot._urdf import write_identified
 
 
@@ -85,7 +85,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         Standard deviation of the white noise of one torque sample [N m or N], for
         `noise_floor_`. None measures it in the torques of the fit, above the band of
         the low-pass; where rows were interpolated, which takes noise away, give the
-        `torque_noise` of the recording.
+        `torque_noise` of the recording. With `period` it is always measured.
 
     Attributes
     ----------
@@ -251,9 +251,14 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         if periods is None:
             check_length(parts, lowpass, self.cutoff_)
-            self.torque_noise_ = filtered_torque_noise(
-                self.torque_noise, [y[part] for part in parts], self.dt, self.cutoff_
-            )
+            if self.torque_noise is None:
+                self.torque_noise_ = torque_noise(
+                    [y[part] for part in parts], self.dt, self.cutoff_
+                )
+            else:
+                self.torque_noise_ = given_noise(
+                    self.torque_noise, self._nv, self.dt, self.cutoff_
+                )
             recordings = states, y, weight, parts, halves, clock
         else:
             self.torque_noise_ = periods.filtered_torque_noise(lowpass)

@@ -23,7 +23,7 @@ _MISSING, _JITTER, _WRONG_PERIOD = 1.5, 0.1, 0.002
 
 # A period [s] that is no robot's; and one that is none if the fastest joint is as slow
 # as this [rad/s or m/s], which a unit of time that is no second makes of every motion.
-_SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.01
+_SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02
 # Speeds beyond the robot's by this factor: degrees for radians make 57, and are told
 # of elsewhere. Where the robot has no limit [rad/s or m/s].
 _TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
@@ -68,7 +68,8 @@ def check_speed(dt, fast, travel, model):
     if dt is None or not np.max(fast, initial=0.0) > 0:
         return
     limit = np.asarray(model.velocityLimit, dtype=float)
-    limit = np.where((limit > 0) & (limit < _NO_LIMIT), limit, _LARGEST_SPEED)
+    known = (limit > 0) & (limit < _NO_LIMIT)
+    limit = np.where(known, limit, _LARGEST_SPEED)
     share = float(np.max(fast / limit))
     top = float(np.max(fast))
     if dt >= _SLOWEST_PERIOD or (dt >= _SLOW_PERIOD and top < _SLOW_SPEED):
@@ -76,16 +77,16 @@ def check_speed(dt, fast, travel, model):
             f"dt={dt:.6g} s is too slow for a motion: the fastest joint would move at "
             f"{top:.2g} rad/s or m/s. dt is in seconds{_other_units(dt, share, top)}."
         )
-    reaching = travel <= _TURN
+    reaching = known & (travel <= _TURN)
     near = float(np.max(fast[reaching] / limit[reaching], initial=0.0))
     if share > _TOO_FAST or (
         near > _TOO_FAST_NEAR
         and np.max(fast[reaching], initial=0.0) > _LARGEST_NEAR_SPEED
     ):
         raise ValueError(
-            f"dt={dt:.6g} s is too short for this motion: a joint would move at "
-            f"{share:.2g} times the speed that the robot allows. Give times in "
-            "seconds (not minutes)."
+            f"dt={dt:.6g} s is too short for this motion: the fastest joint would "
+            f"move at {top:.2g} rad/s or m/s, far more than the robot allows. Give "
+            "times in seconds (not minutes)."
         )
 
 
@@ -99,7 +100,7 @@ def _other_units(dt, share, top):
         ("Hz", 1 / dt),
     ):
         times = dt / period
-        if period < _SLOW_PERIOD and share * times <= 2.0 and top * times > 0.01:
+        if period < _SLOW_PERIOD and share * times <= 2.0 and top * times > _SLOW_SPEED:
             meant.append(f"in {name} it would be {period:.4g} s")
     return f"; {', '.join(meant)}" if meant else ""
 

@@ -16,19 +16,18 @@ _ORDER = 5
 _CLEARLY_LESS = 0.7
 
 
-def filtered_torque_noise(given, segments, dt, cutoff):
-    """Return the white torque noise (nv,) that passes the low-pass, given or measured.
+def given_noise(given, nv, dt, cutoff):
+    """Return the white torque noise (nv,) that passes the low-pass, from that given.
 
     Parameters
     ----------
-    given : float, array-like of shape (nv,) or None
-        Standard deviation of the white noise of a sample [N m or N]; None measures it.
-    segments, dt, cutoff
-        As of `torque_noise`.
+    given : float or array-like of shape (nv,)
+        Standard deviation of the white noise of a sample [N m or N].
+    nv : int
+        Number of joints.
+    dt, cutoff : float
+        Sample period [s], cut-off [Hz].
     """
-    if given is None:
-        return torque_noise(segments, dt, cutoff)
-    nv = segments[0].shape[1]
     noise = np.asarray(given, dtype=float)
     if noise.shape not in {(), (nv,)} or not ((noise >= 0) & np.isfinite(noise)).all():
         raise ValueError(

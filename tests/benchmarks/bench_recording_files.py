@@ -1,4 +1,4 @@
-"""Recordings out of files whose stamps have faults: is the verdict that of clean ones?
+"""Recordings out of files whose stamps have faults, and the verdict of clean ones.
 
 Run as ``python tests/benchmarks/bench_recording_files.py``. Robots whose model lacks
 nothing are simulated, written as CSV with steady stamps and with faulty ones, read, and

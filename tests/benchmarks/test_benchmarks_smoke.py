@@ -43,6 +43,7 @@ def residuals(scale, index, tau):
         "noise_floor",
         "paper_robots",
         "projection",
+        "recording_files",
         "simulated_arms",
         "speed",
         "states",

@@ -359,13 +359,21 @@ def put(name, row, value):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (drop("q2"), r"1 column\(s\) q and 2 column\(s\) tau; every joint"),
+        (
+            drop("q2"),
+            r"1 column\(s\) q \(q1\) and 2 column\(s\) tau \(tau1, tau2\); every joint",
+        ),
         (drop("tau1"), "column 'tau1' is missing beside tau2"),
         (drop("t"), "no column t and no dt; add time stamps"),
         (put("tau2", 4, "nan"), "line 6, column 'tau2'"),
         (put("tau2", 4, "inf"), "line 6, column 'tau2'"),
         (put("tau2", 4, ""), "line 6, column 'tau2'"),
         (put("q1", 4, "off"), "'off' in line 6, column 'q1' is no number"),
+        (lambda x: x.update(q_2=x["q2"]), "columns 'q2' and 'q_2' could both be meant"),
+        (lambda x: x.update(T=x["q2"]), "columns 't' and 'T' could both be meant"),
+        (put("tau2", 4, "1e13"), r"1e\+13 in line 6, column 'tau2', is beyond all"),
+        (put("tau2", 4, "1_0"), "'1_0' in line 6, column 'tau2' is no number"),
+        (put("t", 7, "#N/A"), "'#N/A' in line 9 is no number"),
         (put("t", 7, 0.001), r"time runs backwards to 0\.001 s in line 9"),
     ],
 )

@@ -193,7 +193,7 @@ def _npz_cases():
     add("claims parentheses", lambda rng: _archive(q__npy=deep), "refused")
     evil = _header((1,), "__import__('os').abort()")
     add("claims code", lambda rng: _archive(q__npy=evil), "refused")
-    add("npy", lambda rng: _archive(q__npy=b"")[:0] + _header((3, 2)), "refused")
+    add("npy", lambda rng: _header((3, 2)), "refused")
     found.append(
         Case(name="npz: bomb of 400 MB", build=_bomb(400 << 20), expect="refused")
     )

@@ -4,7 +4,6 @@ import numpy as np
 
 from tests.hostile._case import (
     DT,
-    URDF,
     Case,
     N,
     argv,
@@ -305,5 +304,4 @@ def _folder_cases():
 
 def cases():
     """Return all cases of recordings, options and folders."""
-    assert URDF
     return _motion_cases() + _option_cases() + _folder_cases()

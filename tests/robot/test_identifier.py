@@ -369,6 +369,24 @@ def test_residuals_are_filtered_torques_against_filtered_predictions(
     assert found.normalised_error()[3] == pytest.approx(rms / np.sqrt(spread))
 
 
+def test_torque_noise_that_is_given(simulated, identified):
+    rows = slice(0, 3000)
+    fit = simulated.q[rows], simulated.tau[rows]
+    given = clone(identified).set_params(torque_noise=simulated.torque_noise).fit(*fit)
+    taps = given.estimator_.lowpass_.taps
+    np.testing.assert_allclose(
+        given.torque_noise_, simulated.torque_noise * np.sqrt(taps @ taps), rtol=1e-12
+    )
+    np.testing.assert_allclose(
+        given.noise_floor_, np.hypot(given.torque_noise_, given.input_noise_torque_)
+    )
+    plain = clone(identified).set_params(cutoff=None, torque_noise=0.5).fit(*fit)
+    np.testing.assert_array_equal(plain.torque_noise_, 0.5)
+    for bad in (-1.0, np.nan, [1.0, 2.0], np.inf):
+        with pytest.raises(ValueError, match="torque_noise must be a non-negative"):
+            clone(identified).set_params(torque_noise=bad).fit(*fit)
+
+
 @pytest.mark.parametrize("encoder_noise", [1e-4, 1e-3])
 def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
     recording = make_robot_recording(

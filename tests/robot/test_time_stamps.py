@@ -110,6 +110,29 @@ def test_the_identifier_asks():
         robot.fit(q[:, None], tau, groups=groups, t=2 * restarting)
 
 
+@pytest.mark.parametrize(
+    ("dt", "message"),
+    [
+        (10.0, r"too slow for a motion: .* in milliseconds it would be 0\.01 s"),
+        (100.0, r"dt=100 s is too slow .* seconds; in Hz it would be 0\.01 s"),
+        (1e4, r"too slow for a motion: .* in microseconds it would be 0\.01 s"),
+        (DT / 60, r"dt=0\.000166667 s is too short .*seconds \(not minutes\)"),
+    ],
+)
+def test_sample_periods_in_other_units(dt, message):
+    rng = np.random.default_rng(1)
+    t = DT * np.arange(800)
+    q = 0.3 * np.sin(2 * t) + 0.3 * np.sin(8 * t) + 1e-4 * rng.normal(size=800)
+    tau = 3.0 * np.sin(q) + 0.1 * rng.normal(size=800)
+    model = swing()
+    model.velocityLimit[:] = 10.0
+    with pytest.raises(ValueError, match=message):
+        RobotIdentifier(model, dt=dt, projector=None).fit(q[:, None], tau)
+    RobotIdentifier(model, dt=DT, projector=None).fit(q[:, None], tau)
+    # Slow on purpose, and sampled fast.
+    RobotIdentifier(model, dt=DT / 8, projector=None).fit(0.001 * q[:, None], tau)
+
+
 def test_too_few_samples_to_split():
     # Eight suffice to differentiate, sixteen to do so from every second sample.
     rng = np.random.default_rng(2)

@@ -167,3 +167,33 @@ def test_refuses_a_description_without_the_joints(tree, simulated, tmp_path):
     rows[3, 0] = -1.0
     with pytest.raises(ValueError, match=r'mass -1: only .* Use projector="default"'):
         write_urdf(simulated.urdf, tmp_path / "out.urdf", model, rows, ())
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 0 0"/>', "'right' has the axis '0 0 0'"),
+        ('<axis xyz="0 1 0"/>', '<axis xyz="0 inf 0"/>', "which is no direction"),
+        ("</robot>", "<a>" * 200 + "</a>" * 200 + "</robot>", "more than 100 deep"),
+        ("<robot", '<!DOCTYPE r [<!ENTITY e "x">]><robot', "declares the entity 'e'"),
+        (
+            "<robot ",
+            "<robot " + " ".join(f'a{k}="1"' for k in range(2000)) + " ",
+            "<robot> has more than 1000 attributes",
+        ),
+    ],
+)
+def test_descriptions_that_no_robot_has(tmp_path, old, new, message):
+    path = tmp_path / "tree.urdf"
+    path.write_text(TREE.replace(old, new, 1))
+    with pytest.raises(ValueError, match=message) as info:
+        load_model(path)
+    assert str(path) in str(info.value)
+
+
+def test_shapes_are_not_read(tmp_path):
+    path = tmp_path / "tree.urdf"
+    path.write_text(TREE)
+    expected = nominal_parameters(load_model(path))
+    path.write_text(TREE.replace('size="1 1 1"', 'size="big"'))
+    np.testing.assert_array_equal(nominal_parameters(load_model(path)), expected)

@@ -1,0 +1,226 @@
+"""Irregular stamps: late or sampled, rows lost or twice, gaps, packets, clocks."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.datasets._protocols import protocols
+from sklearn_vbjfa.datasets._stamps import (
+    inspect_time_stamps,
+    merge_doubled,
+    prediction_errors,
+)
+
+DT = 0.004
+N = 3000
+NOISE = 1e-4
+
+
+def motion(t):
+    """Positions of two joints, which move by some tenths of a radian."""
+    return np.column_stack(
+        [0.5 * np.sin(3 * t) + 0.1 * np.sin(11 * t), 0.3 * np.cos(5 * t)]
+    )
+
+
+def late(share, rng, n=N):
+    return DT * (np.arange(n) + np.clip(share * rng.standard_normal(n), -0.45, 0.45))
+
+
+def save(path, t, q, tau, **more):
+    np.savez(path, t=t, q=q, tau=tau, **more)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_recording(path)
+    return recording, " ".join(str(w.message) for w in caught)
+
+
+@pytest.mark.parametrize("share", [0.05, 0.1, 0.2, 0.3, 0.4])
+def test_positions_tell_late_stamps_from_late_samples(share):
+    rng = np.random.default_rng(0)
+    t = late(share, rng)
+    noise = NOISE * rng.standard_normal((N, 2))
+    written = inspect_time_stamps(t, positions=motion(DT * np.arange(N)) + noise)
+    assert written.late
+    assert not written.sampled
+    np.testing.assert_array_equal(written.slots, np.arange(N))
+    assert written.dt == pytest.approx(DT, rel=1e-3)
+    sampled = inspect_time_stamps(t, positions=motion(t) + noise)
+    assert sampled.sampled
+    assert sampled.dt == pytest.approx(DT, rel=0.01)
+
+
+def test_what_positions_cannot_tell_is_taken_as_steady():
+    rng = np.random.default_rng(1)
+    t = late(0.2, rng)
+    for positions in (None, np.zeros((N, 2)), rng.standard_normal((N, 2))):
+        assert not inspect_time_stamps(t, positions=positions).sampled
+
+
+@pytest.mark.parametrize("share", [0.01, 0.05, 0.1])
+@pytest.mark.parametrize("jitter", [0.0, 0.02])
+def test_lost_rows_are_counted(share, jitter):
+    rng = np.random.default_rng(2)
+    keep = np.flatnonzero(rng.random(N) >= share)
+    keep = np.r_[0, keep[(keep > 0) & (keep < N - 1)], N - 1]
+    t = late(jitter, rng)[keep]
+    checked = inspect_time_stamps(t, positions=motion(DT * keep))
+    assert checked.gaps.size == 0
+    np.testing.assert_array_equal(checked.slots, keep)
+    assert checked.dt == pytest.approx(DT, rel=3e-5)
+
+
+def test_lost_rows_are_put_in_and_the_others_kept(tmp_path):
+    rng = np.random.default_rng(3)
+    keep = np.setdiff1d(np.arange(N), [40, 41, 90, 2000])
+    t = DT * np.arange(N)
+    q, tau = motion(t), rng.standard_normal((N, 2))
+    recording, said = save(tmp_path / "a.npz", t[keep], q[keep], tau[keep])
+    assert "4 single sample(s) are missing and were interpolated" in said
+    np.testing.assert_allclose(recording.q[keep], q[keep], atol=1e-12)
+    np.testing.assert_allclose(recording.tau[keep], tau[keep], atol=1e-12)
+    np.testing.assert_allclose(recording.q, q, atol=1e-6)
+
+
+def test_noise_is_measured_before_interpolation(tmp_path):
+    rng = np.random.default_rng(4)
+    size = np.array([0.5, 2.0])
+    t = late(0.3, rng)
+    # Jumps of dry friction are no noise.
+    clean = 9 * np.sign(np.cos(3 * t))[:, None] + [1.0, 20.0] * np.sin(2 * t)[:, None]
+    tau = clean + size * rng.standard_normal((N, 2))
+    recording, said = save(tmp_path / "a.npz", t, motion(t), tau)
+    assert "the robot was sampled at these times" in said
+    np.testing.assert_allclose(recording.torque_noise, size, rtol=0.05)
+    # What is left on the grid is less.
+    left = np.abs(np.diff(recording.tau, n=5, axis=0))
+    left = np.quantile(left, 0.25, axis=0) / 0.3186 / np.sqrt(252)
+    assert (left < 0.85 * size).all()
+    steady, said = save(tmp_path / "b.npz", DT * np.arange(N), motion(t), tau)
+    assert steady.torque_noise is None
+    assert said == ""
+
+
+def test_prediction_errors_are_as_large_as_the_noise():
+    rng = np.random.default_rng(5)
+    t = late(0.4, rng, n=20_000)
+    # A cubic is predicted without an error.
+    cubic = 3 + t - 0.1 * t**2 + 0.01 * t**3
+    np.testing.assert_allclose(prediction_errors(t, cubic[:, None]), 0, atol=1e-6)
+    noise = rng.standard_normal((t.size, 1))
+    np.testing.assert_allclose(prediction_errors(t, noise).std(), 1.0, rtol=0.03)
+
+
+def test_rows_written_twice_are_left_out_once(tmp_path):
+    rng = np.random.default_rng(6)
+    rows = np.sort(np.r_[np.arange(N), rng.choice(N, 60, replace=False)])
+    t = DT * np.arange(N)
+    tau = rng.standard_normal((N, 2))
+    recording, said = save(tmp_path / "a.npz", t[rows], motion(t[rows]), tau[rows])
+    assert "60 row(s) are there twice and were left out once" in said
+    np.testing.assert_array_equal(recording.tau, tau)
+
+
+def test_stamps_that_were_not_renewed(tmp_path):
+    rng = np.random.default_rng(7)
+    t = DT * np.arange(N)
+    stale = t.copy()
+    rows = np.arange(10, N - 10, 50)
+    stale[rows] = stale[rows - 1]
+    tau = rng.standard_normal((N, 2))
+    recording, said = save(tmp_path / "a.npz", stale, motion(t), tau)
+    assert f"{rows.size} stamp(s) repeat the one before" in said
+    np.testing.assert_array_equal(recording.tau, tau)
+    assert recording.dt == pytest.approx(DT)
+
+
+def test_doubled_stamps_are_averaged_where_stamps_count():
+    t, merged = merge_doubled(
+        np.array([0.0, 1.0, 1.0, 1.0, 2.0]),
+        {"q": np.array([[0], [1], [2], [6], [5]]), "I": np.arange(5)},
+    )
+    np.testing.assert_array_equal(t, [0, 1, 2])
+    np.testing.assert_array_equal(merged["q"], [[0], [3], [5]])
+    np.testing.assert_array_equal(merged["I"], [0, 2, 4])
+
+
+def test_packets_and_pauses_of_the_computer_are_no_gaps():
+    t = DT * np.arange(N)
+    packets = t[(np.arange(N) // 8) * 8]
+    assert inspect_time_stamps(packets, positions=motion(t)).gaps.size == 0
+    busy = t.copy()
+    # Ten rows are stamped at once, late.
+    busy[500:510] = busy[510] + 1e-5 * np.arange(-10, 0)
+    checked = inspect_time_stamps(busy, positions=motion(t))
+    assert checked.gaps.size == 0
+    assert not checked.sampled
+    np.testing.assert_array_equal(checked.slots, np.arange(N))
+    gap = np.delete(busy, slice(1000, 1010))
+    np.testing.assert_array_equal(inspect_time_stamps(gap).gaps, [999])
+
+
+@pytest.mark.parametrize("share", [-0.02, 0.02])
+def test_a_drifting_clock_loses_no_row(share):
+    t = DT * np.arange(N)
+    drifting = t + share * t * (t / t[-1] - 1)
+    checked = inspect_time_stamps(drifting, positions=motion(t))
+    np.testing.assert_array_equal(checked.slots, np.arange(N))
+    assert not checked.sampled
+    assert checked.dt == pytest.approx(DT, rel=1e-6)
+
+
+def test_stamps_that_say_nothing_of_the_period():
+    rng = np.random.default_rng(8)
+    t = DT * np.arange(N)
+    with pytest.raises(ValueError, match=r"2 different stamps in 3000 rows"):
+        inspect_time_stamps(np.where(t > 5, 10.0, 0.0))
+    with pytest.raises(ValueError, match=r"positions do not follow these stamps"):
+        inspect_time_stamps(np.sort(rng.uniform(0, t[-1], N)), positions=motion(t))
+    slower = np.where(t > 6, 6 + 1.5 * (t - 6), t)
+    with pytest.raises(ValueError, match=r"by 0\.004 s .* and by 0\.006 s"):
+        inspect_time_stamps(slower, positions=motion(t))
+    assert inspect_time_stamps(slower, positions=motion(slower)).sampled
+
+
+@pytest.mark.parametrize(
+    ("dt", "meant"),
+    [(4.0, r"\(4 ms are 0\.004 s\)"), (250.0, r"\(250 Hz is a period of 0\.004 s\)")],
+)
+def test_a_period_in_another_unit_is_named(dt, meant):
+    with pytest.raises(ValueError, match=meant):
+        inspect_time_stamps(DT * np.arange(N), dt)
+
+
+@pytest.mark.parametrize("name", ["ur5", "kuka_lbr_med7", "bam_xl330", "emps"])
+def test_measured_recordings(name, measured_data_home, tmp_path):
+    protocol = protocols()[name]
+    made = protocol.load(data_home=measured_data_home, **protocol.options)
+    sizes = np.bincount(made.groups)
+    t = made.dt * np.concatenate([np.arange(n) for n in sizes])
+    rng = np.random.default_rng(0)
+    common = {"segment": made.groups}
+    recording, said = save(tmp_path / "a.npz", t, made.q, made.tau, **common)
+    assert said == ""
+    np.testing.assert_array_equal(recording.q, made.q)
+    for share in (0.1, 0.3):
+        jitter = np.clip(share * rng.standard_normal(t.size), -0.45, 0.45)
+        shaken = t + made.dt * jitter
+        recording, said = save(tmp_path / "b.npz", shaken, made.q, made.tau, **common)
+        assert "the positions do not follow them" in said
+        np.testing.assert_array_equal(recording.q, made.q)
+        np.testing.assert_array_equal(recording.tau, made.tau)
+    # Every fifth row or so: the robot was sampled when the stamps say.
+    rows = []
+    for start, n in zip(np.cumsum(sizes) - sizes, sizes):
+        steps = np.arange(2, n - 2, 5)
+        jitter = np.clip(0.3 * rng.standard_normal(steps.size), -0.4, 0.4)
+        rows.append(start + steps + np.rint(5 * jitter).astype(int))
+    rows = np.concatenate(rows)
+    common = {"segment": made.groups[rows]}
+    recording, said = save(
+        tmp_path / "c.npz", t[rows], made.q[rows], made.tau[rows], **common
+    )
+    assert "the positions say that the robot was sampled at these times" in said
+    assert recording.dt == pytest.approx(5 * made.dt, rel=0.01)

@@ -43,6 +43,7 @@ def residuals(scale, index, tau):
         "noise_floor",
         "paper_robots",
         "projection",
+        "rest",
         "simulated_arms",
         "speed",
         "states",
@@ -253,6 +254,21 @@ def test_noise_floor_of_the_demo_is_its_residual(monkeypatch):
     ratio = [float(row[-1]) for row in rows]
     assert ratio.pop(1) > 2.0
     np.testing.assert_allclose(ratio, 1.0, atol=0.35)
+
+
+def test_rest_is_told_from_motion_by_the_truth():
+    pytest.importorskip("pinocchio")
+    import bench_rest as bench
+
+    found = bench.measure(range(1), ("demo_arm",), ("fine",), ("sign",))
+    assert [kind for *_, kind in found] == list(bench.MOTIONS)
+    figures = np.array(list(found.values()))
+    # What never rests has no error at rest; the true states are predicted best.
+    assert np.isnan(figures[0, [1, 3, 5, 6, 7]]).all()
+    assert np.isfinite(figures[1:]).all()
+    assert np.all(figures[:, 4] < 1.0)
+    # At rest nobody knows friction, and its mean is at most what the truth misses.
+    np.testing.assert_allclose(figures[1:, 5], figures[1:, 6], rtol=0.2)
 
 
 def test_only_known_noise_is_identified():

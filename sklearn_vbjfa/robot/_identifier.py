@@ -10,6 +10,7 @@ from sklearn_vbjfa.robot._effect_columns import fit_passes, needs_load
 from sklearn_vbjfa.robot._groups import contiguous_groups
 from sklearn_vbjfa.robot._identification import IdentificationSteps
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._motion_facts import fastest_period
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
@@ -231,6 +232,8 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
             self.cutoff, parts, self.dt, self.state_estimator_
         )
         self.standstill_ = resolve_standstill(self.standstill, facts.fast())
+        if not isinstance(states, list):
+            self._fastest_period = fastest_period(states)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         if periods is None:
             check_length(parts, lowpass, self.cutoff_)
@@ -301,7 +304,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         return X, y
 
     def predict(self, X, groups=None, t=None):
-        """Predict the joint torques.
+        r"""Predict the joint torques.
 
         Parameters
         ----------
@@ -318,13 +321,34 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         -------
         ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N], friction included.
+
+        Notes
+        -----
+        A joint that stands may have any dry friction within its band, and the sign of
+        its estimated velocity is that of noise. All effects of the sign of a velocity
+        are predicted with its mean over what the true one may be,
+
+        .. math::
+
+            s(v, a) = E[\mathrm{sign}(v + u + e)], \quad
+            u \sim U(-w, w), \quad e \sim N(0, \sigma^2), \quad
+            w = \frac{v_s}{1 + |a| T / v_s}.
+
+        sigma is the noise of the velocities, from that of the encoders through the
+        smoothing (`StateEstimator`); zero for states. v_s is `standstill_`, at or below
+        which the fit saw no equations, and T the period of the fastest motion:
+        5 / `cutoff_`, or that of the fitted states where nothing is filtered. Without
+        v_s (`standstill=None`) s is erf(v / (sqrt(2) sigma)); for noiseless states it
+        is v / w up to w and the sign itself beyond. A joint that stands has s = 0; one
+        that turns round has a large acceleration, so a small w, and keeps its sign.
+        The rule looks at one row: states may come one by one.
         """
         check_is_fitted(self)
         X = self._validate_query(X)
-        states = self._states(X, groups, in_band=True)
+        states, rest = self._states_and_rest(X, groups, in_band=True)
         parts = contiguous_groups(groups, X.shape[0])
         clock = resolve_clock(t, self.dt, parts, self.effects_)
-        rows = self._rows(states, parts, clock)
+        rows = self._rows(states, parts, clock, rest)
         count = max(
             1, _identification._CHUNK_BYTES // (8 * self._nv * self.theta_.size)
         )
@@ -362,6 +386,11 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         -------
         TorqueResiduals
             Filtered torques, predictions and weights.
+
+        Notes
+        -----
+        What counts is predicted with the columns of the fit. Where a joint stands, and
+        the weight is zero, dry friction has its mean as in `predict`.
         """
         check_is_fitted(self)
         X = self._validate_query(X)
@@ -372,10 +401,14 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         check_length(parts, lowpass, self.cutoff_)
         clock = resolve_clock(t, self.dt, parts, self.effects_)
-        states = self._states(X, groups)
-        return self._residuals_of(
-            self._filtered(states, y, weight, parts, lowpass, t=clock)
-        )
+        states, rest = self._states_and_rest(X, groups)
+        signals = states, y, weight, parts, lowpass
+        found = self._residuals_of(self._filtered(*signals, t=clock))
+        if not (found.weight > 0).all():
+            # What counts has the columns of the fit; what stands is predicted.
+            stands = self._residuals_of(self._filtered(*signals, t=clock, rest=rest))
+            found = found.filled(stands)
+        return found
 
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.

@@ -253,7 +253,12 @@ def test_residuals_are_those_of_the_completed_model():
     for model, own in ((loop.declared_, before), (loop.identifier_, after)):
         expected = model.residuals(recording.position[:n], tau[:n])
         assert_array_equal(own.index, expected.index)
-        assert_allclose(own.residual, expected.residual, atol=1e-3 * tau.std())
+        # what stands does not count, and is predicted with the mean of its friction
+        counts = expected.weight > 0
+        assert counts.mean() > 0.95
+        assert_allclose(
+            own.residual[counts], expected.residual[counts], atol=1e-3 * tau.std()
+        )
 
 
 def test_results_do_not_depend_on_the_seed():

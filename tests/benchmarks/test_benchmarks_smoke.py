@@ -256,6 +256,20 @@ def test_noise_floor_of_the_demo_is_its_residual(monkeypatch):
     np.testing.assert_allclose(ratio, 1.0, atol=0.35)
 
 
+def test_floor_of_known_noise():
+    pytest.importorskip("pinocchio")
+    import bench_noise_floor as bench
+
+    found = bench.measure_simulated(
+        range(1), ("demo_arm",), ("declared",), ("white", "step 1")
+    )
+    for ratio, residual in found.values():
+        np.testing.assert_allclose(ratio, 1.0, atol=0.25)
+        # the truth of the benchmark is what the fit leaves
+        np.testing.assert_allclose(residual, 1.0, atol=0.25)
+    assert "step 1" in bench.simulated_table(found)
+
+
 def test_rest_is_told_from_motion_by_the_truth():
     pytest.importorskip("pinocchio")
     import bench_rest as bench

@@ -13,7 +13,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._base import BaseJointFactorRegressor
 from sklearn_vbjfa.effects._rest import Rest
-from sklearn_vbjfa.robot import _friction
+from sklearn_vbjfa.robot import _friction, _torque_noise
 from sklearn_vbjfa.robot._consistency import (
     identifiable,
     min_eigenvalues,
@@ -310,6 +310,25 @@ class IdentificationSteps:
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         noise = split_residual(self.estimator_.statistics_, self.theta_)
         self.input_noise_torque_, self.output_noise_ = noise
+        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
+
+    # -- noise of the torques --------------------------------------------------
+
+    def _noise_facts(self, X, y, t=None):
+        """Return what one recording says of the noise of its torques, or None."""
+        if not _torque_noise.seen(self.dt, self.cutoff_):
+            return None
+        states = self._states(X, None, in_band=True)
+        residual = y - self.predict(states, t=t)
+        return _torque_noise.noise_facts(residual, y, states, self.dt, self.cutoff_)
+
+    def _tell_noise(self, facts):
+        """Set the floor from the `_noise_facts` of all recordings."""
+        facts = [found for found in facts if found is not None]
+        if facts:
+            self.torque_noise_ = _torque_noise.filtered_noise(
+                facts, self.dt, self.cutoff_
+            )
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
 
     def _bodies(self):

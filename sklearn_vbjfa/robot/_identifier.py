@@ -23,7 +23,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     resolve_standstill,
 )
 from sklearn_vbjfa.robot._recording_score import RecordingRegressorMixin
-from sklearn_vbjfa.robot._torque_noise import torque_noise
+from sklearn_vbjfa.robot._torque_noise import rows_looked_at
 from sklearn_vbjfa.robot._urdf import write_identified
 
 
@@ -109,12 +109,16 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         body's mass and length scale; positive for a physically consistent body.
     noise_floor_ : ndarray of shape (nv,)
         Standard deviation of `residuals` to expect from noise alone, if the model
-        lacked nothing [N m or N]: input noise through the parameters, and the white
-        noise of the torque sensors, measured above the band of the fit. With `period`
-        that of the mean period, smaller than that of a recording.
+        lacked nothing [N m or N]: input noise through the parameters, and the noise
+        of the torque sensors in the band of the fit. With `period` that of the mean
+        period, smaller than that of a recording. nan where the latter is not known.
     torque_noise_ : ndarray of shape (nv,)
-        The torque sensors' part of it [N m or N]; nan where nothing lies above the
-        band. With `period` measured between periods, in the band.
+        The torque sensors' part of it [N m or N], white or coloured: the spectrum of
+        the residual above the band of the fit, continued into it. nan where that
+        cannot be told: nothing lies above the band, no smooth spectrum of noise is like
+        what does, or it goes on rising towards the band and the residual between the
+        motion's band and the cut-off is not its continuation. With `period` measured
+        between periods, in the band.
     input_noise_torque_ : ndarray of shape (nv,)
         The input noise's part of it [N m or N].
     output_noise_ : ndarray of shape (nv,)
@@ -237,9 +241,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         if periods is None:
             check_length(parts, lowpass, self.cutoff_)
-            self.torque_noise_ = torque_noise(
-                [y[part] for part in parts], self.dt, self.cutoff_
-            )
+            self.torque_noise_ = np.full(self._nv, np.nan)
             recordings = states, y, weight, parts, halves, clock
         else:
             self.torque_noise_ = periods.filtered_torque_noise(lowpass)
@@ -250,6 +252,14 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
             self._active_effects = effects
             stretches = self._stretches(*recordings, ends=periods is None)
             self._fit_stretches(stretches, lowpass)
+        if periods is None:
+            facts = (
+                self._noise_facts(
+                    X[rows], y[rows], None if clock is None else clock[rows]
+                )
+                for rows in map(rows_looked_at, parts)
+            )
+            self._tell_noise(facts)
         return self
 
     def partial_fit(self, X, y, sample_weight=None, *, refit=True):

@@ -29,7 +29,7 @@ _DEPENDENCE = 2.9
 # Strides of the differences, and how far down in frequency they look, over the cut-off:
 # at lower ones too many differences would hold a reversal.
 _STRIDES = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
-_LOWEST = 4.0
+_LOWEST = 2.0
 # Bands between those of the motion (a fifth of the cut-off) and of the differences,
 # over the cut-off, seen through windows of this many periods of it.
 _GAP = np.array([0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.5, 4.0])
@@ -40,10 +40,13 @@ _UNLIKE = 0.05
 # in which it may, as shares of the joint's range.
 _TURNING = 0.1
 _DISPLACEMENTS = (0.003, 0.03)
-# A deviation is told if its logarithm is known this well. The residual in the gap is on
-# the curve of the noise above if the mean squared deviation from it is at most the
-# first, and a spectrum above the band like one of the family if at most the second.
-_KNOWN, _CONSISTENT, _ALIKE = 0.15, 3.0, 30.0
+# A deviation is told if its logarithm is known this well; from above alone, where white
+# noise is as likely as any but for this cost, the second will do.
+_KNOWN, _KNOWN_ABOVE, _WHITE = 0.15, 0.25, 4.0
+# The residual in the gap is on the curve of the noise above if the mean squared
+# deviation from it is at most the first, and a spectrum above the band like one of the
+# family if at most the second.
+_CONSISTENT, _ALIKE = 3.0, 30.0
 # Share of the times between changes of a torque that are alike if it is held.
 _HELD = 0.8
 # Rows of a recording that are looked at.
@@ -291,17 +294,17 @@ class _Family:
             for low, high in itertools.pairwise(_GAP)
         ]
         passed = _gain(dt, cutoff, frequency) ** 2 * np.sinc(nu) ** 2
-        views = [
-            *(gains * weight),
-            *(b * per_row * weight / (b @ weight) for b in bands),
-        ]
+        views = [*(gains * weight)]
+        # A band beyond the Nyquist frequency is empty, and not measured either.
+        views += [b * per_row * weight / max(b @ weight, nu[0]) for b in bands]
         views.append(2 * passed * weight)
         seen_as = S @ np.array(views).T
         # White noise on top of each adds what is seen of it.
         white, shapes = seen_as[:1], seen_as[1:]
         floors = np.r_[0.0, np.geomspace(1e-4, 1.0, 13)][:, None]
         mixed = (shapes[:, None] + floors * white).reshape(-1, white.shape[1])
-        seen_as = np.log(np.vstack([white, mixed]))
+        with np.errstate(divide="ignore"):
+            seen_as = np.log(np.vstack([white, mixed]))
         return cls(
             prior=np.r_[0.5, np.full(len(mixed), 0.5 / len(mixed))],
             scales=seen_as[:, : strides.size],
@@ -336,9 +339,13 @@ class _Family:
         more = np.minimum(between - amplitude[:, None] / gap_spread * seen_between, 0.0)
         cost = (own**2).sum(axis=1) + (more**2).sum(axis=1)
         (low, level, high), unlike = self._level(cost, amplitude, seen_above.sum())
-        reach = low - 2 * _KNOWN, high + 2 * _KNOWN
-        # One stride shows no colour.
-        known = high - low <= 2 * _KNOWN and seen_above.sum() > 1 and unlike <= _ALIKE
+        # One stride shows no colour. What is white there needs no continuation, only
+        # that nothing else is likely.
+        white = cost[0] <= cost.min() + _WHITE
+        enough = _KNOWN_ABOVE if white else _KNOWN
+        known = high - low <= 2 * enough and unlike <= _ALIKE and seen_above.sum() > 1
+        margin = _KNOWN if known else 2 * _KNOWN
+        reach = low - margin, high + margin
         if seen_between.any():
             # With the gap as its continuation.
             total = w_above.sum() + w_between.sum()

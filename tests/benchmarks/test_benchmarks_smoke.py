@@ -277,10 +277,15 @@ def test_rest_is_told_from_motion_by_the_truth():
     found = bench.measure(range(1), ("demo_arm",), ("fine",), ("sign",))
     assert [kind for *_, kind in found] == list(bench.MOTIONS)
     figures = np.array(list(found.values()))
-    # What never rests has no error at rest; the true states are predicted best.
+    # What never rests has no error at rest.
     assert np.isnan(figures[0, [1, 3, 5, 6, 7]]).all()
     assert np.isfinite(figures[1:]).all()
-    assert np.all(figures[:, 4] < 1.0)
+    # On the true states reversals keep their sign; creeping into a rest and out of it
+    # does not, which costs some of a friction that turns at once.
+    assert figures[0, 4] < 1.0
+    assert np.all(figures[1:, 4] < 6.0)
+    # At rest hardly more is missed than nobody can know.
+    assert np.all(figures[1:, 1] < 1.6 * figures[1:, 6])
     # At rest nobody knows friction, and its mean is at most what the truth misses.
     np.testing.assert_allclose(figures[1:, 5], figures[1:, 6], rtol=0.2)
 

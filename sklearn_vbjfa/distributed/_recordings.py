@@ -17,13 +17,6 @@ import numpy as np
 from sklearn_vbjfa._core import _lowpass, _smoothing
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
-from sklearn_vbjfa.distributed._quantiles import (
-    BitCounts,
-    bit_counts,
-    candidates,
-    merge_candidates,
-    quantile,
-)
 from sklearn_vbjfa.robot import _torque_noise
 from sklearn_vbjfa.robot._block_moments import Numbering
 from sklearn_vbjfa.robot._equations import accumulate
@@ -43,8 +36,6 @@ from sklearn_vbjfa.robot._states import StateEstimator, lighter
 _SUFFIXES = (".csv", ".npz", ".parquet", ".txt")
 # Relative difference of sample periods that counts as another one.
 _DT_TOLERANCE = 0.002
-# The noise between jumps of friction is read off this quantile.
-_QUARTILE = 0.25
 
 
 def fit_recordings(identifier, source):
@@ -135,33 +126,24 @@ def fit_recordings(identifier, source):
     lowpass = _lowpass.design(dt, identifier.cutoff_)
     check_length(parts, lowpass, identifier.cutoff_)
     keep = n_fastest(stops[-1])
-    bins = extent["counts"].bins(_QUARTILE)
-    (facts,) = dask.compute(
-        sums(
-            _summarise, partial(_merge_facts, keep), estimator, keep, dt,
-            identifier.cutoff_, bins,
-        )
-    )  # fmt: skip
-    motion, noise, between = facts
+    merge = partial(MotionFacts.merge, keep=keep)
+    (motion,) = dask.compute(sums(_summarise, merge, estimator, keep))
     ranges = np.stack([motion.lowest, motion.highest])
     check_channels(identifier.joint_names_, ranges, extent["torques"])
     identifier.standstill_ = resolve_standstill(identifier.standstill, motion.fast())
-    identifier.torque_noise_ = np.full(identifier._nv, np.nan)
-    if identifier.torque_noise is not None:
-        identifier.torque_noise_ = _torque_noise.given_noise(
-            identifier.torque_noise, identifier._nv, dt, identifier.cutoff_
-        )
-    elif noise is not None:
-        quartile = quantile(extent["counts"], between, _QUARTILE)
-        identifier.torque_noise_ = _torque_noise.filtered_noise(
-            *noise, quartile, dt, identifier.cutoff_
-        )
+    identifier.torque_noise_ = _torque_noise.given_noise(
+        identifier.torque_noise, identifier._nv, dt, identifier.cutoff_
+    )
     numbering = Numbering.of([lowpass.centres(n).size for n in extent["lengths"]])
     numbers = _first_numbers(files, extent["recordings"])
     (stats,) = dask.compute(
         sums(_statistics, _add, identifier, lowpass, numbering, numbers)
     )
-    return identifier._fit_statistics(stats)
+    identifier._fit_statistics(stats)
+    if identifier.torque_noise is None:
+        (noise,) = dask.compute(sums(_noise, operator.add, identifier))
+        identifier._tell_noise(noise)
+    return identifier
 
 
 def _files(source):
@@ -226,7 +208,7 @@ def _has_period(file):
 
 
 def _measure(load, file):
-    """Lengths, range of torques, which joints move, counts of torque differences."""
+    """Lengths, range of torques, which joints move."""
     recordings = load(file)
     torques = [tau for _, tau in recordings]
     whole = np.concatenate(torques)
@@ -235,10 +217,6 @@ def _measure(load, file):
         "recordings": [len(torques)],
         "torques": np.stack([whole.min(axis=0), whole.max(axis=0)]),
         "moving": np.any([np.ptp(q, axis=0) > 0 for q, _ in recordings], axis=0),
-        "counts": sum(
-            (bit_counts(_torque_noise.high_differences(tau)) for tau in torques),
-            start=BitCounts.empty(whole.shape[1]),
-        ),
     }
 
 
@@ -249,7 +227,6 @@ def _merge_extents(first, second):
         "recordings": first["recordings"] + second["recordings"],
         "torques": np.stack([low.min(axis=0), high.max(axis=0)]),
         "moving": first["moving"] | second["moving"],
-        "counts": first["counts"] + second["counts"],
     }
 
 
@@ -263,32 +240,21 @@ def _add_pairs(first, second):
     return first[0] + second[0], first[1] + second[1]
 
 
-def _summarise(load, file, estimator, keep, dt, cutoff, bins):
-    """Motion, and the noise of the torques above the band of the fit, if seen."""
-    recordings = load(file)
+def _summarise(load, file, estimator, keep):
+    """Motion of the recordings of one file."""
     facts = [
-        smooth_recording(q, 0, estimator, keep, halves=False)[2] for q, _ in recordings
+        smooth_recording(q, 0, estimator, keep, halves=False)[2] for q, _ in load(file)
     ]
-    motion = merge_all(facts, keep)
-    if not _torque_noise.seen(dt, cutoff):
-        return motion, None, None
-    bands = [_torque_noise.band_power(tau, dt, cutoff) for _, tau in recordings]
-    power, weight = zip(*bands)
-    between = [
-        candidates(_torque_noise.high_differences(tau), bins) for _, tau in recordings
-    ]
-    return motion, (sum(power), sum(weight)), merge_candidates(*between)
+    return merge_all(facts, keep)
 
 
-def _merge_facts(keep, first, second):
-    motion = MotionFacts.merge(first[0], second[0], keep)
-    if first[1] is None:
-        return motion, None, None
-    return (
-        motion,
-        _add_pairs(first[1], second[1]),
-        merge_candidates(first[2], second[2]),
-    )
+def _noise(load, file, identifier):
+    """Noise of the torques of one file's recordings, a list."""
+    found = []
+    for q, tau in load(file):
+        rows = _torque_noise.rows_looked_at(slice(0, len(q)))
+        found.append(identifier._noise_facts(q[rows], tau[rows]))
+    return found
 
 
 def _first_numbers(files, counts):

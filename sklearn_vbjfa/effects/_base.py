@@ -10,6 +10,8 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_array
 
+from sklearn_vbjfa.effects._rest import Rest, mean_sign
+
 # Speeds are scaled by this quantile of a joint's speed: its fastest, without outliers.
 _FAST = 0.995
 
@@ -41,6 +43,9 @@ class Motion:
     begins : tuple of float or None
         When recordings begin [s], if their first rows are left out here; None takes
         the first rows of all parts.
+    rest : Rest or None
+        What to take for the sign of the velocity of a joint that may be standing; None
+        takes the sign itself, as a fit does, whose equations are masked there.
     """
 
     q: np.ndarray
@@ -55,6 +60,7 @@ class Motion:
     last_body: Callable | None = None
     bandwidth: float = np.inf
     begins: tuple | None = None
+    rest: Rest | None = None
     _speeds: dict = field(default_factory=dict, repr=False)
 
     def __post_init__(self):
@@ -73,6 +79,14 @@ class Motion:
         if joint not in self._speeds:
             self._speeds[joint] = float(np.quantile(np.abs(self.v[:, joint]), _FAST))
         return self._speeds[joint]
+
+    def sign(self, joint, smoothing=0.0):
+        """Sign of a joint's velocity (n, 1), tanh(v / smoothing) where one is given.
+
+        Where `rest` is known this is its mean; see `Rest`.
+        """
+        rest = None if self.rest is None else self.rest.pick(joint)
+        return mean_sign(self.v[:, [joint]], self.a[:, [joint]], rest, smoothing)
 
     def range(self, joint):
         """Range of a joint's positions [rad or m]."""
@@ -367,8 +381,3 @@ def _parts(groups, n):
         )
     edges = np.r_[0, np.flatnonzero(labels[1:] != labels[:-1]) + 1, n]
     return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
-
-
-def sign(v, smoothing=0.0):
-    """Sign of the velocity, tanh(v / smoothing) where a speed is given."""
-    return np.tanh(v / smoothing) if smoothing > 0 else np.sign(v)

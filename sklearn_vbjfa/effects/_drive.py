@@ -5,6 +5,7 @@ from numbers import Real
 import numpy as np
 
 from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._rest import mean_sign
 
 # Delays to try [s].
 _DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
@@ -112,7 +113,10 @@ class Coupling(Effect):
         j, k = [self.joint], [self.other]
         w = motion.v[:, k] + factor[self.of] * motion.v[:, j]
         dw = motion.a[:, k] + factor[self.of] * motion.a[:, j]
-        return np.hstack([w, np.sign(w), dw])
+        rest = motion.rest
+        if rest is not None:
+            rest = rest.pick(self.other, *([] if self.of == "other" else j))
+        return np.hstack([w, mean_sign(w, dw, rest), dw])
 
     def shapes(self, motion):
         """All other joints, alone and together with this one."""

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect, sign
+from sklearn_vbjfa.effects._base import Effect
 
 _TORQUE = ("N m", "N")
 _VISCOUS = ("N m s/rad", "N s/m")
@@ -29,7 +29,7 @@ class _Smoothed(Effect):
         return units | {"smoothing": "m/s" if prismatic else "rad/s"}
 
     def _sign(self, motion):
-        return sign(motion.v[:, [self.joint]], self.smoothing)
+        return motion.sign(self.joint, self.smoothing)
 
 
 class Viscous(Effect):
@@ -140,7 +140,10 @@ class AsymmetricFriction(Effect):
     def columns(self, motion):
         """Even functions of the velocity; see `Effect.columns`."""
         v = motion.v[:, [self.joint]]
-        return np.hstack([np.abs(np.sign(v)), np.abs(v)])
+        # At rest friction is anywhere between its values of the two directions, whose
+        # mean is the same constant as in motion.
+        moves = np.abs(np.sign(v)) if motion.rest is None else np.ones_like(v)
+        return np.hstack([moves, np.abs(v)])
 
 
 class Stribeck(Effect):
@@ -187,7 +190,7 @@ class Stribeck(Effect):
     def columns(self, motion):
         """Friction of unit size at low speed; see `Effect.columns`."""
         v = motion.v[:, [self.joint]]
-        return np.exp(-(np.abs(v / self.vs) ** self.k)) * np.sign(v)
+        return np.exp(-(np.abs(v / self.vs) ** self.k)) * motion.sign(self.joint)
 
     def shapes(self, motion):
         """Speeds up to two thirds of the fastest, both exponents."""

@@ -60,7 +60,7 @@ class Drift(Effect):
     def columns(self, motion):
         """Decaying torque; see `Effect.columns`."""
         signals = {
-            "coulomb": np.sign(motion.v[:, self.joint]),
+            "coulomb": motion.sign(self.joint)[:, 0],
             "offset": np.ones(motion.v.shape[0]),
             "viscous": motion.v[:, self.joint],
         }

@@ -60,7 +60,7 @@ def effect_names(effects, model):
     return tuple(names), tuple(units)
 
 
-def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf):
+def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=None):
     """Signals that effects are made from.
 
     Parameters
@@ -77,6 +77,8 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf):
         Parameters of the features, for the load; None for none.
     bandwidth : float
         Cut-off of the low-pass [Hz].
+    rest : Rest or None
+        What to take for the sign of velocities, see `Motion`.
     """
     nv = features.n_joints_
     load = torque = rigid = None
@@ -86,7 +88,7 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf):
         tree = features._regressor
         q, v, a = np.split(states, 3, axis=1)
         load = tree.torques(q, v, a, inertial)
-        friction = _friction.columns(features._friction, q, v, a)
+        friction = _friction.columns(features._friction, v, a, rest)
         torque = load + np.einsum("njk,jk->nj", friction, parameters[:, 10:])
 
         def rigid(q, v, a):
@@ -112,6 +114,7 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf):
         rigid=rigid,
         last_body=last_body,
         bandwidth=float(bandwidth),
+        rest=rest,
     )
 
 
@@ -149,6 +152,8 @@ class RegressorRows:
         Effects.
     motion : Motion or None
         Their signals; None without effects.
+    rest : Rest or None
+        What to take for the sign of velocities, see `Motion`.
 
     Attributes
     ----------
@@ -158,9 +163,10 @@ class RegressorRows:
         Entries that are not zero in every motion.
     """
 
-    def __init__(self, features, states, effects=(), motion=None):
+    def __init__(self, features, states, effects=(), motion=None, rest=None):
         self._features = features
         self._states = states
+        self._rest = rest
         for effect in effects:
             reason = effect.applies(motion)
             if reason:
@@ -188,12 +194,13 @@ class RegressorRows:
         """Regressor matrices of one recording alone, numbered from zero."""
         other = object.__new__(RegressorRows)
         other._features, other._states = self._features, self._states[rows]
+        other._rest = self._rest
         other._set_columns([(effect, values[rows]) for effect, values in self._columns])
         return other
 
     def __call__(self, piece):
         """Regressor matrices (n, nv, p) of a slice of rows."""
-        Phi = self._features._compute(self._states[piece])
+        Phi = self._features._compute(self._states[piece], self._rest)
         if not self._columns:
             return Phi
         out = np.zeros((*Phi.shape[:2], self.n_parameters))

@@ -196,14 +196,17 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         X = validate_data(self, X, dtype=np.float64, reset=False)
         return self._compute(X).reshape(X.shape[0], -1)
 
-    def _compute(self, X):
-        """Return the regressor matrices as (n_samples, nv, p)."""
+    def _compute(self, X, rest=None):
+        """Return the regressor matrices as (n_samples, nv, p).
+
+        With a `Rest` the sign of a velocity is its mean.
+        """
         nv, n = self.n_joints_, X.shape[0]
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
         Phi = np.empty((n, nv, nv, 10 + len(self._friction)))
         self._regressor(q, v, a, out=Phi, zeros=self._zeros)
         diagonal = np.arange(nv)
-        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self._friction, q, v, a)
+        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self._friction, v, a, rest)
         return Phi.reshape(n, nv, self.n_parameters_)
 
     def get_feature_names_out(self, input_features=None):

@@ -2,13 +2,15 @@
 
 import numpy as np
 
-# name -> (function of (q, v, a), unit for a revolute joint, for a prismatic joint,
+from sklearn_vbjfa.effects._rest import mean_sign
+
+# name -> (function of (v, a, rest), unit for a revolute joint, for a prismatic joint,
 # whether physics asks for a non-negative coefficient)
 _COLUMNS = {
-    "viscous": (lambda q, v, a: v, "N m s/rad", "N s/m", True),
-    "coulomb": (lambda q, v, a: np.sign(v), "N m", "N", True),
-    "offset": (lambda q, v, a: np.ones_like(v), "N m", "N", False),
-    "rotor_inertia": (lambda q, v, a: a, "kg m^2", "kg", True),
+    "viscous": (lambda v, a, rest: v, "N m s/rad", "N s/m", True),
+    "coulomb": (mean_sign, "N m", "N", True),
+    "offset": (lambda v, a, rest: np.ones_like(v), "N m", "N", False),
+    "rotor_inertia": (lambda v, a, rest: a, "kg m^2", "kg", True),
 }
 
 
@@ -30,11 +32,14 @@ def check_names(friction):
     return names
 
 
-def columns(names, q, v, a):
-    """Return the columns, ndarray of shape (n, nv, len(names))."""
+def columns(names, v, a, rest=None):
+    """Return the columns, ndarray of shape (n, nv, len(names)).
+
+    With a `Rest` the sign of the velocity is its mean.
+    """
     if not names:
         return np.zeros((*np.shape(v), 0))
-    return np.stack([_COLUMNS[name][0](q, v, a) for name in names], axis=-1)
+    return np.stack([_COLUMNS[name][0](v, a, rest) for name in names], axis=-1)
 
 
 def unit(name, prismatic):

@@ -12,7 +12,8 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa._base import BaseJointFactorRegressor
-from sklearn_vbjfa.robot import _friction
+from sklearn_vbjfa.effects._rest import Rest
+from sklearn_vbjfa.robot import _friction, _torque_noise
 from sklearn_vbjfa.robot._consistency import (
     identifiable,
     min_eigenvalues,
@@ -39,7 +40,7 @@ from sklearn_vbjfa.robot._joint_statistics import split_residual
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._model import joint_names
 from sklearn_vbjfa.robot._motion_facts import MotionFacts, merge_all, n_fastest
-from sklearn_vbjfa.robot._recording_checks import check_count
+from sklearn_vbjfa.robot._recording_checks import CUTOFF_PER_BANDWIDTH, check_count
 from sklearn_vbjfa.robot._residuals import collect_residuals
 from sklearn_vbjfa.robot._states import SplineStates, fit_states, smooth_to
 
@@ -144,14 +145,28 @@ class IdentificationSteps:
 
     def _states(self, X, groups, *, in_band=False):
         """States of a query; `in_band` smooths to the band that was identified."""
+        return self._states_and_rest(X, groups, in_band=in_band)[0]
+
+    def _states_and_rest(self, X, groups, *, in_band=False):
+        """States of a query, and the `Rest` that tells the signs of their speeds."""
         if X.shape[1] == 3 * self._nv:
-            return X
+            return X, self._rest(np.zeros(self._nv))
         estimator = self.state_estimator_
         if estimator is None:
             estimator = self._new_state_estimator(X, groups)
         if in_band:
             estimator = smooth_to(estimator, self.cutoff_)
-        return estimator.transform(X, groups=groups)
+        states = estimator.transform(X, groups=groups)
+        return states, self._rest(estimator._velocity_noise())
+
+    def _rest(self, noise):
+        """Return what tells the signs of velocities with this noise (nv,)."""
+        time = np.full(self._nv, CUTOFF_PER_BANDWIDTH / self.cutoff_)
+        if not np.isfinite(self.cutoff_):
+            # rows of a running robot do not tell it either
+            time = getattr(self, "_fastest_period", time)
+        # What masks nothing is negative.
+        return Rest(speed=np.maximum(self.standstill_, 0.0), time=time, noise=noise)
 
     # -- equations -------------------------------------------------------------
 
@@ -162,20 +177,23 @@ class IdentificationSteps:
             and self.regressor.input_noise is None
         )
 
-    def _filtered(
-        self, states, y, weight, parts, lowpass, halves=None, t=None, *, ends=True
-    ):
+    def _filtered(self, states, y, weight, parts, lowpass, halves=None, t=None, **kw):
         """Yield the equations of what moves, see `filtered_equations`."""
-        stretches = self._stretches(states, y, weight, parts, halves, t, ends=ends)
+        stretches = self._stretches(states, y, weight, parts, halves, t, **kw)
         return filtered_equations(stretches, lowpass, chunk_bytes=_CHUNK_BYTES)
 
-    def _stretches(self, states, y, weight, parts, halves=None, t=None, *, ends=True):
+    def _stretches(
+        self, states, y, weight, parts, halves=None, t=None, *, ends=True, rest=None
+    ):
         """Join recordings and their regressor matrices, ready for the low-pass.
 
-        States are arrays of all rows, or lists of one entry a recording.
+        States are arrays of all rows, or lists of one entry a recording. A `Rest` is
+        for comparing; what is fitted is masked at rest.
         """
         average = halves is not None and self._corrects_noise()
-        rows = [None] * len(parts) if average else self._rows_by_part(states, parts, t)
+        rows = [None] * len(parts)
+        if not average:
+            rows = self._rows_by_part(states, parts, t, rest)
         both = [None] * len(parts)
         if halves is not None:
             both = list(zip(*[self._rows_by_part(half, parts, t) for half in halves]))
@@ -197,23 +215,26 @@ class IdentificationSteps:
             )
         ]
 
-    def _rows_by_part(self, states, parts, t):
+    def _rows_by_part(self, states, parts, t, rest=None):
         if self._active_effects:
             # Effects look at all recordings together (time, largest speeds).
             whole = states
             if isinstance(states, list):
                 whole = np.concatenate([own[:] for own in states])
-            rows = self._rows(whole, parts, t)
+            rows = self._rows(whole, parts, t, rest)
             return [rows.part(part) for part in parts]
-        return [RegressorRows(self.features_, own) for own in _each(states, parts)]
+        return [
+            RegressorRows(self.features_, own, rest=rest)
+            for own in _each(states, parts)
+        ]
 
-    def _rows(self, states, parts, t):
+    def _rows(self, states, parts, t, rest=None):
         """Regressor matrices of states, with the effects' columns."""
         motion, effects = None, self._active_effects
         if effects:
             signals = states, t, parts, self._load_theta, self.cutoff_
-            motion = make_motion(self.features_, *signals)
-        return RegressorRows(self.features_, states, effects, motion)
+            motion = make_motion(self.features_, *signals, rest)
+        return RegressorRows(self.features_, states, effects, motion, rest)
 
     # -- estimation ------------------------------------------------------------
 
@@ -289,6 +310,25 @@ class IdentificationSteps:
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         noise = split_residual(self.estimator_.statistics_, self.theta_)
         self.input_noise_torque_, self.output_noise_ = noise
+        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
+
+    # -- noise of the torques --------------------------------------------------
+
+    def _noise_facts(self, X, y, t=None):
+        """Return what one recording says of the noise of its torques, or None."""
+        if not _torque_noise.seen(self.dt, self.cutoff_):
+            return None
+        states = self._states(X, None, in_band=True)
+        residual = y - self.predict(states, t=t)
+        return _torque_noise.noise_facts(residual, y, states, self.dt, self.cutoff_)
+
+    def _tell_noise(self, facts):
+        """Set the floor from the `_noise_facts` of all recordings."""
+        facts = [found for found in facts if found is not None]
+        if facts:
+            self.torque_noise_ = _torque_noise.filtered_noise(
+                facts, self.dt, self.cutoff_
+            )
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
 
     def _bodies(self):

@@ -11,6 +11,7 @@ from sklearn_vbjfa.robot._groups import check_cutoff, check_dt, contiguous_group
 from sklearn_vbjfa.robot._identification import IdentificationSteps
 from sklearn_vbjfa.robot._joint_columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._motion_facts import fastest_period
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
@@ -25,7 +26,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     warn_of_disorder,
 )
 from sklearn_vbjfa.robot._recording_score import RecordingRegressorMixin
-from sklearn_vbjfa.robot._torque_noise import given_noise, torque_noise
+from sklearn_vbjfa.robot._torque_noise import given_noise, rows_looked_at
 from sklearn_vbjfa.robot._urdf import write_identified
 
 
@@ -116,12 +117,16 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         body's mass and length scale; positive for a physically consistent body.
     noise_floor_ : ndarray of shape (nv,)
         Standard deviation of `residuals` to expect from noise alone, if the model
-        lacked nothing [N m or N]: input noise through the parameters, and the white
-        noise of the torque sensors, measured above the band of the fit. With `period`
-        that of the mean period, smaller than that of a recording.
+        lacked nothing [N m or N]: input noise through the parameters, and the noise
+        of the torque sensors in the band of the fit. With `period` that of the mean
+        period, smaller than that of a recording. nan where the latter is not known.
     torque_noise_ : ndarray of shape (nv,)
-        The torque sensors' part of it [N m or N]; nan where nothing lies above the
-        band. With `period` measured between periods, in the band.
+        The torque sensors' part of it [N m or N], white or coloured: the spectrum of
+        the residual above the band of the fit, continued into it. nan where that
+        cannot be told: nothing lies above the band, no smooth spectrum of noise is like
+        what does, or it goes on rising towards the band and the residual between the
+        motion's band and the cut-off is not its continuation. With `period` measured
+        between periods, in the band.
     input_noise_torque_ : ndarray of shape (nv,)
         The input noise's part of it [N m or N].
     output_noise_ : ndarray of shape (nv,)
@@ -248,17 +253,14 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
             self.cutoff, parts, self.dt, self.state_estimator_
         )
         self.standstill_ = resolve_standstill(self.standstill, facts.fast())
+        if not isinstance(states, list):
+            self._fastest_period = fastest_period(states)
         lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
         if periods is None:
             check_length(parts, lowpass, self.cutoff_)
-            if self.torque_noise is None:
-                self.torque_noise_ = torque_noise(
-                    [y[part] for part in parts], self.dt, self.cutoff_
-                )
-            else:
-                self.torque_noise_ = given_noise(
-                    self.torque_noise, self._nv, self.dt, self.cutoff_
-                )
+            self.torque_noise_ = given_noise(
+                self.torque_noise, self._nv, self.dt, self.cutoff_
+            )
             recordings = states, y, weight, parts, halves, clock
         else:
             self.torque_noise_ = periods.filtered_torque_noise(lowpass)
@@ -269,6 +271,14 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
             self._active_effects = effects
             stretches = self._stretches(*recordings, ends=periods is None)
             self._fit_stretches(stretches, lowpass)
+        if periods is None and self.torque_noise is None:
+            facts = (
+                self._noise_facts(
+                    X[rows], y[rows], None if clock is None else clock[rows]
+                )
+                for rows in map(rows_looked_at, parts)
+            )
+            self._tell_noise(facts)
         return self
 
     def partial_fit(self, X, y, sample_weight=None, *, refit=True):
@@ -330,7 +340,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         return X, y
 
     def predict(self, X, groups=None, t=None):
-        """Predict the joint torques.
+        r"""Predict the joint torques.
 
         Parameters
         ----------
@@ -347,13 +357,34 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         -------
         ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N], friction included.
+
+        Notes
+        -----
+        A joint that stands may have any dry friction within its band, and the sign of
+        its estimated velocity is that of noise. All effects of the sign of a velocity
+        are predicted with its mean over what the true one may be,
+
+        .. math::
+
+            s(v, a) = E[\mathrm{sign}(v + u + e)], \quad
+            u \sim U(-w, w), \quad e \sim N(0, \sigma^2), \quad
+            w = \frac{v_s}{1 + |a| T / v_s}.
+
+        sigma is the noise of the velocities, from that of the encoders through the
+        smoothing (`StateEstimator`); zero for states. v_s is `standstill_`, at or below
+        which the fit saw no equations, and T the period of the fastest motion:
+        5 / `cutoff_`, or that of the fitted states where nothing is filtered. Without
+        v_s (`standstill=None`) s is erf(v / (sqrt(2) sigma)); for noiseless states it
+        is v / w up to w and the sign itself beyond. A joint that stands has s = 0; one
+        that turns round has a large acceleration, so a small w, and keeps its sign.
+        The rule looks at one row: states may come one by one.
         """
         check_is_fitted(self)
         X = self._validate_query(X)
-        states = self._states(X, groups, in_band=True)
+        states, rest = self._states_and_rest(X, groups, in_band=True)
         parts = contiguous_groups(groups, X.shape[0])
         clock = resolve_clock(t, self.dt, parts, self.effects_)
-        rows = self._rows(states, parts, clock)
+        rows = self._rows(states, parts, clock, rest)
         count = max(
             1, _identification._CHUNK_BYTES // (8 * self._nv * self.theta_.size)
         )
@@ -394,6 +425,11 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         -------
         TorqueResiduals
             Filtered torques, predictions and weights.
+
+        Notes
+        -----
+        What counts is predicted with the columns of the fit. Where a joint stands, and
+        the weight is zero, dry friction has its mean as in `predict`.
         """
         check_is_fitted(self)
         X = self._validate_query(X)
@@ -411,10 +447,14 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         lowpass = _lowpass.design(self.dt or 1.0, cutoff)
         check_length(parts, lowpass, cutoff)
         clock = resolve_clock(t, self.dt, parts, self.effects_)
-        states = self._states(X, groups)
-        return self._residuals_of(
-            self._filtered(states, y, weight, parts, lowpass, t=clock)
-        )
+        states, rest = self._states_and_rest(X, groups)
+        signals = states, y, weight, parts, lowpass
+        found = self._residuals_of(self._filtered(*signals, t=clock))
+        if not (found.weight > 0).all():
+            # What counts has the columns of the fit; what stands is predicted.
+            stands = self._residuals_of(self._filtered(*signals, t=clock, rest=rest))
+            found = found.filled(stands)
+        return found
 
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.

@@ -75,6 +75,25 @@ def merge_all(facts, keep):
     return first
 
 
+def fastest_period(states):
+    """Return the period (nv,) [s] of a sine as fast and as strongly accelerated.
+
+    Parameters
+    ----------
+    states : ndarray of shape (n, 3 * nv)
+        States of all recordings.
+
+    Returns
+    -------
+    ndarray of shape (nv,)
+        2 pi times the fastest speed over the strongest acceleration; zero without.
+    """
+    _, v, a = np.split(np.abs(states), 3, axis=1)
+    fast, strong = (np.quantile(x, _FAST, axis=0) for x in (v, a))
+    out = np.zeros_like(fast)
+    return np.divide(2 * np.pi * fast, strong, out=out, where=strong > 0)
+
+
 def _largest(values, keep):
     n = values.shape[0]
     if n <= keep:

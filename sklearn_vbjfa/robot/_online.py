@@ -111,7 +111,7 @@ class OnlineStatistics:
         q, v, a = x[:nv], x[nv : 2 * nv], x[2 * nv :]
         bodies = self._compute(self._features._model, self._data, q, v, a)
         self._bodies[:] = bodies.reshape(nv, nv, 10)
-        columns = _friction.columns(self._features._friction, q[None], v[None], a[None])
+        columns = _friction.columns(self._features._friction, v[None], a[None])
         diagonal = np.arange(nv)
         self._Phi.reshape(nv, nv, -1)[diagonal, diagonal, 10:] = columns[0]
         self._Phi[self._zero] = 0.0

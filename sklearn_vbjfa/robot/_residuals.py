@@ -1,6 +1,6 @@
 """Torque residuals on recordings, filtered as in the fit."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,8 @@ class TorqueResiduals:
     torque : ndarray of shape (m, nv)
         Filtered measured torques [N m or N].
     predicted : ndarray of shape (m, nv)
-        Torques of the model, from filtered regressor columns [N m or N].
+        Torques of the model, from filtered regressor columns [N m or N]. Where the
+        weight is zero dry friction has its mean, see `RobotIdentifier.predict`.
     weight : ndarray of shape (m, nv)
         Zero where a joint stands still, or the sample was left out.
     """
@@ -30,6 +31,13 @@ class TorqueResiduals:
     def residual(self):
         """Measured minus predicted torque [N m or N], ndarray of shape (m, nv)."""
         return self.torque - self.predicted
+
+    def filled(self, other):
+        """Take the predictions of another comparison where nothing counts."""
+        counts = self.weight > 0
+        return replace(
+            self, predicted=np.where(counts, self.predicted, other.predicted)
+        )
 
     def rms(self):
         """Root mean square of the residual of each joint [N m or N]."""

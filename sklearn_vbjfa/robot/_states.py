@@ -13,6 +13,8 @@ _MIN_SAMPLES = 8
 # the motion biases the parameters however long the recording, while noise averages
 # out and is corrected for.
 _LIGHTER_SMOOTHING = 1.25
+# Frequencies at which the gain of the smoother on noise is summed.
+_NOISE_GRID = 2048
 
 
 class StateEstimator(TransformerMixin, BaseEstimator):
@@ -209,6 +211,22 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             for k, splines in enumerate(self._half_splines(X[part], part.start)):
                 halves[k, part] = _evaluate(splines, part.stop - part.start)
         return halves[0].reshape(n, -1), halves[1].reshape(n, -1)
+
+    def _velocity_noise(self):
+        """Deviation of the noise of the velocities [rad/s or m/s], ndarray (nv,).
+
+        That of white encoder noise behind the smoother; zero where it is not known.
+        """
+        frequency = np.linspace(0.0, 0.5 / self.dt, _NOISE_GRID)
+        noise = np.zeros(self.n_features_in_)
+        for j, (cutoff, variance) in enumerate(zip(self.cutoff_, self.noise_variance_)):
+            if variance > 0:
+                gain = 1.0
+                if np.isfinite(cutoff):
+                    gain = _smoothing.gain(frequency, self.dt, cutoff)
+                power = np.mean((2 * np.pi * frequency * gain) ** 2)
+                noise[j] = np.sqrt(variance * power)
+        return noise
 
     def _splines(self, x, start):
         """Fit a spline to each joint of the recording from row `start` on."""

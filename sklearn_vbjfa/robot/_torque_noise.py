@@ -1,19 +1,57 @@
-"""White noise of torque channels, measured where no motion is."""
+"""Noise of torque channels inside the band of the fit, from what surrounds the motion.
+
+The noise inside the band cannot be told from what a model lacks by its size. It is
+told by its spectrum. Above the band no motion is: there the spectrum of the residual is
+measured by differences of high order at several strides, those aside that hold a
+reversal of the joint, where dry friction jumps. Noise is a smooth continuation of that
+spectrum into the band. Where it bends towards a flat one this is known from above;
+where it still rises, the residual between the band of the motion and the cut-off says
+how far, less the friction of the joint's own that the model may lack. A residual there
+that no such continuation reaches is what the model lacks: then the noise is what it is
+from above, or unknown.
+"""
 
 import itertools
+from dataclasses import dataclass
 from math import comb
 
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.effects._hysteresis import dahl
 
-# Number of bands above the fit's one; the quietest quarter counts, since vibrations
-# and the drive's own ripple stand out of the noise, never below it.
-_BANDS = 16
-# Jumps of dry friction fill the whole spectrum; the lower quartile of high differences
-# passes them over. It counts where it says that little less than the spectrum does.
 _ORDER = 5
-_CLEARLY_LESS = 0.7
+# The median of abs(x) is 0.6745 standard deviations of a normal variable, and the
+# logarithm of a variance from n independent ones has this deviation times n^-1/2.
+_MEDIAN, _MEDIAN_SPREAD = 0.6745, 2.33
+# Samples of such differences of white noise that count for one.
+_DEPENDENCE = 2.9
+# Strides of the differences, and how far down in frequency they look, over the cut-off:
+# at lower ones too many differences would hold a reversal.
+_STRIDES = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
+_LOWEST = 2.0
+# Bands between those of the motion (a fifth of the cut-off) and of the differences,
+# over the cut-off, seen through windows of this many periods of it.
+_GAP = np.array([0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.5, 4.0])
+_WINDOW = 12.0
+# What no spectrum of the family is closer to than in logarithms of the power.
+_UNLIKE = 0.05
+# Time after a reversal in which friction turns round, times the cut-off; displacements
+# in which it may, as shares of the joint's range.
+_TURNING = 0.1
+_DISPLACEMENTS = (0.003, 0.03)
+# A deviation is told if its logarithm is known this well; from above alone, where white
+# noise is as likely as any but for this cost, the second will do.
+_KNOWN, _KNOWN_ABOVE, _WHITE = 0.15, 0.25, 4.0
+# The residual in the gap is on the curve of the noise above if the mean squared
+# deviation from it is at most the first, and a spectrum above the band like one of the
+# family if at most the second.
+_CONSISTENT, _ALIKE = 3.0, 30.0
+# Share of the times between changes of a torque that are alike if it is held.
+_HELD = 0.8
+# Rows of a recording that are looked at.
+_ROWS = 100_000
+_SHORTEST = 64
 
 
 def given_noise(given, nv, dt, cutoff):
@@ -21,13 +59,15 @@ def given_noise(given, nv, dt, cutoff):
 
     Parameters
     ----------
-    given : float or array-like of shape (nv,)
-        Standard deviation of the white noise of a sample [N m or N].
+    given : float, array-like of shape (nv,) or None
+        Standard deviation of the white noise of a sample [N m or N]; None gives nan.
     nv : int
         Number of joints.
     dt, cutoff : float
         Sample period [s], cut-off [Hz].
     """
+    if given is None:
+        return np.full(nv, np.nan)
     noise = np.asarray(given, dtype=float)
     if noise.shape not in {(), (nv,)} or not ((noise >= 0) & np.isfinite(noise)).all():
         raise ValueError(
@@ -41,13 +81,134 @@ def given_noise(given, nv, dt, cutoff):
     return noise * np.sqrt(taps @ taps)
 
 
-def torque_noise(segments, dt, cutoff):
-    """Measure the white torque noise that passes the low-pass.
+@dataclass(frozen=True, kw_only=True)
+class NoiseFacts:
+    """What one recording says of the noise of its torques.
+
+    Attributes
+    ----------
+    n : int
+        Number of rows.
+    hold : ndarray of shape (nv,)
+        Rows for which a torque is held.
+    scales : ndarray of shape (nv, n_strides)
+        Variances of differences at the strides, per sample of what is held; nan where
+        the recording is too short.
+    gap : ndarray of shape (nv, n_bands)
+        Power per row in the bands of the gap.
+    """
+
+    n: int
+    hold: np.ndarray
+    scales: np.ndarray
+    gap: np.ndarray
+
+
+def seen(dt, cutoff):
+    """Whether anything lies between the low-pass and the Nyquist frequency."""
+    return dt is not None and np.isfinite(cutoff) and _LOWEST * cutoff <= 0.5 / dt
+
+
+def noise_facts(residual, torque, states, dt, cutoff):
+    """Measure the spectrum of the residual of one recording.
 
     Parameters
     ----------
-    segments : list of ndarray of shape (n_i, nv)
-        Torques of separate recordings.
+    residual, torque : ndarray of shape (n, nv)
+        Measured minus predicted torques, and the measured ones.
+    states : ndarray of shape (n, 3 * nv)
+        States.
+    dt, cutoff : float
+        Sample period [s], cut-off of the fit [Hz].
+    """
+    n, nv = residual.shape
+    hold = np.array([held_rows(x) for x in torque.T])
+    scales = np.full((nv, len(_STRIDES)), np.nan)
+    positions, velocities = states[:, :nv], states[:, nv : 2 * nv]
+    turning = int(_TURNING / (cutoff * dt))
+    for j, count in enumerate(hold):
+        turned = np.cumsum(np.r_[0, np.diff(np.sign(velocities[:, j])) != 0, 0])
+        first = np.arange(count // 2, n, count)
+        x = residual[count // 2 :: count, j]
+        for k, stride in enumerate(_strides(dt * count, cutoff)):
+            if x.size >= max(_SHORTEST, 16 * _ORDER * stride):
+                d = x
+                for _ in range(_ORDER):
+                    d = d[stride:] - d[:-stride]
+                last = np.minimum(first[-d.size :] + turning, n - 1)
+                before = np.maximum(first[: d.size] - turning, 0)
+                d = d[turned[last] == turned[before]]
+                if d.size >= _SHORTEST:
+                    scales[j, k] = (np.median(np.abs(d)) / _MEDIAN) ** 2
+    columns = zip(positions.T, velocities.T, residual.T)
+    left = np.column_stack([_without_own_friction(*c) for c in columns])
+    gap = _gap_power(left, dt, cutoff)
+    return NoiseFacts(n=n, hold=hold, scales=scales, gap=gap)
+
+
+def _without_own_friction(q, v, residual):
+    """Return a residual (n,) less what functions of the joint's own motion explain."""
+    reach = np.ptp(q)
+    if not reach > 0:
+        return residual
+    friction = [np.sign(v), v, np.abs(v), v * np.abs(v)]
+    friction += [dahl(q, share * reach) for share in _DISPLACEMENTS]
+    columns = np.column_stack([*friction, np.ones_like(q)])
+    columns /= np.maximum(np.abs(columns).max(axis=0), np.finfo(float).tiny)
+    return residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]
+
+
+def held_rows(torque):
+    """Return for how many rows a torque (n,) keeps its value, 1 if it does not."""
+    changes = np.flatnonzero(np.diff(torque))
+    if changes.size < 2:
+        return 1
+    lengths = np.diff(changes)
+    usual = round(np.median(lengths))
+    # Torques that are rounded repeat their values as well, but for any time.
+    alike = np.abs(lengths - usual) <= max(1, usual // 4)
+    return usual if usual > 1 and alike.mean() > _HELD else 1
+
+
+def _strides(dt, cutoff):
+    return [s for s in _STRIDES if 2 * s * dt * cutoff * _LOWEST <= 1.0]
+
+
+def _gap_power(x, dt, cutoff):
+    """Power per row in the bands of the gap, (nv, n_bands), the median of windows."""
+    length = round(_WINDOW / (cutoff * dt))
+    power = np.full((x.shape[1], _GAP.size - 1), np.nan)
+    if x.shape[0] < 3 * length:
+        return power
+    taper = np.hanning(length + 2)[1:-1]
+    starts = np.arange(0, x.shape[0] - length + 1, length // 2)
+    frequency = np.fft.rfftfreq(length, dt) / cutoff
+    borders = np.searchsorted(frequency, _GAP)
+    windows = np.empty((starts.size, *power.shape))
+    for window, start in zip(windows, starts):
+        piece = x[start : start + length]
+        piece = (piece - piece.mean(axis=0)) * taper[:, None]
+        spectrum = np.abs(np.fft.rfft(piece, axis=0)) ** 2 / (taper @ taper)
+        for k in range(power.shape[1]):
+            inside = spectrum[borders[k] : borders[k + 1]]
+            window[:, k] = inside.mean(axis=0) if len(inside) else np.nan
+    # the median of a Gamma variable over its mean (Wilson and Hilferty)
+    power[:] = np.median(windows, axis=0) / (1 - 1 / (9 * _gap_shape())) ** 3
+    return power
+
+
+def _gap_shape():
+    """Independent ordinates in the bands of one window."""
+    return np.maximum(np.diff(_GAP) * _WINDOW / 1.5, 1.0)
+
+
+def filtered_noise(facts, dt, cutoff):
+    """Return the standard deviations of the noise that passes the low-pass.
+
+    Parameters
+    ----------
+    facts : list of NoiseFacts
+        Recordings.
     dt : float or None
         Sample period [s].
     cutoff : float
@@ -56,89 +217,198 @@ def torque_noise(segments, dt, cutoff):
     Returns
     -------
     ndarray of shape (nv,)
-        Standard deviations [N m or N]; nan without a low-pass, or with one too close
-        to the Nyquist frequency to see anything above it.
+        Standard deviations [N m or N]; nan where they cannot be told: without a
+        low-pass, with one too close to the Nyquist frequency, or where the spectrum
+        rises towards the band and what is left there is not its continuation.
     """
-    nv = segments[0].shape[1]
+    nv = facts[0].hold.size
+    found = np.full(nv, np.nan)
     if not seen(dt, cutoff):
-        return np.full(nv, np.nan)
-    power, weight = np.zeros((_BANDS, nv)), 0
-    for x in segments:
-        more = band_power(x, dt, cutoff)
-        power, weight = power + more[0], weight + more[1]
-    quartile = np.nan
-    if weight:
-        d = np.concatenate([high_differences(x) for x in segments])
-        quartile = np.quantile(d, 0.25, axis=0, overwrite_input=True)
-    return filtered_noise(power, weight, quartile, dt, cutoff)
+        return found
+    families = {}
+    for j in range(nv):
+        # recordings of one robot are held alike
+        hold = int(np.median([f.hold[j] for f in facts]))
+        used = [f for f in facts if f.hold[j] == hold]
+        strides = _strides(dt * hold, cutoff)
+        if not strides or not used:
+            continue
+        rows = np.array([f.n for f in used], dtype=float)
+        scales, scale_rows = _mean([f.scales[j, : len(strides)] for f in used], rows)
+        gap, gap_rows = _mean([f.gap[j] for f in used], rows)
+        seen_scales = scales > 0
+        if not seen_scales.any():
+            continue
+        if hold not in families:
+            families[hold] = _Family.of(dt, hold, cutoff)
+        independent = scale_rows / (hold * _DEPENDENCE * np.array(strides))
+        scale_spread = np.hypot(
+            _UNLIKE, _MEDIAN_SPREAD / np.sqrt(np.maximum(independent, 1.0))
+        )
+        # they overlap by half
+        windows = 1.8 * gap_rows * dt * cutoff / _WINDOW
+        gap_spread = np.hypot(
+            _UNLIKE, 1.25 / np.sqrt(np.maximum(windows, 1.0) * _gap_shape())
+        )
+        found[j] = families[hold].deviation(
+            np.where(seen_scales, scales, np.nan), scale_spread, gap, gap_spread
+        )
+    return found
 
 
-def seen(dt, cutoff):
-    """Whether anything lies between the low-pass and the Nyquist frequency."""
-    return dt is not None and np.isfinite(cutoff) and 2 * cutoff <= 0.4 / dt
+def _mean(values, rows):
+    """Mean of recordings by their rows, and the rows that count, where it is known."""
+    values = np.array(values)
+    weight = rows[:, None] * np.isfinite(values)
+    total = weight.sum(axis=0)
+    summed = (np.where(np.isfinite(values), values, 0.0) * weight).sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(total > 0, summed / total, np.nan), total
 
 
-def band_power(x, dt, cutoff):
-    """Power of one recording in bands above the fit's, to be summed over several.
+@dataclass(frozen=True, kw_only=True)
+class _Family:
+    """Spectra that noise may have, each of one amplitude.
 
-    Parameters
+    White noise; noise of one pole, and of two (a sensor's low-pass), with their corner
+    anywhere, and with white noise on top.
+
+    Attributes
     ----------
-    x : ndarray of shape (n, nv)
-        Torques.
-    dt : float
-        Sample period [s].
-    cutoff : float
-        Cut-off of the low-pass [Hz].
-
-    Returns
-    -------
-    power : ndarray of shape (n_bands, nv)
-        Power times the number of samples.
-    n : int
-        Number of samples that count.
+    prior : ndarray of shape (m,)
+        How likely they are: white noise as likely as all others.
+    scales : ndarray of shape (m, n_strides)
+        Logarithms of the variances of differences.
+    gap : ndarray of shape (m, n_bands)
+        Logarithms of the power per row in the gap.
+    band : ndarray of shape (m,)
+        Logarithms of the variance behind the low-pass.
     """
-    n, nv = x.shape
-    power = np.zeros((_BANDS, nv))
-    if n < 64:
-        return power, 0
-    edges = np.linspace(2 * cutoff, 0.48 / dt, _BANDS + 1)
-    taper = np.hanning(n + 2)[1:-1]
-    # First differences keep the slow torque from leaking through the taper.
-    d = np.diff(np.ascontiguousarray(x.T), axis=1)
-    d -= d.mean(axis=1, keepdims=True)
-    spectrum = np.abs(np.fft.rfft(d * taper[1:])) ** 2
-    frequency = np.fft.rfftfreq(n - 1, dt)
-    spectrum /= np.maximum(4 * np.sin(np.pi * frequency * dt) ** 2, 1e-12)
-    borders = np.searchsorted(frequency, edges)
-    for k, (low, high) in enumerate(itertools.pairwise(borders)):
-        if high > low:
-            mean = spectrum[:, low:high].mean(axis=1)
-            power[k] = n * mean / (taper[1:] ** 2).sum()
-    return power, n
+
+    prior: np.ndarray
+    scales: np.ndarray
+    gap: np.ndarray
+    band: np.ndarray
+
+    @classmethod
+    def of(cls, dt, hold, cutoff):
+        """Make them for torques that are held for `hold` rows."""
+        step = dt * hold
+        # cycles per held sample
+        nu = np.unique(
+            np.r_[
+                np.geomspace(1e-3 * cutoff * step, 0.5, 4000),
+                np.linspace(1e-4, 0.5, 6000),
+            ]
+        )
+        corners = np.geomspace(0.05 * cutoff, 0.45 / step, 48)
+        rho = np.exp(-2 * np.pi * corners * step)[:, None]
+        one = 1 / (1 + 4 * rho / (1 - rho) ** 2 * np.sin(np.pi * nu) ** 2)
+        tangent = np.tan(np.pi * np.minimum(nu, 0.4999))
+        two = 1 / (1 + (tangent / np.tan(np.pi * corners * step)[:, None]) ** 4)
+        S = np.vstack([np.ones(nu.size), one, two])
+        weight = np.gradient(nu)
+        strides = np.array(_strides(step, cutoff))
+        gains = (2 * np.sin(np.pi * nu * strides[:, None])) ** (2 * _ORDER)
+        # White noise is known exactly, whatever the grid.
+        exact = comb(2 * _ORDER, _ORDER)
+        gains *= exact / (gains @ weight)[:, None]
+        # power per row: what is held is that many times as large at low frequencies
+        frequency = nu / step
+        per_row = hold * np.sinc(nu) ** 2
+        bands = [
+            (frequency >= low * cutoff) & (frequency < high * cutoff)
+            for low, high in itertools.pairwise(_GAP)
+        ]
+        passed = _gain(dt, cutoff, frequency) ** 2 * np.sinc(nu) ** 2
+        views = [*(gains * weight)]
+        # A band beyond the Nyquist frequency is empty, and not measured either.
+        views += [b * per_row * weight / max(b @ weight, nu[0]) for b in bands]
+        views.append(2 * passed * weight)
+        seen_as = S @ np.array(views).T
+        # White noise on top of each adds what is seen of it.
+        white, shapes = seen_as[:1], seen_as[1:]
+        floors = np.r_[0.0, np.geomspace(1e-4, 1.0, 13)][:, None]
+        mixed = (shapes[:, None] + floors * white).reshape(-1, white.shape[1])
+        with np.errstate(divide="ignore"):
+            seen_as = np.log(np.vstack([white, mixed]))
+        return cls(
+            prior=np.r_[0.5, np.full(len(mixed), 0.5 / len(mixed))],
+            scales=seen_as[:, : strides.size],
+            gap=seen_as[:, strides.size : -1],
+            band=seen_as[:, -1],
+        )
+
+    def deviation(self, scales, scale_spread, gap, gap_spread):
+        """Return the deviation behind the low-pass of what was measured, or nan.
+
+        Parameters
+        ----------
+        scales, scale_spread : ndarray of shape (n_strides,)
+            Variances of differences, nan where not seen; deviations of their
+            logarithms.
+        gap, gap_spread : ndarray of shape (n_bands,)
+            Power per row in the gap; deviations of their logarithms.
+        """
+        with np.errstate(invalid="ignore", divide="ignore"):
+            above = (np.log(scales) - self.scales) / scale_spread
+            between = (np.log(gap) - self.gap) / gap_spread
+        seen_above, seen_between = np.isfinite(scales), gap > 0
+        w_above = np.where(seen_above, scale_spread**-2.0, 0.0)
+        w_between = np.where(seen_between, gap_spread**-2.0, 0.0)
+        above, between = (
+            np.where(seen, x, 0.0)
+            for seen, x in ((seen_above, above), (seen_between, between))
+        )
+        # From above alone: noise is no more than all that is left in the gap.
+        amplitude = (above * scale_spread) @ w_above / w_above.sum()
+        own = above - amplitude[:, None] / scale_spread * seen_above
+        more = np.minimum(between - amplitude[:, None] / gap_spread * seen_between, 0.0)
+        cost = (own**2).sum(axis=1) + (more**2).sum(axis=1)
+        (low, level, high), unlike = self._level(cost, amplitude, seen_above.sum())
+        # One stride shows no colour. What is white there needs no continuation, only
+        # that nothing else is likely.
+        white = cost[0] <= cost.min() + _WHITE
+        enough = _KNOWN_ABOVE if white else _KNOWN
+        known = high - low <= 2 * enough and unlike <= _ALIKE and seen_above.sum() > 1
+        margin = _KNOWN if known else 2 * _KNOWN
+        reach = low - margin, high + margin
+        if seen_between.any():
+            # With the gap as its continuation.
+            total = w_above.sum() + w_between.sum()
+            amplitude = (
+                (above * scale_spread) @ w_above + (between * gap_spread) @ w_between
+            ) / total
+            own = above - amplitude[:, None] / scale_spread * seen_above
+            more = between - amplitude[:, None] / gap_spread * seen_between
+            cost = (own**2).sum(axis=1) + (more**2).sum(axis=1)
+            count = seen_above.sum() + seen_between.sum()
+            (low, both, high), unlike = self._level(cost, amplitude, count)
+            agree = reach[0] <= both <= reach[1]
+            if agree and unlike <= _CONSISTENT and high - low <= 2 * _KNOWN:
+                return np.exp(both)
+        return np.exp(level) if known else np.nan
+
+    def _level(self, cost, amplitude, count):
+        """Quantiles of the logarithm of the level (16, 50, 84 %), least mean cost."""
+        unlike = cost.min() / max(count - 2, 1)
+        weight = self.prior * np.exp(-0.5 * (cost - cost.min()) / max(unlike, 1.0))
+        weight /= weight.sum()
+        values = 0.5 * (self.band + amplitude)
+        order = np.argsort(values)
+        share = np.cumsum(weight[order]) / weight.sum()
+        at = np.searchsorted(share, [0.16, 0.5, 0.84])
+        return values[order][np.minimum(at, order.size - 1)], unlike
 
 
-def filtered_noise(power, weight, quartile, dt, cutoff):
-    """Return the standard deviations of the noise that passes the low-pass.
-
-    Parameters
-    ----------
-    power, weight
-        Sums of `band_power`.
-    quartile : ndarray of shape (nv,)
-        Lower quartile of `high_differences` of all recordings.
-    dt, cutoff : float
-        Sample period [s], cut-off [Hz].
-    """
-    if not weight:
-        return np.full(power.shape[1], np.nan)
-    variance = np.quantile(power / weight, 0.25, axis=0)
-    # The lower quartile of abs(x) is 0.3186 standard deviations of a normal variable.
-    between = (quartile / 0.3186) ** 2 / comb(2 * _ORDER, _ORDER)
-    variance = np.where(between < _CLEARLY_LESS**2 * variance, between, variance)
+def _gain(dt, cutoff, frequency):
+    """Gain of the low-pass at frequencies [Hz]."""
     taps = _lowpass.design(dt, cutoff).taps
-    return np.sqrt(variance * (taps @ taps))
+    n = 1 << int(np.ceil(np.log2(16 * taps.size)))
+    gain = np.abs(np.fft.rfft(taps, n))
+    return np.interp(frequency, np.fft.rfftfreq(n, dt), gain)
 
 
-def high_differences(x):
-    """Size of the differences of high order of one recording, (n, nv)."""
-    return np.abs(np.diff(x, n=_ORDER, axis=0))
+def rows_looked_at(part):
+    """Return the rows of a recording that its noise is measured on, a slice."""
+    return slice(part.start, min(part.stop, part.start + _ROWS))

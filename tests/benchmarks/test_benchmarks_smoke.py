@@ -44,6 +44,7 @@ def residuals(scale, index, tau):
         "paper_robots",
         "projection",
         "recording_files",
+        "rest",
         "simulated_arms",
         "speed",
         "states",
@@ -254,6 +255,40 @@ def test_noise_floor_of_the_demo_is_its_residual(monkeypatch):
     ratio = [float(row[-1]) for row in rows]
     assert ratio.pop(1) > 2.0
     np.testing.assert_allclose(ratio, 1.0, atol=0.35)
+
+
+def test_floor_of_known_noise():
+    pytest.importorskip("pinocchio")
+    import bench_noise_floor as bench
+
+    found = bench.measure_simulated(
+        range(1), ("demo_arm",), ("declared",), ("white", "step 1")
+    )
+    for ratio, residual in found.values():
+        np.testing.assert_allclose(ratio, 1.0, atol=0.25)
+        # the truth of the benchmark is what the fit leaves
+        np.testing.assert_allclose(residual, 1.0, atol=0.25)
+    assert "step 1" in bench.simulated_table(found)
+
+
+def test_rest_is_told_from_motion_by_the_truth():
+    pytest.importorskip("pinocchio")
+    import bench_rest as bench
+
+    found = bench.measure(range(1), ("demo_arm",), ("fine",), ("sign",))
+    assert [kind for *_, kind in found] == list(bench.MOTIONS)
+    figures = np.array(list(found.values()))
+    # What never rests has no error at rest.
+    assert np.isnan(figures[0, [1, 3, 5, 6, 7]]).all()
+    assert np.isfinite(figures[1:]).all()
+    # On the true states reversals keep their sign; creeping into a rest and out of it
+    # does not, which costs some of a friction that turns at once.
+    assert figures[0, 4] < 1.0
+    assert np.all(figures[1:, 4] < 6.0)
+    # At rest hardly more is missed than nobody can know.
+    assert np.all(figures[1:, 1] < 1.6 * figures[1:, 6])
+    # At rest nobody knows friction, and its mean is at most what the truth misses.
+    np.testing.assert_allclose(figures[1:, 5], figures[1:, 6], rtol=0.2)
 
 
 def test_only_known_noise_is_identified():

@@ -275,7 +275,12 @@ def test_residuals_are_those_of_the_completed_model():
     _, after = final.residuals()
     expected = loop.identifier_.residuals(recording.position, tau)
     assert_array_equal(after.index, expected.index)
-    assert_allclose(after.residual, expected.residual, atol=1e-3 * tau.std())
+    # what stands does not count, and is predicted with the mean of its friction
+    counts = expected.weight > 0
+    assert counts.mean() > 0.95
+    assert_allclose(
+        after.residual[counts], expected.residual[counts], atol=1e-3 * tau.std()
+    )
 
 
 def test_results_do_not_depend_on_the_seed():

@@ -5,8 +5,6 @@ import signal
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.linear_model import Ridge
 
@@ -18,12 +16,11 @@ import distributed
 
 from sklearn_vbjfa import JFARegressor, RobotIdentifier, VBJFARegressor
 from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.distributed import _recordings as passes
 from sklearn_vbjfa.distributed import (
-    _quantiles,
     fit_array,
     fit_recordings,
 )
-from sklearn_vbjfa.distributed import _recordings as passes
 
 FITTED = (
     "cutoff_",
@@ -252,32 +249,3 @@ def test_bad_arrays_are_refused():
 
 def y_of(y):
     return da.from_array(y, chunks=100)
-
-
-# -- quantiles
-
-
-@settings(max_examples=40, derandomize=True, deadline=None)
-@given(
-    sizes=st.lists(st.integers(0, 60), min_size=1, max_size=5),
-    q=st.sampled_from([0.0, 0.25, 0.5, 0.995, 1.0]),
-    seed=st.integers(0, 1000),
-    digits=st.sampled_from([1, 12]),
-)
-def test_quantiles_of_pieces_are_exact(sizes, q, seed, digits):
-    rng = np.random.default_rng(seed)
-    scale = 10.0 ** rng.integers(-300, 300, 2)
-    parts = [np.round(np.abs(rng.normal(size=(n, 2))), digits) * scale for n in sizes]
-    counts = sum(
-        (_quantiles.bit_counts(p) for p in parts), start=_quantiles.BitCounts.empty(2)
-    )
-    assert counts.n == sum(sizes)
-    found = _quantiles.merge_candidates(
-        *[_quantiles.candidates(p, counts.bins(q)) for p in parts]
-    )
-    result = _quantiles.quantile(counts, found, q)
-    whole = np.concatenate(parts)
-    if len(whole) == 0:
-        assert np.isnan(result).all()
-        return
-    assert_allclose(result, np.quantile(whole, q, axis=0), rtol=1e-15)

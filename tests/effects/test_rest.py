@@ -1,0 +1,126 @@
+"""Mean sign of a velocity that may be that of a standing joint."""
+
+import numpy as np
+import pytest
+from scipy.special import erf
+
+from sklearn_vbjfa import effects
+from sklearn_vbjfa.effects import Motion
+from sklearn_vbjfa.effects._rest import Rest, mean_sign
+
+V = np.linspace(-0.3, 0.3, 61)[:, None]
+
+
+def rest(speed=0.05, time=0.0, noise=0.0, nv=1):
+    return Rest(
+        speed=np.full(nv, speed), time=np.full(nv, time), noise=np.full(nv, noise)
+    )
+
+
+def test_without_rest_it_is_the_sign():
+    np.testing.assert_array_equal(mean_sign(V, 0 * V, None), np.sign(V))
+
+
+def test_without_speed_it_is_the_error_function():
+    found = mean_sign(V, 0 * V, rest(speed=0.0, noise=0.1))
+    np.testing.assert_allclose(found, erf(V / (np.sqrt(2) * 0.1)), rtol=1e-12)
+
+
+def test_without_noise_it_is_the_fraction_of_the_speed():
+    found = mean_sign(V, 0 * V, rest())
+    np.testing.assert_allclose(found, np.clip(V / 0.05, -1, 1), rtol=1e-14)
+    # exactly the sign where nothing is in doubt
+    np.testing.assert_array_equal(np.abs(found[np.abs(V) > 0.0501]), 1.0)
+
+
+@pytest.mark.parametrize("a", [0.0, 3.0])
+@pytest.mark.parametrize("noise", [1e-6, 0.01, 0.04, 0.5])
+def test_it_is_the_mean_over_what_the_velocity_may_be(noise, a):
+    speed, time = 0.05, 0.02
+    width = speed / (1 + a * time / speed)
+    rng = np.random.default_rng(0)
+    n = 200_000
+    moved = V[::6] + rng.uniform(-width, width, n) + noise * rng.normal(size=n)
+    found = mean_sign(V[::6], np.full_like(V[::6], a), rest(speed, time, noise))
+    np.testing.assert_allclose(found[:, 0], np.sign(moved).mean(axis=1), atol=0.012)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("smoothing", [1e-4, 0.03, 0.3])
+def test_the_mean_of_a_smoothed_sign(smoothing, noise):
+    rng = np.random.default_rng(0)
+    n = 200_000
+    moved = V[::6] + rng.uniform(-0.05, 0.05, n) + noise * rng.normal(size=n)
+    found = mean_sign(V[::6], 0 * V[::6], rest(noise=noise), smoothing)
+    expected = np.tanh(moved / smoothing).mean(axis=1)
+    np.testing.assert_allclose(found[:, 0], expected, atol=0.02)
+
+
+def test_a_reversal_is_no_rest():
+    v = np.array([[0.01]])
+    slow, fast = (
+        mean_sign(v, np.array([[a]]), rest(time=1.0))[0, 0] for a in (0.0, 5.0)
+    )
+    assert slow == pytest.approx(0.2)
+    assert fast == 1.0
+
+
+def test_nothing_known_is_the_sign():
+    with np.errstate(all="raise"):
+        found = mean_sign(V, 0 * V, rest(speed=0.0))
+    np.testing.assert_array_equal(found, np.sign(V))
+
+
+def motion(known, nv=2, n=200):
+    """Two joints that stand but for the noise of their velocities."""
+    rng = np.random.default_rng(1)
+    return Motion(
+        q=1.0 + 1e-9 * rng.normal(size=(n, nv)),
+        v=1e-3 * rng.normal(size=(n, nv)),
+        a=np.zeros((n, nv)),
+        t=0.01 * np.arange(n),
+        load=np.ones((n, nv)),
+        rest=known,
+    )
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        effects.Coulomb(),
+        effects.Coulomb(smoothing=1e-4),
+        effects.LoadFriction(),
+        effects.LoadFriction(smoothing=1e-4),
+        effects.Stribeck(vs=0.05),
+        effects.AsymmetricFriction(),
+        effects.Drift(of="coulomb"),
+        effects.Coupling(0, 1),
+        effects.Coupling(0, 1, of="sum"),
+        effects.Coupling(0, 1, of="difference"),
+    ],
+    ids=repr,
+)
+def test_no_effect_of_the_sign_rattles_at_rest(effect):
+    before, after = (
+        np.abs(np.diff(effect.columns(motion(known)), axis=0)).max(axis=0)
+        for known in (None, rest(noise=1e-3, nv=2))
+    )
+    if effect.name != "asymmetric_friction":
+        assert before.max() > 0.5
+    assert after.max() < 0.2
+
+
+def test_asymmetric_friction_keeps_its_constant_at_rest():
+    standing = motion(rest(nv=2))
+    standing.v[:] = 0.0
+    column = effects.AsymmetricFriction().columns(standing)[:, 0]
+    np.testing.assert_array_equal(column, 1.0)
+
+
+def test_the_sum_of_two_joints_has_the_noise_of_both():
+    known = Rest(
+        speed=np.array([0.1, 0.2]), time=np.array([1.0, 2.0]), noise=np.array([3.0, 4])
+    ).pick(0, 1)
+    assert known.speed[0] == pytest.approx(0.3)
+    assert known.time[0] == 2.0
+    assert known.noise[0] == pytest.approx(5.0)

@@ -1,0 +1,122 @@
+"""Prediction of a robot that stands still."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import load_demo_recording, make_robot_recording
+
+FRICTION = ("viscous", "coulomb")
+STEP = 5e-4  # of the encoders [rad]
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return make_robot_recording(duration=20.0, dt=0.005, random_state=0)
+
+
+@pytest.fixture(scope="module")
+def robot(recording):
+    model = load_demo_recording().robot_model()
+    robot = RobotIdentifier(model, dt=recording.dt, friction=FRICTION)
+    return robot.fit(recording.q, recording.tau)
+
+
+def standing(recording, n=400):
+    """Positions of a robot that stands, read by coarse and noisy encoders."""
+    noise = 0.7 * STEP * np.random.default_rng(3).normal(size=(n, recording.nv))
+    return STEP * np.round((recording.q[1000] + noise) / STEP)
+
+
+def coulomb(robot):
+    return np.array(
+        [
+            robot.theta_[robot.parameter_names_.index(f"{joint}:coulomb")]
+            for joint in robot.joint_names_
+        ]
+    )
+
+
+def test_prediction_does_not_rattle_at_rest(robot, recording):
+    predicted = robot.predict(standing(recording))
+    steps = np.abs(np.diff(predicted, axis=0)).max(axis=0)
+    assert np.all(steps < 0.2 * coulomb(robot))
+    # friction counts with the middle of its band: the torque is that of gravity
+    held = np.zeros((1, 3 * recording.nv))
+    held[0, : recording.nv] = recording.q[1000]
+    gravity = robot.predict(held)[0]
+    missed = np.abs(predicted.mean(axis=0) - gravity)
+    assert np.all(missed < 0.1 * coulomb(robot))
+
+
+def test_states_are_taken_row_by_row(robot, recording):
+    rng = np.random.default_rng(4)
+    states = recording.states[::40].copy()
+    states[:, recording.nv : 2 * recording.nv] *= rng.choice([0.0, 0.01, 1.0], (100, 1))
+    whole = robot.predict(states)
+    single = np.vstack([robot.predict(row[None]) for row in states])
+    np.testing.assert_allclose(single, whole, rtol=1e-12, atol=1e-12)
+    groups = np.arange(100) // 7
+    np.testing.assert_allclose(
+        robot.predict(states, groups=groups), whole, rtol=1e-12, atol=1e-12
+    )
+
+
+def test_groups_are_predicted_as_they_are_alone(robot, recording):
+    q = np.vstack([standing(recording), recording.q[:1500]])
+    groups = np.repeat([0, 1], [400, 1500])
+    together = robot.predict(q, groups=groups)
+    np.testing.assert_array_equal(together[:400], robot.predict(q[:400]))
+    np.testing.assert_array_equal(together[400:], robot.predict(q[400:]))
+
+
+def test_states_that_move_are_taken_as_they_are(robot, recording):
+    v = recording.states[:, recording.nv : 2 * recording.nv]
+    moving = recording.states[np.all(np.abs(v) > robot.standstill_, axis=1)]
+    Phi = robot.features_._compute(moving)
+    np.testing.assert_allclose(robot.predict(moving), Phi @ robot.theta_, rtol=1e-12)
+
+
+def test_a_state_that_stands_has_no_friction(robot, recording):
+    states = recording.states[:200].copy()
+    states[:, recording.nv :] = 0.0
+    exact = robot.predict(states)
+    states[:, recording.nv : 2 * recording.nv] = 1e-6 * robot.standstill_
+    np.testing.assert_allclose(robot.predict(states), exact, atol=1e-3)
+
+
+def test_residuals_follow_the_same_rule(robot, recording):
+    q = np.vstack([recording.q[:1000], standing(recording, 1000)])
+    found = robot.residuals(q, np.zeros_like(q))
+    lowpass = robot.estimator_.lowpass_
+    behind = lowpass(robot.predict(q))
+    rest = found.index > 1100 + lowpass.half
+    assert rest.sum() > 5
+    missed = np.abs(found.predicted - behind)[rest].max(axis=0)
+    assert np.all(missed < 0.1 * coulomb(robot))
+
+
+def test_reversals_keep_their_sign(robot, recording):
+    # Passing through zero in a hundredth of a period is not standing: on the whole
+    # motion the mean sign costs less than a per cent of the torque.
+    Phi = robot.features_._compute(recording.states)
+    sharp = Phi @ robot.theta_
+    missed = (robot.predict(recording.states) - sharp).std(axis=0)
+    assert np.all(missed < 0.03 * coulomb(robot))
+
+
+def test_nothing_masked_is_the_mean_for_the_noise_alone(recording):
+    model = load_demo_recording().robot_model()
+    robot = RobotIdentifier(
+        model, dt=recording.dt, friction=FRICTION, standstill=None
+    ).fit(recording.q, recording.tau)
+    states = recording.states[:100].copy()
+    states[:, recording.nv :] = 1e-9
+    slow = robot.predict(states)
+    states[:, recording.nv :] = 0.0
+    # Noiseless states without a standstill speed: the sign is what it says.
+    np.testing.assert_allclose(
+        slow - robot.predict(states), np.tile(coulomb(robot), (100, 1)), rtol=1e-5
+    )

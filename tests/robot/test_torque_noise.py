@@ -1,0 +1,140 @@
+"""Noise of torque channels, on residuals of known noise."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.robot import _torque_noise
+from sklearn_vbjfa.robot._torque_noise import filtered_noise, held_rows, noise_facts
+
+DT, CUTOFF = 0.005, 4.0
+N = 12_000
+T = DT * np.arange(N)
+# Two joints that reverse at 0.4 and 0.7 Hz.
+Q = np.column_stack([np.sin(2 * np.pi * 0.4 * T), np.cos(2 * np.pi * 0.7 * T)])
+V = np.gradient(Q, DT, axis=0)
+STATES = np.hstack([Q, V, np.gradient(V, DT, axis=0)])
+
+
+def coloured(rho, rng, n=N):
+    x = signal.lfilter([1.0], [1.0, -rho], rng.normal(size=(n + 2000, 2)), axis=0)
+    return x[2000:] * np.sqrt(1 - rho**2)
+
+
+def sensor(rng, n=N):
+    b, a = signal.butter(2, 2 * 20.0 * DT)
+    return signal.lfilter(b, a, rng.normal(size=(n + 2000, 2)), axis=0)[2000:]
+
+
+def held(rng, n=N):
+    return np.repeat(rng.normal(size=(n // 4 + 1, 2)), 4, axis=0)[:n]
+
+
+NOISES = {
+    "white": lambda rng, n=N: rng.normal(size=(n, 2)),
+    "AR(0.5)": lambda rng, n=N: coloured(0.5, rng, n),
+    "AR(0.8)": lambda rng, n=N: coloured(0.8, rng, n),
+    "sensor": sensor,
+    "held": held,
+}
+
+
+def told(residual, torque=None, states=STATES, dt=DT, cutoff=CUTOFF):
+    torque = residual if torque is None else torque
+    return filtered_noise(
+        [noise_facts(residual, torque, states, dt, cutoff)], dt, cutoff
+    )
+
+
+def truth(noise):
+    taps = _lowpass.design(DT, CUTOFF).taps
+    long = NOISES[noise](np.random.default_rng(99), 400_000)[:, 0]
+    return np.convolve(long, taps, mode="valid").std()
+
+
+@pytest.mark.parametrize("noise", NOISES)
+def test_the_colour_of_the_noise_is_followed(noise):
+    found = told(NOISES[noise](np.random.default_rng(0)))
+    np.testing.assert_allclose(found, truth(noise), rtol=0.15)
+
+
+@pytest.mark.parametrize("noise", ["white", "AR(0.5)", "sensor"])
+def test_friction_that_the_model_lacks_is_no_noise(noise):
+    rng = np.random.default_rng(1)
+    clean = told(NOISES[noise](rng))
+    jumps = told(NOISES[noise](rng) + 5 * np.sign(V))
+    np.testing.assert_allclose(jumps, clean, rtol=0.2)
+
+
+def test_what_a_model_lacks_is_never_noise_above_the_residual():
+    """Slow errors of the model: the white noise above them is told, or nothing."""
+    rng = np.random.default_rng(2)
+    noise = NOISES["white"](rng)
+    found = told(noise + 3 * np.sin(8 * Q) * (1 + 0.3 * V))
+    known = np.isfinite(found)
+    np.testing.assert_allclose(found[known], truth("white"), rtol=0.25)
+
+
+def test_a_step_adds_the_noise_of_rounding():
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=(N, 2))
+    slow = 20 * Q
+    rounded = 2.0 * np.round((slow + noise) / 2.0)
+    found = told(rounded - slow, rounded)
+    expected = truth("white") * np.sqrt(1 + 2.0**2 / 12)
+    np.testing.assert_allclose(found, expected, rtol=0.15)
+
+
+def test_noise_that_goes_on_rising_below_is_not_made_up():
+    """A random walk has no level at the frequencies of the motion."""
+    rng = np.random.default_rng(4)
+    walk = np.cumsum(rng.normal(size=(N, 2)), axis=0)
+    walk -= walk.mean(axis=0)
+    white = np.diff(walk, axis=0).std() * truth("white")
+    found = told(walk)
+    assert np.all(np.isnan(found) | (found > 3 * white))
+
+
+def test_nothing_above_the_band_tells_nothing():
+    noise = np.random.default_rng(5).normal(size=(N, 2))
+    assert np.isnan(told(noise, cutoff=60.0)).all()
+    assert not _torque_noise.seen(None, 1.0)
+    assert not _torque_noise.seen(DT, np.inf)
+
+
+def test_short_recordings_tell_nothing():
+    noise = np.random.default_rng(6).normal(size=(50, 2))
+    assert np.isnan(told(noise, states=STATES[:50])).all()
+
+
+def test_recordings_are_weighted_by_their_rows():
+    rng = np.random.default_rng(7)
+    noise = rng.normal(size=(N, 2))
+    half = [
+        noise_facts(noise[rows], noise[rows], STATES[rows], DT, CUTOFF)
+        for rows in (slice(0, N // 2), slice(N // 2, N))
+    ]
+    np.testing.assert_allclose(filtered_noise(half, DT, CUTOFF), told(noise), rtol=0.05)
+    # order of the recordings does not matter
+    np.testing.assert_allclose(
+        filtered_noise(half[::-1], DT, CUTOFF),
+        filtered_noise(half, DT, CUTOFF),
+        rtol=1e-12,
+    )
+
+
+def test_the_unit_does_not_matter():
+    noise = coloured(0.8, np.random.default_rng(8))
+    np.testing.assert_allclose(told(1e-6 * noise), 1e-6 * told(noise), rtol=1e-9)
+
+
+@pytest.mark.parametrize("count", [1, 3, 10])
+def test_rows_for_which_a_torque_is_held(count):
+    x = np.repeat(np.random.default_rng(9).normal(size=2000), count)
+    assert held_rows(x) == count
+
+
+def test_constant_torques_are_not_held():
+    assert held_rows(np.zeros(100)) == 1
+    assert held_rows(np.zeros(1)) == 1

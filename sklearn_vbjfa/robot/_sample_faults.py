@@ -34,6 +34,8 @@ _FROZEN_RUN = 3
 _FROZEN_SPEED = 0.02
 # Steps and spikes, in robust standard deviations of what the neighbours leave open.
 _OUTLIER = 25.0
+# ... of so many samples together at least.
+_FEWEST_AROUND = 16
 # ... and of the channel's range.
 _LEAST_JUMP = 0.003
 # More than this share of outliers is no fault of single samples, but noise.
@@ -335,6 +337,8 @@ def _outliers(name, j, what, x, parts, known, rows):
     least = (0.05 if what == "torque" else _LEAST_JUMP) * np.ptp(x)
     spikes, jumps = [], []
     for part in parts:
+        if part.stop - part.start < _FEWEST_AROUND:
+            continue
         lone = _spikes(x[part], least)
         spikes += list(part.start + np.flatnonzero(lone & ~known[part]))
         if what == "position":
@@ -379,8 +383,6 @@ def _outliers(name, j, what, x, parts, known, rows):
 def _spikes(y, least):
     """Find samples far from what those two before and behind them say."""
     lone = np.zeros(y.size, dtype=bool)
-    if y.size < 16:
-        return lone
     base = 0.5 * (y[:-4] + y[4:])
     peak = y[2:-2] - base
     beside = np.maximum(np.abs(y[1:-3] - base), np.abs(y[3:-1] - base))
@@ -394,8 +396,6 @@ def _spikes(y, least):
 def _jumps(y, least):
     """Find samples that lie a step from the one before that is no motion."""
     behind = np.zeros(y.size, dtype=bool)
-    if y.size < 16:
-        return behind
     step = np.diff(y)
     # The next steps are left out: an interpolated jump takes two of them.
     near = [step[:-6], step[1:-5], step[2:-4], step[4:-2], step[5:-1], step[6:]]

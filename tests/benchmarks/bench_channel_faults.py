@@ -179,8 +179,9 @@ def study(cases, faults=FAULTS, first=1000):
 VISIBLE = ("seen", "other", "missed")
 
 
-def pieces(recording, n, longest=4000):
-    """Cut stretches of equal length out of a measured set."""
+def pieces(recording, n, longest=4000, seconds=4.0):
+    """Cut stretches of equal length, with some motion, out of a measured set."""
+    longest = max(longest, round(seconds / recording.dt))
     longest = min(longest, recording.n_samples // 2)
     whole = [np.flatnonzero(recording.groups == k) for k in set(recording.groups)]
     whole = [rows for rows in whole if rows.size >= 500]

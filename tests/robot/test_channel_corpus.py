@@ -171,7 +171,9 @@ def put_into(measured_data_home, name, faults):
         data_home=measured_data_home, download_if_missing=False
     )
     model = recording.robot_model()
-    rows = np.flatnonzero(recording.groups == 0)[:4000]
+    # Seconds of motion, whatever the rate.
+    count = max(4000, round(4.0 / recording.dt))
+    rows = np.flatnonzero(recording.groups == 0)[:count]
     q, tau = recording.q[rows], recording.tau[rows]
     missed = []
     for label in faults:

@@ -10,6 +10,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.robot._channel_checks import inspect_channels
 from sklearn_vbjfa.robot._joint_columns import positions_in_order, torques_in_order
+from sklearn_vbjfa.robot._recording_checks import warn_of_disorder
 
 pandas = pytest.importorskip("pandas")
 
@@ -107,3 +108,13 @@ def test_shuffled_rows_are_told_of(simulated):
     order = np.random.default_rng(0).permutation(simulated.n_samples)
     said = messages(simulated, order, None)
     assert said[0].startswith("The rows are not in the order of time")
+
+
+@pytest.mark.parametrize("n", range(1, 20))
+def test_recordings_of_a_few_rows_are_looked_at(simulated, n):
+    """A jump needs samples around it; there is none to be had here."""
+    q = simulated.q[:n].copy()
+    q[n // 2 :] += 1.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_disorder(NAMES, q[: min(n, 15)], [slice(0, min(n, 15))], None)

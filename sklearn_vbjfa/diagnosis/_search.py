@@ -22,6 +22,8 @@ _SUPERFLUOUS = 0.01
 _FORWARD = 0.75
 # What begins late is fitted to this first share of where it acts.
 _LATE = 0.5
+# What changes slowly acts in blocks that have this share of its largest power.
+_FADED = 0.01
 # Blocks on either side of that border in which it acts, at the least: fewer cannot tell
 # it from chance.
 _ACTIVE = 3
@@ -487,7 +489,8 @@ class EffectSearch:
         joints, own = view.joints_of(effect), self._columns_of(effect)
         # Of the little that is later, all that is independent has to count.
         blocks = view.blocks.divided(max(1.0 / view.robot.cutoff_, view.step))
-        acts = blocks.sums((own != 0).any(axis=(0, 2)).astype(float)) > 0
+        power = blocks.sums((own**2).sum(axis=(0, 2)))
+        acts = power > (_FADED * power.max() if effect.slow else 0.0)
         where = np.flatnonzero(acts)
         if where.size < 2 * _ACTIVE:
             nothing = np.zeros(1)
@@ -502,6 +505,10 @@ class EffectSearch:
             early = blocks.label < border
             own = self._columns_of(self._tuned_before(effect, base, early))
         squares = judge.forward(joints, own, blocks, border)
+        if effect.slow:
+            # Where it has faded it cannot be tried: all it does there is to leave
+            # other parameters alone.
+            squares = [s[acts[border:]] for s in squares]
         if not effect.whole_robot:
             squares = [s[:, [effect.joint]] for s in squares]
         case = compare(*(s.sum(axis=1) for s in squares))

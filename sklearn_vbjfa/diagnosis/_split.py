@@ -106,10 +106,11 @@ class Split:
     def guarded(self, rows):
         """Return the split without the untouched rows next to rows of the search.
 
-        What is left of a residual after `rows` rows is new. At least half of a stretch
-        is kept, and as much as a verdict needs.
+        What is left of a residual after `rows` rows is new. At least half of what is
+        there is kept, and as much as a verdict needs.
         """
-        least = np.minimum(self.amount.need, self.amount.of(self.stretches))
+        there = self.amount.of(self.stretches)
+        least = np.minimum(np.maximum(self.amount.need, 0.5 * there), there)
         for share in _GUARDS:
             found = self._without(int(share * rows))
             if (self.amount.of(found.stretches) >= least).all():

@@ -109,7 +109,15 @@ def test_table_of_effects_agrees_with_the_classes():
 
 def constants_of_the_loop():
     """Phrases of the guide with the numbers that the code has."""
-    from sklearn_vbjfa.diagnosis import _blocks, _evidence, _gaps, _search, _transfer
+    from sklearn_vbjfa.diagnosis import (
+        _blocks,
+        _evidence,
+        _gaps,
+        _judgement,
+        _search,
+        _split,
+        _transfer,
+    )
     from sklearn_vbjfa.diagnosis import _intervals as intervals
     from sklearn_vbjfa.effects import _base
     from sklearn_vbjfa.robot import _block_moments
@@ -118,16 +126,16 @@ def constants_of_the_loop():
     few, many = _blocks._WANTED
     words = {8: "eight", 9: "nine", 10: "ten"}
     varies, any_case = _gaps.ABOVE_FLOOR
-    most = ("one", "two", "three", "four", "five", "six")[_transfer._MOST - 1]
-    share, stretch = (
-        ("whole", "half", "third", "quarter", "fifth", "sixth")[count - 1]
-        for count in (_transfer._MOST, _transfer._STRETCHES)
-    )
+    third = ("whole", "half", "third", "quarter")[_transfer._STRETCHES - 1]
+    small = {3: "three", 4: "four", 10: "ten"}
     return [
         f"fitted to the first {100 * _search._FORWARD:g} % of the search data",
-        f"of more than {most} recordings a {share} of them at a time",
-        f"of a single one each {stretch}",
-        f"last {100 * defaults['test_size'].default:g} % of each recording",
+        f"the first {third} of every recording is predicted from the other two",
+        f"{100 * defaults['test_size'].default:g} % of the motion (``test_size``)",
+        f"or {small[_split._STRETCHES]} stretches of a single one",
+        f"an error takes {small[int(_split.FEWEST_VALUES)]} values that are",
+        f"reaches {small[int(_judgement._WIDER)]} times as far (at least to "
+        f"{_judgement._CONTROL:g} Hz)",
         f"p-values of at most ``alpha`` ({defaults['alpha'].default:g}) times k / m",
         f"fewer than {_blocks.FEWEST} times what the residual stays correlated for",
         f"fitted to the first {100 * _search._LATE:g} % of where it acts",

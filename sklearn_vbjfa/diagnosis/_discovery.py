@@ -18,6 +18,7 @@ from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.robot._channel_checks import inspect_channels
 from sklearn_vbjfa.robot._groups import check_clock, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
+from sklearn_vbjfa.robot._joint_columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._model import joint_names, load_model
 from sklearn_vbjfa.robot._recording_checks import check_widths
@@ -91,6 +92,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         reported.
     declared_ : RobotIdentifier
         The declared model, fitted to the same part.
+    joint_names_ : tuple of str
+        Joints in Pinocchio's order, the order of the columns of X and y.
     report_ : Report
         All of this for reading: ``print(discovery.report_)``, `to_dict`,
         `to_markdown`, `to_html`.
@@ -171,9 +174,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         ----------
         X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
             Joint positions [rad or m], rows equidistant in time; or states
-            [q | v | a].
+            [q | v | a]. Columns of a data frame are found by the joints' names.
         y : array-like of shape (n_samples, nv)
-            Joint torques [N m] or forces [N].
+            Joint torques [N m] or forces [N]; as X.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
@@ -195,6 +198,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             degrees): what would be found would be nonsense.
         """
         library = self._check_parameters()
+        self.joint_names_ = names = joint_names(load_model(self.identifier.model))
+        X, y = positions_in_order(X, names), torques_in_order(y, names)
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
         )
@@ -295,9 +300,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.error_before_, self.error_after_ = judgement.errors
         self.torque_spread_ = judgement.spread
         names = self.declared_.joint_names_
-        self.unexplained_ = unexplained(found, names, judgement.spread)
+        # More data tell more of the noise, without what the declared model lacks.
+        own, judged = self.identifier_.noise_floor_, self.judged_.noise_floor_
+        floor = np.where(np.isfinite(own), own, judged)
+        self.unexplained_ = unexplained(found, names, judgement.spread, floor)
         self.hidden_ = hidden(found, names)
-        outcome = make_outcome(self, found, final, judgement, channels, library)
+        outcome = make_outcome(self, found, final, judgement, floor, channels, library)
         self.effects_ = outcome.effects
         self.rounds_ = outcome.rounds
         self.report_ = Report(outcome)
@@ -320,5 +328,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             Joint torques [N m] or forces [N].
         """
         check_is_fitted(self)
+        X = positions_in_order(X, self.identifier_.joint_names_)
         X = check_array(X, dtype=np.float64)
         return self.identifier_.predict(X, groups=groups, t=t)

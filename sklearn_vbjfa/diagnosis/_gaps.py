@@ -19,7 +19,7 @@ _UNSEEN, _IN_SPAN = 1e-3, 1e-6
 _PLAIN = ("viscous", "coulomb", "offset", "spring")
 
 
-def unexplained(search, names, spread):
+def unexplained(search, names, spread, floors):
     """Joints above their floor, with the signals that the rest varies with.
 
     Parameters
@@ -30,6 +30,9 @@ def unexplained(search, names, spread):
         Joints.
     spread : ndarray of shape (nv,)
         Spread of the torques [N m or N].
+    floors : ndarray of shape (nv,)
+        Noise floors of the completed model [N m or N]; nan where unknown. What a
+        declared model lacks may hide its own.
     """
     view, motion = search.view, search.motion
     residual = search.base.residuals() / np.where(view.root.T > 0, view.root.T, np.inf)
@@ -42,7 +45,7 @@ def unexplained(search, names, spread):
         if total == 0:
             continue
         rms = float(np.sqrt((weight * residual[j] ** 2).sum() / total))
-        floor = float(np.sqrt(search.floor[j]))
+        floor = float(floors[j])
         if not np.isnan(floor) and rms <= ABOVE_FLOOR[0] * floor:
             continue
         signs = dependences(residual[j], weight, seen, view)[:4]

@@ -18,7 +18,7 @@ from sklearn_vbjfa.robot._model import import_pinocchio, is_prismatic
 _POINTS = 4000
 
 
-def make_outcome(loop, search, final, judgement, channels, library):
+def make_outcome(loop, search, final, judgement, floor, channels, library):
     """Collect what `Report` shows.
 
     Parameters
@@ -31,6 +31,8 @@ def make_outcome(loop, search, final, judgement, channels, library):
         The completed model on all rows.
     judgement : Judgement
         Of the untouched part.
+    floor : ndarray of shape (nv,)
+        Noise floors [N m or N].
     channels : tuple of ChannelFinding
         What is wrong with channels.
     library : tuple of Effect
@@ -41,7 +43,7 @@ def make_outcome(loop, search, final, judgement, channels, library):
     prismatic = is_prismatic(robot.features_._model)
     spread = judgement.spread
     with np.errstate(divide="ignore", invalid="ignore"):
-        floor = loop.judged_.noise_floor_ / spread
+        floor = floor / spread
         wide = np.array(judgement.wide or np.full((2, spread.size), np.nan)) / spread
     return Outcome(
         declared={

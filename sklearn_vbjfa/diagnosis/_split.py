@@ -15,8 +15,9 @@ _STRETCHES = 3
 # The most, where fewer would miss the motion of a joint.
 _MOST_STRETCHES = 12
 # A stretch, and what is left between two of them, is so many times longer than the
-# low-pass, of which half is lost at each end.
-_FILTER_LENGTHS = 2.0
+# low-pass, of which half is lost at each end; and so many times where there is more
+# than one stretch in a recording, so that they do not cost more than they tell.
+_FILTER_LENGTHS, _LENGTHS_OF_MORE = 2.0, 4.0
 # Samples, where nothing is filtered.
 _FEWEST_SAMPLES = 24
 # Each joint should have this share of its due in the untouched part.
@@ -150,6 +151,11 @@ class Amount:
         """Rows that a stretch, or what is left between two, must have."""
         return max(int(_FILTER_LENGTHS * 2 * self.half), _FEWEST_SAMPLES)
 
+    @property
+    def length_of_more(self):
+        """The same, where there is more than one stretch in a recording."""
+        return max(int(_LENGTHS_OF_MORE * 2 * self.half), _FEWEST_SAMPLES)
+
     def of(self, stretches):
         """Count the moving rows of each joint behind the low-pass, (nv,)."""
         count = np.zeros(self.moving.shape[1])
@@ -242,13 +248,14 @@ def _best_count(amount, parts, share):
     weight = (moving / np.maximum(total, 1)).sum(axis=1)
     if not weight.any():
         weight = np.ones(moving.shape[0])
-    most = [_most_stretches(weight[part], share, length) for part in parts]
+    more = amount.length_of_more
+    most = [_most_stretches(weight[part], share, length, more) for part in parts]
     wanted = _STRETCHES if len(parts) == 1 else 1
     can = _LARGEST * total > amount.need
     best, chosen = (False, -1.0), None
     for count in (*range(wanted, _MOST_STRETCHES + 1), *range(wanted - 1, 0, -1)):
         counts = [min(count, limit) for limit in most]
-        stretches = _place(weight, parts, counts, share, length)
+        stretches = _place(weight, parts, counts, share, length, more)
         rows = np.zeros(moving.shape[0], dtype=bool)
         for stretch in stretches:
             rows[stretch] = True
@@ -263,14 +270,14 @@ def _best_count(amount, parts, share):
     return chosen, best[0]
 
 
-def _most_stretches(weight, share, length):
+def _most_stretches(weight, share, length, more):
     """Most stretches of a recording that leave all pieces long enough; 0 for none."""
     if weight.size * min(share, 1 - share) < length:
         return 0
     count = 1
     while count < _MOST_STRETCHES:
         pieces = _cells(weight, count + 1, share)
-        if min(b - a for cell in pieces for a, b in _pairs(cell)) < length:
+        if min(b - a for cell in pieces for a, b in _pairs(cell)) < more:
             break
         count += 1
     return count
@@ -297,7 +304,7 @@ def _row(done, share):
     return int(np.searchsorted(done, share * (1 - 1e-12), side="left")) + 1
 
 
-def _place(weight, parts, counts, share, length):
+def _place(weight, parts, counts, share, length, more):
     """Untouched slices of all recordings, in order."""
     short = [k for k, count in enumerate(counts) if count == 0]
     # Recordings too short to be cut are kept as a whole, in turns.
@@ -311,7 +318,7 @@ def _place(weight, parts, counts, share, length):
         if k in whole:
             found = [(0, n)]
         elif count == 1 and len(parts) > 1:
-            found = _ends(weight[part], share, length)
+            found = _ends(weight[part], share, length, more)
         elif count:
             cells = _cells(weight[part], count, share)
             found = [(min(border, stop - length), stop) for _, border, stop in cells]
@@ -324,14 +331,14 @@ def _place(weight, parts, counts, share, length):
     return stretches
 
 
-def _ends(weight, share, length):
+def _ends(weight, share, length, more):
     """Both ends of a recording, since motions change as they go on, or the last."""
     done = np.cumsum(weight)
     n = weight.size
     if done[-1] > 0:
         first = _row(done / done[-1], 0.5 * share)
         last = _row(done / done[-1], 1 - 0.5 * share)
-        if length <= first and length <= n - last and length <= last - first:
+        if more <= first and more <= n - last and more <= last - first:
             return [(0, first), (last, n)]
     ((_, border, stop),) = _cells(weight, 1, share)
     return [(min(border, stop - length), stop)]

@@ -54,10 +54,9 @@ def inspect_channels(model, q, tau, dt, groups=None):
         - doubts, with which no favourable verdict can be given: "gear_factor",
           "position_zero", "frozen_recording", "held_position", "held_torque",
           "repeated_rows" if they are many, "wrong_dt" if the motion is only slower
-          than robots are;
+          than robots are, "position_jumps";
         - warnings: "clipped_torque", "coarse_torque", "delay", "frozen_position",
-          "repeated_rows", "position_jumps", "position_spikes", "torque_spikes",
-          "still_joint".
+          "repeated_rows", "position_spikes", "torque_spikes", "still_joint".
 
     Notes
     -----

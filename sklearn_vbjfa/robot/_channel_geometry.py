@@ -13,6 +13,8 @@ from sklearn_vbjfa.robot._model import is_prismatic, joint_names
 
 # Exchanging two channels must lower the squared errors of both by this factor.
 _SWAP_GAIN = np.log(4.0)
+# Another zero, of which many are tried, must lower those of all joints by this.
+_ZERO_GAIN = np.log(2.0)
 # Nothing is looked for where all joints are predicted as well as this.
 _GOOD_FIT = 0.1
 # Gain of all joints that an exchange on the way to another order must bring.
@@ -208,10 +210,15 @@ class _Trial:
             return 0.0, 0.0
         return gain(total(fits), self._now)
 
-    def _judge(self, moved, **how):
-        """Return the correction if it is sure, else None."""
+    def _judge(self, moved, least=0.0, **how):
+        """Return the correction if it is sure, else None.
+
+        All joints together must gain `least` by it.
+        """
         better, better_t = self._gain(_correction(moved, **how))
         # Of all joints, some of which changed.
+        if better < least:
+            return None
         better *= self._model.nv / max(len(moved), 2)
         if not (better > _SWAP_GAIN and better_t > SURE):
             return None
@@ -276,7 +283,9 @@ class _Trial:
                 offset = np.zeros(self._model.nv)
                 offset[j] = angle
                 found.append(
-                    self._judge((int(j),), kind="position_zero", offset=offset)
+                    self._judge(
+                        (int(j),), _ZERO_GAIN, kind="position_zero", offset=offset
+                    )
                 )
         return [c for c in found if c is not None]
 

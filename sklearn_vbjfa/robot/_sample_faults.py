@@ -371,7 +371,7 @@ def _outliers(name, j, what, x, parts, known, rows):
             ChannelFinding(
                 "position_jumps",
                 (int(j),),
-                "warning",
+                "doubt",
                 f"The position of {name} jumps {len(jumps)} time(s), first by "
                 f"{step:.3g} to row {rows[jumps[0]]}, which its speed before and after "
                 "contradicts: samples were lost; split the recording there (groups).",

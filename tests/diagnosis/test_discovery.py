@@ -352,7 +352,7 @@ def test_recordings_are_used_together():
     assert loop.effects_[0].parameters["Fp"] == pytest.approx(1.2, rel=0.15)
     rows = loop.report_.to_dict()["settings"]["search_rows"]
     assert rows == pytest.approx(0.75 * groups.size, rel=0.05)
-    assert loop.report_.outcome.settings["untouched_stretches"] == 4
+    assert loop.report_.outcome.settings["untouched_stretches"] == 2
     assert loop.predict(position, groups=groups).shape == torque.shape
 
 
@@ -544,7 +544,8 @@ def test_what_the_library_does_not_have_is_unexplained(kind):
         assert rest.joint == joint
         assert rest.joint_name == f"joint_{joint + 1}"
         assert rest.share > 0.9
-        assert rest.rms > 3 * rest.floor
+        # What is no noise may hide it.
+        assert np.isnan(rest.floor) or rest.rms > 3 * rest.floor
         spread = loop.torque_spread_[joint]
         assert rest.of_torque == pytest.approx(rest.rms / spread, rel=0.1)
     # Of a level of 5 %.

@@ -77,7 +77,7 @@ def test_what_does_harm_on_later_data_is_refused():
 
 def test_an_effect_of_time_must_help_on_later_data():
     """A load that is half put down again: with it the rest is as bad as without."""
-    loop = close(lambda r: carried(r, 9.0, 13.5) + 0.55 * carried(r, 13.5), ["payload"])
+    loop = close(lambda r: carried(r, 9.0, 13.5) + 0.65 * carried(r, 13.5), ["payload"])
     assert story(loop) == [("refuse", "payload")]
     (step,) = loop.rounds_
     assert step.rule == _search.LATER

@@ -51,7 +51,7 @@ def whole(split, n):
 
 def test_several_stretches_of_a_single_recording():
     q = motion(60.0)
-    split = split_in_time(robot(), q, None, 0.25)
+    split = split_in_time(robot(cutoff=4.0), q, None, 0.25)
     whole(split, len(q))
     assert len(split.stretches) == 3
     assert split.test.size == pytest.approx(0.25 * len(q), rel=0.05)
@@ -64,7 +64,7 @@ def test_several_stretches_of_a_single_recording():
 def test_both_ends_of_each_of_several_recordings():
     q = motion(90.0)
     groups = np.repeat([7, 3, 7], [2000, 1000, 1500])
-    split = split_in_time(robot(cutoff=4.0), q, groups, 0.25)
+    split = split_in_time(robot(cutoff=8.0), q, groups, 0.25)
     whole(split, len(q))
     edges = [(s.start, s.stop) for s in split.stretches]
     assert [a for a, _ in edges[::2]] == [0, 2000, 3000]
@@ -124,7 +124,7 @@ def test_short_recordings_are_kept_as_a_whole():
 
 def test_the_guard_leaves_half_of_every_stretch():
     q = motion(60.0)
-    split = split_in_time(robot(), q, None, 0.25)
+    split = split_in_time(robot(cutoff=4.0), q, None, 0.25)
     near = split.guarded(10)
     assert near.test.size == split.test.size - 10 * 5
     assert near.stretches[-1].stop == len(q)
@@ -175,7 +175,7 @@ def test_wrong_shares_are_refused(share):
 
 def test_a_stretch_in_which_something_jumps_is_not_judged():
     q = motion(60.0)
-    split = split_in_time(robot(), q, None, 0.25)
+    split = split_in_time(robot(cutoff=4.0), q, None, 0.25)
     clock = np.arange(len(q)) * DT
     first, second, last = split.stretches
     inside = clock[(second.start + second.stop) // 2]

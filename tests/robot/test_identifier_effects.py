@@ -81,10 +81,13 @@ def soft_torque(j, stiffness):
 
 
 def payload(delta, instant):
-    heavier = inverse_dynamics(
-        with_changed_body(MODEL, np.r_[delta, np.zeros(6)]), STATES
-    )
-    return (heavier - LOAD) * (T > instant)[:, None]
+    # A point at its centre of mass.
+    import pinocchio as pin
+
+    mass, centre = delta[0], np.array(delta[1:]) / delta[0]
+    lump = pin.Inertia(mass, centre, np.zeros((3, 3))).toDynamicParameters()
+    heavier = inverse_dynamics(with_changed_body(MODEL, lump), STATES)
+    return (heavier - LOAD) * (T >= instant)[:, None]
 
 
 @functools.cache
@@ -150,7 +153,7 @@ def cases():
             [2.0],
         ),
         "payload": (
-            effects.Payload(2, instant=6.0),
+            effects.Payload(2, instant=6.0, centre=(0.05, 0.05 / 0.6, 0.1 / 0.6)),
             payload([0.6, 0.03, 0.05, 0.1], 6.0),
             None,
         ),
@@ -173,11 +176,13 @@ def test_known_torques_are_reproduced_and_coefficients_recovered(case):
 
 def test_payload_is_recovered_with_its_first_moments():
     delta = [0.6, 0.03, 0.05, 0.1]
-    robot = fit(payload(delta, 6.0), effects.Payload(2, instant=6.0))
+    effect = effects.Payload(2, instant=6.0).at(np.r_[delta, 0.0])
+    robot = fit(payload(delta, 6.0), effect)
     at = robot.features_.n_parameters_
     seen = robot.identifiable_[at:]
     assert seen.any()
-    assert_allclose(coefficients(robot)[seen], np.array(delta)[seen], rtol=1e-6)
+    truth = np.r_[delta, 0.0]
+    assert_allclose(coefficients(robot)[seen], truth[seen], rtol=1e-6, atol=1e-8)
     early = robot.predict(STATES[:300])
     assert_allclose(early, DECLARED[:300], atol=1e-6)
 
@@ -294,6 +299,7 @@ def test_names_units_and_parameters_are_as_many(several):
         "joint_3:payload:dmcx",
         "joint_3:payload:dmcy",
         "joint_3:payload:dmcz",
+        "joint_3:payload:d",
         "joint_2:drift:D",
     )
 

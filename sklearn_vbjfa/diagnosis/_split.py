@@ -17,7 +17,7 @@ _MOST_STRETCHES = 12
 # A stretch, and what is left between two of them, is so many times longer than the
 # low-pass, of which half is lost at each end; and so many times where there is more
 # than one stretch in a recording, so that they do not cost more than they tell.
-_FILTER_LENGTHS, _LENGTHS_OF_MORE = 2.0, 4.0
+_FILTER_LENGTHS, _LENGTHS_OF_MORE = 2.0, 2.5
 # Samples, where nothing is filtered.
 _FEWEST_SAMPLES = 24
 # Each joint should have this share of its due in the untouched part.

@@ -177,3 +177,46 @@ def test_groups_that_differ_in_the_controller():
         lambda k, t: measure(t, pace_of(k, t) * (1.0 if k else 0.6), seed=k)
     )
     true_of_a_complete_robot(close(q, tau, groups=groups))
+
+
+# -- what is wrong with channels comes first
+
+
+def two_motions():
+    return two(lambda k, t: measure(t, pace_of(k, t), seed=k))
+
+
+def test_a_torque_in_another_unit_is_told_before_anything():
+    q, tau, groups = two_motions()
+    true_of_a_complete_robot(close(q, tau, groups=groups))
+    report = close(q, tau * [1.0, 1e-3], groups=groups).report_
+    assert report.status == "doubtful"
+    assert report.headline.startswith("Mend the recording first. The torque of joint_2")
+    assert "gear ratio" in report.headline
+    assert report.to_html().index("gear ratio") < report.to_html().index(
+        "Error of each"
+    )
+
+
+def test_forgotten_groups_are_told_before_anything():
+    q, tau, _ = two_motions()
+    q[q.shape[0] // 2 :] += 0.3  # the second begins elsewhere
+    with pytest.warns(UserWarning, match="groups"):
+        report = close(q, tau).report_
+    assert report.status == "doubtful"
+    assert "jumps" in report.headline
+    assert "groups" in report.headline
+
+
+def test_columns_are_found_by_the_names_of_joints():
+    pandas = pytest.importorskip("pandas")
+    q, tau, groups = two_motions()
+    names = ["joint_2", "joint_1"]
+    X = pandas.DataFrame(q[:, ::-1], columns=[f"q_{name}" for name in names])
+    y = pandas.DataFrame(tau[:, ::-1], columns=[f"tau_{name}" for name in names])
+    plain, named_ones = close(q, tau, groups=groups), close(X, y, groups=groups)
+    np.testing.assert_allclose(named_ones.error_after_, plain.error_after_, rtol=1e-9)
+    np.testing.assert_allclose(named_ones.predict(X[:300]), plain.predict(q[:300]))
+    assert named_ones.score(X, y, groups=groups) > 0.99
+    with pytest.raises(ValueError, match="q_elbow"):
+        close(X.rename(columns={"q_joint_2": "q_elbow"}), y, groups=groups)

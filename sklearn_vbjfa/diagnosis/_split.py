@@ -113,15 +113,17 @@ class Split:
         there = self.amount.of(self.stretches)
         least = np.minimum(np.maximum(self.amount.need, 0.5 * there), there)
         for share in _GUARDS:
-            found = self._without(int(share * rows))
+            found = self._without(rows, share)
             if (self.amount.of(found.stretches) >= least).all():
                 break
         return found
 
-    def _without(self, rows):
+    def _without(self, rows, share):
+        """Return the split without a share of the guard that a stretch may have."""
         stretches = []
         for stretch, (before, after) in zip(self.stretches, self.borders):
-            guard = min(rows, int(_MOST_GUARD * (stretch.stop - stretch.start)))
+            most = _MOST_GUARD * (stretch.stop - stretch.start)
+            guard = int(share * min(rows, most))
             stretches.append(
                 slice(stretch.start + before * guard, stretch.stop - after * guard)
             )

@@ -25,7 +25,8 @@ class DiscoveredEffect:
     intervals : dict of str to (float, float)
         90 % intervals around the parameters: Student's t, from the scatter between
         blocks of time of the completed model's residuals. A shape parameter that was
-        not searched between the values of a grid has none.
+        not searched between the values of a grid has none, nor has what the recording
+        does not excite, or an instant.
     evidence : Evidence
         What leaving it out of the final model would cost, by blocks of time.
     rivals : tuple of str

@@ -149,7 +149,8 @@ class FinalFit:
                 coef=coef,
                 shape=shape,
                 covariance=covariance[place, place],
-                freedom=float(np.min(found.freedom[place], initial=np.inf)),
+                # A column that the recording does not excite has none.
+                freedom=float(np.fmin.reduce(found.freedom[place], initial=np.inf)),
             )
             for coef, shape, place in zip(coefs, shapes, places)
         ]

@@ -100,6 +100,8 @@ def _effects(search, final, names, prismatic):
                     values[key] + half * deviations[key],
                 )
                 for key in deviations
+                # Of what no column tells there is no interval.
+                if deviations[key] != 0
             },
             evidence=evidence,
             rivals=rivals.get(one.key(), ()),

@@ -80,7 +80,7 @@ def _judge(outcome, j, rest):
     if rest is not None:
         if not np.isfinite(rest.floor):
             return "unknown", "noise floor unknown"
-        return "unexplained", f"{words.percent(rest.of_torque)} of torque unexplained"
+        return "unexplained", f"{words.percent(rest.of_torque)} unexplained"
     if not np.isfinite(floor):
         return "unknown", "noise floor unknown"
     least = np.nan_to_num(interval(outcome, "after", j)[0], nan=np.inf)
@@ -89,7 +89,7 @@ def _judge(outcome, j, rest):
     if after > far and least > near:
         return "above", "above floor on untouched data"
     if after > near and least > floor:
-        return "floor", f"near the noise floor ({after / floor:.1f} x)"
+        return "floor", f"near the floor ({after / floor:.1f} x)"
     if any(e.joint == j for e in outcome.effects) and np.isfinite(high) and high >= 0:
         return "floor", "at the floor, gain within chance"
     return "floor", "at the noise floor"

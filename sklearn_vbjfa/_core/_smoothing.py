@@ -26,6 +26,12 @@ ORDER = _ORDER = 5
 _KNOTS_PER_PERIOD = 10
 
 
+# Motion and noise beyond it lie a factor of so many apart in frequency, with this share
+# of the velocity's power below and at most that between; the noise is flatter than
+# this (geometric over arithmetic mean; 0.56 for the periodogram of white noise).
+_GAP, _BELOW, _IN_GAP, _FLAT = 10.0, 0.8, 0.005, 0.05
+
+
 def knot_step(dt, cutoff):
     """Return the samples per knot for a cut-off frequency [Hz]."""
     return max(1, int(1.0 / (dt * cutoff * _KNOTS_PER_PERIOD)))
@@ -293,6 +299,30 @@ def choose_cutoff(frequency, power, noise_gain, dt):
     return cutoffs, variance
 
 
+def _noise_beyond(frequency, excess, power):
+    """Index from which on what stands out is noise of a colour, beyond a wide gap.
+
+    Samples that were interpolated, or read at shaken times, have noise that is not
+    white and stands out of the white one a decade above all motion. Lines there
+    (a joint that is shaken) are no noise: their spectrum is not flat.
+    """
+    total = np.cumsum(excess)
+    n = frequency.size
+    end = np.searchsorted(frequency, _GAP * frequency)
+    end = np.minimum(end, n - 1)
+    below, through = total, total[end] - total
+    gap = (below > _BELOW * total[-1]) & (through < _IN_GAP * total[-1]) & (end < n - 1)
+    if not gap.any():
+        return n
+    first = end[np.argmax(gap)]
+    beyond = power[first:] / frequency[first:] ** 2
+    beyond = beyond[beyond > 0]
+    if beyond.size == 0:
+        return n
+    flatness = np.exp(np.log(beyond).mean()) / beyond.mean()
+    return first if flatness > _FLAT else n
+
+
 def velocity_bandwidth(frequency, power, noise_gain, variance, cutoff, share=0.99):
     """Frequency [Hz] below which `share` of the power of the velocity lies.
 
@@ -303,6 +333,7 @@ def velocity_bandwidth(frequency, power, noise_gain, variance, cutoff, share=0.9
     noise = variance * noise_gain
     signal = (power > 5 * noise) & (frequency <= 2 * cutoff)
     excess = np.where(signal, power - noise, 0.0) / frequency**2
+    excess[_noise_beyond(frequency, excess, power) :] = 0.0
     cumulative = np.cumsum(excess)
     if not cumulative[-1] > 0:
         return float(min(cutoff, frequency[-1]))

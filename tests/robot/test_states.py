@@ -319,3 +319,27 @@ def test_refuses_wrong_labels_and_values():
         q[3] = bad
         with pytest.raises(ValueError, match=r"NaN|infinity"):
             StateEstimator(DT).fit(q)
+
+
+def shaken(dt=0.001, duration=20.0, period=0.4):
+    """Slow motion sampled at shaken times and interpolated to a grid."""
+    rng = np.random.default_rng(0)
+    t = np.arange(0.0, duration, dt)
+    late = t + 0.3 * dt * rng.normal(size=t.size)
+    read = np.sin(2 * np.pi * period * late)
+    smooth = np.convolve(read, [0.25, 0.5, 0.25], mode="same")
+    return t, smooth + 1e-9 * rng.normal(size=t.size)
+
+
+def test_noise_of_a_colour_is_no_motion():
+    """A decade above all motion, and as flat as noise is."""
+    t, q = shaken()
+    estimator = StateEstimator(dt=0.001).fit(q[:, None])
+    assert estimator.bandwidth_[0] < 1.0
+    # A joint that is shaken at two frequencies is, whatever lies between.
+    quiet = np.sin(2 * np.pi * 0.4 * t) + 1e-9 * np.random.default_rng(1).normal(
+        size=t.size
+    )
+    lines = 3e-3 * np.sin(2 * np.pi * 31.0 * t) + 2e-3 * np.sin(2 * np.pi * 43.0 * t)
+    shaking = StateEstimator(dt=0.001).fit((quiet + lines)[:, None])
+    assert shaking.bandwidth_[0] > 40.0

@@ -352,7 +352,7 @@ def test_recordings_are_used_together():
     assert loop.effects_[0].parameters["Fp"] == pytest.approx(1.2, rel=0.15)
     rows = loop.report_.to_dict()["settings"]["search_rows"]
     assert rows == pytest.approx(0.75 * groups.size, rel=0.05)
-    assert loop.report_.outcome.settings["untouched_stretches"] == 2
+    assert loop.report_.outcome.settings["untouched_stretches"] == 3
     assert loop.predict(position, groups=groups).shape == torque.shape
 
 

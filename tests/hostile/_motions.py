@@ -246,7 +246,7 @@ def _option_cases():
         return argv("arm.csv", "--dt", "0.25")
 
     name = "option: --dt 0.25 alone, 4 kHz"
-    ms = "in milliseconds it would be 0.00025 s"
+    ms = "give 0.00025|in milliseconds it would be 0.00025 s"
     found.append(Case(name=name, build=build_fast, expect="refused", message=ms))
     return found
 

@@ -303,7 +303,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         # More data tell more of the noise, without what the declared model lacks.
         own, judged = self.identifier_.noise_floor_, self.judged_.noise_floor_
         floor = np.where(np.isfinite(own), own, judged)
-        self.unexplained_ = unexplained(found, names, judgement.spread, floor)
+        errors = np.where(judgement.enough, self.error_after_, np.nan)
+        self.unexplained_ = unexplained(found, names, judgement.spread, floor, errors)
         self.hidden_ = hidden(found, names)
         outcome = make_outcome(self, found, final, judgement, floor, channels, library)
         self.effects_ = outcome.effects

@@ -136,8 +136,10 @@ class Unexplained:
     share : float
         Share of the residual's mean square above the floor.
     of_torque : float
-        Root mean square of what is above the floor over the spread of the torque; of
-        the whole residual, if the floor is unknown.
+        Root mean square of what is above the floor over the spread of the torque, on
+        the untouched part (on the search part where the untouched one shows nothing
+        above the floor, or is too short); of the whole residual, if the floor is
+        unknown.
     signals : tuple of Dependence
         Signals that it varies with, the strongest first.
     """

@@ -19,7 +19,7 @@ _UNSEEN, _IN_SPAN = 1e-3, 1e-6
 _PLAIN = ("viscous", "coulomb", "offset", "spring")
 
 
-def unexplained(search, names, spread, floors):
+def unexplained(search, names, spread, floors, errors):
     """Joints above their floor, with the signals that the rest varies with.
 
     Parameters
@@ -33,6 +33,8 @@ def unexplained(search, names, spread, floors):
     floors : ndarray of shape (nv,)
         Noise floors of the completed model [N m or N]; nan where unknown. What a
         declared model lacks may hide its own.
+    errors : ndarray of shape (nv,)
+        Errors on the untouched part over the spread; nan where there is none.
     """
     view, motion = search.view, search.motion
     residual = search.base.residuals() / np.where(view.root.T > 0, view.root.T, np.inf)
@@ -58,13 +60,18 @@ def unexplained(search, names, spread, floors):
                 rms=rms,
                 floor=floor,
                 share=1.0 if np.isnan(floor) else float(1 - (floor / rms) ** 2),
-                of_torque=float(
-                    np.sqrt(max(rms**2 - np.nan_to_num(floor) ** 2, 0.0)) / spread[j]
-                ),
+                of_torque=_above(floor / spread[j], rms / spread[j], float(errors[j])),
                 signals=signs,
             )
         )
     return tuple(found)
+
+
+def _above(floor, searched, untouched):
+    """Share of the torque above the floor: of the untouched part, if it shows one."""
+    floor = np.nan_to_num(floor)
+    error = untouched if untouched > floor else searched
+    return float(np.sqrt(max(error**2 - floor**2, 0.0)))
 
 
 def memory_seconds(search):

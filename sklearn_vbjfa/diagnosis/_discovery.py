@@ -198,7 +198,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             degrees): what would be found would be nonsense.
         """
         library = self._check_parameters()
-        self.joint_names_ = names = joint_names(load_model(self.identifier.model))
+        model = load_model(self.identifier.model)
+        self.joint_names_ = names = joint_names(model)
         X, y = positions_in_order(X, names), torques_in_order(y, names)
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
@@ -210,7 +211,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         whole = X, y, groups, weight
         with progress_bar(self.verbose) as say:
             say(0, "declared model")
-            channels, silent = self._check_channels(X, y, groups)
+            channels, silent = self._check_channels(model, X, y, groups)
             split = _split.split_in_time(self.identifier, X, groups, self.test_size)
             rows = split.search
             part = X[rows], y[rows], split.pieces, weight[rows]
@@ -264,10 +265,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
         return resolve(self.effects)
 
-    def _check_channels(self, X, y, groups):
+    def _check_channels(self, model, X, y, groups):
         """Refuse wrong channels; return lines for the report, joints to leave out."""
-        model = load_model(self.identifier.model)
-        check_widths(joint_names(model), X, y)
+        check_widths(self.joint_names_, X, y)
         if X.shape[1] != model.nv:
             return (), []
         findings = inspect_channels(model, X, y, self.identifier.dt, groups)

@@ -6,6 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.robot._groups import contiguous_groups
+from sklearn_vbjfa.robot._motion_facts import MotionFacts, n_fastest
 from sklearn_vbjfa.robot._recording_checks import resolve_cutoff, resolve_standstill
 from sklearn_vbjfa.robot._states import fit_states
 
@@ -31,8 +32,6 @@ FEWEST_VALUES = 10.0
 # The untouched part may grow to this share for them.
 _LARGEST = 0.4
 _GROWTH = 1.2
-# Speeds whose quantile is a joint's fastest.
-_FAST = 0.995
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -213,12 +212,13 @@ def _amount(identifier, X, groups, parts):
     if X.shape[1] == nv:
         estimator = fit_states(identifier.dt, identifier.state_cutoff, X, groups)
         states = estimator.transform(X, groups=groups)
-    speed = np.abs(states[:, nv : 2 * nv])
-    limit = resolve_standstill(identifier.standstill, np.quantile(speed, _FAST, axis=0))
+    v = states[:, nv : 2 * nv]
+    facts = MotionFacts.of(states[:, :nv], v, n_fastest(len(v)))
+    limit = resolve_standstill(identifier.standstill, facts.fast())
     cutoff = resolve_cutoff(identifier.cutoff, parts, identifier.dt, estimator)
     band = min(cutoff, 0.5 / dt)
     return Amount(
-        moving=speed > np.maximum(limit, 0.0),
+        moving=np.abs(v) > np.maximum(limit, 0.0),
         half=_lowpass.design(dt, cutoff).half,
         need=FEWEST_VALUES / (2.0 * band * dt),
     )

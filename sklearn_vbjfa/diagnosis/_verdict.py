@@ -202,12 +202,12 @@ def headline(outcome, verdicts):
             f"{'its' if one else 'their'} mean torque: do not trust the model there, "
             "check the recording."
         )
-        return f"{found} added, but {text}" if count else text[0].upper() + text[1:]
+        return f"{found} added, but {text}" if count else _capital(text)
     few, one = where("few")
     silent = ""
     if few:
-        silent = f" {few} {'moves' if one else 'move'} too little for a verdict."
-        silent = silent[:1] + silent[1].upper() + silent[2:]
+        verb = "moves" if one else "move"
+        silent = f" {_capital(few)} {verb} too little for a verdict."
     if kind == "nothing":
         return f"Nothing is missing: the residual is {near} the noise floor.{silent}"
     if kind == "complete":
@@ -259,6 +259,10 @@ def _found(outcome):
     ]
     if len(effects) > _NAMED:
         told.append(words.plural(len(effects) - _NAMED, "more effect"))
-    text = words.join(told)
     verb = "was" if len(effects) == 1 else "were"
-    return f"{text[0].upper()}{text[1:]} {verb}"
+    return f"{_capital(words.join(told))} {verb}"
+
+
+def _capital(text):
+    """Begin a sentence."""
+    return text[0].upper() + text[1:]

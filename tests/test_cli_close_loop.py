@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import EffectDiscovery
-from sklearn_vbjfa._cli import _close_loop, _signals, main
+from sklearn_vbjfa._cli import _close_loop, _input, main
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot._model import load_model
+from sklearn_vbjfa.model._loading import load_model
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -393,9 +393,9 @@ def test_a_run_that_is_killed_leaves_no_half_a_file(good, urdf):
 
 
 def test_signals_are_left_to_a_program_that_calls_main(capsys):
-    before = [signal.getsignal(number) for number in _signals._STOPS]
+    before = [signal.getsignal(number) for number in _input._STOPS]
     assert main(["effects"]) == 0
-    assert [signal.getsignal(number) for number in _signals._STOPS] == before
+    assert [signal.getsignal(number) for number in _input._STOPS] == before
     codes = []
     thread = threading.Thread(target=lambda: codes.append(main(["effects"])))
     thread.start()

@@ -109,24 +109,23 @@ def test_table_of_effects_agrees_with_the_classes():
 
 def constants_of_the_loop():
     """Phrases of the guide with the numbers that the code has."""
-    from sklearn_vbjfa.diagnosis import (
+    from sklearn_vbjfa.diagnosis.search import (
         _blocks,
         _evidence,
         _gaps,
         _judgement,
         _search,
         _split,
-        _transfer,
     )
-    from sklearn_vbjfa.diagnosis import _intervals as intervals
+    from sklearn_vbjfa.diagnosis.search import _intervals as intervals
     from sklearn_vbjfa.effects import _base
-    from sklearn_vbjfa.robot import _block_moments
+    from sklearn_vbjfa.robot import _joint_moments
 
     defaults = inspect.signature(sklearn_vbjfa.EffectDiscovery).parameters
     few, many = _blocks._WANTED
     words = {8: "eight", 9: "nine", 10: "ten"}
     varies, any_case = _gaps.ABOVE_FLOOR
-    third = ("whole", "half", "third", "quarter")[_transfer._STRETCHES - 1]
+    third = ("whole", "half", "third", "quarter")[_search._STRETCHES - 1]
     small = {3: "three", 4: "four", 10: "ten"}
     return [
         f"fitted to the first {100 * _search._FORWARD:g} % of the search data",
@@ -151,7 +150,7 @@ def constants_of_the_loop():
         f"above {varies:g} times the floor if it varies with any, above {any_case:g} t",
         f"({100 * _base._FAST:g} % of its speeds are slower)",
         f"hold the true value in {200 * intervals._UPPER_END - 100:g} % of cases",
-        f"its residuals between {_block_moments._BLOCKS} blocks of time",
+        f"its residuals between {_joint_moments._BLOCKS} blocks of time",
         f"holds the error over the next {intervals.NEXT_SECONDS:g} s",
         f"the {intervals._COSINES} slowest cosines of time",
     ]

@@ -1,4 +1,4 @@
-"""Who may import whom, what importing the package loads, and sizes of modules."""
+"""Who may import whom, and what importing the package loads."""
 
 import ast
 import importlib
@@ -22,17 +22,14 @@ def name_of(path):
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def layer_of(module):
-    """Layer of a dotted name: a subpackage, "estimators" or "command line"."""
+def room_of(module):
+    """Room of a dotted name: a folder of the package, or "top"."""
     parts = module.split(".")
     if len(parts) == 1:
         return "top"
-    if parts[1] in {"_cli", "__main__"}:
-        return "command line"
-    folders = {"physical", "effects", "datasets", "robot", "diagnosis", "distributed"}
-    if parts[1] in folders | {"_core"}:
-        return parts[1]
-    return "estimators"
+    if parts[1] == "__main__":
+        return "_cli"
+    return parts[1]
 
 
 def is_type_checking(node):
@@ -61,18 +58,18 @@ def imports(path, *, inside_functions=True, for_types=True):
     return found
 
 
-def layers_imported(path, **kwargs):
-    """Layers of the package that a module imports, with what it imports of each."""
+def rooms_imported(path, **kwargs):
+    """Rooms of the package that a module imports, with what it imports of each."""
     own = {name_of(other) for other in MODULES}
     used = {}
     for name in imports(path, **kwargs):
-        if name in own or (name.startswith(PACKAGE) and name.count(".") == 0):
-            used.setdefault(layer_of(name), set()).add(name)
+        if name in own:
+            used.setdefault(room_of(name), set()).add(name)
     return used
 
 
-def modules_of(layer):
-    return [path for path in MODULES if layer_of(name_of(path)) == layer]
+def modules_of(room):
+    return [path for path in MODULES if room_of(name_of(path)) == room]
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
@@ -86,63 +83,62 @@ def test_imports_are_absolute(path):
     assert relative == []
 
 
-# What each layer may import of the package. "top" is the package itself, which
-# imports all estimators.
-ALLOWED = {
-    "_core": {"_core"},
-    "physical": {"_core", "physical"},
-    "estimators": {"_core", "estimators"},
-    "datasets": {"_core", "physical", "datasets"},
-    "effects": {"effects"},
-    "robot": {"_core", "physical", "estimators", "effects", "robot"},
-    "diagnosis": {"_core", "physical", "effects", "robot", "diagnosis"},
-    "distributed": {"_core", "estimators", "datasets", "robot", "distributed"},
-    "command line": {
-        "top",
-        "physical",
-        "datasets",
-        "estimators",
-        "effects",
-        "robot",
-        "diagnosis",
-        "command line",
-    },
-    "top": {"physical", "estimators", "effects", "robot", "diagnosis"},
+# Each room may import those above it, as "How the package is built" shows them.
+ROOMS = (
+    "_core",
+    "effects",
+    "physical",
+    "regression",
+    "model",
+    "recording",
+    "robot",
+    "inspection",
+    "diagnosis",
+    "datasets",
+    "distributed",
+    "top",
+    "_cli",
+)
+# Rooms that stay apart although the order would allow it.
+APART = {
+    "effects": set(),
+    "physical": {"_core"},
+    "regression": {"_core"},
+    "model": {"physical"},
+    "recording": {"model"},
+    "datasets": {"physical", "model", "recording"},
 }
 # scikit-learn's private parts, in one file that is no estimator.
-COMPAT = "sklearn_vbjfa._sklearn_compat"
-# Building a robot's model and its labels is no estimator either.
-MODEL = "sklearn_vbjfa.robot._model"
+DOORS_TO_PINOCCHIO = {"model", "datasets", "recording", "robot"}
+COMPAT = "sklearn_vbjfa.regression._sklearn_compat"
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_layers_import_one_way(path):
-    layer = layer_of(name_of(path))
-    forbidden = {}
-    for other, names in layers_imported(path).items():
-        if other not in ALLOWED[layer] | (
-            {"top"} if layer == "command line" else set()
-        ):
-            forbidden[other] = names
-    if layer in {"physical", "datasets"}:
-        forbidden.get("estimators", set()).discard(COMPAT)
-    if layer == "datasets":
-        allowed = {MODEL, "sklearn_vbjfa.robot"}
-        forbidden["robot"] = forbidden.get("robot", set()) - allowed
-    if layer != "_core":
+def test_rooms_import_one_way(path):
+    room = room_of(name_of(path))
+    allowed = APART.get(room, set(ROOMS[: ROOMS.index(room)])) | {room}
+    forbidden = {
+        other: names
+        for other, names in rooms_imported(path).items()
+        if other not in allowed
+    }
+    if room != "_core":
         # The version and the name of the package itself, inside functions.
         forbidden.pop("top", None)
-    assert {k: v for k, v in forbidden.items() if v} == {}
+    assert forbidden == {}
+
+
+def test_every_room_has_its_place():
+    assert {room_of(name_of(path)) for path in MODULES} == set(ROOMS)
 
 
 def test_the_walk_sees_what_is_there():
     # The test above would pass on nothing at all, too.
-    path = ROOT / "_vbjfa.py"
-    assert {"_core", "estimators"} <= set(layers_imported(path))
-    assert {"_core", "robot"} <= set(
-        layers_imported(ROOT / "robot" / "_joint_torque.py")
-    )
-    assert all(modules_of(layer) for layer in ALLOWED)
+    path = ROOT / "regression" / "_vbjfa.py"
+    assert {"_core", "regression"} <= set(rooms_imported(path))
+    path = ROOT / "robot" / "_joint_torque.py"
+    assert {"_core", "regression", "robot"} <= set(rooms_imported(path))
+    assert all(modules_of(room) for room in ROOMS)
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
@@ -155,7 +151,7 @@ def test_optional_packages_only_inside_functions(path):
     everywhere = {name.split(".")[0] for name in imports(path)}
     assert "matplotlib" not in everywhere
     if "pinocchio" in everywhere:
-        assert layer_of(name_of(path)) in {"robot", "datasets"}
+        assert room_of(name_of(path)) in DOORS_TO_PINOCCHIO
 
 
 @pytest.mark.parametrize(

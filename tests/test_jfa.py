@@ -10,7 +10,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import multivariate_normal
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa import JFARegressor, _base
+from sklearn_vbjfa import JFARegressor
+from sklearn_vbjfa.regression import _base
 from tests._regressions import assert_same_fit, least_squares, make_regression
 from tests.reference import paper_jfa as ref
 

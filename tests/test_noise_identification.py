@@ -6,8 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.linear_model import ARDRegression, LassoCV, LinearRegression
 
 from sklearn_vbjfa import VBJFARegressor
-from sklearn_vbjfa._correlated_fit import LARGEST_FRACTION, largest_noise_fraction
 from sklearn_vbjfa.datasets import make_noisy_regression
+from sklearn_vbjfa.regression._vbjfa import LARGEST_FRACTION, largest_noise_fraction
 
 
 def nmse(model, data):

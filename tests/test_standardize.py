@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa._core._standardize import standardize
+from sklearn_vbjfa._core._moments import standardize
 
 
 @pytest.fixture

@@ -13,8 +13,7 @@ from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_vbjfa._core._stepwise import select_features, sweep
-from sklearn_vbjfa._stepwise import StepwiseRegressor
+from sklearn_vbjfa.regression._stepwise import StepwiseRegressor, select_features, sweep
 
 examples = settings(derandomize=True, deadline=None, max_examples=25)
 
@@ -248,7 +247,7 @@ def test_guard_against_cycles():
 def test_guard_is_reported(monkeypatch):
     X, y, _ = make_collinear(0)
     monkeypatch.setattr(
-        "sklearn_vbjfa._stepwise.select_features",
+        "sklearn_vbjfa.regression._stepwise.select_features",
         lambda *args, **kwargs: select_features(
             *args, p_enter=0.9, p_remove=1e-6, max_iter=None
         ),

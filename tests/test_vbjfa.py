@@ -8,7 +8,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils._param_validation import InvalidParameterError
 
-from sklearn_vbjfa import VBJFARegressor, _base
+from sklearn_vbjfa import VBJFARegressor
+from sklearn_vbjfa.regression import _base
 from tests._regressions import assert_same_fit, least_squares, make_regression
 from tests.reference import paper_jfa as ref
 

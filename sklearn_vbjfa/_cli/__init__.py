@@ -23,7 +23,7 @@ def main(argv=None):
         Exit code: 0; 2 for bad input (one line on stderr); 128 and the signal's
         number if the run was stopped, which is 130 for an interrupt.
     """
-    from sklearn_vbjfa._cli._signals import Stopped, stoppable
+    from sklearn_vbjfa._cli._input import Stopped, stoppable
     from sklearn_vbjfa.physical._threads import one_blas_thread
 
     parser = _parser()
@@ -140,7 +140,7 @@ def _effects(arguments):
 def _datasets(arguments):
     from tabulate import tabulate
 
-    from sklearn_vbjfa.datasets._protocols import protocols
+    from sklearn_vbjfa.datasets._catalogue import protocols
 
     rows = []
     for name, protocol in protocols().items():

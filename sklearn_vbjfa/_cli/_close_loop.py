@@ -11,7 +11,7 @@ import numpy as np
 
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._identify import say_warnings
-from sklearn_vbjfa._cli._signals import undisturbed
+from sklearn_vbjfa._cli._input import undisturbed
 
 
 def add_to(commands):

@@ -9,7 +9,7 @@ import numpy as np
 def run(arguments):
     """Identify a recording and compare methods on its held-out part."""
     from sklearn_vbjfa import RobotIdentifier
-    from sklearn_vbjfa.datasets._protocols import protocols
+    from sklearn_vbjfa.datasets._catalogue import protocols
     from sklearn_vbjfa.robot._comparison import compare_methods
 
     known = protocols()

@@ -1,13 +1,80 @@
-"""What a user gives to the command line, refused in one line where it is wrong."""
+"""What a user gives to the command line, refused in one line where it is wrong.
+
+What a run does when it is told to stop.
+"""
 
 import contextlib
 import math
 import os
+import signal
 import sys
 import tempfile
+import threading
 from pathlib import Path
 
 import numpy as np
+
+# Of these, SIGINT raises KeyboardInterrupt already; Windows has no SIGHUP.
+_STOPS = [
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if hasattr(signal, name)
+]
+
+
+class Stopped(BaseException):
+    """The process was told to end.
+
+    Parameters
+    ----------
+    number : int
+        Signal.
+    """
+
+    def __init__(self, number):
+        super().__init__(signal.Signals(number).name)
+        self.number = int(number)
+
+
+@contextlib.contextmanager
+def _handlers(handle):
+    """Let a function answer all signals to stop; other threads have no say."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    # A signal that is ignored, as under nohup, stays so.
+    before = {
+        number: signal.getsignal(number)
+        for number in _STOPS
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
+    for number in before:
+        signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+def _stop(number, frame):
+    raise Stopped(number)
+
+
+def stoppable():
+    """Let signals end a run as an exception does, so that it tidies up."""
+    return _handlers(_stop)
+
+
+@contextlib.contextmanager
+def undisturbed():
+    """Put off signals until a few files are written."""
+    waiting = []
+    with _handlers(lambda number, frame: waiting.append(number)):
+        yield
+    if waiting:
+        signal.raise_signal(waiting[0])
+
 
 # Fewer samples in a row show nothing.
 _MIN_SAMPLES = 64
@@ -33,7 +100,7 @@ def robot(urdf, joints, folder):
     held : tuple of str
         The other joints.
     """
-    from sklearn_vbjfa.robot import _model
+    from sklearn_vbjfa.model import _loading
 
     if not urdf.is_file():
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
@@ -41,9 +108,9 @@ def robot(urdf, joints, folder):
     try:
         with _parser_messages(said):
             if joints:
-                _model.load_reduced(urdf, joints)
+                _loading.load_reduced(urdf, joints)
             else:
-                _model.load_model(urdf)
+                _loading.load_model(urdf)
     except ValueError as error:
         where = "" if repr(str(urdf)) in str(error) else f"{urdf}: "
         reason = f" ({said[0]})" if said else ""
@@ -55,7 +122,7 @@ def robot(urdf, joints, folder):
     if not joints:
         return urdf, ()
     reduced = folder / urdf.name
-    held = _model.write_reduced(urdf, reduced, joints)
+    held = _loading.write_reduced(urdf, reduced, joints)
     # What is written from this copy is as readable as the original.
     reduced.chmod(urdf.stat().st_mode & 0o666)
     return reduced, held

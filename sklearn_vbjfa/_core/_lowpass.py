@@ -4,9 +4,17 @@ A symmetric windowed-sinc filter of finite length (Kaiser window, 60 dB): the ou
 is defined where the whole filter lies inside the recording, so that edges are cut and
 never made up; and since it looks at a bounded neighbourhood only, a long recording can
 be filtered in overlapping chunks with exactly the same result.
+
+The low-pass with decimation as matrix products, for rows that come in blocks.
+
+Only the outputs that are kept are computed: a block of rows adds to the outputs whose
+window it lies in, one product with a small matrix of taps. Regressor matrices, whose
+blocks are a thousand columns wide, then neither have to be there all at once nor cost
+more than to make them.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import signal
@@ -96,3 +104,118 @@ def design(dt, cutoff, step=None):
     if step is None:
         step = max(1, int(0.25 / relative))
     return Lowpass(taps=taps / taps.sum(), step=step)
+
+
+# Memory of a block's rows, and fewest rows for which a call is worth its overhead.
+_BLOCK_BYTES = 4 << 20
+_MIN_ROWS = 128
+
+
+@lru_cache(maxsize=64)
+def _tap_matrix(taps, step, n_rows):
+    """Taps of a block of rows that begins at a multiple of `step`.
+
+    Returns
+    -------
+    before : int
+        Number of outputs, before the one that begins with the block, that it adds to.
+    matrix : ndarray of shape (n_outputs, n_rows)
+        What each row adds to each of them.
+    """
+    length = len(taps)
+    before = (length - 1) // step
+    outputs = np.arange(-before, (n_rows - 1) // step + 1)
+    k = np.arange(n_rows) - step * outputs[:, None]
+    inside = (k >= 0) & (k < length)
+    matrix = np.where(inside, np.array(taps)[np.where(inside, k, 0)], 0.0)
+    matrix.setflags(write=False)
+    return before, matrix
+
+
+def block_length(lowpass, row_bytes):
+    """Return the number of rows of a block: a multiple of the decimation.
+
+    With a filter three quarters of its length, where the matrix of taps is neither
+    mostly zeros nor much larger than what it yields; without one what fits into the
+    cache.
+    """
+    rows = _BLOCK_BYTES // row_bytes
+    if lowpass.half:
+        rows = max(_MIN_ROWS, 3 * lowpass.half // 2)
+    return lowpass.step * max(1, -(-rows // lowpass.step))
+
+
+class BlockFilter:
+    """Filter rows that come in blocks.
+
+    Parameters
+    ----------
+    lowpass : Lowpass
+        Filter and decimation.
+    count : int
+        Number of outputs; the window of the first begins at row 0.
+    shape : tuple of int
+        Shape (nv, p) or (k,) of a row.
+    support : ndarray of shape (nv, p), bool, default=None
+        Entries that are not zero in all rows; None is all.
+
+    Attributes
+    ----------
+    outputs : ndarray of shape (count, *shape)
+        What has been added so far.
+    """
+
+    def __init__(self, lowpass, count, shape, support=None):
+        self._lowpass = lowpass
+        self._taps = tuple(lowpass.taps.tolist())
+        self.outputs = np.zeros((count, *shape))
+        self._columns = None
+        if support is not None:
+            used = [np.flatnonzero(row) for row in support]
+            self._columns = [
+                (j, slice(int(k[0]), int(k[-1]) + 1))
+                for j, k in enumerate(used)
+                if k.size
+            ]
+
+    def add(self, first, rows):
+        """Add a block of rows that begins at row `first`, a multiple of the step."""
+        if self._lowpass.half == 0:
+            kept = rows[:: self._lowpass.step]
+            at = first // self._lowpass.step
+            self.outputs[at : at + kept.shape[0]] = kept
+            return
+        before, matrix = _tap_matrix(self._taps, self._lowpass.step, rows.shape[0])
+        low = first // self._lowpass.step - before
+        high = min(low + matrix.shape[0], self.outputs.shape[0])
+        if high <= max(low, 0):
+            # Rows behind the window of the last output, which decimation leaves over.
+            return
+        matrix = matrix[max(-low, 0) : high - low]
+        outputs = self.outputs[max(low, 0) : high]
+        if self._columns is None:
+            outputs = outputs.reshape(outputs.shape[0], -1)
+            outputs += matrix @ rows.reshape(rows.shape[0], -1)
+            return
+        for j, columns in self._columns:
+            outputs[:, j, columns] += matrix @ rows[:, j, columns]
+
+
+def decimate(lowpass, x):
+    """Filter rows x (n, ...) that are all there; what `Lowpass` itself gives."""
+    if lowpass.half == 0:
+        return x[:: lowpass.step]
+    n = x.shape[0]
+    flat = x.reshape(n, -1)
+    result = BlockFilter(lowpass, lowpass.centres(n).size, flat.shape[1:])
+    if result.outputs.size:
+        length = block_length(lowpass, 8 * flat.shape[1])
+        for first in range(0, n, length):
+            result.add(first, flat[first : first + length])
+    return result.outputs.reshape(-1, *x.shape[1:])
+
+
+def averaging(lowpass):
+    """Return the filter that averages weights over the neighbourhood of a filter."""
+    taps = np.abs(lowpass.taps)
+    return Lowpass(taps=taps / taps.sum(), step=lowpass.step)

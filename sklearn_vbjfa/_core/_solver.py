@@ -1,22 +1,227 @@
-"""The loop: start, iterate, watch the bound, stop."""
+"""The loop: start, iterate, watch the bound, stop.
+
+The state as a vector, the bound's gradient in it, and the scale of an EM step.
+
+Loadings stand as they are and variances as logarithms, so that any vector of real
+numbers is a state. The precisions alpha do not occur: at their own optimum, which is
+explicit, they add nothing to the gradient.
+
+Highest likelihood of the model without priors, which is explicit.
+
+With z and t integrated out, x_m ~ N(0, V_m) and y | x ~ N(c'x, s), where
+
+    V_m = w_xm^2 + psi_xm,   c_m = w_zm w_xm / V_m,
+    s = psi_y + sum(psi_z) + sum(c_m^2 V_m o_m),   o_m = psi_xm / w_xm^2,
+
+and nothing else of the parameters counts. Where the input noise alone does not make
+more of s than least squares leaves, the highest likelihood has the variance of x_m as
+V_m, least squares as c and its residual variance as s. EM creeps towards it where
+inputs are strongly correlated: the gain of an iteration says little of what is left.
+"""
 
 from collections import deque
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 
-from sklearn_vbjfa._core._bound import bound
-from sklearn_vbjfa._core._coordinates import from_vector, slope, to_vector
-from sklearn_vbjfa._core._highest import at_highest_likelihood
-from sklearn_vbjfa._core._state import HiddenExpectations, State
-from sklearn_vbjfa._core._stats import GramMoments, exact_fit
+from sklearn_vbjfa._core._moments import GramMoments, exact_fit
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
+    HiddenExpectations,
+    State,
+    bound,
     expect_hidden,
     update_loadings,
     update_noise,
     update_precisions,
 )
+
+_TINY = float(np.finfo(float).tiny)
+# Largest logarithm: exp of it must stay a number.
+_LARGEST_LOG = 300.0
+
+
+def _blocks(prior):
+    """Names of what is free, in their order; psi_y comes last."""
+    names = ["w_z_mean", "w_x_mean", "psi_z"]
+    if prior.psi_x_fixed is None:
+        names.append("psi_x")
+    if prior.ard:
+        names.append("w_z_var")
+        if prior.coupled:
+            names.append("w_x_var")
+    return names
+
+
+def to_vector(state, prior):
+    """Coordinates of a state, ndarray of shape (n_blocks * d + 1,)."""
+    parts = [
+        values if name.endswith("mean") else np.log(np.maximum(values, _TINY))
+        for name in _blocks(prior)
+        for values in (getattr(state, name),)
+    ]
+    return np.concatenate([*parts, [np.log(state.psi_y)]])
+
+
+def from_vector(vector, like, prior):
+    """State with these coordinates; what is not free is that of `like`."""
+    names = _blocks(prior)
+    rows = vector[:-1].reshape(len(names), -1)
+    values = {}
+    for name, row in zip(names, rows):
+        if not name.endswith("mean"):
+            row = np.exp(np.clip(row, -_LARGEST_LOG, _LARGEST_LOG))
+        values[name] = np.maximum(row, VARIANCE_FLOOR) if name[:3] == "psi" else row
+    psi_y = np.exp(np.clip(vector[-1], -_LARGEST_LOG, _LARGEST_LOG))
+    values["psi_y"] = max(float(psi_y), VARIANCE_FLOOR)
+    return update_precisions(replace(like, **values), prior)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Slope:
+    """The bound's gradient, and the inverse curvature that an EM step assumes.
+
+    ``scale * gradient`` is the EM step to first order in the logarithms. Both have
+    the shape of the coordinates; the gradient is zero where a variance rests on its
+    floor and would fall further.
+    """
+
+    gradient: np.ndarray
+    scale: np.ndarray
+
+
+def slope(moments, state, hidden, prior):
+    """Gradient of the bound at `state`, whose alpha is at its optimum.
+
+    With q(Z, T) at its optimum the bound has the gradient of the expected
+    log-likelihood alone (Fisher's identity): each entry is the residual of the
+    stationarity condition that the update of the same name solves.
+    """
+    n, S_tt = moments.n, hidden.S_tt
+    alpha = state.E_alpha if prior.ard else 0.0
+    alpha_x = alpha if prior.ard and prior.coupled else 0.0
+    # Without a change of loadings the updates are eqs. 14 to 16 at this state.
+    new = update_noise(moments, state, state, hidden, replace(prior, psi_x_weight=0.0))
+    on_z, on_x = S_tt / state.psi_z + alpha, S_tt / state.psi_x + alpha_x
+    curvature = np.full(S_tt.size, 0.5 * n)
+    gradient = {
+        "w_z_mean": (hidden.S_zt - state.w_z_mean * S_tt) / state.psi_z
+        - alpha * state.w_z_mean,
+        "w_x_mean": (hidden.S_xt - state.w_x_mean * S_tt) / state.psi_x
+        - alpha_x * state.w_x_mean,
+        "psi_z": 0.5 * n * (new.psi_z / state.psi_z - 1.0),
+        "w_z_var": 0.5 * (1.0 - state.w_z_var * on_z),
+        "w_x_var": 0.5 * (1.0 - state.w_x_var * on_x),
+    }
+    scale = {
+        "w_z_mean": 1.0 / on_z,
+        "w_x_mean": 1.0 / on_x,
+        "psi_z": 1.0 / curvature,
+        "w_z_var": np.full(S_tt.size, 2.0),
+        "w_x_var": np.full(S_tt.size, 2.0),
+    }
+    if prior.psi_x_fixed is None:
+        weight = prior.psi_x_weight
+        on_psi_x = 0.5 * n * (new.psi_x / state.psi_x - 1.0)
+        if weight:
+            on_psi_x = on_psi_x + 0.5 * weight * (prior.psi_x_mode / state.psi_x - 1.0)
+        gradient["psi_x"] = on_psi_x
+        scale["psi_x"] = 1.0 / (curvature + 0.5 * weight)
+    for name in ("psi_z", "psi_x"):
+        if name in gradient:
+            stuck = (getattr(state, name) <= VARIANCE_FLOOR) & (gradient[name] < 0)
+            gradient[name] = np.where(stuck, 0.0, gradient[name])
+    on_psi_y = 0.5 * n * (new.psi_y / state.psi_y - 1.0)
+    if state.psi_y <= VARIANCE_FLOOR:
+        on_psi_y = max(on_psi_y, 0.0)
+    names = _blocks(prior)
+    return Slope(
+        gradient=np.concatenate([*(gradient[name] for name in names), [on_psi_y]]),
+        scale=np.concatenate([*(scale[name] for name in names), [2.0 / n]]),
+    )
+
+
+def at_highest_likelihood(moments, state, prior):
+    """State of highest likelihood that keeps what it can of the split of `state`.
+
+    Known input noise stays as it is; None is returned where it makes more output noise
+    than there is, since V and c then depend on each other. Unknown noise has the odds
+    to the signal that it has in `state`; where these would make too much output noise,
+    all are lowered by one factor, so that they make the share that they make there.
+
+    Parameters
+    ----------
+    moments : GramMoments
+        Standardised moments.
+    state : State
+        Where EM has led.
+    prior : Prior
+        Without an ARD layer.
+    """
+    n, variance = moments.n, moments.xx / moments.n
+    if prior.psi_x_fixed is None:
+        share = state.psi_x / (state.psi_x + state.w_x_mean**2)
+    else:
+        share = np.minimum(prior.psi_x_fixed / variance, 1.0)
+    signal = np.maximum(1.0 - share, 0.0)
+    used = signal > VARIANCE_FLOOR
+    odds = np.where(used, share / np.where(used, signal, 1.0), 0.0)
+
+    c = np.where(used, _coefficients(state), 0.0)
+    c = c + _least_squares_step(moments, c, used)
+    s = moments.residual(c)[1] / n
+    through = c**2 * variance @ odds
+    if through > s:
+        if prior.psi_x_fixed is not None:
+            return None
+        old = _coefficients(state) ** 2 @ (
+            state.psi_x * (state.w_x_mean**2 + state.psi_x) / state.w_x_mean**2
+        )
+        part = old / (old + state.psi_y + state.psi_z.sum())
+        odds = odds * (part * s / through)
+        through = part * s
+    rest = (s - through) / (state.psi_y + state.psi_z.sum())
+    psi_x = prior.psi_x_fixed
+    w_x = np.sqrt(variance / (1.0 + odds)) * np.where(state.w_x_mean < 0, -1.0, 1.0)
+    if psi_x is None:
+        psi_x = np.maximum(variance * odds / (1.0 + odds), VARIANCE_FLOOR)
+    w_x = np.where(used, w_x, state.w_x_mean)
+    w_z = np.where(used, c * variance / np.where(used, w_x, 1.0), 0.0)
+    return replace(
+        state,
+        w_z_mean=w_z,
+        w_x_mean=w_x,
+        psi_x=psi_x,
+        psi_y=max(rest * state.psi_y, VARIANCE_FLOOR),
+        psi_z=np.maximum(rest * state.psi_z, VARIANCE_FLOOR),
+    )
+
+
+def _coefficients(state):
+    """Coefficients of E[y | x], (d,)."""
+    w_x = state.w_x_mean
+    return state.w_z_mean * w_x / (w_x**2 + state.psi_x)  # [eq. 27]
+
+
+def _least_squares_step(moments, c, used):
+    """Shortest step (d,) from coefficients to least squares in the inputs in use."""
+    step = np.zeros_like(c)
+    if moments.root is not None:
+        R = moments.root.R[:, used]
+        left = moments.root.z - moments.root.R @ c
+        step[used] = linalg.lstsq(R, left)[0]
+        return step
+    values, vectors = linalg.eigh(moments.S[np.ix_(used, used)])
+    keep = values > values[-1] * values.size * 4 * np.finfo(float).eps
+    left = (moments.xy - moments.dot(c))[used]
+    V = vectors[:, keep]
+    # Once more with what is left, whose rounding is smaller.
+    for _ in range(2):
+        step[used] += V @ ((V.T @ left) / values[keep])
+        left = (moments.xy - moments.dot(c + step))[used]
+    return step
+
 
 _RELATIVE_FALL = 1e-9
 

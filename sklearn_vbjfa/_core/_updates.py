@@ -7,13 +7,214 @@ The dense matrices of eqs. 17 to 25 are diagonal plus rank one; with
 
 where ``e = y - c'x`` and c is the regression coefficient for noisy inputs of the
 current state. All sample sums then follow from S_xx c, S_xy and S_yy.
+
+Parameters and expectations of the JFA models, as immutable records.
+
+Regression coefficients for noisy and for noiseless queries.
+
+The variational lower bound, with all its constants.
+
+With q(Z, T) at its optimum the terms in Z and T and their entropy add up to the
+log-normaliser of one Gaussian: x_m ~ N(0, psi_x + w_x^2 / a_m) and
+y | x ~ N(c'x, s), where a_m is the prior precision of t_m raised by the loadings'
+uncertainty (each sample then also pays -log(a_m)/2). For JFA, a_m = 1 and the bound
+is the log-likelihood itself.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.special import digamma, gammaln
 
-from sklearn_vbjfa._core._state import HiddenExpectations
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """Everything that one iteration changes.
+
+    Loadings are Gaussian with diagonal covariance; zero variances are point
+    estimates (JFA). All quantities are in standardised units.
+
+    Attributes
+    ----------
+    w_z_mean, w_z_var : ndarray of shape (n_features,)
+        Posterior mean and variance of the loadings t -> z. [eqs. 8, 9]
+    w_x_mean, w_x_var : ndarray of shape (n_features,)
+        Posterior mean and variance of the loadings t -> x. [eqs. 10, 11]
+    alpha_shape : float
+        Shape of the Gamma posterior of each precision. [eq. 12]
+    alpha_rate : ndarray of shape (n_features,)
+        Its rate. [eq. 13]
+    psi_y : float
+        Output-noise variance. [eq. 14]
+    psi_z, psi_x : ndarray of shape (n_features,)
+        Variances of the hidden z given t, and of the input noise. [eqs. 15, 16]
+    """
+
+    w_z_mean: np.ndarray
+    w_z_var: np.ndarray
+    w_x_mean: np.ndarray
+    w_x_var: np.ndarray
+    alpha_shape: float
+    alpha_rate: np.ndarray
+    psi_y: float
+    psi_z: np.ndarray
+    psi_x: np.ndarray
+
+    @property
+    def E_alpha(self):
+        """Posterior mean of the precisions."""
+        return self.alpha_shape / self.alpha_rate
+
+
+@dataclass(frozen=True, kw_only=True)
+class HiddenExpectations:
+    """Sample sums of the posterior moments of z and t, and what they are made of.
+
+    Attributes
+    ----------
+    S_zt, S_tt, S_xt : ndarray of shape (n_features,)
+        sum over samples of <z_m t_m>, <t_m^2>, x_m <t_m>.
+    S_rr : float
+        sum over samples of <(y - 1'z)^2>.
+    S_xe, S_ee : ndarray of shape (n_features,), float
+        sum of x_m e and e^2, with e = y - coef'x.
+    coef : ndarray of shape (n_features,)
+        Coefficient of E[y | x] for noisy x in this state.
+    y_var : float
+        Variance of y given x.
+    x_var : ndarray of shape (n_features,)
+        Marginal variance of x.
+    t_precision : ndarray of shape (n_features,)
+        Prior precision of t, raised by the uncertainty of the loadings.
+    t_gain, t_step : ndarray of shape (n_features,)
+        <t_m> = t_gain_m x_m + t_step_m e / y_var.
+    t_var : ndarray of shape (n_features,)
+        Posterior variance of t_m.
+    """
+
+    S_zt: np.ndarray
+    S_tt: np.ndarray
+    S_xt: np.ndarray
+    S_rr: float
+    S_xe: np.ndarray
+    S_ee: float
+    coef: np.ndarray
+    y_var: float
+    x_var: np.ndarray
+    t_precision: np.ndarray
+    t_gain: np.ndarray
+    t_step: np.ndarray
+    t_var: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prior:
+    """What is assumed before the data.
+
+    Attributes
+    ----------
+    ard : bool
+        Loadings have ARD priors (VB-JFA); otherwise they are point estimates (JFA).
+    coupled : bool
+        alpha_m is shared by w_zm and w_xm, as in the paper; otherwise it is the
+        precision of w_zm alone and w_xm is a point estimate.
+    ard_shape, ard_rate : float
+        Gamma prior of the precisions.
+    psi_x_fixed : ndarray of shape (n_features,) or None
+        Known input-noise variances (standardised); None estimates them.
+    psi_x_weight : float
+        Weight, in samples, of the inverse-gamma prior on psi_x; 0 is no prior.
+    psi_x_mode : ndarray of shape (n_features,) or None
+        Mode of that prior (standardised).
+    """
+
+    ard: bool = False
+    coupled: bool = True
+    ard_shape: float = 1e-6
+    ard_rate: float = 1e-6
+    psi_x_fixed: np.ndarray | None = None
+    psi_x_weight: float = 0.0
+    psi_x_mode: np.ndarray | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearModel:
+    """Answer to one kind of query, in standardised units.
+
+    Coefficients (d,), their covariance (d, d), and the variance of y given the query.
+    """
+
+    coef: np.ndarray
+    cov: np.ndarray
+    noise: float
+
+
+def coefficients_noisy(state):
+    """Coefficient of E[y | x] for noisy x.
+
+    Eq. 27 with point estimates reduces, input by input, to
+    w_z w_x / (w_x^2 + psi_x).
+    """
+    w_x = state.w_x_mean
+    return state.w_z_mean * w_x / (w_x**2 + state.psi_x)  # [eq. 27]
+
+
+def coefficients_noiseless(state, retained):
+    """Coefficient of E[y | t] for noiseless inputs, zero where not retained.
+
+    The prefactor of eq. 29 cancels: beta = w_z / w_x. For an input that the ARD
+    prior has switched off both loadings vanish and their ratio means nothing.
+    """
+    beta = np.zeros_like(state.w_z_mean)
+    beta[retained] = state.w_z_mean[retained] / state.w_x_mean[retained]  # [eq. 29]
+    return beta
+
+
+_LOG_2PI = float(np.log(2 * np.pi))
+
+
+def data_bound(moments, hidden):
+    """Return the expected log-likelihood plus the entropy of q(Z, T)."""
+    n = moments.n
+    x_part = n * (_LOG_2PI + np.log(hidden.x_var) + np.log(hidden.t_precision))
+    x_part = x_part + moments.xx / hidden.x_var
+    y_part = n * (_LOG_2PI + np.log(hidden.y_var)) + hidden.S_ee / hidden.y_var
+    return -0.5 * float(x_part.sum() + y_part)
+
+
+def prior_bound(state, prior):
+    """Minus the divergence of q(w_z) q(w_x) q(alpha) from the prior, plus noise prior.
+
+    [eq. 5], whose second line is p(w_x | alpha). The inverse-gamma prior on psi_x
+    enters through its density on log(psi_x), without its constant (the weight's
+    normaliser), so that its maximum is at the documented mode.
+    """
+    total = 0.0
+    if prior.psi_x_weight and prior.psi_x_fixed is None:
+        ratio = prior.psi_x_mode / state.psi_x
+        total += 0.5 * prior.psi_x_weight * float((np.log(ratio) - ratio).sum())
+    if not prior.ard:
+        return total
+    shape, rate = state.alpha_shape, state.alpha_rate
+    E_alpha = shape / rate
+    E_log_alpha = digamma(shape) - np.log(rate)
+    E_zz = state.w_z_mean**2 + state.w_z_var
+    loadings = 0.5 * (E_log_alpha - E_alpha * E_zz + 1.0 + np.log(state.w_z_var))
+    if prior.coupled:
+        E_xx = state.w_x_mean**2 + state.w_x_var
+        loadings = loadings + 0.5 * (
+            E_log_alpha - E_alpha * E_xx + 1.0 + np.log(state.w_x_var)
+        )
+    a0, b0 = prior.ard_shape, prior.ard_rate
+    precisions = a0 * np.log(b0) - gammaln(a0) + (a0 - 1) * E_log_alpha - b0 * E_alpha
+    entropy = shape - np.log(rate) + gammaln(shape) + (1 - shape) * digamma(shape)
+    return total + float((loadings + precisions + entropy).sum())
+
+
+def bound(moments, state, hidden, prior):
+    """Return the lower bound on the log evidence (JFA: the log-likelihood)."""
+    return data_bound(moments, hidden) + prior_bound(state, prior)
+
 
 # Smallest variance, as a share of the variance of its own (standardised) column, that
 # the sums can resolve in floating point. A noise estimate that falls to it is a

@@ -20,8 +20,6 @@ from sklearn_vbjfa.datasets._fetch_research import (
     fetch_tiago,
 )
 from sklearn_vbjfa.datasets._paper_robots import load_arm_model, load_head_model
-from sklearn_vbjfa.datasets._recording import Recording
-from sklearn_vbjfa.datasets._recording_file import read_recording
 from sklearn_vbjfa.datasets._robots import (
     SimulatedRecording,
     load_demo_recording,
@@ -29,6 +27,8 @@ from sklearn_vbjfa.datasets._robots import (
 )
 from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
 from sklearn_vbjfa.datasets._tracking import TrackingResult, simulate_tracking
+from sklearn_vbjfa.recording._reader import read_recording
+from sklearn_vbjfa.recording._recording import Recording
 
 __all__ = [
     "ClosedLoopRecording",

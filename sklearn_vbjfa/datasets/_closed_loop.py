@@ -15,9 +15,9 @@ from sklearn_vbjfa.datasets._plant import (
     draw_plant,
     rigid_torques,
 )
-from sklearn_vbjfa.datasets._recording import Recording
 from sklearn_vbjfa.datasets._robots import _load
 from sklearn_vbjfa.datasets._simulation import ClosedLoop, Gains, low_gains
+from sklearn_vbjfa.recording._recording import Recording
 
 # Rows that are simulated at once: nothing but the recording itself grows with it.
 CHUNK = 4096

@@ -7,8 +7,8 @@ import numpy as np
 from scipy.io import loadmat
 
 from sklearn_vbjfa.datasets._download import fetch_files, source_address
-from sklearn_vbjfa.datasets._recording import Recording
-from sklearn_vbjfa.datasets._resample import Log, join
+from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording._resample import Log, join
 
 
 def fetch_emps(

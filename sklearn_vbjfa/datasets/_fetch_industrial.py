@@ -14,9 +14,9 @@ from sklearn_vbjfa.datasets._download import (
     fetch_files,
     source_address,
 )
-from sklearn_vbjfa.datasets._models import find_description, kr300_description
-from sklearn_vbjfa.datasets._recording import Recording
-from sklearn_vbjfa.datasets._resample import Log, join
+from sklearn_vbjfa.model._descriptions import find_description, kr300_description
+from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording._resample import Log, join
 
 # Ratio 101 times 0.125 (large) or 0.0922 (small drives) N m/A; not verified.
 _UR5_GAINS = (12.63, 12.63, 12.63, 9.31, 9.31, 9.31)

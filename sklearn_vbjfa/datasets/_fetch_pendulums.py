@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa.datasets._download import fetch_files, source_address
-from sklearn_vbjfa.datasets._recording import Recording
-from sklearn_vbjfa.datasets._resample import Log, join, median_period
+from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording._resample import Log, join, median_period
 
 # Full scale of the duty cycle in the register "present load".
 _XL330_FULL_SCALE = 885

@@ -11,9 +11,9 @@ from sklearn_vbjfa.datasets._download import (
     fetch_files,
     source_address,
 )
-from sklearn_vbjfa.datasets._models import find_description
-from sklearn_vbjfa.datasets._recording import Recording
-from sklearn_vbjfa.datasets._resample import Log, join, median_period
+from sklearn_vbjfa.model._descriptions import find_description
+from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording._resample import Log, join, median_period
 
 _LBR_PERIOD = 0.01  # [s]
 _TIAGO_JOINTS = ("torso_lift_joint", *(f"arm_{i}_joint" for i in range(1, 8)))

@@ -19,7 +19,7 @@ def paper_robot_urdf(name: str) -> str:
 
 def _load(name: str) -> "pin.Model":
     # The same reading as everywhere else in the package.
-    from sklearn_vbjfa.robot._model import load_model
+    from sklearn_vbjfa.model._loading import load_model
 
     return load_model(paper_robot_urdf(name))
 

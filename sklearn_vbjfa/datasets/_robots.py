@@ -6,8 +6,8 @@ from importlib import resources
 import numpy as np
 from sklearn.utils import check_random_state
 
-from sklearn_vbjfa.datasets._recording import Recording
 from sklearn_vbjfa.datasets._undeclared import undeclared_torque
+from sklearn_vbjfa.recording._recording import Recording
 
 # Fraction of a joint's range, and speed [rad/s or m/s], that the motion keeps to
 # where the robot description gives no (or a wider) limit.
@@ -80,7 +80,7 @@ def demo_arm_urdf():
 
 def _load(model):
     # The same reading as everywhere else in the package.
-    from sklearn_vbjfa.robot._model import load_model
+    from sklearn_vbjfa.model._loading import load_model
 
     return load_model(model)
 

@@ -1,28 +1,51 @@
-"""The loop: residual, effect, refit, and the error on data that was not touched."""
+"""The loop: residual, effect, refit, and the error on data that was not touched.
+
+Progress of a long search, on terminals only.
+"""
+
+import contextlib
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
-from sklearn_vbjfa.diagnosis import _split
-from sklearn_vbjfa.diagnosis._gaps import hidden, unexplained
-from sklearn_vbjfa.diagnosis._intervals import FinalFit
-from sklearn_vbjfa.diagnosis._judgement import Judgement
-from sklearn_vbjfa.diagnosis._outcome import make_outcome
-from sklearn_vbjfa.diagnosis._progress import progress_bar
-from sklearn_vbjfa.diagnosis._recording_view import RecordingView
-from sklearn_vbjfa.diagnosis._report import Report
-from sklearn_vbjfa.diagnosis._search import EffectSearch
+from sklearn_vbjfa.diagnosis.report._report import Report
+from sklearn_vbjfa.diagnosis.search import _split
+from sklearn_vbjfa.diagnosis.search._gaps import hidden, unexplained
+from sklearn_vbjfa.diagnosis.search._intervals import FinalFit
+from sklearn_vbjfa.diagnosis.search._judgement import Judgement
+from sklearn_vbjfa.diagnosis.search._outcome import make_outcome
+from sklearn_vbjfa.diagnosis.search._search import EffectSearch
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.inspection._inspect import inspect_channels
+from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
-from sklearn_vbjfa.robot._channel_checks import inspect_channels
-from sklearn_vbjfa.robot._groups import check_clock, check_dt, contiguous_groups
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
-from sklearn_vbjfa.robot._joint_columns import positions_in_order, torques_in_order
+from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
+from sklearn_vbjfa.recording._recording import check_clock, check_dt, contiguous_groups
+from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._model import joint_names, load_model
-from sklearn_vbjfa.robot._recording_checks import check_widths
-from sklearn_vbjfa.robot._recording_score import RecordingRegressorMixin
+from sklearn_vbjfa.robot._plan import check_widths
+
+
+@contextlib.contextmanager
+def progress_bar(wanted):
+    """Yield a function (round, text) that shows where the search is."""
+    if not wanted:
+        yield lambda number, text: None
+        return
+    from tqdm import tqdm
+
+    # disable=None: nothing is written unless stderr is a terminal.
+    with tqdm(
+        bar_format="{desc} [{elapsed}]", disable=None, leave=False, dynamic_ncols=True
+    ) as bar:
+
+        def show(number, text):
+            bar.set_description_str(f"{number} effects: {text}")
+
+        yield show
+
 
 # A channel with these faults is reported and not searched: what would be found is the
 # fault.

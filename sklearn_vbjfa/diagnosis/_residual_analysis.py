@@ -7,11 +7,11 @@ from sklearn.base import clone
 from sklearn.utils.validation import check_array
 from tabulate import tabulate
 
-from sklearn_vbjfa.diagnosis import _report_words as words
-from sklearn_vbjfa.diagnosis._blocks import correlation_time
-from sklearn_vbjfa.diagnosis._dependence import dependences, motion_signals
-from sklearn_vbjfa.diagnosis._recording_view import RecordingView
-from sklearn_vbjfa.diagnosis._regression import BlockRegression
+from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
+from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
+from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 

@@ -3,10 +3,10 @@
 import numpy as np
 from sklearn.utils.validation import check_array
 
-from sklearn_vbjfa._base import BaseJointFactorRegressor
-from sklearn_vbjfa._core import _stats
-from sklearn_vbjfa._sklearn_compat import check_sample_weight
+from sklearn_vbjfa._core import _moments
 from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
+from sklearn_vbjfa.regression._base import BaseJointFactorRegressor
+from sklearn_vbjfa.regression._sklearn_compat import check_sample_weight
 
 
 def fit_array(estimator, X, y, sample_weight=None):
@@ -126,8 +126,8 @@ def _block_statistics(X, y, weight=None):
         if not np.any(weight):
             return None
         weight = check_sample_weight(weight, X)
-    return _stats.from_data(X, y, weight)
+    return _moments.from_data(X, y, weight)
 
 
 def _merge(first, second):
-    return first if second is None else _stats.merge(first, second)
+    return first if second is None else _moments.merge(first, second)

@@ -17,17 +17,19 @@ import numpy as np
 from sklearn_vbjfa._core import _lowpass, _smoothing
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
+from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
 from sklearn_vbjfa.robot import _torque_noise
-from sklearn_vbjfa.robot._block_moments import Numbering
 from sklearn_vbjfa.robot._equations import accumulate
-from sklearn_vbjfa.robot._groups import check_dt, contiguous_groups
-from sklearn_vbjfa.robot._identification import _CHUNK_BYTES, smooth_recording
-from sklearn_vbjfa.robot._motion_facts import MotionFacts, merge_all, n_fastest
-from sklearn_vbjfa.robot._recording_checks import (
+from sklearn_vbjfa.robot._identifier import _CHUNK_BYTES, smooth_recording
+from sklearn_vbjfa.robot._joint_moments import Numbering
+from sklearn_vbjfa.robot._plan import (
+    MotionFacts,
     check_channels,
     check_input_noise,
     check_length,
     check_widths,
+    merge_all,
+    n_fastest,
     resolve_cutoff,
     resolve_standstill,
 )

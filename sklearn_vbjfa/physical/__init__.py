@@ -1,7 +1,7 @@
 """Physical consistency of rigid-body parameters: what it is and how to restore it."""
 
-from sklearn_vbjfa.physical._conic import ProjectionError
 from sklearn_vbjfa.physical._layout import ParameterLayout, resolve_layout
+from sklearn_vbjfa.physical._programme import ProjectionError
 from sklearn_vbjfa.physical._projection import ProjectionResult, project
 from sklearn_vbjfa.physical._projector import PhysicalProjector
 from sklearn_vbjfa.physical._pseudo_inertia import (

@@ -5,8 +5,8 @@ from sklearn.base import BaseEstimator, OneToOneFeatureMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.physical._layout import resolve_layout
-from sklearn_vbjfa.physical._metric import check_metric
 from sklearn_vbjfa.physical._projection import (
+    check_metric,
     check_options,
     check_vector,
     default_metric,

@@ -9,12 +9,12 @@ from sklearn.linear_model import LassoCV, LinearRegression, RidgeCV
 from sklearn.model_selection import GridSearchCV, KFold
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._instrumental_variables import InstrumentalVariables
-from sklearn_vbjfa._jfa import JFARegressor
-from sklearn_vbjfa._stepwise import StepwiseRegressor
-from sklearn_vbjfa._total_least_squares import TotalLeastSquares
-from sklearn_vbjfa._vbjfa import VBJFARegressor
-from sklearn_vbjfa.robot._groups import contiguous_groups
+from sklearn_vbjfa.recording._recording import contiguous_groups
+from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
+from sklearn_vbjfa.regression._jfa import JFARegressor
+from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
+from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
+from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 
 OURS = "VB + projection"

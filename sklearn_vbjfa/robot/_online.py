@@ -8,12 +8,12 @@ row is one symmetric rank-one update a joint, whatever the length of the memory.
 import numpy as np
 from scipy.linalg import blas
 
+from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.robot import _friction
-from sklearn_vbjfa.robot._effect_columns import RegressorRows
-from sklearn_vbjfa.robot._joint_statistics import JointStatistics, joint_statistics
+from sklearn_vbjfa.robot._equations import RegressorRows
+from sklearn_vbjfa.robot._joint_moments import JointStatistics, joint_statistics
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._model import import_pinocchio
-from sklearn_vbjfa.robot._recording_checks import check_widths, resolve_standstill
+from sklearn_vbjfa.robot._plan import check_widths, resolve_standstill
 
 # Up to this many rows are taken in one by one, more of them together.
 _FEW = 8

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.robot._groups import check_dt, contiguous_groups
+from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
 
 # Shortest period that states can be estimated from.
 _MIN_PERIOD = 16

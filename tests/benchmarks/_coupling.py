@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.robot._groups import contiguous_groups
-from sklearn_vbjfa.robot._joint_statistics import (
+from sklearn_vbjfa.recording._recording import contiguous_groups
+from sklearn_vbjfa.robot._joint_moments import (
     _least_squares,
     joint_statistics,
     noise_weights,

@@ -15,7 +15,7 @@ from scipy import linalg
 from sklearn.linear_model import LinearRegression, Ridge
 
 from sklearn_vbjfa import VBJFARegressor
-from sklearn_vbjfa._core import _stats
+from sklearn_vbjfa._core import _moments
 
 CONDITIONS = (1e2, 1e4, 1e6, 1e8, 1e10, 1e12)
 NOISES = (1e-2, 1e-6, 1e-10)
@@ -48,7 +48,7 @@ def models():
         return VBJFARegressor(latent="correlated", input_noise=0.0)
 
     def scatter_alone(X, y):
-        return ours()._fit_statistics(_stats.from_data(X, y))
+        return ours()._fit_statistics(_moments.from_data(X, y))
 
     exact = np.finfo(float).eps
     return {
@@ -119,7 +119,7 @@ def robot_motion(model, n, seed):
 
 def robot_regressors(model, n, seed, chunk=5000):
     """Yield blocks (n_block, nv, 11 nv): rigid bodies and viscous friction."""
-    from sklearn_vbjfa.robot._regressor import TreeRegressor
+    from sklearn_vbjfa.model._regressor import TreeRegressor
 
     regressor = TreeRegressor(model)
     for rows in np.array_split(np.arange(n), max(n // chunk, 1)):
@@ -141,12 +141,12 @@ def least_squares_of_factor(factor):
 def robot_errors(noise, n, seed=0):
     """Relative errors of new torques: scatter, QR; their difference; rank and size."""
     from sklearn_vbjfa.datasets import load_arm_model
-    from sklearn_vbjfa.robot._joint_statistics import (
+    from sklearn_vbjfa.model._loading import nominal_parameters
+    from sklearn_vbjfa.robot._joint_moments import (
         _least_squares,
         combine,
         joint_statistics,
     )
-    from sklearn_vbjfa.robot._model import nominal_parameters
 
     model = load_arm_model()
     theta = np.append(np.ravel(nominal_parameters(model)), np.full(model.nv, 0.5))
@@ -161,7 +161,7 @@ def robot_errors(noise, n, seed=0):
         block = joint_statistics(Phi, tau, np.ones(tau.shape))
         stats = block if stats is None else stats + block
         rows = np.concatenate([Phi, tau[:, :, None]], axis=2) * np.sqrt(weight)[:, None]
-        factor = _stats.triangular(factor, rows.reshape(-1, theta.size + 1))
+        factor = _moments.triangular(factor, rows.reshape(-1, theta.size + 1))
     total = combine(stats, weight)
     by_scatter = _least_squares(total.S_xx, total.S_xy)
     by_factor = least_squares_of_factor(factor)

@@ -14,7 +14,7 @@ import numpy as np
 from _report import parser, publish, rst_table
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.datasets._protocols import protocols
+from sklearn_vbjfa.datasets._catalogue import protocols
 
 # Recordings used, where a set has several and the others are another motion's; and
 # cut-offs [Hz] of the low-pass where they differ from the comparison of methods.

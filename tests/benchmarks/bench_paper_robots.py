@@ -39,12 +39,11 @@ from sklearn_vbjfa import (
     StepwiseRegressor,
     VBJFARegressor,
 )
-from sklearn_vbjfa._core._lowpass import Lowpass
+from sklearn_vbjfa._core._lowpass import BlockFilter, Lowpass
 from sklearn_vbjfa.datasets import make_closed_loop_recording, simulate_tracking
 from sklearn_vbjfa.datasets._plant import draw_motion, rigid_torques
 from sklearn_vbjfa.physical import ProjectionError
-from sklearn_vbjfa.robot import _identification
-from sklearn_vbjfa.robot._block_filter import BlockFilter
+from sklearn_vbjfa.robot import _identifier
 from sklearn_vbjfa.robot._states import SplineStates
 
 FRICTION = ("viscous",)
@@ -61,7 +60,7 @@ CALLS = (
     ("features", RigidBodyFeatures, ("_compute",)),
     ("statistics", Lowpass, ("__call__",)),
     ("statistics", BlockFilter, ("add",)),
-    ("statistics", _identification, ("accumulate",)),
+    ("statistics", _identifier, ("accumulate",)),
     ("statistics", JointTorqueRegressor, ("_accumulate",)),
     ("fit", JointTorqueRegressor, ("_finish",)),
     ("projection", PhysicalProjector, ("fit", "transform")),

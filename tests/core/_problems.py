@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from sklearn_vbjfa._core._state import Prior, State
-from sklearn_vbjfa._core._stats import DataMoments, GramMoments
+from sklearn_vbjfa._core._moments import DataMoments, GramMoments
+from sklearn_vbjfa._core._updates import Prior, State
 from tests.reference import paper_jfa as ref
 
 ARD_SHAPE, ARD_RATE = 0.3, 0.7  # nothing special, and far from their defaults

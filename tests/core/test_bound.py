@@ -9,9 +9,13 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa._core import _solver
-from sklearn_vbjfa._core._bound import bound, data_bound, prior_bound
-from sklearn_vbjfa._core._state import Prior
-from sklearn_vbjfa._core._updates import expect_hidden
+from sklearn_vbjfa._core._updates import (
+    Prior,
+    bound,
+    data_bound,
+    expect_hidden,
+    prior_bound,
+)
 from tests.core import _problems
 from tests.core._problems import ARD_RATE, ARD_SHAPE
 from tests.reference import paper_jfa as ref

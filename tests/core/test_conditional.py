@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import optimize
 
-from sklearn_vbjfa._core import _conditional
+from sklearn_vbjfa._core import _correlated
 
 
 @pytest.mark.parametrize(("shape0", "rate0"), [(1e-6, 1e-6), (0.3, 0.7)])
@@ -20,7 +20,7 @@ def test_precisions_are_fixed_points_of_the_plain_update(shape0, rate0):
         total = alpha + s
         return (2 * shape0 + 1) / (2 * rate0 + (q / total) ** 2 + 1 / total)
 
-    found = _conditional.precisions_given_others(
+    found = _correlated.precisions_given_others(
         q / (alpha + s), 1 / (alpha + s), alpha, shape0, rate0
     )
     # Slopes of the plain update near one take digits of a root.
@@ -43,7 +43,7 @@ def test_noise_is_the_maximum(d):
         return 0.5 * ((n - d) * log_s2 + squares / s2 + penalty * s2)
 
     best = optimize.minimize_scalar(minus, bounds=(-10, 10), method="bounded")
-    found = _conditional.noise_given_shape(squares, n, d, penalty)
+    found = _correlated.noise_given_shape(squares, n, d, penalty)
     assert_allclose(np.log(found), best.x, atol=1e-4)
 
 
@@ -56,7 +56,7 @@ def test_mean_and_noise_are_the_maximum():
     xy, alpha = S @ np.array([1.0, -0.5, 0.2]), np.array([0.1, 1.0, 3.0])
     yy = float(xy @ np.linalg.solve(S, xy)) + 30.0
     shape = np.linalg.inv(S)
-    mean, s2 = _conditional.mean_and_noise(
+    mean, s2 = _correlated.mean_and_noise(
         (S, xy, yy, n), H, P, shape, (np.zeros(d), 1.0), alpha
     )
     inflate = np.linalg.inv(np.eye(d) + P @ shape)

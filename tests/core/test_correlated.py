@@ -11,7 +11,7 @@ from scipy.special import digamma, gammaln
 from scipy.stats import multivariate_normal
 
 from sklearn_vbjfa._core import _correlated
-from sklearn_vbjfa._core._stats import SquareRoot
+from sklearn_vbjfa._core._moments import SquareRoot
 from tests.core._problems import ARD_RATE, ARD_SHAPE
 
 LOG_2PI = np.log(2 * np.pi)

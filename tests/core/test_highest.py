@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sklearn_vbjfa._core import _predict, _solver
-from sklearn_vbjfa._core._highest import at_highest_likelihood
-from sklearn_vbjfa._core._state import Prior
-from sklearn_vbjfa._core._stats import from_data, standardise
+from sklearn_vbjfa._core import _solver, _updates
+from sklearn_vbjfa._core._moments import from_data, standardise
+from sklearn_vbjfa._core._solver import at_highest_likelihood
+from sklearn_vbjfa._core._updates import Prior
 from tests.core import _problems
 
 
@@ -48,7 +48,7 @@ def test_em_cannot_leave_it_and_stays_below(seed, noise, correlation):
         moments, start, prior, max_iter=3000, tol=0.0, accelerate=False
     )
     assert long.history[-1] <= top + 1e-9 * abs(top)
-    assert_allclose(_predict.coefficients_noisy(state), c, rtol=1e-6)
+    assert_allclose(_updates.coefficients_noisy(state), c, rtol=1e-6)
     # What is known stays, signs stay, and variances are variances.
     if noise is not None:
         assert_allclose(state.psi_x, fixed)
@@ -86,7 +86,7 @@ def test_split_that_makes_too_much_noise_is_lowered_by_one_factor():
     shares = []
     for one in (start, state):
         V = one.psi_x + one.w_x_mean**2
-        through = _predict.coefficients_noisy(one) ** 2 @ (
+        through = _updates.coefficients_noisy(one) ** 2 @ (
             V * one.psi_x / (V - one.psi_x)
         )
         shares.append(through / (through + one.psi_y + one.psi_z.sum()))

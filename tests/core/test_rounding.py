@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy import linalg
 
 from sklearn_vbjfa import VBJFARegressor
-from sklearn_vbjfa._core import _rounding, _stats
+from sklearn_vbjfa._core import _moments
 
 
 def make_problem(n, condition, noise, seed=0, *, n_features=6):
@@ -52,7 +52,7 @@ def test_predictions_are_those_of_the_rows(condition, noise, n):
     standard_error = noise * np.sqrt(6 / n)
     assert error < 0.1 * standard_error + 64 * np.finfo(float).eps * condition
     assert model.status_ == "converged"
-    scatter_alone = make_model()._fit_statistics(_stats.from_data(X, y))
+    scatter_alone = make_model()._fit_statistics(_moments.from_data(X, y))
     if condition * noise >= 1e8:
         assert model.statistics_.factor is not None
         assert relative(scatter_alone.predict(X), reference) > 100 * error
@@ -99,7 +99,7 @@ def test_integers_against_exact_fractions():
 )
 def test_the_choice(condition, noise, needed):
     X, y, _ = make_problem(500, condition, noise)
-    stats = _rounding.accumulate(X, y, None, centred=True)
+    stats = _moments.accumulate(X, y, None, centred=True)
     assert (stats.factor is not None) == needed
 
 
@@ -109,34 +109,36 @@ def test_exact_dependencies_need_no_factor(offset):
     X = rng.normal(size=(500, 3)) + offset
     X = np.column_stack([X, X[:, 0], X @ [1.0, 2.0, -1.0], 0.5 * X[:, 1]])
     y = X[:, 0] + 0.1 * rng.normal(size=500)
-    assert _rounding.accumulate(X, y, None, centred=True).factor is None
+    assert _moments.accumulate(X, y, None, centred=True).factor is None
     # A dependency that the scatter takes for exact and the rows do not.
     X[:, 3] += 1e-9 * rng.normal(size=500)
-    assert _rounding.accumulate(X, y, None, centred=True).factor is not None
+    assert _moments.accumulate(X, y, None, centred=True).factor is not None
 
 
 @pytest.mark.parametrize("centred", [True, False])
 @pytest.mark.parametrize("splits", [1, 3, 7])
 def test_factor_of_any_chunks(monkeypatch, splits, centred):
-    monkeypatch.setattr(_stats, "_BLOCK_BYTES", 1)
+    monkeypatch.setattr(_moments, "_BLOCK_BYTES", 1)
     rng = np.random.default_rng(3)
     X = rng.normal(size=(900, 3)) + [5.0, -2.0, 0.0]
     y, weight = X @ [1.0, 2.0, 3.0] + rng.normal(size=900), rng.uniform(0.5, 2, 900)
     total = None
     for rows in np.array_split(np.arange(900), splits):
-        part = _stats.from_data(X[rows], y[rows], weight[rows])
-        part = _stats.with_factor(part, X[rows], y[rows], weight[rows])
-        total = _stats.merge(total, part)
+        part = _moments.from_data(X[rows], y[rows], weight[rows])
+        part = _moments.with_factor(part, X[rows], y[rows], weight[rows])
+        total = _moments.merge(total, part)
     R = total.factor_about(centred=centred)
     assert_array_equal(R, np.triu(R))
     rows = joint_rows(X, y, weight, centred)
     assert_allclose(R.T @ R, rows.T @ rows, rtol=1e-11, atol=1e-9)
-    faded = _stats.fade(total, 0.25).factor_about(centred=centred)
+    faded = _moments.fade(total, 0.25).factor_about(centred=centred)
     assert_allclose(faded.T @ faded, 0.25 * rows.T @ rows, rtol=1e-11, atol=1e-9)
     # Standardised, the moments are those of the factor.
-    data = _stats.standardise(total, centred=centred).moments
+    data = _moments.standardise(total, centred=centred).moments
     c = np.array([0.3, -1.0, 2.0])
-    plain = _stats.standardise(_stats.from_data(X, y, weight), centred=centred).moments
+    plain = _moments.standardise(
+        _moments.from_data(X, y, weight), centred=centred
+    ).moments
     assert_allclose(data.dot(c), plain.dot(c), rtol=1e-10)
     for ours, theirs in zip(data.residual(c), plain.residual(c)):
         assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * plain.n)
@@ -144,27 +146,27 @@ def test_factor_of_any_chunks(monkeypatch, splits, centred):
 
 def test_merging_with_rows_without_factor_has_none():
     X, y, _ = make_problem(50, 1e2, 0.1)
-    plain = _stats.from_data(X, y)
-    assert _stats.merge(_stats.with_factor(plain, X, y), plain).factor is None
+    plain = _moments.from_data(X, y)
+    assert _moments.merge(_moments.with_factor(plain, X, y), plain).factor is None
 
 
 def test_a_large_offset_does_not_round_the_scatter(monkeypatch):
     # Integers: near zero every sum is exact. Each block's mean about its own rows, not
     # about zero, keeps the digits that differences of means need.
-    monkeypatch.setattr(_stats, "_BLOCK_BYTES", 1)
+    monkeypatch.setattr(_moments, "_BLOCK_BYTES", 1)
     rng = np.random.default_rng(4)
     X = rng.integers(-1000, 1000, (2000, 3)).astype(float)
     y = rng.integers(-1000, 1000, 2000).astype(float)
-    near = _stats.from_data(X, y)
-    far = _stats.from_data(X + 1e12, y - 1e12)
+    near = _moments.from_data(X, y)
+    far = _moments.from_data(X + 1e12, y - 1e12)
     unit = np.sqrt(np.diagonal(near.S_xx))
     difference = (far.S_xx - near.S_xx) / np.outer(unit, unit)
     assert_allclose(difference, 0.0, atol=1e-14)
     # In chunks, too: the means carry what their rounding left.
     total = None
     for rows in np.array_split(np.arange(2000), 9):
-        part = _stats.from_data(X[rows] + 1e12, y[rows] - 1e12)
-        total = _stats.merge(total, part)
+        part = _moments.from_data(X[rows] + 1e12, y[rows] - 1e12)
+        total = _moments.merge(total, part)
     difference = (total.S_xx - near.S_xx) / np.outer(unit, unit)
     assert_allclose(difference, 0.0, atol=1e-14)
 
@@ -196,15 +198,15 @@ def test_residuals_of_a_factor_keep_their_digits():
     # e = y - c'x of 1e-9, beside sums over the rows in extended precision.
     X, y, _ = make_problem(300, 1e3, 0.0, n_features=3)
     c = linalg.lstsq(X, y - y.mean())[0]
-    stats = _stats.from_data(X, y)
+    stats = _moments.from_data(X, y)
     unit_x, unit_y = X.std(axis=0), y.std()
     c = c * unit_x / unit_y * (1 + 1e-9)
     Z = (X.astype(np.longdouble) - X.astype(np.longdouble).mean(axis=0)) / unit_x
     e = (y.astype(np.longdouble) - y.astype(np.longdouble).mean()) / unit_y - Z @ c
     exact = float(e @ e)
     errors = []
-    for found in (stats, _stats.with_factor(stats, X, y)):
-        moments = _stats.standardise(found, centred=True).moments
+    for found in (stats, _moments.with_factor(stats, X, y)):
+        moments = _moments.standardise(found, centred=True).moments
         errors.append(abs(moments.residual(c)[1] / exact - 1))
     assert errors[1] < 1e-3
     assert errors[0] > 10 * errors[1]

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa._core import _predict, _solver
-from sklearn_vbjfa._core._bound import bound
-from sklearn_vbjfa._core._coordinates import Slope, from_vector, slope, to_vector
-from sklearn_vbjfa._core._state import Prior
-from sklearn_vbjfa._core._stats import from_data, standardise
+from sklearn_vbjfa._core import _solver, _updates
+from sklearn_vbjfa._core._moments import from_data, standardise
+from sklearn_vbjfa._core._solver import Slope, from_vector, slope, to_vector
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
+    Prior,
+    bound,
     expect_hidden,
     update_loadings,
     update_precisions,
@@ -83,8 +83,8 @@ def test_acceleration_ends_where_the_plain_iteration_does(model):
     assert fast.history[-1] >= plain.history[-1] - 1e-12 * 200 * plain.n_iter
     # A gain of 1e-12 per sample and step, of a quadratic in the coefficients.
     assert_allclose(
-        _predict.coefficients_noisy(fast.state),
-        _predict.coefficients_noisy(plain.state),
+        _updates.coefficients_noisy(fast.state),
+        _updates.coefficients_noisy(plain.state),
         atol=1e-5,
     )
     assert fast.n_iter < plain.n_iter

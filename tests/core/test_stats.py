@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa._core import _stats
+from sklearn_vbjfa._core import _moments
 
 
 def make_rows(seed, n_samples=300, n_features=4, offset=3.0):
@@ -40,7 +40,7 @@ def assert_same(first, second, rtol=1e-12, *, rows=True):
 def test_equal_to_numpy(weighted):
     X, y, weight = make_rows(0)
     w = weight if weighted else None
-    stats = _stats.from_data(X, y, w)
+    stats = _moments.from_data(X, y, w)
     joint = np.column_stack([X, y])
     mean = np.average(joint, axis=0, weights=w)
     scatter = np.cov(joint, rowvar=False, aweights=w, ddof=0) * stats.n_samples
@@ -57,7 +57,7 @@ def test_equal_to_numpy(weighted):
 
 def test_about_zero_gives_the_raw_moments():
     X, y, weight = make_rows(1)
-    S, xy, yy = _stats.from_data(X, y, weight).about(centred=False)
+    S, xy, yy = _moments.from_data(X, y, weight).about(centred=False)
     assert_allclose(S, X.T @ (weight[:, None] * X), rtol=1e-12)
     assert_allclose(xy, X.T @ (weight * y), rtol=1e-12)
     assert_allclose(yy, weight @ y**2, rtol=1e-12)
@@ -67,9 +67,9 @@ def test_about_zero_gives_the_raw_moments():
 def test_blocks_equal_the_whole(monkeypatch, weighted):
     X, y, weight = make_rows(2, 1000)
     w = weight if weighted else None
-    whole = _stats.from_data(X, y, w)
-    monkeypatch.setattr(_stats, "_BLOCK_BYTES", 1)  # the smallest block, 256 rows
-    assert_same(_stats.from_data(X, y, w), whole)
+    whole = _moments.from_data(X, y, w)
+    monkeypatch.setattr(_moments, "_BLOCK_BYTES", 1)  # the smallest block, 256 rows
+    assert_same(_moments.from_data(X, y, w), whole)
 
 
 @settings(max_examples=25, derandomize=True, deadline=None)
@@ -84,14 +84,14 @@ def test_merge_in_any_chunks_and_order(seed, cuts, order, weighted):
     w = weight if weighted else None
     bounds = [0, *sorted(cuts), 100]
     pieces = [
-        _stats.from_data(X[a:b], y[a:b], None if w is None else w[a:b])
+        _moments.from_data(X[a:b], y[a:b], None if w is None else w[a:b])
         for a, b in itertools.pairwise(bounds)
     ]
     order.shuffle(pieces)
     total = None
     for piece in pieces:
-        total = _stats.merge(total, piece)
-    assert_same(total, _stats.from_data(X, y, w))
+        total = _moments.merge(total, piece)
+    assert_same(total, _moments.from_data(X, y, w))
 
 
 @settings(max_examples=15, derandomize=True, deadline=None)
@@ -100,8 +100,8 @@ def test_weight_is_repetition(seed, n_samples):
     X, y, _ = make_rows(seed, n_samples)
     count = np.random.default_rng(seed).integers(0, 4, n_samples)
     count[:2] = 1, 3
-    weighted = _stats.from_data(X, y, count.astype(float))
-    repeated = _stats.from_data(np.repeat(X, count, axis=0), np.repeat(y, count))
+    weighted = _moments.from_data(X, y, count.astype(float))
+    repeated = _moments.from_data(np.repeat(X, count, axis=0), np.repeat(y, count))
     assert_same(weighted, repeated, rows=False)
     assert weighted.n_rows == np.count_nonzero(count)
 
@@ -112,10 +112,10 @@ def test_large_offset_costs_only_its_rounding(split):
     rng = np.random.default_rng(3)
     X = rng.integers(-1000, 1000, (500, 3)).astype(float)
     y = rng.integers(-1000, 1000, 500).astype(float)
-    near = _stats.from_data(X, y)
+    near = _moments.from_data(X, y)
     far = None
     for rows in np.array_split(np.arange(500), split):
-        far = _stats.merge(far, _stats.from_data(X[rows] + 1e11, y[rows] + 1e11))
+        far = _moments.merge(far, _moments.from_data(X[rows] + 1e11, y[rows] + 1e11))
     # The mean is rounded by 1e11 eps = 2e-5, against a spread of 600, and enters the
     # scatter by its square; raw second moments would have lost all their digits.
     assert_allclose(far.x_mean - 1e11, near.x_mean, atol=1e-4)
@@ -132,8 +132,8 @@ def test_rows_and_scatter_standardise_alike(shape, centred, weighted):
     X, y, weight = make_rows(4, *shape)
     X[:, 1] = 0.1  # constant; not when moments are about zero
     w = weight if weighted else None
-    gram = _stats.standardise(_stats.from_data(X, y, w), centred=centred)
-    rows = _stats.standardise_data(X, y, w, centred=centred)
+    gram = _moments.standardise(_moments.from_data(X, y, w), centred=centred)
+    rows = _moments.standardise_data(X, y, w, centred=centred)
     assert_array_equal(gram.active, rows.active)
     assert_array_equal(gram.active, (np.arange(shape[1]) != 1) | (not centred))
     for name in ("x_scale", "y_scale", "x_offset", "y_offset"):
@@ -153,9 +153,9 @@ def test_rows_and_scatter_standardise_alike(shape, centred, weighted):
 @pytest.mark.parametrize("unit", [1e-6, 1.0, 1e6])
 def test_standardised_moments_have_no_unit(unit):
     X, y, weight = make_rows(5)
-    plain = _stats.standardise(_stats.from_data(X, y, weight), centred=True)
-    scaled = _stats.standardise(
-        _stats.from_data(unit * X, y / unit, weight), centred=True
+    plain = _moments.standardise(_moments.from_data(X, y, weight), centred=True)
+    scaled = _moments.standardise(
+        _moments.from_data(unit * X, y / unit, weight), centred=True
     )
     n = plain.moments.n
     assert_allclose(scaled.moments.S, plain.moments.S, atol=1e-12 * n)
@@ -171,8 +171,8 @@ def test_constant_columns_are_not_active(value, weighted):
     X[:, 2] = value
     w = weight if weighted else None
     for data in (
-        _stats.standardise(_stats.from_data(X, y, w), centred=True),
-        _stats.standardise_data(X, y, w, centred=True),
+        _moments.standardise(_moments.from_data(X, y, w), centred=True),
+        _moments.standardise_data(X, y, w, centred=True),
     ):
         assert_array_equal(data.active, [True, True, False, True])
         assert_array_equal(data.expand([1.0, 2.0, 3.0]), [1.0, 2.0, 0.0, 3.0])
@@ -186,11 +186,13 @@ def test_constant_output_has_the_scale_zero(value):
     y = np.full(20_000, value)
     total = None
     for rows in np.array_split(np.arange(20_000), 13):
-        total = _stats.merge(total, _stats.from_data(X[rows], y[rows], weight[rows]))
+        total = _moments.merge(
+            total, _moments.from_data(X[rows], y[rows], weight[rows])
+        )
     for data in (
-        _stats.standardise(total, centred=True),
-        _stats.standardise(_stats.from_data(X, y, weight), centred=True),
-        _stats.standardise_data(X, y, weight, centred=True),
+        _moments.standardise(total, centred=True),
+        _moments.standardise(_moments.from_data(X, y, weight), centred=True),
+        _moments.standardise_data(X, y, weight, centred=True),
     ):
         assert data.y_scale == 0.0
         assert np.isfinite(data.moments.xy).all()
@@ -199,6 +201,6 @@ def test_constant_output_has_the_scale_zero(value):
 def test_small_spread_on_a_large_offset_is_data():
     rng = np.random.default_rng(8)
     X = 1e8 + rng.normal(size=(500, 2))
-    data = _stats.standardise(_stats.from_data(X, X[:, 0]), centred=True)
+    data = _moments.standardise(_moments.from_data(X, X[:, 0]), centred=True)
     assert data.active.all()
     assert_allclose(data.x_scale, X.std(axis=0), rtol=1e-6)

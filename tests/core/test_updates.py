@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa._core import _predict, _solver
-from sklearn_vbjfa._core._state import Prior
+from sklearn_vbjfa._core import _solver, _updates
 from sklearn_vbjfa._core._updates import (
+    Prior,
     expect_hidden,
     update_loadings,
     update_noise,
@@ -181,16 +181,16 @@ def test_coefficients_equal_the_literal_matrices(seed):
     args = state.psi_y, state.psi_z
     noisy = ref.beta_noise_eq27(state.w_z_mean, state.w_x_mean, *args, state.psi_x)
     noiseless = ref.beta_true_eq29(state.w_z_mean, state.w_x_mean, *args)
-    assert_allclose(_predict.coefficients_noisy(state), noisy, rtol=1e-10)
+    assert_allclose(_updates.coefficients_noisy(state), noisy, rtol=1e-10)
     everything = np.ones(5, dtype=bool)
-    ours = _predict.coefficients_noiseless(state, everything)
+    ours = _updates.coefficients_noiseless(state, everything)
     assert_allclose(ours, noiseless, rtol=1e-10)
 
 
 def test_inputs_not_retained_get_the_coefficient_zero():
     state = _problems.make_state(0, 3)
     state = replace(state, w_x_mean=np.array([0.0, 0.5, -0.5]))
-    beta = _predict.coefficients_noiseless(state, np.array([False, True, False]))
+    beta = _updates.coefficients_noiseless(state, np.array([False, True, False]))
     assert_array_equal(beta, [0.0, state.w_z_mean[1] / 0.5, 0.0])
 
 

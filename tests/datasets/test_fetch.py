@@ -16,9 +16,9 @@ from sklearn_vbjfa.datasets import (
     _fetch_industrial,
     _fetch_pendulums,
     _fetch_research,
-    _models,
 )
 from sklearn_vbjfa.datasets._download import find_file, remote_files
+from sklearn_vbjfa.model import _descriptions
 
 # name -> (samples of each recording, joints, period [s])
 CONTENT = {
@@ -404,7 +404,7 @@ def test_description_comes_from_example_robot_data(monkeypatch, tmp_path):
             return str(self)
 
     monkeypatch.setattr(importlib.metadata, "files", lambda name: [Entry(urdf)])
-    assert _models.find_description("ur5", tmp_path / "empty") == str(urdf)
+    assert _descriptions.find_description("ur5", tmp_path / "empty") == str(urdf)
 
 
 def test_description_without_any_source(monkeypatch, tmp_path):
@@ -415,10 +415,10 @@ def test_description_without_any_source(monkeypatch, tmp_path):
 
     monkeypatch.setattr(importlib.metadata, "files", not_installed)
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
-    assert _models.find_description("tiago", tmp_path) is None
+    assert _descriptions.find_description("tiago", tmp_path) is None
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(FileNotFoundError, match="pip install example-robot-data"):
-        _models.build_model("tiago", None, ("torso_lift_joint",))
+        _descriptions.build_model("tiago", None, ("torso_lift_joint",))
 
 
 def test_description_comes_from_robot_descriptions(monkeypatch, fetch):
@@ -427,7 +427,7 @@ def test_description_comes_from_robot_descriptions(monkeypatch, fetch):
     package = SimpleNamespace(URDF_PATH=ur5.urdf)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: True)
     monkeypatch.setattr(importlib, "import_module", lambda name: package)
-    assert _models.build_model("ur5", None, ur5.joint_names).nv == 6
+    assert _descriptions.build_model("ur5", None, ur5.joint_names).nv == 6
 
 
 def _filtered(recording, cutoff):

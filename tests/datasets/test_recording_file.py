@@ -11,7 +11,7 @@ import pytest
 
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
 from sklearn_vbjfa.datasets._robots import demo_arm_urdf
-from sklearn_vbjfa.datasets._stamps import inspect_time_stamps, interpolate
+from sklearn_vbjfa.recording._stamps import inspect_time_stamps, interpolate
 
 N = 60
 DT = 0.01

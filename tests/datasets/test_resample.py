@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.datasets._resample import Log, join, median_period, resample_uniform
+from sklearn_vbjfa.recording._resample import Log, join, median_period, resample_uniform
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ from sklearn_vbjfa.datasets import (  # noqa: E402
     load_demo_recording,
     make_robot_recording,
 )
-from sklearn_vbjfa.datasets._protocols import Protocol, protocols  # noqa: E402
+from sklearn_vbjfa.datasets._catalogue import Protocol, protocols  # noqa: E402
 from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
 

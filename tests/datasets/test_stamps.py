@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.datasets._protocols import protocols
-from sklearn_vbjfa.datasets._stamps import (
+from sklearn_vbjfa.datasets._catalogue import protocols
+from sklearn_vbjfa.recording._stamps import (
     inspect_time_stamps,
     merge_doubled,
     prediction_errors,

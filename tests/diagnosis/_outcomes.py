@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis._dependence import Dependence
-from sklearn_vbjfa.diagnosis._evidence import Evidence
-from sklearn_vbjfa.diagnosis._findings import (
+from sklearn_vbjfa.diagnosis.search._dependence import Dependence
+from sklearn_vbjfa.diagnosis.search._evidence import Evidence
+from sklearn_vbjfa.diagnosis.search._findings import (
     DiscoveredEffect,
     Hidden,
     Outcome,
@@ -12,7 +12,7 @@ from sklearn_vbjfa.diagnosis._findings import (
     Trial,
     Unexplained,
 )
-from sklearn_vbjfa.robot._channel_checks import ChannelFinding
+from sklearn_vbjfa.inspection._inspect import ChannelFinding
 
 EVIDENCE = Evidence(gain=0.46, gain_std=0.04, p_value=2.3e-9, n_blocks=52, helped=0.9)
 KINDS = (

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa.diagnosis._blocks import FEWEST, correlation_time, make_blocks
+from sklearn_vbjfa.diagnosis.search._blocks import FEWEST, correlation_time, make_blocks
 
 
 def blocks_of(lengths, correlation=0.05, filter_length=0.1, step=0.05):

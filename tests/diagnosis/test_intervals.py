@@ -10,7 +10,11 @@ from scipy import signal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.diagnosis._intervals import NEXT_SECONDS, FinalFit, error_intervals
+from sklearn_vbjfa.diagnosis.search._intervals import (
+    NEXT_SECONDS,
+    FinalFit,
+    error_intervals,
+)
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 from tests.diagnosis._recordings import named, record
 from tests.effects._arms import arm, inverse_dynamics, motion

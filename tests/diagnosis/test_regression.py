@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa.diagnosis._blocks import Blocks
-from sklearn_vbjfa.diagnosis._regression import BlockRegression, Equations
+from sklearn_vbjfa.diagnosis.search._blocks import Blocks
+from sklearn_vbjfa.diagnosis.search._regression import BlockRegression, Equations
 
 NV, M, R = 2, 240, 4
 PRECISION = np.array([1.0, 7.0])

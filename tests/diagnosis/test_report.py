@@ -6,9 +6,9 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.diagnosis import _report_words as words
-from sklearn_vbjfa.diagnosis._report import Report
-from sklearn_vbjfa.diagnosis._report_pictures import residual_picture, time_axis
+from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._html import residual_picture, time_axis
+from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.effects import Coulomb, available
 from tests.diagnosis._outcomes import finding, make_effect, make_outcome, make_round
 

@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis import _search, _split
+from sklearn_vbjfa.diagnosis.search import _search, _split
 from tests.diagnosis._recordings import record
 
 ONE = record("Y", seed=0, duration=24.0)

@@ -8,8 +8,8 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis._recording_view import RecordingView
-from sklearn_vbjfa.diagnosis._search import EffectSearch
+from sklearn_vbjfa.diagnosis.search._search import EffectSearch
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from tests.diagnosis._recordings import DT, record
 
 CLEAN = record("ZY", seed=2)

@@ -7,8 +7,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import JointTorqueRegressor, PhysicalProjector, effects
-from sklearn_vbjfa.diagnosis._blocks import Blocks
-from sklearn_vbjfa.diagnosis._transfer import Transfer, stretches
+from sklearn_vbjfa.diagnosis.search._blocks import Blocks
+from sklearn_vbjfa.diagnosis.search._search import Transfer, stretches
 from tests.diagnosis._recordings import record
 from tests.diagnosis.test_search import coulomb, found, search, spring
 

@@ -5,8 +5,11 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
-from sklearn_vbjfa.diagnosis._blocks import correlation_time
-from sklearn_vbjfa.diagnosis._whitening import Whitening, fit_memory
+from sklearn_vbjfa.diagnosis.search._blocks import (
+    Whitening,
+    correlation_time,
+    fit_memory,
+)
 
 
 def autoregression(keep, n, seed=0):

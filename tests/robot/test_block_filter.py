@@ -7,8 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.robot import _block_filter
-from sklearn_vbjfa.robot._block_filter import BlockFilter, block_length, decimate
+from sklearn_vbjfa._core._lowpass import BlockFilter, block_length, decimate
 
 FILTERS = [
     _lowpass.design(0.01, 5.0),
@@ -62,5 +61,5 @@ def test_blocks_begin_at_outputs(lowpass, row_bytes):
     length = block_length(lowpass, row_bytes)
     assert length > 0
     assert length % lowpass.step == 0
-    limit = max(_block_filter._MIN_ROWS, 2 * lowpass.half) + lowpass.step
+    limit = max(_lowpass._MIN_ROWS, 2 * lowpass.half) + lowpass.step
     assert length <= limit or not lowpass.half

@@ -11,8 +11,8 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.robot._channel_checks import inspect_channels
-from sklearn_vbjfa.robot._model import is_prismatic
+from sklearn_vbjfa.inspection._inspect import inspect_channels
+from sklearn_vbjfa.model._loading import is_prismatic
 from tests.robot._channel_faults import FAULTS, visible
 from tests.robot._robots import random_tree
 

@@ -6,10 +6,7 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.robot._consistency import (  # noqa: E402
-    min_eigenvalues,
-    project_beside,
-)
+from sklearn_vbjfa.robot._estimate import min_eigenvalues, project_beside  # noqa: E402
 
 
 def problem(extra):

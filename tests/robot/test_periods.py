@@ -12,8 +12,8 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier, StateEstimator
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Drift
+from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._model import nominal_parameters
 from sklearn_vbjfa.robot._periods import average_periods, period_samples
 from tests.robot._robots import swing
 

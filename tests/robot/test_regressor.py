@@ -13,10 +13,10 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
 from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
-from sklearn_vbjfa.robot import _regressor  # noqa: E402
+from sklearn_vbjfa.model import _regressor  # noqa: E402
+from sklearn_vbjfa.model._loading import load_model  # noqa: E402
+from sklearn_vbjfa.model._regressor import TreeRegressor  # noqa: E402
 from sklearn_vbjfa.robot._features import rounding_entries  # noqa: E402
-from sklearn_vbjfa.robot._model import load_model  # noqa: E402
-from sklearn_vbjfa.robot._regressor import TreeRegressor  # noqa: E402
 
 has_numba = importlib.util.find_spec("numba") is not None
 by_both = pytest.mark.parametrize(

@@ -9,7 +9,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Drift
-from sklearn_vbjfa.robot._recording_checks import check_time_stamps, resolve_clock
+from sklearn_vbjfa.robot._plan import check_time_stamps, resolve_clock
 from tests.robot._robots import swing
 
 DT = 0.01

@@ -1,0 +1,1 @@
+"""Figures of fitted models, drawn by matplotlib."""

@@ -1,0 +1,300 @@
+"""Torque residuals over what an engineer plots them against."""
+
+import numpy as np
+from sklearn.utils.validation import check_is_fitted
+
+from sklearn_vbjfa.diagnosis.displays._base import check_attributes, import_pyplot
+from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
+from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._identifier import RobotIdentifier
+
+# Points of one panel: more are a blot, and slow.
+_POINTS = 4000
+# Bins of the running median, and how many samples one must hold.
+_BINS, _FEWEST = 25, 5
+# Samples beyond this quantile of the residual do not set the scale.
+_QUANTILE = 0.998
+_GREY, _COLOUR, _FLOOR = "0.72", "tab:blue", "tab:orange"
+
+
+class ResidualDisplay:
+    """Torque residuals against velocity, position, load and time.
+
+    One row a joint: before in grey, after in colour, lines for the running medians
+    (a residual without structure has flat ones), a band for the noise floor.
+
+    Parameters
+    ----------
+    residual_before : ndarray of shape (m, nv)
+        Residuals of the declared model [N m or N]; nan is not drawn.
+    residual_after : ndarray of shape (m, nv), default=None
+        Residuals of the model with effects.
+    signals : dict of str to ndarray of shape (m, nv) or (m,)
+        What to plot against; the keys become labels.
+    joint_names : sequence of str
+        Joints.
+    units : sequence of str
+        Units of their torques.
+    floor : ndarray of shape (nv,), default=None
+        Noise floor [N m or N]; nan where unknown.
+
+    Attributes
+    ----------
+    figure_ : matplotlib Figure
+        Figure, after `plot`.
+    axes_ : ndarray of Axes, shape (nv, n_signals)
+        Axes, after `plot`.
+
+    See Also
+    --------
+    ResidualDisplay.from_estimator : Make one from a fitted model and a recording.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa.diagnosis import ResidualDisplay
+    >>> v = np.linspace(-1, 1, 200)[:, None]
+    >>> display = ResidualDisplay(
+    ...     residual_before=np.sign(v), residual_after=0.1 * np.sin(40 * v),
+    ...     signals={"velocity [rad/s]": v}, joint_names=["joint1"], units=["N m"])
+    >>> display.residual_before.shape
+    (200, 1)
+    """
+
+    def __init__(
+        self,
+        *,
+        residual_before,
+        residual_after=None,
+        signals,
+        joint_names,
+        units,
+        floor=None,
+    ):
+        self.residual_before = residual_before
+        self.residual_after = residual_after
+        self.signals = signals
+        self.joint_names = joint_names
+        self.units = units
+        self.floor = floor
+
+    @classmethod
+    def from_estimator(cls, estimator, X, y, groups=None, t=None, joints=None):
+        """Compare a fitted model with a recording.
+
+        The residuals are those of the models as they are fitted: give data that they
+        have not seen.
+
+        Parameters
+        ----------
+        estimator : EffectDiscovery or RobotIdentifier
+            Fitted; a discovery shows the declared model before, the completed one
+            after.
+        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+            Joint positions or states.
+        y : array-like of shape (n_samples, nv)
+            Torques [N m or N].
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        t : array-like of shape (n_samples,), default=None
+            Time [s], on the clock of the fit.
+        joints : list of int, default=None
+            Joints to show, from zero; None shows all.
+
+        Returns
+        -------
+        ResidualDisplay
+            Display; call `plot`.
+        """
+        check_is_fitted(estimator)
+        if isinstance(estimator, RobotIdentifier):
+            robot, models = estimator, (estimator,)
+        else:
+            check_attributes(
+                estimator,
+                ("declared_", "identifier_"),
+                "ResidualDisplay",
+                "a RobotIdentifier or an EffectDiscovery",
+            )
+            robot = estimator.declared_
+            models = (robot, estimator.identifier_)
+        names = robot.joint_names_
+        joints = _check_joints(joints, len(names))
+        found = [model.residuals(X, y, groups, t=t) for model in models]
+        values = [
+            np.where(r.weight > 0, r.residual, np.nan)[:, joints]
+            for r in (found[0], found[-1])
+        ]
+        signals, prismatic = _signals(models[-1], X, groups, t, found[0].index, joints)
+        return cls(
+            residual_before=values[0],
+            residual_after=values[1] if len(models) > 1 else None,
+            signals=signals,
+            joint_names=tuple(names[j] for j in joints),
+            units=tuple("N" if prismatic[j] else "N m" for j in joints),
+            floor=np.asarray(models[-1].noise_floor_, dtype=float)[joints],
+        )
+
+    def plot(self, axes=None, *, medians=True):
+        """Draw.
+
+        Parameters
+        ----------
+        axes : array-like of Axes, default=None
+            One row a joint, one column a signal; None makes a figure.
+        medians : bool, default=True
+            Whether running medians are drawn.
+
+        Returns
+        -------
+        self : object
+            With `figure_` and `axes_`.
+
+        Raises
+        ------
+        ImportError
+            If matplotlib is not installed.
+        ValueError
+            If the axes do not match.
+        """
+        rows, columns = len(self.joint_names), len(self.signals)
+        self.axes_ = self._make_axes(axes, rows, columns)
+        self.figure_ = self.axes_[0, 0].figure
+        for j in range(rows):
+            limit = self._limit(j)
+            for k, (name, signal) in enumerate(self.signals.items()):
+                ax = self.axes_[j, k]
+                self._panel(ax, j, np.asarray(signal), limit, medians)
+                if j == rows - 1:
+                    ax.set_xlabel(name)
+                if k == 0:
+                    ax.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
+        self._legend(outside=axes is None)
+        return self
+
+    def _make_axes(self, axes, rows, columns):
+        if axes is not None:
+            axes = np.atleast_1d(np.asarray(axes, dtype=object))
+            if axes.size != rows * columns:
+                raise ValueError(
+                    f"axes must hold {rows} x {columns} axes, one row a joint and one "
+                    f"column a signal; got {axes.size}."
+                )
+            return axes.reshape(rows, columns)
+        pyplot = import_pyplot("ResidualDisplay")
+        _, axes = pyplot.subplots(
+            rows,
+            columns,
+            squeeze=False,
+            sharey="row",
+            sharex="col" if rows == 1 else False,
+            figsize=(3.0 * columns + 0.6, 1.7 * rows + 0.7),
+            layout="constrained",
+        )
+        return axes
+
+    def _limit(self, j):
+        values = [np.abs(np.asarray(self.residual_before)[:, j])]
+        if self.residual_after is not None:
+            values.append(np.abs(np.asarray(self.residual_after)[:, j]))
+        values = np.concatenate(values)
+        values = values[np.isfinite(values)]
+        return 1.1 * float(np.quantile(values, _QUANTILE)) if values.size else 0.0
+
+    def _panel(self, ax, j, signal, limit, medians):
+        x = signal[:, j] if signal.ndim == 2 else signal
+        every = slice(None, None, max(1, x.size // _POINTS))
+        size = float(np.clip(60.0 / np.sqrt(max(x.size, 1)), 1.5, 5.0))
+        floor = np.nan if self.floor is None else float(self.floor[j])
+        if np.isfinite(floor):
+            ax.axhspan(-floor, floor, color=_FLOOR, alpha=0.25, lw=0, zorder=0)
+        ax.axhline(0.0, color="0.5", lw=0.6, zorder=1)
+        for values, colour, dark in (
+            (self.residual_before, _GREY, "0.35"),
+            (self.residual_after, _COLOUR, "navy"),
+        ):
+            if values is None:
+                continue
+            r = np.asarray(values)[:, j]
+            ax.plot(
+                x[every],
+                r[every],
+                ".",
+                ms=size,
+                color=colour,
+                alpha=0.7,
+                rasterized=True,
+            )
+            if medians:
+                ax.plot(*running_median(x, r), color=dark, lw=1.5)
+        if limit > 0:
+            ax.set_ylim(-limit, limit)
+
+    def _legend(self, outside):
+        ax = self.axes_[0, -1]
+        dots = {"marker": ".", "ms": 8, "ls": ""}
+        entries = [("before", {"color": _GREY} | dots)]
+        if self.residual_after is not None:
+            entries.append(("after", {"color": _COLOUR} | dots))
+        if self.floor is not None and np.isfinite(self.floor).any():
+            entries.append(("noise floor", {"color": _FLOOR, "lw": 6, "alpha": 0.4}))
+        handles = [ax.plot([], [], label=label, **style)[0] for label, style in entries]
+        if outside:
+            self.figure_.legend(
+                handles=handles, loc="outside upper right", ncols=3, frameon=False
+            )
+        else:
+            ax.legend(handles=handles, loc="upper right", fontsize="small")
+
+
+def running_median(x, y):
+    """Medians of y in bins of x that hold as many samples each.
+
+    Parameters
+    ----------
+    x, y : ndarray of shape (m,)
+        Samples; nan is left out.
+
+    Returns
+    -------
+    x, y : ndarray
+        Medians of both in each bin.
+    """
+    used = np.isfinite(x) & np.isfinite(y)
+    x, y = x[used], y[used]
+    count = min(_BINS, x.size // _FEWEST)
+    if count == 0:
+        return np.empty(0), np.empty(0)
+    parts = np.array_split(np.argsort(x, kind="stable"), count)
+    return (np.array([np.median(z[part]) for part in parts]) for z in (x, y))
+
+
+def _check_joints(joints, nv):
+    found = list(range(nv)) if joints is None else [int(j) for j in joints]
+    if not found or any(not 0 <= j < nv for j in found):
+        raise ValueError(f"joints must be some of 0 to {nv - 1}; got {joints!r}.")
+    return found
+
+
+def _signals(robot, X, groups, t, index, joints):
+    """Velocity, position, load and time at the rows of the residuals."""
+    X = np.asarray(X, dtype=float)
+    parts = contiguous_groups(groups, X.shape[0])
+    clock = check_clock(t, X.shape[0], robot.dt)
+    rigid = robot.theta_[: robot.features_.n_parameters_]
+    motion = make_motion(
+        robot.features_, robot._states(X, groups), clock, parts, rigid, robot.cutoff_
+    )
+    kinds = motion.prismatic[joints]
+    angle = "m" if kinds.all() else "rad" if not kinds.any() else "rad or m"
+    torque = "N" if kinds.all() else "N m" if not kinds.any() else "N m or N"
+    signals = {
+        f"velocity [{angle}/s]" if "or" not in angle else "velocity [rad/s or m/s]": (
+            motion.v[index][:, joints]
+        ),
+        f"position [{angle}]": motion.q[index][:, joints],
+        f"rigid-body torque [{torque}]": motion.load[index][:, joints],
+    }
+    if clock is not None:
+        signals["time [s]"] = clock[index]
+    return signals, motion.prismatic

@@ -1,0 +1,1 @@
+"""The search for effects that the declared model lacks."""

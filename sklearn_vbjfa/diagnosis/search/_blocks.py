@@ -1,0 +1,345 @@
+"""Blocks of time: what counts as one independent piece of evidence.
+
+What a residual keeps of its own past, and rows from which that is taken out.
+
+A residual that stays correlated for seconds is a few independent values, however many
+rows it has. Blocks long enough to be independent of each other would be too few in a
+short recording, and would throw away that slow noise hardly touches fast effects.
+Here the residual's own prediction from its past is subtracted instead, from torques and
+columns alike (generalised least squares): what is left is as good as white, and an
+effect is worth what it explains of that. Slow noise makes slow effects worthless so,
+and leaves fast ones their evidence.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+# Most lags; about as many as Schwert's rule gives, which grows with n^(1/4).
+_LAGS = 10.0
+# Rows that a coefficient is to be estimated from, at the least.
+_ROWS_PER_LAG = 10
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Memory:
+    """Prediction of a joint's residual from its own past.
+
+    Attributes
+    ----------
+    phi : ndarray of shape (p,)
+        Coefficients of the last p rows at the stride, the latest first.
+    time : float
+        Integrated correlation time [s]; infinite for a random walk.
+    """
+
+    phi: np.ndarray
+    time: float
+
+
+def fit_memory(residual, used, starts, step, stride=1):
+    """Fit an autoregression to a residual, order by Akaike's criterion.
+
+    Rows are a stride apart: those in between are alike because of the low-pass, which
+    is no memory of the residual, and to predict them would be to undo the low-pass.
+    Least squares in the form r_t = rho r_(t-1) + sum psi_k (r_(t-k) - r_(t-k-1)) + e,
+    where rho, the sum of the coefficients, says how slowly the residual forgets. Its
+    estimate is too small in short recordings, by (1 + 3 rho) / n for a mean that was
+    fitted [1]_, times what the psi leave of a slow change; that much is added, up to
+    a random walk.
+
+    Parameters
+    ----------
+    residual : ndarray of shape (m,)
+        Residuals.
+    used : ndarray of shape (m,), bool
+        Rows that count.
+    starts : ndarray of int
+        First rows of the recordings.
+    step : float
+        Time between rows [s].
+    stride : int, default=1
+        Rows from one lag to the next.
+
+    Returns
+    -------
+    Memory
+        Coefficients and correlation time.
+
+    References
+    ----------
+    .. [1] M. G. Kendall, "Note on bias in the estimation of autocorrelation",
+       Biometrika 41, 1954; D. W. K. Andrews, H.-Y. Chen, "Approximately
+       median-unbiased estimation of autoregressive models", J. Bus. Econ. Stat.
+       12(2), 1994, for several lags. :doi:`10.1093/biomet/41.3-4.403`
+    """
+    n = used.sum() / stride
+    most = int(min(_LAGS * (n / 100.0) ** 0.25, n / _ROWS_PER_LAG))
+    none = Memory(phi=np.zeros(0), time=stride * step)
+    place = np.arange(residual.size)
+    first = np.zeros(residual.size, int)
+    first[starts] = starts
+    first = np.maximum.accumulate(first)
+    missing = np.maximum.accumulate(np.where(used, -1, place))
+    since = np.minimum(place - first, place - missing - 1)
+    while most >= 1:
+        rows = np.flatnonzero(used & (since >= most * stride))
+        n = rows.size / stride
+        if n >= _ROWS_PER_LAG * most:
+            break
+        # Short recordings, or many gaps.
+        most //= 2
+    else:
+        return none
+    y = residual[rows]
+    lags = np.column_stack([residual[rows - k * stride] for k in range(1, most + 1)])
+    # rho first, then one psi after the other: nested models, one QR for all.
+    A = np.column_stack([lags[:, 0], lags[:, :-1] - lags[:, 1:]])
+    Q, R = np.linalg.qr(A)
+    explained = np.r_[0.0, np.cumsum((Q.T @ y) ** 2)]
+    left = np.maximum(y @ y - explained, np.finfo(float).tiny)
+    order = int(np.argmin(n * np.log(left) + 2.0 * np.arange(most + 1)))
+    if order == 0:
+        return none
+    beta = np.linalg.solve(R[:order, :order], (Q.T @ y)[:order])
+    rho, psi = beta[0], beta[1:]
+    rest = 1.0 - psi.sum()
+    if rho > 0 and rest > 0:
+        rho = min(rho + rest * (1.0 + 3.0 * min(rho, 1.0)) / n, 1.0)
+    phi = np.r_[psi, 0.0] - np.r_[0.0, psi]
+    phi[0] += rho
+    return Memory(phi=phi, time=stride * step * _integrated(phi))
+
+
+def _integrated(phi):
+    """Sum of the autocorrelations over all lags, of an autoregression."""
+    rest = 1.0 - phi.sum()
+    if rest <= 0:
+        return np.inf
+    # Spectral density at zero over the variance, from the impulse response.
+    p = phi.size
+    companion = np.zeros((p, p))
+    companion[0] = phi
+    companion[1:, :-1] = np.eye(p - 1)
+    if np.abs(np.linalg.eigvals(companion)).max() >= 1.0:
+        return np.inf
+    noise = np.zeros((p, p))
+    noise[0, 0] = 1.0
+    flat = np.linalg.solve(np.eye(p * p) - np.kron(companion, companion), noise.ravel())
+    return float(1.0 / (rest**2 * flat[0]))
+
+
+class Whitening:
+    """Rows of all joints without what the residuals' past predicts.
+
+    Parameters
+    ----------
+    residual : ndarray of shape (nv, m)
+        Residuals, scaled by the root of the weights.
+    root : ndarray of shape (m, nv)
+        Roots of the weights; zero leaves a row out.
+    starts : ndarray of int
+        First rows of the recordings.
+    step : float
+        Time between rows [s].
+    cutoff : float
+        Cut-off of the low-pass that the rows have passed [Hz].
+
+    Attributes
+    ----------
+    memory : list of Memory
+        Of each joint.
+    """
+
+    def __init__(self, residual, root, starts, step, cutoff=np.inf):
+        # Rows further apart than half a period of the cut-off are as good as not
+        # correlated by the low-pass.
+        self._stride = max(1, int(np.ceil(0.5 / (cutoff * step) - 1e-9)))
+        self._root, self._starts = root, np.asarray(starts)
+        self._used = root > 0
+        self._gaps = [self._bridges(used) for used in self._used.T]
+        self.memory = []
+        for j, own in enumerate(residual):
+            used = self._used[:, j]
+            values = np.where(used, own / np.where(used, root[:, j], 1.0), 0.0)
+            self.memory.append(
+                fit_memory(values, used, self._starts, step, self._stride)
+            )
+
+    def __call__(self, rows, joints):
+        """Whiten rows (nj, m, ...) of some joints, scaled by the root of the weights.
+
+        Missing rows are bridged by straight lines, in torques and columns alike, so
+        that what explains the one explains the other; a recording begins as if it had
+        been what it is in its first row.
+        """
+        out = np.empty_like(rows)
+        for i, j in enumerate(joints):
+            shape = (-1,) + (1,) * (rows.ndim - 2)
+            phi, root = self.memory[j].phi, self._root[:, j]
+            x = rows[i] / np.where(root > 0, root, 1.0).reshape(shape)
+            if self._gaps[j] is not None:
+                low, high, share = self._gaps[j]
+                share = share.reshape(shape)
+                x = (1.0 - share) * x[low] + share * x[high]
+            out[i] = x
+            edges = [*self._starts, x.shape[0]]
+            for a, b in itertools.pairwise(edges):
+                for k, coefficient in enumerate(phi, start=1):
+                    past = min(k * self._stride, b - a)
+                    out[i, a + past : b] -= coefficient * x[a : b - past]
+                    out[i, a : a + past] -= coefficient * x[a]
+            out[i] *= root.reshape(shape)
+        return out
+
+    def _bridges(self, used):
+        """Rows before and after each missing row and its place between them."""
+        if used.all() or not used.any():
+            return None
+        m = used.size
+        low, high = np.empty(m, int), np.empty(m, int)
+        edges = [*self._starts, m]
+        for a, b in itertools.pairwise(edges):
+            there = a + np.flatnonzero(used[a:b])
+            if there.size == 0:
+                low[a:b] = high[a:b] = a
+                continue
+            at = np.searchsorted(there, np.arange(a, b), side="right") - 1
+            low[a:b] = there[np.maximum(at, 0)]
+            after = np.searchsorted(there, np.arange(a, b), side="left")
+            high[a:b] = there[np.minimum(after, there.size - 1)]
+        width = high - low
+        place = np.where(width > 0, (np.arange(m) - low) / np.maximum(width, 1), 0.0)
+        return low, high, place
+
+
+# A block is this many times longer than the residual stays correlated.
+_CORRELATION_TIMES = 10.0
+# Blocks wanted. What a poor first model lacks is correlated for as long as the motion
+# is; it is not noise, and must not make the blocks so long that fewer are left than
+# the signed-rank test needs among a hundred candidates. Noise that stays correlated for
+# longer than a block is taken out before blocks are compared, see `Judge`.
+_WANTED = (40, 60)
+# The fewest with which anything can be said: the smallest p-value is 2^-12.
+FEWEST = 12
+# Folds take every eighth block, so that each leaves out a little of all motions: a
+# fold of neighbours would have to be extrapolated to, which says more of the short
+# recording than of the effect.
+_FOLDS = 8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Blocks:
+    """Blocks and folds of rows.
+
+    Attributes
+    ----------
+    label : ndarray of shape (m,)
+        Block of each row, rising.
+    fold : ndarray of shape (m,)
+        Fold of each row: blocks that are left out together.
+    length : float
+        Typical length of a block [s].
+    """
+
+    label: np.ndarray
+    fold: np.ndarray
+    length: float
+
+    @property
+    def n_blocks(self):
+        """Number of blocks."""
+        return int(self.label[-1]) + 1
+
+    @property
+    def n_folds(self):
+        """Number of folds."""
+        return int(self.fold.max()) + 1
+
+    def folds(self):
+        """Rows of each fold, list of ndarray."""
+        return [np.flatnonzero(self.fold == k) for k in range(self.n_folds)]
+
+    def divided(self, least):
+        """Return blocks cut into pieces that are not shorter than a time [s]."""
+        pieces = max(1, int(self.length / least))
+        count = np.bincount(self.label)
+        first = np.r_[0, np.cumsum(count)[:-1]]
+        place = np.arange(self.label.size) - first[self.label]
+        piece = place * pieces // count[self.label]
+        _, label = np.unique(self.label * pieces + piece, return_inverse=True)
+        return Blocks(label=label, fold=self.fold, length=self.length / pieces)
+
+    def sums(self, values):
+        """Sum rows (m, ...) over each block."""
+        starts = np.r_[0, np.flatnonzero(np.diff(self.label)) + 1]
+        return np.add.reduceat(values, starts, axis=0)
+
+
+def correlation_time(residual, weight, step, starts):
+    """Longest integrated autocorrelation time of the joints' residuals [s].
+
+    That of an autoregression, see `fit_memory`: sums of sample autocorrelations read
+    slow residuals too short, as their own mean is taken out of them; infinite for a
+    random walk.
+
+    Parameters
+    ----------
+    residual, weight : ndarray of shape (m, nv)
+        Residuals and what they count.
+    step : float
+        Time between rows [s].
+    starts : ndarray of int
+        First rows of the recordings.
+    """
+    times = []
+    for r, used in zip(residual.T, weight.T > 0):
+        r = np.where(used, r, 0.0)
+        if r.any():
+            times.append(fit_memory(r, used, np.asarray(starts), step).time)
+    return float(max(times, default=0.0))
+
+
+def make_blocks(time, starts, correlation, filter_length):
+    """Divide rows into blocks of time.
+
+    Parameters
+    ----------
+    time : ndarray of shape (m,)
+        Time of the rows within their recording [s].
+    starts : ndarray of int
+        First rows of the recordings.
+    correlation : float
+        Correlation time of the residual [s].
+    filter_length : float
+        Length of the low-pass [s].
+
+    Raises
+    ------
+    ValueError
+        If the recordings are too short for blocks.
+    """
+    edges = np.r_[starts, time.size]
+    lengths = [float(np.ptp(time[a:b])) for a, b in itertools.pairwise(edges)]
+    total = sum(lengths)
+    least = max(_CORRELATION_TIMES * correlation, filter_length)
+    if total / FEWEST < filter_length:
+        raise ValueError(
+            f"The recordings hold {total:.3g} s behind the low-pass, too little for "
+            f"{FEWEST} blocks of time that are longer than the filter "
+            f"({filter_length:.3g} s each); record at least "
+            f"{FEWEST * filter_length:.3g} s more than is kept for the test, or raise "
+            "the identifier's cutoff."
+        )
+    wanted = int(np.clip(total / least, *_WANTED))
+    wanted = min(wanted, int(total / filter_length))
+    label = np.empty(time.size, dtype=int)
+    first = 0
+    for a, b, length in zip(edges[:-1], edges[1:], lengths):
+        count = max(1, round(wanted * length / total)) if total else 1
+        count = min(count, b - a)
+        label[a:b] = first + (np.arange(b - a) * count) // (b - a)
+        first += count
+    folds = min(_FOLDS, first)
+    return Blocks(label=label, fold=label % folds, length=total / max(first, 1))

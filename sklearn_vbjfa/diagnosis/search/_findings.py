@@ -1,0 +1,249 @@
+"""What the search for effects found, in the form in which it is read."""
+
+from dataclasses import dataclass, field
+
+from sklearn_vbjfa.diagnosis.search._dependence import Dependence
+from sklearn_vbjfa.diagnosis.search._evidence import Evidence
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscoveredEffect:
+    """An effect that the declared model lacked.
+
+    Attributes
+    ----------
+    name : str
+        Name in the library.
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    parameters : dict of str to float
+        Coefficients and shape parameters, as an engineer calls them.
+    units : dict of str to str
+        Their units.
+    intervals : dict of str to (float, float)
+        90 % intervals around the parameters: Student's t, from the scatter between
+        blocks of time of the completed model's residuals. A shape parameter that was
+        not searched between the values of a grid has none, nor has what the recording
+        does not excite, or an instant.
+    evidence : Evidence
+        What leaving it out of the final model would cost, by blocks of time.
+    rivals : tuple of str
+        Other effects that this data cannot tell from it.
+    effect : Effect
+        The transformer itself.
+    """
+
+    name: str
+    joint: int
+    joint_name: str
+    parameters: dict
+    units: dict
+    intervals: dict
+    evidence: Evidence
+    rivals: tuple = ()
+    effect: object = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """A candidate of a round.
+
+    Attributes
+    ----------
+    name : str
+        Effect.
+    joint : int
+        Joint, from zero.
+    shape : dict
+        Shape parameters of its best variant.
+    evidence : Evidence
+        Against the model of that round.
+    """
+
+    name: str
+    joint: int
+    shape: dict
+    evidence: Evidence
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Round:
+    """One step of the search.
+
+    Attributes
+    ----------
+    action : {"add", "replace", "drop", "refuse", "withdraw"}
+        What was done; a refused candidate did not hold on later data, a withdrawn
+        effect did harm on motion that it was not fitted to.
+    name : str
+        Effect.
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    shape : dict
+        Shape parameters.
+    replaced : str
+        What it replaced; empty otherwise.
+    evidence : Evidence
+        Why.
+    rule : str
+        By which rule the step was taken.
+    level : float
+        Level that the p-value had to be below (not below, for what was dropped or
+        refused); nan where no p-value decided.
+    n_tests : int
+        Tests among which `alpha` was shared out for it; 0 where no p-value decided.
+    rivals : tuple of Trial
+        Candidates that the data could not tell from it.
+    tried : tuple of Trial
+        All significant candidates of the joint, best first.
+    error_before, error_after : ndarray of shape (nv,)
+        Out-of-sample error on the search part, root mean square over the standard
+        deviation of the torque.
+    """
+
+    action: str
+    name: str
+    joint: int
+    joint_name: str
+    shape: dict
+    replaced: str
+    evidence: Evidence
+    rule: str
+    level: float
+    n_tests: int
+    rivals: tuple
+    tried: tuple
+    error_before: object
+    error_after: object
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unexplained:
+    """What remains of a joint's residual above the noise and has no name.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    rms, floor : float
+        Out-of-sample residual and noise floor [N m or N]; the floor is nan if unknown.
+    share : float
+        Share of the residual's mean square above the floor.
+    of_torque : float
+        Root mean square of what is above the floor over the spread of the torque, on
+        the untouched part (on the search part where the untouched one shows nothing
+        above the floor, or is too short); of the whole residual, if the floor is
+        unknown.
+    signals : tuple of Dependence
+        Signals that it varies with, the strongest first.
+    """
+
+    joint: int
+    joint_name: str
+    rms: float
+    floor: float
+    share: float
+    of_torque: float
+    signals: tuple[Dependence, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden:
+    """An effect that this data cannot show.
+
+    Attributes
+    ----------
+    name : str
+        Effect.
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    reason : {"span", "excitation", "signal"}
+        It lies in the span of the declared columns whatever the motion; it does so in
+        this recording; or it needs a signal that is not there.
+    remedy : str
+        What to record.
+    """
+
+    name: str
+    joint: int
+    joint_name: str
+    reason: str
+    remedy: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """Everything that a discovery found out; the report is made from it.
+
+    Attributes
+    ----------
+    declared : dict
+        The declared model: robot, joints, friction, number of parameters, cut-off.
+    effects : tuple of DiscoveredEffect
+        Accepted effects.
+    rounds : tuple of Round
+        Steps of the search.
+    unexplained : tuple of Unexplained
+        Joints that stay above their noise floor.
+    hidden : tuple of Hidden
+        Effects that could not be looked for.
+    channels : tuple of ChannelFinding
+        What is wrong with channels of the recording.
+    joint_names : tuple of str
+        Joints.
+    torque_units : tuple of str
+        Units of the torques, "N m" or "N".
+    error_before, error_after : ndarray of shape (nv,)
+        Errors on the untouched part, over `spread`.
+    spread : ndarray of shape (nv,)
+        Standard deviation of the torque in the moving time of the whole recording
+        [N m or N].
+    wide_before, wide_after : ndarray of shape (nv,)
+        Errors on the untouched part in a wider band than that of the fit, over the same
+        spread; nan where there is none.
+    wide_cutoff : float
+        Where that band ends [Hz]; nan where there is none.
+    seconds : ndarray of shape (nv,)
+        Untouched time in which each joint moves [s].
+    enough : ndarray of shape (nv,), bool
+        Whether that is enough for a verdict.
+    intervals : dict of str to ndarray of shape (2, nv)
+        Where the errors ``"before"``, ``"after"`` and their ``"difference"`` over the
+        next 50 s of the same motion lie in 90 % of cases.
+    floor : ndarray of shape (nv,)
+        Noise floor over the spread.
+    settings : dict
+        Thresholds, split, blocks, what intervals are of, seed, versions.
+    curves : dict
+        Residuals and signals for pictures; "seconds" is the time in the untouched
+        part, its recordings joined [s].
+    """
+
+    declared: dict
+    effects: tuple
+    rounds: tuple
+    unexplained: tuple
+    hidden: tuple
+    channels: tuple
+    joint_names: tuple
+    torque_units: tuple
+    error_before: object
+    error_after: object
+    spread: object
+    wide_before: object
+    wide_after: object
+    wide_cutoff: float
+    seconds: object
+    enough: object
+    intervals: dict
+    floor: object
+    settings: dict
+    curves: dict = field(default_factory=dict)

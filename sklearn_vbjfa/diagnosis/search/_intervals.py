@@ -1,0 +1,271 @@
+"""Intervals that respect correlation in time."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import special
+from sklearn.base import clone
+
+from sklearn_vbjfa._core._sandwich import block_variance
+from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._joint_moments import Numbering
+from sklearn_vbjfa.robot._residuals import TorqueResiduals
+
+# Probability below the upper end of an interval, and above its lower end.
+_UPPER_END = 0.95
+# Relative step of the derivative by a shape parameter.
+_STEP = 1e-3
+# Errors are predicted for so many seconds.
+NEXT_SECONDS = 50.0
+# Slowest cosines of time whose mean square is the long-run variance. Few of them leave
+# residuals that are slow their full variance, and Student's t knows how few they are
+# (equal-weighted cosines with fixed-b critical values: Lazarus, Lewis, Stock, Watson,
+# "HAR inference: recommendations for practice", J. Bus. Econ. Stat. 36(4), 2018).
+_COSINES = 10
+
+
+def quantile(freedom):
+    """Half width of a 90 % interval in standard deviations (Student's t)."""
+    return float(special.stdtrit(freedom, _UPPER_END))
+
+
+# -- effects ------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EffectEstimate:
+    """Coefficients of an effect, and how well they and its shape are known.
+
+    Attributes
+    ----------
+    coef : ndarray of shape (k,)
+        Coefficients.
+    shape : tuple of str
+        Shape parameters that were tuned.
+    covariance : ndarray of shape (k + n_shape, k + n_shape)
+        Covariance of both.
+    freedom : float
+        Degrees of freedom of the covariance.
+    """
+
+    coef: np.ndarray
+    shape: tuple
+    covariance: np.ndarray
+    freedom: float
+
+
+class FinalFit:
+    """The completed model on the rows that it was fitted to.
+
+    Parameters
+    ----------
+    declared, identifier : RobotIdentifier
+        The declared and the completed model.
+    view : RecordingView
+        Recording of the search.
+    effects : list of Effect
+        What was added, in the order of the model's last parameters.
+    """
+
+    def __init__(self, declared, identifier, view, effects):
+        self.declared, self.identifier = declared, identifier
+        self.view, self.effects = view, list(effects)
+        self.motion = make_motion(
+            identifier.features_,
+            view.states,
+            view.clock,
+            view.parts,
+            identifier._load_theta,
+            view.robot.cutoff_,
+        )
+        self._columns = [self._in_all_joints(effect) for effect in self.effects]
+
+    def _in_all_joints(self, effect):
+        """Columns of an effect in all joints' equations, (m, nv, k)."""
+        columns = self.view.filtered(effect.columns(self.motion))
+        if effect.whole_robot:
+            return columns
+        out = np.zeros((columns.shape[0], self.view.nv, columns.shape[-1]))
+        out[:, effect.joint] = columns
+        return out
+
+    def _predicted(self, theta):
+        Phi = self.view.equations.Phi
+        predicted = Phi @ theta[: Phi.shape[2]]
+        for columns, coef in zip(self._columns, self._split(theta)):
+            predicted = predicted + columns @ coef
+        return predicted
+
+    def _split(self, theta):
+        """Coefficients of each effect."""
+        widths = [columns.shape[2] for columns in self._columns]
+        at = self.declared.theta_.size
+        return np.split(theta[at:], np.cumsum(widths)[:-1]) if widths else []
+
+    def residuals(self):
+        """Residuals before and after, a pair of TorqueResiduals."""
+        view = self.view
+        before = view.equations.Phi @ self.declared.theta_
+        return tuple(
+            TorqueResiduals(
+                index=view.index,
+                torque=view.equations.tau,
+                predicted=predicted,
+                weight=view.equations.weight,
+            )
+            for predicted in (before, self._predicted(self.identifier.theta_))
+        )
+
+    def effect_estimates(self):
+        """Estimate of each effect, list of EffectEstimate.
+
+        The coefficients are those of the completed model. Their covariance is that of
+        the same equations before the projection, with the shape parameters beside the
+        coefficients by their derivatives, from the scatter between blocks of time.
+        """
+        if not self.effects:
+            return []
+        view = self.view
+        coefs = self._split(self.identifier.theta_)
+        columns, places, shapes = [], [], []
+        at = view.Z.shape[2]
+        for effect, own, coef in zip(self.effects, self._columns, coefs):
+            shape = tuple(
+                name
+                for name in effect.continuous
+                if getattr(effect, name) and name not in effect.jumping
+            )
+            slopes = [self._slope(effect, name, coef) for name in shape]
+            made = np.concatenate([own, *slopes], axis=2) * view.root[:, :, None]
+            places.append(slice(at, at + made.shape[2]))
+            shapes.append(shape)
+            at += made.shape[2]
+            columns.append(made)
+        found = self._variance(np.concatenate(columns, axis=2))
+        covariance = found.scores.T @ found.scores
+        return [
+            EffectEstimate(
+                coef=coef,
+                shape=shape,
+                covariance=covariance[place, place],
+                # A column that the recording does not excite has none.
+                freedom=float(np.fmin.reduce(found.freedom[place], initial=np.inf)),
+            )
+            for coef, shape, place in zip(coefs, shapes, places)
+        ]
+
+    def _slope(self, effect, name, coef):
+        """Differentiate an effect's torque by a shape parameter, (m, nv, 1)."""
+        value = getattr(effect, name)
+        step = _STEP * abs(value)
+        sides = [
+            self._in_all_joints(clone(effect).set_params(**{name: value + way * step}))
+            @ coef
+            for way in (0.5, -0.5)
+        ]
+        return ((sides[0] - sides[1]) / step)[:, :, None]
+
+    def _variance(self, extra):
+        """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""
+        view = self.view
+        theta = self.identifier.theta_unconstrained_
+        residual = (view.equations.tau - self._predicted(theta)) * view.root
+        count = view.equations.weight.sum(axis=0)
+        squares = (residual**2).sum(axis=0)
+        used = (count > 0) & (squares > 0)
+        factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
+        edges = [*view.starts.tolist(), residual.shape[0]]
+        numbering = Numbering.of(np.diff(edges).tolist())
+        grams, scores, keys = [], [], []
+        for number, (first, last) in enumerate(itertools.pairwise(edges)):
+            found, starts = numbering.parts(number, slice(0, last - first))
+            keys.append(found)
+            for begin, end in itertools.pairwise([*(first + starts), last]):
+                declared = view.Z[:, begin:end].transpose(1, 0, 2)
+                rows = np.concatenate([declared, extra[begin:end]], axis=2)
+                rows = (rows * factor[:, None]).reshape(-1, rows.shape[2])
+                own = (residual[begin:end] * factor).ravel()
+                grams.append(rows.T @ rows)
+                scores.append(own @ rows)
+        return block_variance(
+            np.array(grams), np.array(scores), np.concatenate(keys), 1.0
+        )
+
+
+# -- errors -------------------------------------------------------------------------
+
+
+def error_intervals(untouched, searched, spread, step):
+    """Intervals that hold the errors over the next seconds of the same motion.
+
+    An error is a mean over time, of the next stretch as of the untouched one, and both
+    scatter. How much is read off the slow variation of what the error is a mean of, the
+    squared residual, in both parts of the recording. The spread of the torque that it
+    is divided by is that of the whole recording and counts as given.
+
+    Parameters
+    ----------
+    untouched, searched : tuple of TorqueResiduals
+        Residuals before and after, on the same rows: of the part whose errors are
+        reported, and of the part that was fitted; their indices count the rows of the
+        whole recording.
+    spread : ndarray of shape (nv,)
+        Spread of the torque [N m or N].
+    step : float
+        Time between rows [s].
+
+    Returns
+    -------
+    dict of str to ndarray
+        ``"before"``, ``"after"``, ``"difference"``: ends of the 90 % intervals of each
+        joint's error and of after minus before over the next `NEXT_SECONDS`, arrays
+        (2, nv).
+    """
+    order = np.argsort(
+        np.concatenate([searched[0].index, untouched[0].index]), kind="stable"
+    )
+    weight, *residuals = (
+        np.concatenate([one, other])[order]
+        for one, other in zip(_series(searched), _series(untouched))
+    )
+    m, nv = weight.shape
+    errors = [part.relative_error(spread) for part in untouched]
+    total = weight.sum(axis=0)
+    freedom = min(_COSINES, m // 4)
+    if freedom < 1:
+        nothing = np.full((2, nv), np.nan)
+        return {"before": nothing, "after": nothing, "difference": nothing}
+    time = (np.arange(m) + 0.5) / m
+    cosines = np.cos(np.pi * np.outer(np.arange(1, freedom + 1), time))
+    cosines *= np.sqrt(2.0 / m)
+    ahead = NEXT_SECONDS / step
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # Of the logarithm of an error, about its mean over what counts.
+        parts = [0.5 * (_shares(weight, r, total) - weight) for r in residuals]
+        parts.append(errors[1] * parts[1] - errors[0] * parts[0])
+        # The variance of a mean over rows that count as in the whole recording.
+        rows = untouched[0].weight
+        reach = rows.shape[0] / rows.sum(axis=0) ** 2 + (m / total) ** 2 / ahead
+        half = [
+            quantile(freedom) * np.sqrt(((cosines @ part) ** 2).mean(axis=0) * reach)
+            for part in parts
+        ]
+        difference = errors[1] - errors[0]
+        return {
+            "before": errors[0] * np.exp([-half[0], half[0]]),
+            "after": errors[1] * np.exp([-half[1], half[1]]),
+            "difference": difference + np.array([-half[2], half[2]]),
+        }
+
+
+def _series(pair):
+    before, after = pair
+    return before.weight, before.residual, after.residual
+
+
+def _shares(weight, values, total):
+    """Weighted squares over their mean; zero where all are."""
+    squares = weight * values**2
+    mean = squares.sum(axis=0) / total
+    return np.where(mean > 0, squares / np.where(mean > 0, mean, 1.0), 0.0)

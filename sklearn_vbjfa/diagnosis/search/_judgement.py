@@ -1,0 +1,145 @@
+"""The errors on the untouched part, which is looked at here and only once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.search._gaps import memory_seconds
+from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, error_intervals
+from sklearn_vbjfa.diagnosis.search._split import FEWEST_VALUES
+from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
+
+# The wider band reaches so many times as far as that of the fit, and at least to the
+# frequency [Hz] at which controllers act.
+_WIDER, _CONTROL = 4.0, 10.0
+# Share of the sample rate up to which it may reach.
+_HIGHEST = 0.4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judgement:
+    """Errors of the declared and of the completed model on the untouched part.
+
+    Attributes
+    ----------
+    before, after : TorqueResiduals
+        In the band of the fit.
+    wide : tuple of ndarray of shape (nv,) or None
+        Root mean squares before and after in a wider band [N m or N].
+    wide_cutoff : float
+        Where that band ends [Hz]; nan where there is none.
+    spread : ndarray of shape (nv,)
+        Spread of the torque in the moving time of the whole recording [N m or N].
+    intervals : dict
+        Of the errors, see `error_intervals`.
+    seconds : ndarray of shape (nv,)
+        Untouched time in which each joint moves [s].
+    enough : ndarray of shape (nv,), bool
+        Whether that is enough for an error.
+    n_stretches : int
+        Number of untouched stretches.
+    n_undecided : int
+        Stretches left out since something jumps in them, the search cannot say when.
+    guard : float
+        Time left out next to the search part [s].
+    """
+
+    before: TorqueResiduals
+    after: TorqueResiduals
+    wide: tuple | None
+    wide_cutoff: float
+    spread: np.ndarray
+    intervals: dict
+    seconds: np.ndarray
+    enough: np.ndarray
+    n_stretches: int
+    n_undecided: int
+    guard: float
+
+    @classmethod
+    def of(cls, loop, search, split, whole, clock):
+        """Judge the fitted models of a discovery.
+
+        Parameters
+        ----------
+        loop : EffectDiscovery
+            With `declared_` and `judged_`.
+        search : EffectSearch
+            After its run.
+        split : Split
+            Rows of the search and untouched stretches.
+        whole : tuple of ndarray
+            Positions or states, torques, groups and weights of the whole recording.
+        clock : ndarray of shape (n,)
+            Time [s].
+        """
+        X, y, _, weight = whole
+        dt = loop.declared_.dt
+        memory = max(memory_seconds(search), default=0.0)
+        # Of a memory without end nothing is far enough.
+        guard = int(min(memory / dt, X.shape[0]))
+        instants = [
+            getattr(effect, name)
+            for effect in search.accepted
+            for name in effect.jumping
+        ]
+        count = len(split.stretches)
+        split = split.decided(clock, instants).guarded(guard)
+        rows = split.test
+        rest = X[rows], y[rows], split.test_pieces, weight[rows]
+        models = loop.declared_, loop.judged_
+
+        def errors(**band):
+            return tuple(
+                model.residuals(*rest, t=clock[rows], **band) for model in models
+            )
+
+        before, after = (_numbered(part, rows) for part in errors())
+        fitted = FinalFit(*models, search.view, search.accepted).residuals()
+        searched = tuple(_numbered(part, split.search) for part in fitted)
+        spread = torque_spread(searched[0], before)
+        wide_cutoff = _wide(models[1].cutoff_, dt)
+        wide = None
+        if np.isfinite(wide_cutoff):
+            wide = tuple(part.rms() for part in errors(cutoff=wide_cutoff))
+        # Rows in which a joint moves throughout have its largest weight.
+        full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
+        seconds = (before.weight / full).sum(axis=0) * search.view.step
+        cutoff = min(models[1].cutoff_, 0.5 / dt)
+        return cls(
+            before=before,
+            after=after,
+            wide=wide,
+            wide_cutoff=wide_cutoff,
+            spread=spread,
+            intervals=error_intervals(
+                (before, after), searched, spread, search.view.step
+            ),
+            seconds=seconds,
+            enough=2.0 * cutoff * seconds >= FEWEST_VALUES,
+            n_stretches=len(split.stretches),
+            n_undecided=count - len(split.stretches),
+            guard=float(guard * dt),
+        )
+
+    @property
+    def errors(self):
+        """Errors before and after over the spread of the torque, ndarray (2, nv)."""
+        parts = self.before, self.after
+        return np.array([part.relative_error(self.spread) for part in parts])
+
+
+def _numbered(part, rows):
+    """Count the rows of residuals in the whole recording."""
+    return TorqueResiduals(
+        index=rows[part.index],
+        torque=part.torque,
+        predicted=part.predicted,
+        weight=part.weight,
+    )
+
+
+def _wide(cutoff, dt):
+    """End of the wider band [Hz]; nan where there is no room for it."""
+    wide = min(max(_WIDER * cutoff, _CONTROL), _HIGHEST / dt)
+    return wide if np.isfinite(cutoff) and wide > 1.1 * cutoff else np.nan

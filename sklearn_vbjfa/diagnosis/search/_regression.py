@@ -1,0 +1,451 @@
+"""Evidence on rows from which the residual's own memory is taken out.
+
+Out-of-sample scores of candidate columns, from the statistics of blocks of time.
+
+All joints share one parameter vector, so that a column added to one joint's torque
+changes all of them. A candidate is scored by refitting everything: the Gram matrix of
+the declared columns is factorised once for each fold, and what a candidate adds is the
+Schur complement of its own few columns.
+"""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+# Ridge to choose from, relative to columns of unit mean square.
+_RIDGES = 10.0 ** np.arange(-10, -2)
+# Directions of the scaled Gram matrix below this are never used.
+_RANK = 1e-12
+# Share of its own power that a column must keep outside the declared ones' span.
+SPAN = 1e-6
+_ONE = np.ones((1, 1, 1))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Equations:
+    """Filtered equations of all joints.
+
+    Attributes
+    ----------
+    Phi : ndarray of shape (m, nv, p)
+        Regressor.
+    tau : ndarray of shape (m, nv)
+        Torques.
+    weight : ndarray of shape (m, nv)
+        Weights; zero leaves an equation out.
+    """
+
+    Phi: np.ndarray
+    tau: np.ndarray
+    weight: np.ndarray
+
+    def reduce(self, precision):
+        """Express the regressor in the directions that the data determine.
+
+        Parameters
+        ----------
+        precision : ndarray of shape (nv,)
+            Weights of the joints.
+
+        Returns
+        -------
+        Z : ndarray of shape (nv, m, r)
+            Regressor in reduced coordinates, rows scaled by the root of their weight.
+        back : ndarray of shape (p, r)
+            theta = back @ reduced coordinates.
+        """
+        root = np.sqrt(self.weight).T[:, :, None]
+        rows = self.Phi.transpose(1, 0, 2) * root
+        G = np.einsum("j,jmp,jmq->pq", precision, rows, rows, optimize=True)
+        scale = np.sqrt(np.diagonal(G))
+        used = scale > 0
+        unit = np.where(used, scale, 1.0)
+        values, vectors = linalg.eigh(G / np.outer(unit, unit))
+        keep = values > _RANK * values[-1]
+        back = np.where(used[:, None], vectors[:, keep] / unit[:, None], 0.0)
+        back *= np.sqrt(max(float((self.weight * precision).sum()), 1.0))
+        return rows @ back, back
+
+
+class FoldMoments:
+    """Second moments of columns fold by fold, joint by joint.
+
+    What the joints weigh may change afterwards.
+
+    Parameters
+    ----------
+    Z : ndarray of shape (nv, m, r)
+        Rows, scaled by the root of their weights.
+    y : ndarray of shape (nv, m)
+        Torques, scaled alike.
+    folds : list of ndarray of int
+        Rows of each fold.
+    """
+
+    def __init__(self, Z, y, folds):
+        self._folds = folds
+        # Fold, joint, column, column.
+        self._G = np.array([_transposed(Z[:, f]) @ Z[:, f] for f in folds])
+        self._g = np.array([_transposed(Z[:, f]) @ y[:, f, None] for f in folds])
+
+    def extended(self, Z, y, precision):
+        """Return the joints' weighted sums for Z, which may have more columns.
+
+        Returns
+        -------
+        G : ndarray of shape (n_folds, r, r)
+            Gram matrices.
+        g : ndarray of shape (n_folds, r)
+            Products with the torques.
+        """
+        r, known = Z.shape[2], self._G.shape[-1]
+        G, g = np.empty((len(self._folds), r, r)), np.empty((len(self._folds), r))
+        G[:, :known, :known] = np.einsum("j,fjab->fab", precision, self._G)
+        g[:, :known] = np.einsum("j,fja->fa", precision, self._g[..., 0])
+        if r > known:
+            used = np.flatnonzero(Z[:, :, known:].any(axis=(1, 2)))
+            for i, rows in enumerate(self._folds):
+                columns = Z[np.ix_(used, rows)]
+                new, weight = columns[:, :, known:], precision[used]
+                G[i, :, known:] = _weighted_product(weight, columns, new)
+                G[i, known:, :known] = G[i, :known, known:].T
+                torque = y[np.ix_(used, rows)][:, :, None]
+                g[i, known:] = _weighted_product(weight, new, torque)[:, 0]
+        return G, g
+
+
+def _transposed(A):
+    return A.transpose(0, 2, 1)
+
+
+def _weighted_product(precision, A, B):
+    """Sum of A' B over joints, weighted, (a, b) for A (nj, m, a), B (nj, m, b)."""
+    total = 0.0
+    for p, a, b in zip(precision, A, B):
+        total = total + p * (a.T @ b)
+    return total
+
+
+def _candidate_moments(precision, Z, y, F):
+    """Moments of c candidates' columns F (nj, m, c, k) with others and themselves."""
+    nj, m, c, k = F.shape
+    flat = F.reshape(nj, m, c * k)
+    cross = _weighted_product(precision, Z, flat)
+    right = _weighted_product(precision, y[:, None].transpose(0, 2, 1), flat)
+    own = np.zeros((c, k, k))
+    for p, f in zip(precision, F):
+        if k == 1:
+            own[:, 0, 0] += p * (f[..., 0] ** 2).sum(axis=0)
+        else:
+            own += p * (f.transpose(1, 2, 0) @ f.transpose(1, 0, 2))
+    return cross, own, right.reshape(c, k)
+
+
+def _to_unit(moments, size):
+    """Bring the columns to a mean square; return moments by fold and the factors."""
+    cross, own, right = (list(x) for x in zip(*moments))
+    power = np.diagonal(np.sum(own, axis=0), axis1=1, axis2=2)
+    unit = np.sqrt(size / np.where(power > 0, power, 1.0))
+    return (
+        [C * unit.ravel() for C in cross],
+        [S * unit[:, :, None] * unit[:, None] for S in own],
+        [s * unit for s in right],
+        unit,
+    )
+
+
+class BlockRegression:
+    """Ridge regression of all joints' torques, cross-validated by blocks of time.
+
+    Parameters
+    ----------
+    Z : ndarray of shape (nv, m, r)
+        Regressor rows, scaled by the root of their weights.
+    y : ndarray of shape (nv, m)
+        Torques, scaled alike.
+    precision : ndarray of shape (nv,)
+        Weight of each joint.
+    blocks : Blocks
+        Blocks and folds.
+    ridge : float or None, default=None
+        Ridge relative to the mean square of a column; None chooses by
+        cross-validation.
+    known : FoldMoments, default=None
+        Second moments of the first columns of Z, where they are known already.
+    """
+
+    def __init__(self, Z, y, precision, blocks, ridge=None, known=None):
+        self.Z, self.y, self.precision, self.blocks = Z, y, precision, blocks
+        self._folds = blocks.folds()
+        known = FoldMoments(Z, y, self._folds) if known is None else known
+        self._G, self._g = known.extended(Z, y, precision)
+        size = np.sqrt(np.mean(np.diagonal(self._G.sum(axis=0)))) or 1.0
+        self._unit = size**2
+        self.ridge = self._choose() if ridge is None else ridge
+        self._solve(self.ridge)
+
+    def _choose(self):
+        """Ridge of least cross-validated error."""
+        errors = []
+        for ridge in _RIDGES:
+            self._solve(ridge)
+            errors.append((self.squares() * self.precision).sum())
+        return float(_RIDGES[int(np.argmin(errors))])
+
+    def _solve(self, ridge):
+        total_G, total_g = self._G.sum(axis=0), self._g.sum(axis=0)
+        penalty = ridge * self._unit * np.eye(total_G.shape[0])
+        self._factors, self._theta = [], []
+        for G, g in zip([*self._G, 0.0], [*self._g, 0.0]):
+            factor = linalg.cho_factor(total_G - G + penalty)
+            self._factors.append(factor)
+            self._theta.append(linalg.cho_solve(factor, total_g - g))
+
+    @functools.cached_property
+    def _parts(self):
+        """Rows and torques of each fold."""
+        return [(self.Z[:, rows], self.y[:, rows]) for rows in self._folds]
+
+    @property
+    def theta(self):
+        """Coefficients fitted to all rows."""
+        return self._theta[-1]
+
+    def residuals(self):
+        """Out-of-sample residuals (nv, m), scaled by the root of the weights."""
+        out = np.empty_like(self.y)
+        for rows, theta in zip(self._folds, self._theta):
+            out[:, rows] = self.y[:, rows] - self.Z[:, rows] @ theta
+        return out
+
+    def squares(self):
+        """Out-of-sample squared residuals, summed over blocks (n_blocks, nv)."""
+        return self.blocks.sums((self.residuals() ** 2).T)
+
+    def forward_squares(self, border, blocks=None):
+        """Squared residuals of the blocks from `border` on, fitted to those before.
+
+        The blocks are those of the folds, or others.
+        """
+        blocks = self.blocks if blocks is None else blocks
+        early = blocks.label < border
+        Z, y = self.Z[:, early], self.y[:, early]
+        G = _weighted_product(self.precision, Z, Z)
+        G += self.ridge * self._unit * np.eye(G.shape[0])
+        g = _weighted_product(self.precision, Z, y[:, :, None])[:, 0]
+        theta = linalg.solve(G, g, assume_a="pos")
+        residual = self.y[:, ~early] - self.Z[:, ~early] @ theta
+        sums = blocks.sums(
+            np.concatenate([np.zeros((early.sum(), y.shape[0])), (residual**2).T])
+        )
+        return sums[border:]
+
+    def score(self, joints, F):
+        """Score a family of candidates, one for each value of a shape parameter.
+
+        Parameters
+        ----------
+        joints : list of int
+            Joints that the columns act on.
+        F : ndarray of shape (nj, m, c, k)
+            Columns of the c candidates, rows scaled by the root of the weights.
+
+        Returns
+        -------
+        Score
+            Out-of-sample error, with the shape chosen inside each fold, and the
+            choice on all rows.
+        """
+        c, k = F.shape[2:]
+        # A slice takes no copy.
+        chosen = slice(joints[0], joints[0] + 1) if len(joints) == 1 else joints
+        precision = self.precision[chosen]
+        moments = [
+            _candidate_moments(precision, Z[chosen], y[chosen], F[:, rows])
+            for rows, (Z, y) in zip(self._folds, self._parts)
+        ]
+        cross, own, right, unit = _to_unit(moments, self._unit)
+        totals = [np.sum(x, axis=0) for x in (cross, own, right)]
+        squares = np.empty_like(self.y)
+        for i, rows in enumerate([*self._folds, None]):
+            last = rows is None
+            C, S, s = (
+                totals
+                if last
+                else (totals[0] - cross[i], totals[1] - own[i], totals[2] - right[i])
+            )
+            X, beta, drop, kept = self._complement(i, C, S, s, c, k)
+            best = int(np.argmax(drop))
+            at = slice(best * k, (best + 1) * k)
+            theta = self._theta[i] - X[:, at] @ beta[best]
+            if last:
+                break
+            Z, y = self._parts[i]
+            residual = y - Z @ theta
+            residual[joints] -= F[:, rows, best] @ (beta[best] * unit[best])
+            squares[:, rows] = residual**2
+        return Score(
+            squares=self.blocks.sums(squares.T),
+            best=best,
+            coef=beta[best] * unit[best],
+            outside=float(kept[best]),
+            drop=drop,
+        )
+
+    def drop(self, joints, F):
+        """Fall of the weighted squared error on all rows for one candidate."""
+        c, k = F.shape[2:]
+        moments = [
+            _candidate_moments(
+                self.precision[joints], self.Z[joints], self.y[joints], F
+            )
+        ]
+        (C,), (S,), (s,), _ = _to_unit(moments, self._unit)
+        return float(self._complement(-1, C, S, s, c, k)[2][0])
+
+    def outside(self, joints, F):
+        """Share of each column's power outside the others' span, ndarray (c, k)."""
+        precision = self.precision[joints]
+        power = np.einsum("j,jmck->ck", precision, F**2)
+        flat = F.reshape(*F.shape[:2], -1)
+        C = _weighted_product(precision, self.Z[joints], flat)
+        inside = np.einsum("rb,rb->b", C, linalg.cho_solve(self._factors[-1], C))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = 1.0 - inside.reshape(power.shape) / power
+        return np.where(power > 0, share, 0.0)
+
+    def _complement(self, i, C, S, s, c, k):
+        """Solve for the candidates' own columns beside the refitted others."""
+        X = linalg.cho_solve(self._factors[i], C)
+        S = S + self.ridge * self._unit * np.eye(k)
+        power = np.trace(S, axis1=1, axis2=2)
+        by_candidate = C.reshape(-1, c, k).transpose(1, 2, 0)
+        schur = S - by_candidate @ X.reshape(-1, c, k).transpose(1, 0, 2)
+        schur = 0.5 * (schur + schur.transpose(0, 2, 1))
+        rest = s - (self._theta[i] @ C).reshape(c, k)
+        kept = np.trace(schur, axis1=1, axis2=2) / np.where(power > 0, power, 1.0)
+        # What lies in the span of the others within rounding must not be divided by.
+        values, vectors = np.linalg.eigh(schur) if k > 1 else (schur[:, 0], _ONE)
+        floor = (SPAN + 2 * self.ridge) * self._unit
+        inverse = np.where(values > floor, 1.0 / np.maximum(values, floor), 0.0)
+        inside = (rest[:, None] @ vectors)[:, 0]
+        beta = (vectors @ (inverse * inside)[:, :, None])[:, :, 0]
+        return X, beta, (beta * rest).sum(axis=1), kept
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Score:
+    """What a candidate does to the out-of-sample error.
+
+    Attributes
+    ----------
+    squares : ndarray of shape (n_blocks, nv)
+        Squared residuals with the candidate.
+    best : int
+        Shape chosen on all rows.
+    coef : ndarray of shape (k,)
+        Its coefficients on all rows.
+    outside : float
+        Share of its columns' power that the other columns do not explain.
+    drop : ndarray of shape (c,)
+        Fall of the weighted sum of squares on all rows, for each shape.
+    """
+
+    squares: np.ndarray
+    best: int
+    coef: np.ndarray
+    outside: float
+    drop: np.ndarray
+
+
+class Judge:
+    """Blocks of time as independent witnesses, whatever the colour of the residual.
+
+    The memory is that of the residual with the candidate, not without it: what a poor
+    model lacks is correlated for as long as the motion is, and is no noise. Once the
+    right effect is in, the residual forgets again; noise that is slow stays so with
+    whatever is put in.
+
+    Parameters
+    ----------
+    view : RecordingView
+        Recording.
+    base : BlockRegression
+        Model without the candidate.
+    residual : ndarray of shape (nv, m)
+        Residuals with it, scaled by the root of the weights.
+
+    Attributes
+    ----------
+    residual : ndarray of shape (nv, m)
+        As given.
+    squares : ndarray of shape (n_blocks, nv)
+        Squared out-of-sample residuals of the model without the candidate, in units
+        of each joint's noise, so that joints may be added up.
+    """
+
+    def __init__(self, view, base, residual):
+        joints = range(view.nv)
+        self.residual = residual
+        self._whiten = view.whitening(residual)
+        power = (self._whiten(residual, joints) ** 2).sum(axis=1)
+        rows = (view.root.T**2).sum(axis=1)
+        used = (view.precision > 0) & (power > 0)
+        precision = np.where(used, rows / np.where(used, power, 1.0), 0.0)
+        Z = self._whiten(base.Z, joints)
+        # The ridge is relative to the columns; slow ones must not shrink for it.
+        size, left = ((x**2).sum(axis=(0, 1)) for x in (base.Z, Z))
+        self._scale = np.sqrt(size / np.where(left > 0, left, 1.0))
+        self._view = view
+        self.regression = BlockRegression(
+            Z * self._scale,
+            self._whiten(base.y, joints),
+            precision,
+            view.blocks,
+            base.ridge,
+        )
+        self._precision = precision
+        self.squares = self.regression.squares() * precision
+
+    def score(self, joints, columns):
+        """Squared out-of-sample residuals with a candidate, shape chosen by fold."""
+        white = self._whiten(columns, joints)
+        return self.regression.score(joints, white).squares * self._precision
+
+    def forward(self, joints, columns, blocks, border):
+        """Squared residuals of later blocks, all fitted to those before.
+
+        Parameters
+        ----------
+        joints : list of int
+            Joints that the candidate acts on.
+        columns : ndarray of shape (nj, m, k)
+            Its columns.
+        blocks : Blocks
+            Blocks that are summed over.
+        border : int
+            First of the later blocks.
+
+        Returns
+        -------
+        without, with_it : ndarray of shape (n_blocks - border, nv)
+            Sums of squares in units of noise.
+        """
+        base = self.regression
+        extra = np.zeros((*base.Z.shape[:2], columns.shape[-1]))
+        extra[joints] = self._whiten(columns, joints)
+        power = np.mean(extra**2, axis=(0, 1))
+        extra *= self._view.size / np.sqrt(np.where(power > 0, power, 1.0))
+        larger = BlockRegression(
+            np.concatenate([base.Z, extra], axis=2),
+            base.y,
+            base.precision,
+            base.blocks,
+            base.ridge,
+        )
+        return [
+            model.forward_squares(border, blocks) * self._precision
+            for model in (base, larger)
+        ]

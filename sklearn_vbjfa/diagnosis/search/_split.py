@@ -1,0 +1,375 @@
+"""The untouched part: stretches of motion that are kept for the end."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.recording._recording import contiguous_groups
+from sklearn_vbjfa.robot._plan import (
+    MotionFacts,
+    n_fastest,
+    resolve_cutoff,
+    resolve_standstill,
+)
+from sklearn_vbjfa.robot._states import fit_states
+
+# Stretches of a single recording: a robot does not do the same all the time, and what
+# it does last need not be like the rest.
+_STRETCHES = 3
+# The most, where fewer would miss the motion of a joint.
+_MOST_STRETCHES = 12
+# A stretch, and what is left between two of them, is so many times longer than the
+# low-pass, of which half is lost at each end; and so many times where there is more
+# than one stretch in a recording, so that they do not cost more than they tell.
+_FILTER_LENGTHS, _LENGTHS_OF_MORE = 2.0, 2.5
+# Samples, where nothing is filtered.
+_FEWEST_SAMPLES = 24
+# Each joint should have this share of its due in the untouched part.
+_DUE = 0.5
+# At most this share of a stretch is given to the guard at either end, and what is tried
+# where that would leave too little.
+_MOST_GUARD = 0.25
+_GUARDS = (1.0, 0.75, 0.5, 0.25, 0.0)
+# Values that are independent in the band of the fit: fewer are no sample of an error.
+FEWEST_VALUES = 10.0
+# The untouched part may grow to this share for them.
+_LARGEST = 0.4
+_GROWTH = 1.2
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Split:
+    """Rows of the search and untouched stretches beside them.
+
+    Attributes
+    ----------
+    search : ndarray of int
+        Rows of the search.
+    pieces : ndarray of int
+        Label of each of them: nothing is filtered or differentiated from one piece to
+        the next.
+    recording : ndarray of int
+        Number of the recording that each of them is from.
+    stretches : tuple of slice
+        Untouched rows.
+    borders : tuple of (bool, bool)
+        Whether rows of the search lie right before and right after each stretch.
+    amount : Amount
+        How much of a motion a stretch holds.
+    """
+
+    search: np.ndarray
+    pieces: np.ndarray
+    recording: np.ndarray
+    stretches: tuple
+    borders: tuple
+    amount: object
+
+    @property
+    def test(self):
+        """Untouched rows, ndarray of int."""
+        return np.concatenate([np.arange(s.start, s.stop) for s in self.stretches])
+
+    @property
+    def test_pieces(self):
+        """Label of each untouched row, its stretch."""
+        lengths = [s.stop - s.start for s in self.stretches]
+        return np.repeat(np.arange(len(lengths)), lengths)
+
+    def decided(self, clock, instants):
+        """Return the split without stretches in which something jumps.
+
+        All that the search knows of such an instant is that it lies between two of its
+        rows. A stretch at the end of a recording stays: what changes there changes
+        between the recordings.
+
+        Parameters
+        ----------
+        clock : ndarray of shape (n,)
+            Time of the rows [s].
+        instants : sequence of float
+            When something jumps [s].
+        """
+        kept = [
+            k
+            for k, (stretch, border) in enumerate(zip(self.stretches, self.borders))
+            if not all(border)
+            or not any(
+                clock[stretch.start - 1] < x <= clock[stretch.stop] for x in instants
+            )
+        ]
+        # Better a stretch in doubt than none.
+        kept = kept or range(len(self.stretches))
+        return replace(
+            self,
+            stretches=tuple(self.stretches[k] for k in kept),
+            borders=tuple(self.borders[k] for k in kept),
+        )
+
+    def guarded(self, rows):
+        """Return the split without the untouched rows next to rows of the search.
+
+        What is left of a residual after `rows` rows is new. At least half of what is
+        there is kept, and as much as a verdict needs.
+        """
+        there = self.amount.of(self.stretches)
+        least = np.minimum(np.maximum(self.amount.need, 0.5 * there), there)
+        for share in _GUARDS:
+            found = self._without(rows, share)
+            if (self.amount.of(found.stretches) >= least).all():
+                break
+        return found
+
+    def _without(self, rows, share):
+        """Return the split without a share of the guard that a stretch may have."""
+        stretches = []
+        for stretch, (before, after) in zip(self.stretches, self.borders):
+            most = _MOST_GUARD * (stretch.stop - stretch.start)
+            guard = int(share * min(rows, most))
+            stretches.append(
+                slice(stretch.start + before * guard, stretch.stop - after * guard)
+            )
+        return replace(self, stretches=tuple(stretches))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Amount:
+    """How much of each joint's motion rows hold.
+
+    Attributes
+    ----------
+    moving : ndarray of shape (n, nv), bool
+        Which joints move.
+    half : int
+        Rows that the low-pass takes at either end.
+    need : float
+        Moving rows behind it that a verdict needs.
+    """
+
+    moving: np.ndarray
+    half: int
+    need: float
+
+    @property
+    def length(self):
+        """Rows that a stretch, or what is left between two, must have."""
+        return max(int(_FILTER_LENGTHS * 2 * self.half), _FEWEST_SAMPLES)
+
+    @property
+    def length_of_more(self):
+        """The same, where there is more than one stretch in a recording."""
+        return max(int(_LENGTHS_OF_MORE * 2 * self.half), _FEWEST_SAMPLES)
+
+    def of(self, stretches):
+        """Count the moving rows of each joint behind the low-pass, (nv,)."""
+        count = np.zeros(self.moving.shape[1])
+        for s in stretches:
+            inner = slice(s.start + self.half, max(s.stop - self.half, s.start))
+            count += self.moving[inner].sum(axis=0)
+        return count
+
+
+def check_share(test_size):
+    """Return the share that is kept untouched as a float."""
+    try:
+        share = float(test_size)
+    except (TypeError, ValueError):
+        share = np.nan
+    if not 0 < share < 1:
+        raise ValueError(
+            "test_size must be the share of the motion that is kept for the test, "
+            f"between 0 and 1; got {test_size!r}."
+        )
+    return share
+
+
+def split_in_time(identifier, X, groups, test_size):
+    """Choose the untouched stretches from the motion; torques are not looked at.
+
+    Parameters
+    ----------
+    identifier : RobotIdentifier
+        Declared model, not fitted: sample period, cut-offs, standstill.
+    X : ndarray of shape (n, nv) or (n, 3 * nv)
+        Positions or states.
+    groups : array-like of shape (n,) or None
+        Labels of recordings.
+    test_size : float
+        Share of the motion that is kept.
+
+    Returns
+    -------
+    Split
+        Stretches at both ends of each of several recordings, or at several places of
+        a single one; of recordings that are too short to be cut, some as a whole.
+    """
+    share = check_share(test_size)
+    parts = contiguous_groups(groups, X.shape[0])
+    return _divide(_amount(identifier, X, groups, parts), parts, share)
+
+
+def _amount(identifier, X, groups, parts):
+    """Which joints move in which rows, and what a verdict needs of that."""
+    nv = X.shape[1] // 3 if X.shape[1] == 3 * _joints(identifier) else X.shape[1]
+    estimator, states, dt = None, X, identifier.dt or 1.0
+    if X.shape[1] == nv:
+        estimator = fit_states(identifier.dt, identifier.state_cutoff, X, groups)
+        states = estimator.transform(X, groups=groups)
+    v = states[:, nv : 2 * nv]
+    facts = MotionFacts.of(states[:, :nv], v, n_fastest(len(v)))
+    limit = resolve_standstill(identifier.standstill, facts.fast())
+    cutoff = resolve_cutoff(identifier.cutoff, parts, identifier.dt, estimator)
+    band = min(cutoff, 0.5 / dt)
+    return Amount(
+        moving=np.abs(v) > np.maximum(limit, 0.0),
+        half=_lowpass.design(dt, cutoff).half,
+        need=FEWEST_VALUES / (2.0 * band * dt),
+    )
+
+
+def _joints(identifier):
+    from sklearn_vbjfa.model._loading import load_model
+
+    return load_model(identifier.model).nv
+
+
+def _divide(amount, parts, share):
+    """Choose how many stretches a recording has, and where."""
+    first = None
+    while True:
+        chosen, enough = _best_count(amount, parts, share)
+        first = chosen if first is None else first
+        if enough or share >= _LARGEST:
+            # If there is never enough, a larger part is not taken in vain.
+            return _described(amount, parts, chosen if enough else first)
+        share = min(_GROWTH * share, _LARGEST)
+
+
+def _best_count(amount, parts, share):
+    """Return the stretches by which all joints are judged best, and if well enough."""
+    moving, length = amount.moving, amount.length
+    total = moving.sum(axis=0)
+    # Each joint's motion counts the same, however little of it there is.
+    weight = (moving / np.maximum(total, 1)).sum(axis=1)
+    if not weight.any():
+        weight = np.ones(moving.shape[0])
+    more = amount.length_of_more
+    most = [_most_stretches(weight[part], share, length, more) for part in parts]
+    wanted = _STRETCHES if len(parts) == 1 else 1
+    can = _LARGEST * total > amount.need
+    best, chosen = (False, -1.0), None
+    for count in (*range(wanted, _MOST_STRETCHES + 1), *range(wanted - 1, 0, -1)):
+        counts = [min(count, limit) for limit in most]
+        stretches = _place(weight, parts, counts, share, length, more)
+        rows = np.zeros(moving.shape[0], dtype=bool)
+        for stretch in stretches:
+            rows[stretch] = True
+        # A joint that never moves has nothing due.
+        due = (moving[rows].sum(axis=0) / np.maximum(total, 1) / share)[total > 0]
+        least = min(float(np.min(due, initial=_DUE)), _DUE)
+        enough = bool((amount.of(stretches) >= amount.need)[can].all())
+        if (enough, least) > best:
+            best, chosen = (enough, least), stretches
+        if best == (True, _DUE):
+            break
+    return chosen, best[0]
+
+
+def _most_stretches(weight, share, length, more):
+    """Most stretches of a recording that leave all pieces long enough; 0 for none."""
+    if weight.size * min(share, 1 - share) < length:
+        return 0
+    count = 1
+    while count < _MOST_STRETCHES:
+        pieces = _cells(weight, count + 1, share)
+        if min(b - a for cell in pieces for a, b in _pairs(cell)) < more:
+            break
+        count += 1
+    return count
+
+
+def _pairs(cell):
+    start, border, stop = cell
+    return (start, border), (border, stop)
+
+
+def _cells(weight, count, share):
+    """First row, first untouched row and end of cells of equal motion."""
+    done = np.cumsum(weight)
+    if done[-1] <= 0:
+        done = np.arange(1.0, weight.size + 1)
+    done = done / done[-1]
+    edges = [0, *(_row(done, k / count) for k in range(1, count)), weight.size]
+    borders = [_row(done, (k + 1 - share) / count) for k in range(count)]
+    return [(edges[k], borders[k], edges[k + 1]) for k in range(count)]
+
+
+def _row(done, share):
+    """First row before which this share of the motion lies."""
+    return int(np.searchsorted(done, share * (1 - 1e-12), side="left")) + 1
+
+
+def _place(weight, parts, counts, share, length, more):
+    """Untouched slices of all recordings, in order."""
+    short = [k for k, count in enumerate(counts) if count == 0]
+    # Recordings too short to be cut are kept as a whole, in turns.
+    turn = max(round(1 / share), 2)
+    whole = set(short[turn - 1 :: turn])
+    if not whole and len(short) == len(parts):
+        whole = {short[-1]} if len(short) > 1 else set()
+    stretches = []
+    for k, (part, count) in enumerate(zip(parts, counts)):
+        n = part.stop - part.start
+        if k in whole:
+            found = [(0, n)]
+        elif count == 1 and len(parts) > 1:
+            found = _ends(weight[part], share, length, more)
+        elif count:
+            cells = _cells(weight[part], count, share)
+            found = [(min(border, stop - length), stop) for _, border, stop in cells]
+        elif len(parts) == 1:
+            # Too short for a verdict; the fit says what is missing.
+            found = [(n - max(round(share * n), 1), n)]
+        else:
+            found = []
+        stretches += [slice(part.start + a, part.start + b) for a, b in found]
+    return stretches
+
+
+def _ends(weight, share, length, more):
+    """Both ends of a recording, since motions change as they go on, or the last."""
+    done = np.cumsum(weight)
+    n = weight.size
+    if done[-1] > 0:
+        first = _row(done / done[-1], 0.5 * share)
+        last = _row(done / done[-1], 1 - 0.5 * share)
+        if more <= first and more <= n - last and more <= last - first:
+            return [(0, first), (last, n)]
+    ((_, border, stop),) = _cells(weight, 1, share)
+    return [(min(border, stop - length), stop)]
+
+
+def _described(amount, parts, stretches):
+    n = amount.moving.shape[0]
+    test = np.zeros(n, dtype=bool)
+    for stretch in stretches:
+        test[stretch] = True
+    recording = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
+    first = np.zeros(n, dtype=bool)
+    first[[part.start for part in parts]] = True
+    pieces = np.cumsum(first | np.r_[False, test[1:] != test[:-1]])
+    search = np.flatnonzero(~test)
+    borders = []
+    for s in stretches:
+        before = s.start > 0 and not first[s.start] and not test[s.start - 1]
+        after = s.stop < n and not first[s.stop] and not test[s.stop]
+        borders.append((bool(before), bool(after)))
+    return Split(
+        search=search,
+        pieces=pieces[search],
+        recording=recording[search],
+        stretches=tuple(stretches),
+        borders=tuple(borders),
+        amount=amount,
+    )

@@ -1,0 +1,1 @@
+"""Channels that contradict the robot: signs, orders, units, delays, zeros."""

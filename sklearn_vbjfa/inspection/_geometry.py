@@ -1,0 +1,455 @@
+"""Do channels belong to the joints that they are said to: order, direction, zero.
+
+Do torques have the sign of what they do.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations, permutations
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from sklearn_vbjfa.inspection._rivals import (
+    FEWEST_ROWS,
+    SURE,
+    ChannelEquations,
+    fits_of,
+    gain,
+    total,
+)
+from sklearn_vbjfa.model._loading import is_prismatic, joint_names
+from sklearn_vbjfa.recording._faults import ChannelFinding
+
+# Friction below this share of a torque is no evidence of its sign.
+_FRICTION_SHARE = 0.1
+# ... and below this it does not even contradict.
+_CONTRADICTS = 0.02
+# A torque of which the nominal one explains less than this does not follow it.
+_FOLLOWS = 0.1
+# A torque that neither inertias nor friction predict better has no friction to go by.
+_WORST_ERROR = 0.3
+# Share of the torque that the nominal model must explain to say something.
+_NOMINAL_SHARE = 0.5
+
+
+def torque_signs(model, names, signals):
+    """Find torques with the wrong sign.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    names : sequence of str
+        Joints.
+    signals : ChannelSignals
+        Filtered recording.
+
+    Returns
+    -------
+    findings : list of ChannelFinding
+        Errors.
+    signals : ChannelSignals
+        Recording with the signs put right.
+    """
+    equations = ChannelEquations(model, signals)
+    found = []
+    sign = np.ones(model.nv)
+    for j, fit in fits_of(equations, signals).items():
+        scale, scale_t, share = equations.nominal_scale(j)
+        if fit.error[0] > _WORST_ERROR:
+            continue
+        # It takes more to accuse than to contradict.
+        friction = fit.power_t * (fit.friction > _FRICTION_SHARE)
+        rigid = scale_t * (share > _NOMINAL_SHARE)
+        against = max(
+            fit.power_t * (fit.friction > _CONTRADICTS),
+            scale_t * (share > 0.5 * _NOMINAL_SHARE),
+        )
+        if min(friction, rigid) > -SURE or against > 2.0:
+            continue
+        sign[j] = -1.0
+        evidence = []
+        if friction < -SURE:
+            evidence.append(
+                f"friction would feed {-fit.power:.3g} W into the motion "
+                f"({-fit.power_t:.0f} standard errors)"
+            )
+        if rigid < -SURE:
+            evidence.append(
+                f"it follows {scale:.2g} times the model's torque "
+                f"({-scale_t:.0f} standard errors)"
+            )
+        # Where the model asks for a torque that the channel does not follow, with
+        # neither sign, its friction may be what a controller compensates.
+        follows = rigid < -SURE or scale_t == 0.0
+        found.append(
+            ChannelFinding(
+                "torque_sign",
+                (j,),
+                "error" if follows or share > _FOLLOWS else "doubt",
+                f"The torque of {names[j]} has the wrong sign: "
+                f"{' and '.join(evidence)}; multiply it by -1.",
+            )
+        )
+    return found, signals.signed(sign)
+
+
+# Exchanging two channels must lower the squared errors of both by this factor.
+_SWAP_GAIN = np.log(4.0)
+# Another zero, of which many are tried, must lower those of all joints by this.
+_ZERO_GAIN = np.log(2.0)
+# Nothing is looked for where all joints are predicted as well as this.
+_GOOD_FIT = 0.1
+# Gain of all joints that an exchange on the way to another order must bring.
+_CLIMB = 0.05
+# All orders of so many joints are tried where half of the joints have errors above
+# this: exchanges help little before most joints are in place.
+_MOST_ORDERS = 5
+_NO_FIT = 0.5
+# Rows with which other orders, directions and zeros are tried, which is dear.
+_TRIAL_ROWS = 700
+# Offsets of a joint's zero that are tried [rad].
+_OFFSETS = np.deg2rad([-135, -90, -45, 45, 90, 135, 180])
+
+
+def misplaced(model, names, signals):
+    """Find channels of other joints, joints that turn the other way, other zeros.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    names : sequence of str
+        Joints.
+    signals : ChannelSignals
+        Filtered recording.
+
+    Returns
+    -------
+    findings : list of ChannelFinding
+        What makes the squared errors fall most, one after the other.
+    signals : ChannelSignals
+        Recording without these faults.
+    """
+    found = []
+    for _ in range(model.nv):
+        best = _best(model, signals)
+        if best is None:
+            break
+        signals = best.put_right(signals)
+        found.append(best)
+    return [_finding(names, correction) for correction in _joined(found)], signals
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correction:
+    """Another reading of some channels.
+
+    Attributes
+    ----------
+    kind : str
+        Kind of the finding.
+    joints : tuple of int
+        Joints concerned.
+    order : ndarray of shape (nv,) of int or None
+        Channel to read for each joint.
+    sign : ndarray of shape (nv,) or None
+        Directions of joints.
+    offset : ndarray of shape (nv,) or None
+        What to add to positions [rad].
+    gain : float
+        Logarithm of the factor by which the squared errors fall, of the joints
+        concerned.
+    gain_t : float
+        The same in standard errors.
+    """
+
+    kind: str
+    joints: tuple
+    order: np.ndarray | None = None
+    sign: np.ndarray | None = None
+    offset: np.ndarray | None = None
+    gain: float
+    gain_t: float
+
+    def put_right(self, signals):
+        """Return the signals read so."""
+        if self.order is not None:
+            signals = signals.permuted(
+                self.order,
+                positions=self.kind != "swapped_torques",
+                torques=self.kind != "swapped_positions",
+            )
+        if self.sign is not None:
+            signals = signals.flipped(self.sign)
+        if self.offset is not None:
+            signals = signals.shifted(self.offset)
+        return signals
+
+
+def _best(model, signals):
+    """Return the correction that helps most, or None."""
+    equations = ChannelEquations(model, signals)
+    fits = fits_of(equations, signals)
+    if not fits or all(fit.error[0] < _GOOD_FIT for fit in fits.values()):
+        return None
+    candidates = []
+    best = _torque_order(model.nv, equations, signals, sorted(fits))
+    if best is not None:
+        candidates.append(best)
+        right = best.put_right(signals)
+        again = {j: equations.fit(j, right.now[:, [j]]) for j in fits}
+        if all(fit.error[0] < _GOOD_FIT for fit in again.values()):
+            return best
+    few = signals.thinned(_TRIAL_ROWS)
+    # A joint that moves in a small part of the recording has too few rows left.
+    told = few.informative()
+    joints = [j for j in sorted(fits) if told[j]]
+    if not joints:
+        return best
+    trial = _Trial(model, few, joints)
+    candidates += trial.orders() + trial.directions() + trial.zeros()
+    return max(candidates, key=lambda c: c.gain, default=None)
+
+
+def _torque_order(nv, equations, signals, joints):
+    """Look for torques that fit other joints better than their own."""
+    if len(joints) < 2:
+        return None
+    logs = {}
+    for a in joints:
+        for b in joints:
+            weight = signals.weight[:, a] * signals.weight[:, b]
+            if weight.sum() >= FEWEST_ROWS:
+                logs[a, b] = [
+                    equations.fit(a, signals.now[:, [k]], weight).log_error[:, 0]
+                    for k in (b, a)
+                ]
+    size = len(joints)
+    cost = np.full((size, size), 1e3)
+    for (a, b), (crossed, _) in logs.items():
+        # Relative to the torque's own place, so that large torques do not decide.
+        own = logs[b, b][0] if (b, b) in logs else crossed
+        cost[joints.index(a), joints.index(b)] = -gain(crossed, own)[0]
+    rows, columns = linear_sum_assignment(cost)
+    order = np.arange(nv)
+    order[np.array(joints)[rows]] = np.array(joints)[columns]
+    candidates = [order]
+    for pair in combinations(joints, 2):
+        other = np.arange(nv)
+        other[list(pair)] = pair[::-1]
+        candidates.append(other)
+    found = []
+    for order in candidates:
+        moved = [j for j in joints if order[j] != j]
+        if not moved or any((j, order[j]) not in logs for j in moved):
+            continue
+        # Each torque must fit its new place better than its old one.
+        each = [gain(logs[j, order[j]][0], logs[order[j], j][1]) for j in moved]
+        better, better_t = gain(
+            np.mean([logs[j, order[j]][0] for j in moved], axis=0),
+            np.mean([logs[order[j], j][1] for j in moved], axis=0),
+        )
+        if better > _SWAP_GAIN and better_t > SURE and min(x for x, _ in each) > 0:
+            found.append(
+                Correction(
+                    kind="swapped_torques",
+                    joints=tuple(int(j) for j in moved),
+                    order=order,
+                    gain=better,
+                    gain_t=better_t,
+                )
+            )
+    # The sum over the joints: of a cycle each pair helps a little.
+    return max(found, key=lambda c: c.gain * len(c.joints), default=None)
+
+
+class _Trial:
+    """Corrections that change the motion of the model, tried on a few rows.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    signals : ChannelSignals
+        Few rows.
+    joints : list of int
+        Joints that tell something.
+    """
+
+    def __init__(self, model, signals, joints):
+        self._model, self._signals, self._joints = model, signals, joints
+        self._names = joint_names(model)
+        fits = fits_of(ChannelEquations(model, signals), signals)
+        self._now = total(fits)
+        errors = [fit.error[0] for fit in fits.values()]
+        self._lost = np.median(errors) > _NO_FIT
+
+    def _gain(self, correction):
+        """Gain of all joints and its standard errors; zero if too little is left."""
+        signals = correction.put_right(self._signals)
+        fits = fits_of(ChannelEquations(self._model, signals), signals)
+        if len(fits) < len(self._joints):
+            return 0.0, 0.0
+        return gain(total(fits), self._now)
+
+    def _judge(self, moved, least=0.0, **how):
+        """Return the correction if it is sure, else None.
+
+        All joints together must gain `least` by it.
+        """
+        better, better_t = self._gain(_correction(moved, **how))
+        # Of all joints, some of which changed.
+        if better < least:
+            return None
+        better *= self._model.nv / max(len(moved), 2)
+        if not (better > _SWAP_GAIN and better_t > SURE):
+            return None
+        return Correction(joints=moved, gain=better, gain_t=better_t, **how)
+
+    def orders(self):
+        """Exchange positions of two joints, or whole joints in any way."""
+        nv, prismatic = self._model.nv, is_prismatic(self._model)
+        found = []
+        for pair in combinations(self._joints, 2):
+            if prismatic[pair[0]] == prismatic[pair[1]]:
+                order = _exchanged(np.arange(nv), pair)
+                found.append(self._judge(pair, kind="swapped_positions", order=order))
+        if len(self._joints) > 1:
+            order = self._best_order()
+            moved = tuple(int(j) for j in np.flatnonzero(order != np.arange(nv)))
+            if moved:
+                found.append(self._judge(moved, kind="swapped_joints", order=order))
+        return [c for c in found if c is not None]
+
+    def _best_order(self):
+        """Climb from the best of plain orders by exchanges, ndarray (nv,) of int."""
+        nv = self._model.nv
+        starts = [np.roll(np.arange(nv), k) for k in range(nv)]
+        starts.append(np.arange(nv)[::-1])
+        # As programs write a table of joints whose order they do not know.
+        named = np.argsort(self._names, kind="stable")
+        starts += [named, np.argsort(named)]
+        if self._lost and nv <= _MOST_ORDERS:
+            starts = [np.array(order) for order in permutations(range(nv))]
+        rated = [(self._rate(order), order) for order in starts]
+        best, order = max(rated, key=lambda x: x[0])
+        # Each exchange puts one joint at least into its place.
+        for _ in range(nv):
+            tried = [_exchanged(order, pair) for pair in combinations(self._joints, 2)]
+            better, other = max(((self._rate(x), x) for x in tried), key=lambda x: x[0])
+            if better < best + _CLIMB:
+                break
+            best, order = better, other
+        return order
+
+    def _rate(self, order):
+        """Gain of all joints by an order of theirs."""
+        if (order == np.arange(order.size)).all():
+            return 0.0
+        return self._gain(_correction((), kind="swapped_joints", order=order))[0]
+
+    def directions(self):
+        """Let a joint turn the other way round."""
+        found = []
+        for j in self._joints:
+            sign = np.ones(self._model.nv)
+            sign[j] = -1.0
+            found.append(self._judge((j,), kind="flipped_joint", sign=sign))
+        return [c for c in found if c is not None]
+
+    def zeros(self):
+        """Put the zero of a revolute joint elsewhere."""
+        found = []
+        for j in np.flatnonzero(~is_prismatic(self._model)):
+            for angle in _OFFSETS:
+                offset = np.zeros(self._model.nv)
+                offset[j] = angle
+                found.append(
+                    self._judge(
+                        (int(j),), _ZERO_GAIN, kind="position_zero", offset=offset
+                    )
+                )
+        return [c for c in found if c is not None]
+
+
+def _correction(joints, **how):
+    return Correction(joints=joints, gain=0.0, gain_t=0.0, **how)
+
+
+def _exchanged(order, pair):
+    order = order.copy()
+    order[list(pair)] = order[list(pair[::-1])]
+    return order
+
+
+def _joined(found):
+    """Join orders of whole joints that follow upon one another."""
+    out = []
+    for correction in found:
+        last = out[-1] if out else None
+        if (
+            last is not None
+            and last.order is not None
+            and correction.order is not None
+            and last.kind == correction.kind
+            and set(last.joints) & set(correction.joints)
+        ):
+            order = last.order[correction.order]
+            moved = np.flatnonzero(order != np.arange(order.size))
+            out[-1] = Correction(
+                kind=last.kind,
+                joints=tuple(int(j) for j in moved),
+                order=order,
+                gain=last.gain + correction.gain,
+                gain_t=min(last.gain_t, correction.gain_t),
+            )
+        else:
+            out.append(correction)
+    return out
+
+
+def _finding(names, correction):
+    joints = correction.joints
+    evidence = (
+        f"the squared torque errors fall by the factor {np.exp(correction.gain):.3g} "
+        f"({correction.gain_t:.0f} standard errors)"
+    )
+    if correction.offset is not None:
+        angle = np.rad2deg(correction.offset[joints[0]])
+        message = (
+            f"The zero of {names[joints[0]]} looks off by about {-angle:.0f} degrees: "
+            f"with {angle:+.0f} degrees added to its position {evidence}; put the zero "
+            "where the model has it, or, if the robot is mounted in another way or "
+            "carries a tool, say so in the model."
+        )
+        # Another mounting or tool looks the same, and only the geometry is wrong.
+        return ChannelFinding("position_zero", joints, "doubt", message)
+    if correction.sign is not None:
+        message = (
+            f"{names[joints[0]]} turns the other way round in the recording than in "
+            f"the model: with both its position and its torque times -1 {evidence}; "
+            "multiply both columns by -1, or turn the axis in the model."
+        )
+        return ChannelFinding("flipped_joint", joints, "error", message)
+    what = {
+        "swapped_torques": "torques",
+        "swapped_positions": "positions",
+        "swapped_joints": "positions and torques",
+    }[correction.kind]
+    # With friction alone to go by the two cannot be told apart.
+    other = {"torques": " (or their positions)", "positions": " (or their torques)"}
+    if len(joints) == 2:
+        message = (
+            f"The {what} of {names[joints[0]]} and {names[joints[1]]} look exchanged"
+            f"{other.get(what, '')}: the other way round {evidence}; exchange the "
+            "columns."
+        )
+        return ChannelFinding(correction.kind, joints, "error", message)
+    order = ", ".join(names[k] for k in np.argsort(correction.order))
+    message = (
+        f"The columns of {what} are in another order{other.get(what, '')}: read as "
+        f"{order} {evidence}; put them into the order of the model, "
+        f"{', '.join(names)}."
+    )
+    return ChannelFinding("joint_order", joints, "error", message)

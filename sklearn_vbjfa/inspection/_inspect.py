@@ -1,0 +1,156 @@
+"""Does a recording fit the robot: signs, order, units and timing of its channels."""
+
+import numpy as np
+
+from sklearn_vbjfa.inspection._geometry import misplaced, torque_signs
+from sklearn_vbjfa.inspection._rivals import channel_signals
+from sklearn_vbjfa.inspection._timing import delays, sample_periods, too_fast
+from sklearn_vbjfa.inspection._units import counts, degrees, gear_factors, velocities
+from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_model
+from sklearn_vbjfa.recording._faults import (
+    ChannelFinding,
+    in_order,
+    inspect_samples,
+    shuffled_rows,
+)
+from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
+
+__all__ = ["ChannelFinding", "inspect_channels"]
+
+# Shorter recordings are not looked at [samples].
+_MIN_SAMPLES = 64
+
+
+def inspect_channels(model, q, tau, dt, groups=None):
+    """Look for channels of a recording that cannot be what they are called.
+
+    Parameters
+    ----------
+    model : str, os.PathLike or pinocchio.Model
+        Robot; its inertias may be wrong by half, its friction is not used.
+    q : array-like of shape (n_samples, nv)
+        Joint positions [rad or m], rows equidistant in time.
+    tau : array-like of shape (n_samples, nv)
+        Joint torques [N m] or forces [N]; a motor quantity in another unit is welcome
+        as far as sign, order and timing are concerned.
+    dt : float
+        Sample period [s].
+    groups : array-like of shape (n_samples,), default=None
+        Labels of separate recordings.
+
+    Returns
+    -------
+    findings : tuple of ChannelFinding
+        What was found, the worst first; empty if nothing. Kinds:
+
+        - errors, with which what is found is the fault: "shuffled_rows",
+          "wrapped_position", "position_degrees", "position_counts",
+          "velocity_as_position", "wrong_dt", "constant_torque", "torque_sign",
+          "flipped_joint" (both signs), "swapped_torques", "swapped_positions",
+          "swapped_joints" (both), "joint_order" (three joints or more);
+        - doubts, with which no favourable verdict can be given: "gear_factor",
+          "position_zero", "frozen_recording", "held_position", "held_torque",
+          "repeated_rows" if they are many, "wrong_dt" if the motion is only slower
+          than robots are, "position_jumps";
+        - warnings: "clipped_torque", "coarse_torque", "delay", "frozen_position",
+          "repeated_rows", "position_spikes", "torque_spikes", "still_joint".
+
+    Notes
+    -----
+    Every torque is regressed on its joint's rows of the regressor matrix (a prior
+    keeps the inertias near multiples of the nominal ones), friction, a spring and the
+    rotor's inertia, behind a common low-pass. Errors count in blocks of time that the
+    regression has not seen, so that correlated residuals do not pass for evidence. The
+    sign shows in the power of friction, which leaves the motion and never feeds it,
+    and in the factor of the nominal torque. What is found is put right before the next
+    question is asked, so that one fault does not look like another.
+
+    Silence is no certificate: a channel that the motion does not excite, or one that
+    is mostly noise, shows nothing. The zero of a joint with a vertical axis, or of the
+    last one (its link may be mounted in any way), and both signs of a joint that
+    gravity does not load cannot be seen in principle.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> from sklearn_vbjfa.inspection._inspect import inspect_channels
+    >>> arm = load_demo_recording()
+    >>> tau = arm.tau.copy()
+    >>> tau[:, 1] *= -1
+    >>> findings = inspect_channels(
+    ...     arm.robot_model(), arm.q, tau, arm.dt, arm.groups
+    ... )
+    >>> [(finding.kind, finding.joints) for finding in findings]
+    [('torque_sign', (1,))]
+    """
+    model = load_model(model)
+    q, tau = _check_arrays(model, q, tau)
+    dt = check_dt(dt)
+    names = joint_names(model)
+    whole = contiguous_groups(groups, len(q))
+    shuffled = shuffled_rows(names, q, whole, groups)
+    parts = [part for part in whole if part.stop - part.start >= _MIN_SAMPLES]
+    if shuffled or not parts:
+        return tuple(shuffled)
+    rows = np.concatenate([np.arange(part.start, part.stop) for part in parts])
+    stops = np.cumsum([part.stop - part.start for part in parts])
+    parts = [slice(int(a), int(b)) for a, b in zip(np.r_[0, stops], stops)]
+    q, tau = q[rows], tau[rows]
+    revolute = ~is_prismatic(model)
+    findings, usable, q = inspect_samples(names, q, tau, dt, parts, rows, revolute)
+    impossible, ratio = too_fast(model, names, q, dt, parts)
+    findings += counts(model, names, q, ratio)
+    # With such positions nothing else can be asked.
+    if _names(findings, "position_counts"):
+        return in_order(findings)
+    signals = channel_signals(q, tau, dt, parts, usable)
+    if signals is None or not signals.informative().any():
+        return in_order(findings + impossible)
+    found, signals = degrees(model, names, q, signals)
+    if not found:
+        found = velocities(model, names, q, tau, dt, parts, usable, signals)
+    if not found:
+        found = impossible or sample_periods(model, names, dt, ratio, signals)
+    findings += found
+    # What was put right goes on; of the others the rest would be about that.
+    if not _names(findings, "velocity_as_position", "wrong_dt"):
+        findings += _with_model(model, names, dt, signals)
+    return in_order(findings)
+
+
+def _with_model(model, names, dt, signals):
+    """Ask whether channels are what they are called."""
+    findings, signals = misplaced(model, names, signals)
+    found, signals = torque_signs(model, names, signals)
+    findings += found
+    findings += gear_factors(model, names, signals)
+    return findings + delays(model, names, dt, signals)
+
+
+def _names(findings, *kinds):
+    return any(finding.kind in kinds for finding in findings)
+
+
+def _check_arrays(model, q, tau):
+    """Return positions and torques as finite arrays (n_samples, nv)."""
+    arrays = []
+    for name, values in (("q", q), ("tau", tau)):
+        array = np.asarray(values, dtype=float)
+        if array.ndim != 2 or array.shape[1] != model.nv:
+            raise ValueError(
+                f"{name} must have shape (n_samples, {model.nv}), one column for each "
+                f"of {', '.join(joint_names(model))}; got {array.shape}."
+            )
+        if not np.isfinite(array).all():
+            row, column = np.argwhere(~np.isfinite(array))[0]
+            raise ValueError(
+                f"{name} must be finite, got {array[row, column]} in row {row} for "
+                f"{joint_names(model)[column]}; interpolate or drop that row."
+            )
+        arrays.append(array)
+    if len(arrays[0]) != len(arrays[1]):
+        raise ValueError(
+            f"q and tau must have equally many rows, got {len(arrays[0])} and "
+            f"{len(arrays[1])}."
+        )
+    return arrays

@@ -1,0 +1,554 @@
+"""Small regressions of single torque channels, judged by errors in unseen blocks.
+
+What the checks of channels with a robot model have in common.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.model._loading import nominal_parameters
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._plan import STANDSTILL_SHARE
+from sklearn_vbjfa.robot._states import StateEstimator
+
+# Standard errors that evidence needs.
+SURE = 5.0
+
+
+def fits_of(equations, signals):
+    """Fit of every informative joint with the torques as recorded.
+
+    Parameters
+    ----------
+    equations : ChannelEquations
+        Regressors.
+    signals : ChannelSignals
+        Signals that they were made of.
+
+    Returns
+    -------
+    dict of int to ChannelFit
+        Joints with enough rows.
+    """
+    now = signals.now
+    return {
+        int(j): equations.fit(j, now[:, [j]])
+        for j in np.flatnonzero(signals.informative())
+    }
+
+
+def total(fits):
+    """Logarithms of squared errors by block, mean over joints.
+
+    A torque that is predicted worse than by its mean is not predicted: how much worse
+    says nothing, and is no evidence for what predicts it a little less badly.
+    """
+    return np.mean(
+        [np.minimum(fit.log_error[:, 0], fit.log_variance) for fit in fits.values()],
+        axis=0,
+    )
+
+
+# The low-pass lies at this multiple of the frequency below which 90 % of the power of
+# the velocity lies: noise of a fast encoder must not pass for motion.
+_CUTOFF_PER_BANDWIDTH = 7.0
+# ... but its length must stay a small part of the longest recording.
+_CUTOFF_PERIODS = 36.0
+# Shifts between positions and torques that are tried, to either side.
+_N_SHIFTS = 10
+_SHORTEST_SHIFT = 0.002  # s
+# Equations in use; more cost time and tell nothing more.
+_MOST_ROWS = 2500
+# Blocks of time, whose errors are nearly independent.
+N_BLOCKS = 10
+# Fewer moving samples than this tell nothing of a joint.
+FEWEST_ROWS = 60
+# Relative error of the nominal inertias: the prior of the regressions.
+_NOMINAL_ERROR = 0.5
+# A nominal torque below this share of what such errors make says nothing: the inertias
+# cancel in it, as in a balanced wrist.
+_LEAST_NOMINAL = 0.15
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelSignals:
+    """Filtered and decimated signals.
+
+    Attributes
+    ----------
+    states : ndarray of shape (n, 3 * nv)
+        Filtered states [q | v | a].
+    sign : ndarray of shape (n, nv)
+        Filtered signs of the velocities.
+    tau : ndarray of shape (n, nv, n_shifts)
+        Filtered torques, read `shifts` samples after the positions.
+    weight : ndarray of shape (n, nv)
+        1 where the joint moves and no fault is known, else 0.
+    block : ndarray of shape (n,) of int
+        Block of time of each row.
+    shifts : ndarray of shape (n_shifts,) of int
+        Samples; the middle one is zero.
+    """
+
+    states: np.ndarray
+    sign: np.ndarray
+    tau: np.ndarray
+    weight: np.ndarray
+    block: np.ndarray
+    shifts: np.ndarray
+
+    @property
+    def now(self):
+        """Torques as recorded, ndarray of shape (n, nv)."""
+        return self.tau[:, :, self.shifts.size // 2]
+
+    def informative(self):
+        """Return which joints have enough rows, ndarray of shape (nv,) of bool."""
+        return self.weight.sum(axis=0) >= FEWEST_ROWS
+
+    def scaled(self, factor):
+        """Return the signals with positions multiplied by factors (nv,)."""
+        return replace(self, states=self.states * np.tile(factor, 3))
+
+    def permuted(self, order, *, positions, torques):
+        """Return the signals with channels in another order.
+
+        Parameters
+        ----------
+        order : ndarray of shape (nv,) of int
+            Channel to read for each joint.
+        positions, torques : bool
+            Which channels to exchange.
+        """
+        signals = self
+        if positions:
+            n = self.states.shape[0]
+            states = self.states.reshape(n, 3, -1)[:, :, order].reshape(n, -1)
+            signals = replace(
+                signals,
+                states=states,
+                sign=self.sign[:, order],
+                weight=self.weight[:, order],
+            )
+        if torques:
+            signals = replace(signals, tau=self.tau[:, order])
+        return signals
+
+    def signed(self, sign):
+        """Return the signals with torques multiplied by signs (nv,)."""
+        return replace(self, tau=self.tau * sign[:, None])
+
+    def flipped(self, sign):
+        """Return the signals with joints that turn the other way round, by signs."""
+        return replace(
+            self.signed(sign),
+            states=self.states * np.tile(sign, 3),
+            sign=self.sign * sign,
+        )
+
+    def shifted(self, offset):
+        """Return the signals with offsets (nv,) added to the positions."""
+        still = np.zeros_like(offset)
+        return replace(self, states=self.states + np.r_[offset, still, still])
+
+    def retimed(self, factor):
+        """Return the signals with a sample period that is shorter by a factor."""
+        nv = self.sign.shape[1]
+        scale = np.repeat([1.0, factor, factor**2], nv)
+        return replace(self, states=self.states * scale)
+
+    def thinned(self, most):
+        """Return every k-th row, about `most` of them."""
+        k = max(1, self.block.size // most)
+        rows = {
+            name: getattr(self, name)[::k]
+            for name in ("states", "sign", "tau", "weight", "block")
+        }
+        return replace(self, **rows)
+
+
+def channel_signals(q, tau, dt, parts, usable):
+    """Filter a recording.
+
+    Parameters
+    ----------
+    q, tau : ndarray of shape (n, nv)
+        Recording.
+    dt : float
+        Sample period [s].
+    parts : list of slice
+        Separate recordings; those shorter than the filter are left out.
+    usable : ndarray of shape (n, nv), bool
+        Samples without known faults.
+
+    Returns
+    -------
+    ChannelSignals or None
+        None if every recording is too short.
+    """
+    n, nv = q.shape
+    labels = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
+    states = StateEstimator(dt).fit(q, groups=labels).transform(q, groups=labels)
+    v = states[:, nv : 2 * nv]
+    lowpass = _lowpass.design(dt, _cutoff(v, dt, parts))
+    shifts = max(1, round(_SHORTEST_SHIFT / dt)) * np.arange(-_N_SHIFTS, _N_SHIFTS + 1)
+    slow = STANDSTILL_SHARE * np.quantile(np.abs(v), 0.995, axis=0)
+    weight = ((np.abs(v) > slow) & usable).astype(float)
+    pieces = []
+    for part in parts:
+        start, stop = part.start + shifts[-1], part.stop - shifts[-1]
+        if stop - start < 2 * lowpass.half + 1:
+            continue
+        inner = slice(start, stop)
+        shifted = [lowpass(tau[start + k : stop + k]) for k in shifts]
+        pieces.append(
+            (
+                lowpass(states[inner]),
+                lowpass(np.sign(v[inner])),
+                np.stack(shifted, axis=-1),
+                lowpass.average(weight[inner]),
+            )
+        )
+    if not pieces:
+        return None
+    states, sign, torque, weight = (np.concatenate(x) for x in zip(*pieces))
+    n = states.shape[0]
+    signals = ChannelSignals(
+        states=states,
+        sign=sign,
+        tau=torque,
+        weight=(weight > 0.9).astype(float),
+        block=np.arange(n) * N_BLOCKS // n,
+        shifts=shifts,
+    )
+    return signals.thinned(_MOST_ROWS)
+
+
+def _cutoff(v, dt, parts):
+    """Cut-off [Hz] above the motion."""
+    longest = max(part.stop - part.start for part in parts)
+    size = 2 ** int(np.ceil(np.log2(longest)))
+    power = np.zeros((size // 2 + 1, v.shape[1]))
+    for part in parts:
+        tapered = v[part] * np.hanning(part.stop - part.start)[:, None]
+        power += np.abs(np.fft.rfft(tapered, n=size, axis=0)) ** 2
+    total = np.cumsum(power, axis=0)
+    share = total / np.maximum(total[-1], np.finfo(float).tiny)
+    # A joint at rest has noise only.
+    fast = np.ptp(v, axis=0) > 1e-3 * np.ptp(v)
+    bandwidth = (share[:, fast] < 0.9).sum(axis=0).max(initial=1) / (size * dt)
+    return float(
+        max(_CUTOFF_PER_BANDWIDTH * bandwidth, _CUTOFF_PERIODS / (longest * dt))
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChannelFit:
+    """Fit of one torque channel, for several versions of the torque.
+
+    Attributes
+    ----------
+    error : ndarray of shape (n_versions,)
+        Root mean squared error in unseen blocks, relative to the torque's standard
+        deviation.
+    log_error : ndarray of shape (n_blocks, n_versions)
+        Logarithm of the mean squared error of each block, predicted from the others;
+        nan for blocks without rows.
+    log_variance : float
+        Logarithm of the torque's variance.
+    friction : float
+        Root mean square of the friction found, relative to the torque's.
+    power : float
+        Mean power that friction takes out of the motion [W].
+    power_t : float
+        The same in standard errors.
+    """
+
+    error: np.ndarray
+    log_error: np.ndarray
+    log_variance: float
+    friction: float
+    power: float
+    power_t: float
+
+
+class ChannelEquations:
+    """Regressors of every joint's torque.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot with nominal inertias.
+    signals : ChannelSignals
+        Filtered recording.
+    """
+
+    def __init__(self, model, signals):
+        n, nv = signals.sign.shape
+        self._features = RigidBodyFeatures(model, friction=())._load()
+        self._rigid = self._features._compute(signals.states).reshape(n, nv, -1)
+        self._parameters = nominal_parameters(model).ravel()
+        self._nominal = self._rigid @ self._parameters
+        self._at_rest = None
+        # Rounding of a torque that is zero in every motion.
+        size = np.abs(self._nominal).max(axis=0)
+        self._nominal[:, size < 1e-9 * size.max(initial=0.0)] = 0.0
+        self._spread = _spread(model)
+        self._signals = signals
+
+    def weight(self, j):
+        """Weights of the rows of a joint."""
+        return self._signals.weight[:, j]
+
+    def fit(self, j, torque, weight=None):
+        """Fit a joint's torque by friction, spring, drive and free inertias.
+
+        Parameters
+        ----------
+        j : int
+            Joint.
+        torque : ndarray of shape (n, n_versions)
+            Versions of its torque; the middle one is the one that friction and
+            spread are reported of.
+        weight : ndarray of shape (n,), default=None
+            Weights instead of the joint's own.
+
+        Returns
+        -------
+        ChannelFit
+            Errors and friction.
+        """
+        w = self.weight(j) if weight is None else weight
+        friction, others = self._columns(j)
+        free = np.hstack([friction, others])
+        middle = torque.shape[1] // 2
+        y = torque[:, middle]
+        # The torque's unit may be any: the prior is scaled to expect its size.
+        size = _rms(y, w) / max(self._expected(j, w), np.finfo(float).tiny)
+        rigid = self._rigid[:, j] * (self._spread * size)
+        moments = _Moments(free, rigid, torque, w, self._signals.block)
+        theta, without = moments.solve(middle)
+        log_error, error = moments.errors(without)
+        power, power_t = _power(free[:, :2], theta, without, middle, w)
+        found = free[:, :2] @ theta[:2, middle]
+        spread = max(_spread_of(y, w), np.finfo(float).tiny)
+        return ChannelFit(
+            error=error / spread,
+            log_error=log_error,
+            log_variance=2 * np.log(spread),
+            friction=_rms(found, w) / max(_rms(y, w), np.finfo(float).tiny),
+            power=power,
+            power_t=power_t,
+        )
+
+    def inertia_scale(self, j):
+        """Regress the torque on gravity and on what motion adds to it, apart.
+
+        Parameters
+        ----------
+        j : int
+            Joint.
+
+        Returns
+        -------
+        gravity, gravity_t : float
+            Factor of the nominal torque at rest, and the same in standard errors.
+        motion, motion_error : float
+            Factor of the rest of the nominal torque, and its standard error.
+        """
+        n = self._signals.block.size
+        w = self.weight(j)
+        friction, _ = self._columns(j)
+        gravity = self._gravity()[:, j]
+        motion = self._nominal[:, j] - gravity
+        q = self._signals.states[:, j]
+        rest = np.column_stack([friction, np.ones(n), q, np.sin(q), np.cos(q)])
+        columns = np.column_stack([gravity, motion, rest])
+        y = self._signals.now[:, [j]]
+        block = self._signals.block
+        none = np.zeros((n, 0))
+        theta, without = _Moments(columns, none, y, w, block).solve(0)
+        errors = [_jackknife_error(without[:, k, 0]) for k in (0, 1)]
+        return (
+            float(theta[0, 0]),
+            float(theta[0, 0] / errors[0]),
+            float(theta[1, 0]),
+            float(errors[1]),
+        )
+
+    def _gravity(self):
+        """Nominal torques of the robot at rest, ndarray of shape (n, nv)."""
+        if self._at_rest is None:
+            nv = self._signals.sign.shape[1]
+            still = self._signals.states.copy()
+            still[:, nv:] = 0.0
+            rigid = self._features._compute(still).reshape(
+                *self._signals.sign.shape, -1
+            )
+            self._at_rest = rigid @ self._parameters
+        return self._at_rest
+
+    def _expected(self, j, w):
+        """Root mean square torque of inertias drawn from the prior."""
+        rigid = self._rigid[:, j] * self._spread
+        return np.sqrt(np.sum(np.average(rigid**2, axis=0, weights=w)))
+
+    def _columns(self, j):
+        """Friction columns (n, 2), and what else a joint may have beside its links."""
+        n, nv = self._signals.sign.shape
+        q, v, a = self._signals.states.reshape(n, 3, nv)[:, :, j].T
+        friction = np.column_stack([v, self._signals.sign[:, j]])
+        # A spring or a counterbalance must not pass for gravity of the wrong sign.
+        others = [self._nominal[:, j], np.ones(n), a, q, np.sin(q), np.cos(q)]
+        return friction, np.column_stack(others)
+
+    def nominal_scale(self, j, *, rotor=False):
+        """Regress the torque on the nominal one, friction and a spring.
+
+        Parameters
+        ----------
+        j : int
+            Joint.
+        rotor : bool, default=False
+            Whether the joint's acceleration has a column of its own: a geared rotor
+            may have many times the inertia of a light link.
+
+        Returns
+        -------
+        scale : float
+            Factor of the nominal rigid-body torque.
+        scale_t : float
+            The same in standard errors.
+        share : float
+            Share of what friction and spring leave that the nominal torque explains.
+        """
+        n, nv = self._signals.sign.shape
+        w = self.weight(j)
+        y = self._signals.now[:, [j]]
+        nominal = self._nominal[:, j]
+        if _rms(nominal, w) <= _LEAST_NOMINAL * self._expected(j, w):
+            return 0.0, 0.0, 0.0
+        friction, _ = self._columns(j)
+        q = self._signals.states[:, j]
+        rest = np.column_stack([friction, np.ones(n), q])
+        if rotor:
+            rest = np.column_stack([rest, self._signals.states[:, 2 * nv + j]])
+        with_nominal = np.column_stack([nominal, rest])
+        none = np.zeros((n, 0))
+        block = self._signals.block
+        theta, without = _Moments(with_nominal, none, y, w, block).solve(0)
+        alone, _ = _Moments(rest, none, y, w, block).solve(0)
+        left = _rms((y - with_nominal @ theta)[:, 0], w)
+        before = _rms((y - rest @ alone)[:, 0], w)
+        scale = theta[0, 0]
+        error = _jackknife_error(without[:, 0, 0])
+        share = 1.0 - (left / max(before, np.finfo(float).tiny)) ** 2
+        return float(scale), float(scale / error), float(share)
+
+
+class _Moments:
+    """Ridge regression with all blocks and with each block left out."""
+
+    def __init__(self, free, rigid, torque, weight, block):
+        scale = np.sqrt(np.average(free**2, axis=0, weights=weight))
+        scale[scale == 0] = 1.0
+        self._scale = np.r_[scale, np.ones(rigid.shape[1])]
+        self._design = np.hstack([free, rigid]) / self._scale
+        self._n_free = free.shape[1]
+        self._torque, self._block = torque, block
+        self._rows = [(block == k) & (weight > 0) for k in range(N_BLOCKS)]
+        pieces = [(self._design[rows], torque[rows]) for rows in self._rows]
+        self._G = np.array([A.T @ A for A, _ in pieces])
+        self._g = np.array([A.T @ y for A, y in pieces])
+        self._count = np.array([rows.sum() for rows in self._rows])
+
+    def solve(self, middle):
+        """Return theta (p, m), and thetas (n_blocks, p, m) with a block left out."""
+        G, g = self._G.sum(axis=0), self._g.sum(axis=0)
+        penalty = np.zeros(G.shape[0])
+        penalty[: self._n_free] = 1e-8 * self._count.sum()
+        if self._n_free < G.shape[0]:
+            used = np.concatenate([np.flatnonzero(rows) for rows in self._rows])
+            y = self._torque[used, middle]
+            variance = 0.1 * np.var(y)
+            # The prior is in units of the parameters: the noise sets its weight.
+            for _ in range(3):
+                penalty[self._n_free :] = max(variance, 1e-9 * np.var(y) + 1e-300)
+                theta = np.linalg.solve(G + np.diag(penalty), g[:, middle])
+                variance = np.mean((y - self._design[used] @ theta) ** 2)
+        ridge = np.diag(penalty)
+        theta = np.linalg.solve(G + ridge, g)
+        without = np.linalg.solve(G - self._G + ridge, g - self._g)
+        return theta / self._scale[:, None], without / self._scale[:, None]
+
+    def errors(self, without):
+        """Return log mean squared errors by blocks, and the overall root."""
+        squares = np.full((N_BLOCKS, self._torque.shape[1]), np.nan)
+        for k, rows in enumerate(self._rows):
+            if self._count[k] >= 3:
+                left = self._design[rows] @ (without[k] * self._scale[:, None])
+                squares[k] = np.mean((self._torque[rows] - left) ** 2, axis=0)
+        known = np.isfinite(squares[:, 0])
+        total = np.average(squares[known], axis=0, weights=self._count[known])
+        return np.log(np.maximum(squares, np.finfo(float).tiny)), np.sqrt(total)
+
+
+def gain(better, worse):
+    """Compare two fits by blocks.
+
+    Parameters
+    ----------
+    better, worse : ndarray of shape (n_blocks,)
+        Logarithms of mean squared errors.
+
+    Returns
+    -------
+    gain : float
+        Mean of worse - better.
+    gain_t : float
+        The same in standard errors.
+    """
+    difference = worse - better
+    difference = difference[np.isfinite(difference)]
+    if difference.size < 4:
+        return 0.0, 0.0
+    error = difference.std(ddof=1) / np.sqrt(difference.size)
+    mean = float(difference.mean())
+    return mean, mean / max(error, 1e-3)
+
+
+def _power(columns, theta, without, middle, w):
+    """Power that friction dissipates [W], and in standard errors."""
+    v = columns[:, 0]
+    moments = np.average(columns * v[:, None], axis=0, weights=w)
+    power = float(moments @ theta[:2, middle])
+    error = _jackknife_error(without[:, :2, middle] @ moments)
+    return power, power / error
+
+
+def _jackknife_error(values):
+    n = values.size
+    return max(
+        np.sqrt((n - 1) / n * np.sum((values - values.mean()) ** 2)),
+        np.finfo(float).tiny,
+    )
+
+
+def _rms(x, w):
+    return float(np.sqrt(np.average(x**2, weights=w)))
+
+
+def _spread_of(x, w):
+    return _rms(x - np.average(x, weights=w), w)
+
+
+def _spread(model):
+    """Prior standard deviations of all inertial parameters, ndarray (10 nv,)."""
+    parameters = nominal_parameters(model)
+    mass = np.maximum(parameters[:, 0], 0.02 * parameters[:, 0].max() + 1e-12)
+    trace = parameters[:, [4, 6, 9]].sum(axis=1)
+    length = np.maximum(np.sqrt(np.maximum(0.5 * trace / mass, 0.0)), 0.05)
+    columns = [mass] + 3 * [mass * length] + 6 * [mass * length**2]
+    return _NOMINAL_ERROR * np.column_stack(columns).ravel()

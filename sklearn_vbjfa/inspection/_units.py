@@ -1,0 +1,290 @@
+"""Are positions radians or metres, and torques newton metres at the joint."""
+
+import numpy as np
+
+from sklearn_vbjfa.inspection._rivals import (
+    SURE,
+    ChannelEquations,
+    channel_signals,
+    fits_of,
+    gain,
+    total,
+)
+from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.recording._faults import ChannelFinding, listed
+
+# Share of the torque that the nominal model must explain to say something.
+_NOMINAL_SHARE = 0.5
+# Nominal inertias (payload and rotor left out) are not wrong by more than this.
+_GEAR_FACTOR = 20.0
+# A joint without limits does not turn farther than this within a recording [rad].
+_LARGEST_TURN = 25.0
+# Positions in degrees run beyond the joint's limits by more than this [rad].
+_FAR_BEYOND = 5.0
+# Reading positions in another way must lower the squared errors by this factor.
+_UNIT_GAIN = np.log(2.0)
+# Counts of an encoder: at least so many, all of them whole numbers.
+_FEWEST_COUNTS = 25.0
+# Positions that velocities integrate to stay within this multiple of a joint's range,
+# which is so many radians (or metres) where the model tells none.
+_RANGE_MARGIN = 1.25
+_RANGE_TURN, _RANGE_SLIDE = 4 * np.pi, 5.0
+# ... and have means of at most this share of their standard deviation.
+_LARGEST_MEAN = 0.5
+
+
+# -- positions -------------------------------------------------------------------------
+
+
+def counts(model, names, q, ratio):
+    """Find positions that are neither radians nor degrees.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    names : sequence of str
+        Joints.
+    q : ndarray of shape (n, nv)
+        Positions.
+    ratio : ndarray of shape (nv,)
+        Speeds in shares of what joints can.
+
+    Returns
+    -------
+    list of ChannelFinding
+        One error or none.
+    """
+    revolute = ~is_prismatic(model)
+    degrees = np.where(revolute, np.pi / 180, 1.0)
+    beyond, as_degrees = _beyond(model, q), _beyond(model, q * degrees)
+    far = (beyond > _FAR_BEYOND) & (as_degrees > 0)
+    travel = np.ptp(q, axis=0)
+    whole = (q == np.round(q)).all(axis=0) & (travel >= _FEWEST_COUNTS)
+    # Whole degrees are degrees.
+    whole &= ~((beyond > _FAR_BEYOND) & (as_degrees == 0)) | (travel > 720)
+    wrong = far | whole
+    # A joint that may turn for ever, but not at that speed, not even in degrees.
+    wrong |= (ratio * degrees > 1.0) & (travel * degrees > _LARGEST_TURN)
+    if not wrong.any():
+        return []
+    joints = tuple(int(k) for k in np.flatnonzero(wrong))
+    j = max(joints, key=lambda k: travel[k])
+    if whole[j]:
+        evidence = f"whole numbers from {q[:, j].min():.6g} to {q[:, j].max():.6g}"
+    else:
+        evidence = f"from {q[:, j].min():.4g} to {q[:, j].max():.4g}"
+    unit = "rad" if revolute[j] else "m"
+    other = "radians nor degrees" if revolute[j] else "metres"
+    return [
+        ChannelFinding(
+            "position_counts",
+            joints,
+            "error",  # Sines and inertias of such angles are nonsense.
+            f"The positions of {listed(names, joints)} are neither {other}: "
+            f"{names[j]} has {evidence}, more than it can move; they look like encoder "
+            f"counts: convert them to {unit} (times 2 pi over the counts of a turn, "
+            "from the joint's zero)."
+            if revolute[j]
+            else f"The positions of {listed(names, joints)} are not in metres: "
+            f"{names[j]} has {evidence}, more than it can move; convert encoder "
+            f"counts or millimetres to {unit}.",
+        )
+    ]
+
+
+def degrees(model, names, q, signals):
+    """Find positions in degrees.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    names : sequence of str
+        Joints.
+    q : ndarray of shape (n, nv)
+        Positions.
+    signals : ChannelSignals
+        Filtered recording.
+
+    Returns
+    -------
+    findings : list of ChannelFinding
+        One error or none.
+    signals : ChannelSignals
+        Recording in radians.
+    """
+    revolute = ~is_prismatic(model)
+    if not revolute.any():
+        return [], signals
+    factor = np.where(revolute, np.pi / 180, 1.0)
+    beyond = [_beyond(model, q * unit) * revolute for unit in (1.0, factor)]
+    # A joint without limits may turn a hundred times.
+    far = (beyond[0] > _FAR_BEYOND) & (beyond[1] == 0.0) & _limited(model)
+    # One joint somewhat beyond its limits may be another joint's channel.
+    many = np.count_nonzero(beyond[0] > 0.1) > 0.5 * np.count_nonzero(revolute)
+    if not (far.any() or many):
+        return [], signals
+    scaled = signals.scaled(factor)
+    fits = [fits_of(ChannelEquations(model, x), x) for x in (scaled, signals)]
+    better, better_t = gain(total(fits[0]), total(fits[1]))
+    worse = better < -0.1 and better_t < -3
+    prefers = better > _UNIT_GAIN and better_t > SURE
+    if worse or not (prefers or far.any()):
+        return [], signals
+    j = int(np.argmax(beyond[0]))
+    found = ChannelFinding(
+        "position_degrees",
+        tuple(int(k) for k in np.flatnonzero(revolute)),
+        "error",
+        f"The positions look like degrees: {names[j]} runs from {q[:, j].min():.4g} to "
+        f"{q[:, j].max():.4g}, {beyond[0][j]:.3g} rad more than it can, and read as "
+        f"degrees the squared torque errors change by the factor "
+        f"{np.exp(-better):.2g}; multiply the positions of revolute joints by pi/180.",
+    )
+    return [found], scaled
+
+
+def _limits(model):
+    # Pinocchio's "no limit" is the largest number there is.
+    low = np.maximum(model.lowerPositionLimit, -1e6)
+    high = np.minimum(model.upperPositionLimit, 1e6)
+    return low, high
+
+
+def _limited(model):
+    """Return which joints have a range, ndarray (nv,) of bool."""
+    low, high = _limits(model)
+    return (high - low < _LARGEST_TURN) & (high > low)
+
+
+def _beyond(model, q):
+    """How far each joint runs beyond what it can [rad or m], ndarray (nv,)."""
+    low, high = _limits(model)
+    # Another zero of the joint or a nominal limit is no proof.
+    margin = 0.125 * (high - low)
+    outside = np.maximum(q.max(axis=0) - high, low - q.min(axis=0)) - margin
+    turned = np.ptp(q, axis=0) - _LARGEST_TURN
+    return np.maximum(np.where(_limited(model), outside, turned), 0.0)
+
+
+def velocities(model, names, q, tau, dt, parts, usable, signals):
+    """Find velocities where positions should be.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    names : sequence of str
+        Joints.
+    q, tau : ndarray of shape (n, nv)
+        Recording.
+    dt : float
+        Sample period [s].
+    parts : list of slice
+        Separate recordings.
+    usable : ndarray of shape (n, nv), bool
+        Samples without known faults.
+    signals : ChannelSignals
+        The same, filtered.
+
+    Returns
+    -------
+    list of ChannelFinding
+        One error or none.
+    """
+    low, high = _limits(model)
+    free = np.where(is_prismatic(model), _RANGE_SLIDE, _RANGE_TURN)
+    width = np.where(_limited(model), high - low, free)
+    # A joint that stays within its range goes to and fro: at rest, or in part of a
+    # swing, anything may be the derivative of anything.
+    swing = np.array(
+        [np.abs(q[p].mean(axis=0)) / _tiny(q[p].std(axis=0)) for p in parts]
+    )
+    if np.median(swing) > _LARGEST_MEAN:
+        return []
+    integral = np.empty_like(q)
+    for part in parts:
+        integral[part] = np.cumsum(q[part], axis=0) * dt
+        integral[part] -= 0.5 * (
+            integral[part].max(axis=0) + integral[part].min(axis=0)
+        )
+        # Positions are hardly ever centred, and their integrals run away.
+        if (np.ptp(integral[part], axis=0) > _RANGE_MARGIN * width).any():
+            return []
+    integral += np.where(_limited(model), 0.5 * (low + high), 0.0)
+    other = channel_signals(integral, tau, dt, parts, usable)
+    if other is None:
+        return []
+    fits = [fits_of(ChannelEquations(model, x), x) for x in (other, signals)]
+    joints = set(fits[0]) & set(fits[1])
+    if not joints:
+        return []
+    better, better_t = gain(*(total({j: fit[j] for j in joints}) for fit in fits))
+    if not (better > _UNIT_GAIN and better_t > SURE):
+        return []
+    return [
+        ChannelFinding(
+            "velocity_as_position",
+            tuple(range(len(names))),
+            "error",
+            "The columns of positions look like velocities: integrated over time they "
+            "stay within the joints' ranges, and the squared torque errors fall by the "
+            f"factor {np.exp(better):.3g} ({better_t:.0f} standard errors); give "
+            "positions, or states [q | v | a].",
+        )
+    ]
+
+
+def _tiny(x):
+    return np.maximum(x, np.finfo(float).tiny)
+
+
+# -- torques ---------------------------------------------------------------------------
+
+
+def gear_factors(model, names, signals):
+    """Find torques of another size than the model's.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    names : sequence of str
+        Joints.
+    signals : ChannelSignals
+        Filtered recording.
+
+    Returns
+    -------
+    list of ChannelFinding
+        Doubts: if all channels are in another unit the loop is right in that unit,
+        and a robot description with made-up inertias looks the same; but gears that
+        differ make of one robot several, and what is found makes up for that.
+    """
+    equations = ChannelEquations(model, signals)
+    found = []
+    for j in np.flatnonzero(signals.informative()):
+        scale, scale_t, share = equations.nominal_scale(j)
+        if scale_t < SURE or share < _NOMINAL_SHARE:
+            continue
+        if scale >= _GEAR_FACTOR:
+            # The rotor behind a gear may be many times its link.
+            scale, scale_t, _ = equations.nominal_scale(j, rotor=True)
+            if scale_t < SURE:
+                continue
+        if 1 / _GEAR_FACTOR < scale < _GEAR_FACTOR:
+            continue
+        factor = f"{1 / scale:.3g}" if scale < 1 else f"1/{scale:.3g}"
+        found.append(
+            ChannelFinding(
+                "gear_factor",
+                (int(j),),
+                "doubt",
+                f"The torque of {names[j]} is {scale:.3g} times what the model's "
+                f"inertias ask for ({scale_t:.0f} standard errors from zero): motor "
+                "side instead of joint side, or a current or voltage? Multiply by the "
+                f"gear ratio (about {factor} would fit).",
+            )
+        )
+    return found

@@ -1,0 +1,819 @@
+"""Faults of single channels that their samples show: no robot model is asked.
+
+What checks of a recording have to say.
+
+Faults of whole rows: what loggers, clocks and conversions of angles do.
+
+No robot model is asked, but for which joints turn.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# From worst to least.
+SEVERITIES = ("error", "doubt", "warning")
+
+
+@dataclass(frozen=True)
+class ChannelFinding:
+    """What is wrong with some channels of a recording.
+
+    Attributes
+    ----------
+    kind : str
+        Name of the fault, such as "torque_sign"; see `inspect_channels`.
+    joints : tuple of int
+        Joints concerned, counted from 0.
+    severity : {"error", "doubt", "warning"}
+        "error": a fit would be wrong, what would be found is the fault. "doubt": a
+        fit may be wrong, no favourable verdict can be built on it, but the evidence
+        has another explanation or the harm is limited. "warning": a fit would be
+        worse than need be.
+    message : str
+        One line: the channel by name, the evidence in numbers, the remedy.
+    """
+
+    kind: str
+    joints: tuple[int, ...]
+    severity: str
+    message: str
+
+
+def in_order(findings):
+    """Return findings as a tuple, the worst first."""
+    return tuple(sorted(findings, key=lambda f: SEVERITIES.index(f.severity)))
+
+
+def listed(names, joints):
+    """Name some joints; all of several are called so."""
+    if len(joints) == len(names) > 1:
+        return "all joints"
+    return ", ".join(names[j] for j in joints)
+
+
+# Rows in the order of time resemble the row before; of shuffled ones the mean squared
+# step is twice the variance. Seven tenths of that is a correlation of 0.3.
+_SHUFFLED = 0.7
+# ... of a joint that moves at all [rad or m]: noise at rest has no order either.
+_LEAST_MOTION = 0.01
+# Runs of equal labels in shuffled rows: so many more than labels, and so short.
+_RUNS_PER_LABEL = 4
+_SHORT_RUN = 16
+# A jump is a whole turn if this share of a turn is left at most.
+_TURN_LEFT = 0.15
+# Rows written twice that are worth a word; more are doubtful.
+_FEWEST_REPEATED = 3
+_REPEATED_SHARE = 0.002
+_MANY_REPEATED = 0.1
+# The logger is frozen if so many rows are equal, while a joint moves at this share of
+# its speed in the samples right before and right behind.
+_FROZEN_ROWS = 5
+_FROZEN_SPEED = 0.1
+_FROZEN_BESIDE = 3
+# Steps that are this multiple of the channel's resolution are no rounding; at least so
+# many of them, and this share of all, tell the rate of a channel.
+_STEP = 4.0
+_FEWEST_STEPS = 20
+_STEP_SHARE = 0.3
+_SAME_RATE = 0.8
+
+
+# -- rows that are not in the order of time --------------------------------------------
+
+
+def shuffled_rows(names, q, parts, labels=None):
+    """Find rows that are not in the order of time.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    q : ndarray of shape (n, nv)
+        Positions.
+    parts : list of slice
+        Recordings.
+    labels : array-like of shape (n,), default=None
+        Labels of the recordings.
+
+    Returns
+    -------
+    list of ChannelFinding
+        One error, or none.
+    """
+    if labels is not None:
+        runs_ = len(parts)
+        if runs_ >= _RUNS_PER_LABEL * len(set(np.asarray(labels).tolist())) and (
+            q.shape[0] < _SHORT_RUN * runs_
+        ):
+            return [
+                _shuffled(
+                    names,
+                    f"the label of the recording (groups) changes {runs_ - 1} times in "
+                    f"{q.shape[0]} rows",
+                )
+            ]
+    n, square = 0, np.zeros(q.shape[1])
+    for part in parts:
+        n += part.stop - part.start - 1
+        square += (np.diff(q[part], axis=0) ** 2).sum(axis=0)
+    spread = np.array([q[part].var(axis=0) for part in parts if part.stop > part.start])
+    sizes = [part.stop - part.start for part in parts if part.stop > part.start]
+    variance = np.average(spread, axis=0, weights=sizes)
+    moves = variance > _LEAST_MOTION**2
+    if n < _SHORT_RUN or not moves.any():
+        return []
+    ratio = (square / n)[moves] / (2 * variance[moves])
+    if ratio.min() < _SHUFFLED:
+        return []
+    return [
+        _shuffled(
+            names,
+            f"positions differ from row to row by {np.sqrt(ratio.min() * 2):.2g} times "
+            "their spread",
+        )
+    ]
+
+
+def _shuffled(names, evidence):
+    return ChannelFinding(
+        "shuffled_rows",
+        tuple(range(len(names))),
+        "error",  # Neither velocities nor accelerations can be had.
+        f"The rows are not in the order of time: {evidence}; give whole recordings as "
+        "logged, split them by time and not at random (shuffle=False), or sort them "
+        "by their time stamps.",
+    )
+
+
+# -- wrapped angles --------------------------------------------------------------------
+
+
+def wrapped_positions(names, q, revolute, parts, rows):
+    """Find angles that jump by a whole turn, and put them together again.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    q : ndarray of shape (n, nv)
+        Positions [rad], perhaps in degrees.
+    revolute : ndarray of shape (nv,) of bool
+        Which joints turn.
+    parts : list of slice
+        Recordings.
+    rows : ndarray of shape (n,) of int
+        Numbers of the rows, for messages.
+
+    Returns
+    -------
+    findings : list of ChannelFinding
+        Errors: a derivative across a jump is a wrong speed of hundreds of rad/s.
+    unwrapped : ndarray of shape (n, nv)
+        Positions without the jumps.
+    """
+    findings = []
+    unwrapped = q
+    for j in np.flatnonzero(revolute):
+        for turn, name in ((2 * np.pi, "2 pi"), (360.0, "360")):
+            first, count = _turns(q[:, j], turn, parts)
+            if not count:
+                continue
+            if unwrapped is q:
+                unwrapped = q.copy()
+            for part in parts:
+                x = np.unwrap(q[part, j], period=turn)
+                # Each recording may begin in another turn.
+                unwrapped[part, j] = x - turn * np.round(x.mean() / turn)
+            period = "" if turn < 7 else ", period=360"
+            findings.append(
+                ChannelFinding(
+                    "wrapped_position",
+                    (int(j),),
+                    "error",
+                    f"The position of {names[j]} is wrapped: it jumps by {name} "
+                    f"{count} time(s), first to row {rows[first]}; unwrap it, "
+                    f"q[:, {j}] = numpy.unwrap(q[:, {j}]{period}), each recording for "
+                    "itself.",
+                )
+            )
+            break
+    return findings, unwrapped
+
+
+def _turns(x, turn, parts):
+    """First row behind a jump by a whole turn, and the number of such jumps."""
+    first, count = 0, 0
+    for part in parts:
+        y = x[part]
+        if not (1 - _TURN_LEFT) * turn < np.ptp(y) < 1.1 * turn:
+            continue
+        step = np.diff(y)
+        over = np.flatnonzero(np.abs(step) > (1 - _TURN_LEFT) * turn)
+        # Steps as large as a turn everywhere are another fault.
+        if not over.size or over.size > 0.05 * step.size:
+            continue
+        rest = step - turn * np.round(step / turn)
+        usual = np.quantile(np.abs(np.delete(step, over)), 0.999)
+        # Without the turn the steps must be those of the motion.
+        over = over[np.abs(rest[over]) <= 3 * usual + 1e-3 * turn]
+        if over.size and not count:
+            first = part.start + int(over[0]) + 1
+        count += over.size
+    return first, count
+
+
+# -- rows written again ----------------------------------------------------------------
+
+
+def runs(flags):
+    """Return first and last index of every run of True, two ndarrays of int."""
+    edges = np.diff(np.r_[0, np.asarray(flags, dtype=np.int8), 0])
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
+
+
+def repeated_rows(names, q, tau, dt, moving, parts, rows):
+    """Find rows that the logger wrote again while the robot moved.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    q, tau : ndarray of shape (n, nv)
+        Positions and torques.
+    dt : float
+        Sample period [s].
+    moving : ndarray of shape (n,) of bool
+        Samples at which some joint moves.
+    parts : list of slice
+        Recordings.
+    rows : ndarray of shape (n,) of int
+        Numbers of the rows, for messages.
+
+    Returns
+    -------
+    lost : ndarray of shape (n,) of bool
+        Rows written again.
+    findings : list of ChannelFinding
+        Stretches in which the logger stood still, and other repeated rows.
+    """
+    same = np.zeros(q.shape[0], dtype=bool)
+    for part in parts:
+        table = np.hstack([q[part], tau[part]])
+        same[part][1:] = (np.diff(table, axis=0) == 0).all(axis=1)
+    frozen, findings = _frozen_rows(names, q, dt, same, parts, rows)
+    same = same & moving & ~frozen
+    count = np.count_nonzero(same)
+    share = count / q.shape[0]
+    if count < max(_FEWEST_REPEATED, _REPEATED_SHARE * q.shape[0]):
+        return frozen, findings
+    findings.append(
+        ChannelFinding(
+            "repeated_rows",
+            tuple(range(q.shape[1])),
+            # Some are told from the motion around them; many make its speed and the
+            # sample period wrong.
+            "doubt" if share > _MANY_REPEATED else "warning",
+            f"{count} rows ({100 * share:.2g} %) equal the row before them in "
+            f"every position and torque, the first is row {rows[np.argmax(same)]}: the "
+            "logger wrote old values again; drop them and resample on the time stamps.",
+        )
+    )
+    return frozen | same, findings
+
+
+def _frozen_rows(names, q, dt, same, parts, rows):
+    """Find stretches in which every channel stands still in the middle of a motion."""
+    frozen = np.zeros(q.shape[0], dtype=bool)
+    steps = np.concatenate([np.abs(np.diff(q[part], axis=0)) for part in parts])
+    speed = _FROZEN_SPEED * np.quantile(steps, 0.995, axis=0)
+    found, seconds = [], 0.0
+    for part in parts:
+        x = q[part]
+        for a, b in zip(*runs(same[part])):
+            # Samples a - 1 to b are equal.
+            before, behind = a - 1 - _FROZEN_BESIDE, b + 1 + _FROZEN_BESIDE
+            for_good = b + 1 == x.shape[0]
+            if (
+                b - a + 2 < _FROZEN_ROWS
+                or before < 0
+                or (behind >= x.shape[0] and not for_good)
+            ):
+                continue
+            into = (x[a - 1] - x[before]) / _FROZEN_BESIDE
+            fast = np.abs(into) > speed
+            if not for_good:
+                out = (x[behind] - x[b + 1]) / _FROZEN_BESIDE
+                fast &= (np.abs(out) > speed) & (into * out > 0)
+            if fast.any():
+                found.append((part.start + a - 1, b - a + 2))
+                frozen[part.start + a : part.start + b + 1] = True
+                seconds += (b - a + 1) * dt
+    if not found:
+        return frozen, []
+    first = found[0][0]
+    longest = max(length for _, length in found)
+    finding = ChannelFinding(
+        "frozen_recording",
+        tuple(range(len(names))),
+        # Speeds and accelerations are wrong at the borders only, but there by so much
+        # that an effect may be found in them; the rest of the recording is sound.
+        "doubt",
+        f"All channels stand still {len(found)} time(s) in the middle of the motion "
+        f"({seconds:.3g} s together, the longest {longest} rows, the first from row "
+        f"{rows[first]} on): the logger was frozen; drop these rows and split the "
+        "recording there (groups).",
+    )
+    return frozen, [finding]
+
+
+# -- channels at a lower rate ----------------------------------------------------------
+
+
+def held_channels(names, q, tau, dt, lost, parts, skip):
+    """Find positions or torques that were written at a lower rate than the rows.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    q, tau : ndarray of shape (n, nv)
+        Positions and torques.
+    dt : float
+        Sample period [s].
+    lost : ndarray of shape (n,) of bool
+        Rows written again as a whole, which do not count.
+    parts : list of slice
+        Recordings.
+    skip : ndarray of shape (nv,) of bool
+        Joints that do not move.
+
+    Returns
+    -------
+    findings : list of ChannelFinding
+        Doubts: a held channel is late by half of its period and goes in steps, which
+        passes for delay, elasticity and friction at reversals. It is still the motion
+        that was recorded, so the rest of a fit is not wrong.
+    held : ndarray of shape (2, nv) of bool
+        Which positions, and which torques, are held.
+    """
+    findings = []
+    held = np.zeros((2, q.shape[1]), dtype=bool)
+    for i, (what, channels) in enumerate((("position", q), ("torque", tau))):
+        rates = {
+            int(j): rate
+            for j in np.flatnonzero(~skip)
+            if (rate := _repetition(channels[:, j], lost, parts)) is not None
+        }
+        if not rates:
+            continue
+        k = round(float(np.median(list(rates.values()))))
+        joints = tuple(rates)
+        other = "torques" if what == "position" else "positions"
+        findings.append(
+            ChannelFinding(
+                f"held_{what}",
+                joints,
+                "doubt",
+                f"The {what} of {listed(names, joints)} has a new value only every "
+                f"{k} rows ({1e3 * k * dt:.3g} ms) while the {other} change in every "
+                f"one: it is late by {0.5e3 * (k - 1) * dt:.3g} ms and goes in steps; "
+                f"keep one row for each new {what} (and dt={k * dt:.6g}), or record "
+                "it at the full rate.",
+            )
+        )
+        held[i, list(joints)] = True
+    return findings, held
+
+
+def _repetition(x, lost, parts):
+    """Rows for one new value, None if every row of every recording has one."""
+    found = [k for part in parts if (k := _period(x[part][~lost[part]])) is not None]
+    return float(np.median(found)) if found else None
+
+
+def _period(y):
+    """Rows for one new value of a single recording, None for one."""
+    change = np.flatnonzero(np.diff(y) != 0)
+    if change.size <= _FEWEST_STEPS:
+        return None
+    steps = np.abs(y[change + 1] - y[change])[1:]
+    gaps = np.diff(change)
+    # An encoder or a converter that rounds goes by its resolution, and stands still
+    # where the signal is slow; steps of several of them within one row cannot follow
+    # upon rows without any.
+    fast = steps >= _STEP * np.quantile(steps, 0.02)
+    if fast.sum() < max(_FEWEST_STEPS, _STEP_SHARE * steps.size):
+        return None
+    k = np.median(gaps[fast])
+    # Where the rate is no whole multiple, some gaps are longer or shorter by a row.
+    regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
+    return float(k) if np.mean(regular) >= _SAME_RATE else None
+
+
+# A joint whose travel is below this many standard deviations of its own noise rests.
+_STILL_TRAVEL = 12.0
+# A torque is coarse if rounding makes errors of this share of its spread.
+_COARSE = 0.05
+# Clipping: samples within this share of the channel's range of an extreme value, ...
+_PLATEAU = 1e-3
+# ... in runs of at least so many, in at least so many places, ...
+_PLATEAU_RUN = 5
+_PLATEAU_RUNS = 3
+# (or one of so many equal samples, in a channel that does not repeat itself)
+_LONG_PLATEAU = 12
+# ... and denser by this factor than the torques next to the extreme value. Of a sine
+# without noise, whose extremes are flat, 3.4 times as many lie there.
+_PLATEAU_DENSITY = 8.0
+# Repeated positions are a dropout if the motion around them covers so many standard
+# deviations of the noise and the step after them is so many times the others (an
+# encoder's quantum at low speed is as large as the steps around it).
+_FROZEN_TRAVEL = 6.0
+_FROZEN_STEP = 2.5
+_FROZEN_RUN = 3
+# ... share of the joint's speed that counts as moving.
+_FROZEN_SPEED = 0.02
+# Steps and spikes, in robust standard deviations of what the neighbours leave open.
+_OUTLIER = 25.0
+# ... of so many samples together at least.
+_FEWEST_AROUND = 16
+# ... and of the channel's range.
+_LEAST_JUMP = 0.003
+# More than this share of outliers is no fault of single samples, but noise.
+_MOST_OUTLIERS = 0.01
+
+
+def inspect_samples(names, q, tau, dt, parts, rows, revolute):
+    """Look at every channel by itself.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    q, tau : ndarray of shape (n, nv)
+        Positions [rad or m] and torques [N m or N].
+    dt : float
+        Sample period [s].
+    parts : list of slice
+        Recordings, which together cover all rows.
+    rows : ndarray of shape (n,) of int
+        Numbers of the rows, for messages.
+    revolute : ndarray of shape (nv,) of bool
+        Which joints turn.
+
+    Returns
+    -------
+    findings : list of ChannelFinding
+        Faults.
+    usable : ndarray of shape (n, nv), bool
+        Samples of each joint that no fault concerns.
+    q : ndarray of shape (n, nv)
+        Positions, unwrapped.
+    """
+    usable = np.ones(q.shape, dtype=bool)
+    findings, q = wrapped_positions(names, q, revolute, parts, rows)
+    still = _still(q, parts)
+    for j in np.flatnonzero(still):
+        usable[:, j] = False
+        findings.append(_still_joint(names[j], j, q[:, j]))
+    moving = _moving(q, parts)
+    lost, finding = repeated_rows(names, q, tau, dt, moving, parts, rows)
+    findings += finding
+    finding, held = held_channels(names, q, tau, dt, lost, parts, still)
+    findings += finding
+    for j in np.flatnonzero(~still):
+        if np.ptp(tau[:, j]) == 0:
+            usable[:, j] = False
+            findings.append(_constant(names[j], j, tau[:, j]))
+            continue
+        finding, bad = _clipped(names[j], j, tau[:, j], moving, parts)
+        coarse = _coarse(names[j], j, tau[:, j], moving, parts, held[1, j])
+        findings += finding + coarse
+        usable[:, j] &= ~bad & (not coarse)
+    for j in np.flatnonzero(~still):
+        known = lost
+        if not held[0, j]:
+            finding, bad = _frozen(names[j], j, q[:, j], dt, parts, lost, rows)
+            findings += finding
+            usable[bad] = False  # a wrong position spoils every torque
+            # Where samples were lost there is a jump behind them, which is known.
+            known = lost | bad
+        finding, jumps = _outliers(names[j], j, "position", q[:, j], parts, known, rows)
+        findings += finding
+        usable[jumps] = False
+        finding, bad = _outliers(names[j], j, "torque", tau[:, j], parts, lost, rows)
+        findings += finding
+        usable[:, j] &= ~bad
+    usable[lost] = False
+    return findings, usable, q
+
+
+def position_jumps(names, q, parts, rows):
+    """Find steps of positions that are no motion, as where recordings meet.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    q : ndarray of shape (n, nv)
+        Positions.
+    parts : list of slice
+        Recordings.
+    rows : ndarray of shape (n,) of int
+        Numbers of the rows, for messages.
+
+    Returns
+    -------
+    list of ChannelFinding
+        Those findings of `inspect_samples` of the kind "position_jumps".
+    """
+    nothing = np.zeros(q.shape[0], dtype=bool)
+    found = []
+    for j in range(q.shape[1]):
+        if _steps_off(q[:, j], parts):
+            found += _outliers(names[j], j, "position", q[:, j], parts, nothing, rows)[
+                0
+            ]
+    return [finding for finding in found if finding.kind == "position_jumps"]
+
+
+def _steps_off(x, parts):
+    """Whether a step is large enough to be a jump; far quicker than to look closer."""
+    # Interpolated, a jump takes two steps.
+    least = 0.4 * _LEAST_JUMP * np.ptp(x)
+    for part in parts:
+        step = np.diff(x[part])
+        if step.size > 2 and (np.abs(np.diff(step)) > least).any():
+            return True
+    return False
+
+
+# -- nothing in the channel ------------------------------------------------------------
+
+
+def _still(q, parts):
+    """Joints that rest throughout, ndarray of shape (nv,) of bool."""
+    noise = np.zeros(q.shape[1])
+    count = 0
+    for part in parts:
+        d = np.diff(q[part], n=3, axis=0)
+        noise += (d**2).sum(axis=0)
+        count += d.shape[0]
+    # The third difference of white noise has 20 times its variance.
+    noise = np.sqrt(noise / max(20 * count, 1))
+    travel = np.array(
+        [np.ptp(q[part], axis=0) for part in parts if part.stop - part.start]
+    ).max(axis=0)
+    return travel <= _STILL_TRAVEL * noise
+
+
+def _still_joint(name, j, x):
+    return ChannelFinding(
+        "still_joint",
+        (int(j),),
+        "warning",
+        f"{name} never moves: its position stays within {np.ptp(x):.3g} of "
+        f"{x.mean():.4g}, which is its noise; its own parameters cannot be identified, "
+        "lock it in the model or record a motion of it.",
+    )
+
+
+def _constant(name, j, x):
+    return ChannelFinding(
+        "constant_torque",
+        (int(j),),
+        "error",
+        f"The torque of {name} is constant ({x[0]:.6g}) while the joint moves: the "
+        "channel carries no information; record it, or lock the joint in the model.",
+    )
+
+
+def _coarse(name, j, x, moving, parts, held):
+    """Find a torque whose resolution leaves little of its shape."""
+    step = np.abs(np.concatenate([np.diff(x[p])[moving[p][1:]] for p in parts]))
+    changes = step[step > 0]
+    if changes.size == 0:
+        return []
+    same = 1.0 - changes.size / step.size
+    # Where the torque mostly stands still between two values of its grid, a change is
+    # one step of it; where it is sampled so seldom that it passes several, the
+    # smallest is. What is held is far from its next value, whatever its grid.
+    typical = same >= 0.5 and not held
+    size = np.median(changes) if typical else np.quantile(changes, 0.02)
+    rounding = size / np.sqrt(12) / max(x[moving].std(), np.finfo(float).tiny)
+    if rounding < _COARSE:
+        return []
+    return [
+        ChannelFinding(
+            "coarse_torque",
+            (int(j),),
+            "warning",
+            f"The torque of {name} goes in steps of {size:.3g}, its spread is "
+            f"{x[moving].std():.3g}, and it stays the same in {100 * same:.0f} % of "
+            "its rows while the robot moves: its resolution is too coarse to tell "
+            "much; leave it out of the fit, or record it finer.",
+        )
+    ]
+
+
+# -- clipping --------------------------------------------------------------------------
+
+
+def _moving(q, parts):
+    """Return at which samples any joint moves, ndarray of shape (n,) of bool."""
+    moving = np.zeros(q.shape[0], dtype=bool)
+    for part in parts:
+        x = q[part]
+        width = max(2, min(20, x.shape[0] // 8))
+        travel = np.zeros(x.shape)
+        travel[width:-width] = np.abs(x[2 * width :] - x[: -2 * width])
+        high = np.maximum(np.quantile(travel, 0.99, axis=0), 1e-300)
+        moving[part] = (travel > 0.02 * high).any(axis=1)
+    return moving
+
+
+def _clipped(name, j, x, moving, parts):
+    """Find plateaus at the largest or the smallest value."""
+    bad = np.zeros(x.shape, dtype=bool)
+    spread = np.ptp(x)
+    # Where a torque hardly ever repeats itself, one plateau is proof enough.
+    repeats = [a for a in (np.diff(x[part]) == 0 for part in parts)]
+    rare = np.mean(np.concatenate(repeats)) < 0.25
+    ends = []
+    for sign in (1, -1):
+        y = sign * x
+        level = y.max()
+        flags = (y >= level - _PLATEAU * spread) & moving
+        beside = (y < level - _PLATEAU * spread) & (y >= level - 6 * _PLATEAU * spread)
+        lengths = []
+        found = np.zeros(x.shape, dtype=bool)
+        for part in parts:
+            first, last = runs(flags[part])
+            for a, b in zip(first, last):
+                if b - a + 1 >= _PLATEAU_RUN:
+                    lengths.append(b - a + 1)
+                    found[part.start + a : part.start + b + 1] = True
+        density = flags.sum() / max((beside & moving).sum() / 5, 0.5)
+        exact = (x == sign * level)[found].all() and max(lengths, default=0) >= (
+            _LONG_PLATEAU
+        )
+        enough = len(lengths) >= _PLATEAU_RUNS or (rare and exact)
+        if enough and density >= _PLATEAU_DENSITY:
+            ends.append((sign * level, found.sum(), max(lengths)))
+            bad |= found
+    if not ends:
+        return [], bad
+    where = " and ".join(f"{level:.5g}" for level, _, _ in ends)
+    count = sum(n for _, n, _ in ends)
+    finding = ChannelFinding(
+        "clipped_torque",
+        (int(j),),
+        "warning",
+        f"The torque of {name} is clipped at {where}: {count} samples "
+        f"({100 * count / x.size:.2g} %) lie on that value, up to "
+        f"{max(n for _, _, n in ends)} in a row; give those samples no weight, or "
+        "record with a wider range.",
+    )
+    return [finding], bad
+
+
+# -- dropouts --------------------------------------------------------------------------
+
+
+def _frozen(name, j, x, dt, parts, lost, rows):
+    """Find positions that stand still in the middle of a motion."""
+    bad = np.zeros(x.shape, dtype=bool)
+    first_row, longest, places = None, 0, 0
+    # Slower than this is settling, which goes in steps.
+    speeds = np.concatenate([np.abs(np.diff(x[part])) for part in parts])
+    creep = _FROZEN_SPEED * np.quantile(speeds, 0.995)
+    for part in parts:
+        y = x[part]
+        step = np.diff(y)
+        noise = np.median(np.abs(np.diff(y, n=3))) / (0.6745 * np.sqrt(20))
+        starts, stops = runs(step == 0)
+        for a, b in zip(starts, stops):
+            length = b - a + 1  # steps without change; samples a .. b + 1 are equal
+            width = max(length, 4)
+            before, after = a - width, b + 2 + width
+            if length < _FROZEN_RUN or before < 0 or after >= y.size:
+                continue
+            if lost[part][a + 1 : b + 2].all():
+                bad[part.start + b + 1 : part.start + b + 3] = True
+                continue
+            left = (y[a] - y[before]) / width
+            right = (y[after] - y[b + 2]) / width
+            if left * right <= 0 or min(abs(left), abs(right)) < creep:
+                continue
+            # Stiction and a motion that pauses go on from where they stopped; after
+            # lost samples the position has moved on meanwhile.
+            travel = min(abs(left), abs(right)) * length
+            caught_up = np.sign(left) * step[b + 1]
+            usual = np.abs(np.r_[step[before:a], step[b + 2 : after]]).max()
+            if travel > _FROZEN_TRAVEL * noise and caught_up > max(
+                0.5 * travel, _FROZEN_STEP * usual
+            ):
+                bad[part.start + a : part.start + b + 3] = True
+                places += 1
+                if length > longest:
+                    longest, first_row = length, part.start + a
+    if places == 0:
+        return [], bad
+    finding = ChannelFinding(
+        "frozen_position",
+        (int(j),),
+        "warning",
+        f"The position of {name} is frozen {places} time(s) in the middle of a "
+        f"motion, the longest for {longest + 1} samples ({longest * dt:.3g} s) from "
+        f"row {rows[first_row]} on: samples were lost; leave these rows out or split "
+        "the recording there (groups).",
+    )
+    return [finding], bad
+
+
+def _outliers(name, j, what, x, parts, known, rows):
+    """Find single samples, and steps of the position, that the others contradict."""
+    bad = np.zeros(x.shape, dtype=bool)
+    # A torque may ring; a position is smooth.
+    least = (0.05 if what == "torque" else _LEAST_JUMP) * np.ptp(x)
+    spikes, jumps = [], []
+    for part in parts:
+        if part.stop - part.start < _FEWEST_AROUND:
+            continue
+        lone = _spikes(x[part], least)
+        spikes += list(part.start + np.flatnonzero(lone & ~known[part]))
+        if what == "position":
+            behind = _jumps(x[part], least)
+            # A spike is two steps, too.
+            wide = np.convolve(lone, np.ones(5), mode="same") > 0
+            jumps += list(part.start + np.flatnonzero(behind & ~wide & ~known[part]))
+    total = len(spikes) + len(jumps)
+    if total == 0 or total > _MOST_OUTLIERS * x.size:
+        return [], bad
+    for row in spikes:
+        bad[max(row - 1, 0) : row + 2] = True
+    for row in jumps:
+        bad[max(row - 2, 0) : row + 2] = True
+    findings = []
+    if spikes:
+        findings.append(
+            ChannelFinding(
+                f"{what}_spikes",
+                (int(j),),
+                "warning",
+                f"The {what} of {name} has {len(spikes)} single-sample spike(s), the "
+                f"first of {x[spikes[0]]:.4g} in row {rows[spikes[0]]}, that the "
+                "samples around contradict; interpolate them or give them no weight.",
+            )
+        )
+    if jumps:
+        step = x[jumps[0]] - x[jumps[0] - 1]
+        findings.append(
+            ChannelFinding(
+                "position_jumps",
+                (int(j),),
+                "doubt",
+                f"The position of {name} jumps {len(jumps)} time(s), first by "
+                f"{step:.3g} to row {rows[jumps[0]]}, which its speed before and after "
+                "contradicts: samples were lost; split the recording there (groups).",
+            )
+        )
+    return findings, bad
+
+
+def _spikes(y, least):
+    """Find samples far from what those two before and behind them say."""
+    lone = np.zeros(y.size, dtype=bool)
+    base = 0.5 * (y[:-4] + y[4:])
+    peak = y[2:-2] - base
+    beside = np.maximum(np.abs(y[1:-3] - base), np.abs(y[3:-1] - base))
+    size = np.abs(peak)
+    lone[2:-2] = (
+        (size > _OUTLIER * _scale(peak)) & (beside < 0.25 * size) & (size > least)
+    )
+    return lone
+
+
+def _jumps(y, least):
+    """Find samples that lie a step from the one before that is no motion."""
+    behind = np.zeros(y.size, dtype=bool)
+    step = np.diff(y)
+    # The next steps are left out: an interpolated jump takes two of them.
+    near = [step[:-6], step[1:-5], step[2:-4], step[4:-2], step[5:-1], step[6:]]
+    usual = np.median(near, axis=0)
+    over = step[3:-3] - usual
+    behind[4:-3] = (
+        (np.abs(over) > _OUTLIER * _scale(over))
+        & (np.abs(over) > least)
+        & (np.abs(over) > 2.5 * np.abs(usual))
+    )
+    return behind
+
+
+def _scale(x):
+    """Robust standard deviation; the quantile keeps standstill from making it zero."""
+    return max(
+        np.median(np.abs(x)) / 0.6745,
+        np.quantile(np.abs(x), 0.9) / 1.645,
+        np.finfo(float).tiny,
+    )

@@ -1,0 +1,348 @@
+"""The value that every loader and generator of robot recordings returns.
+
+Recordings and their borders.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from numbers import Real
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+
+def contiguous_groups(groups, n_samples):
+    """Return slices of the recordings, one for each run of equal labels.
+
+    Parameters
+    ----------
+    groups : array-like of shape (n_samples,) or None
+        Labels of separate recordings; None is one recording.
+    n_samples : int
+        Number of rows.
+    """
+    if groups is None:
+        return [slice(0, n_samples)]
+    labels = np.asarray(groups)
+    if labels.shape != (n_samples,):
+        raise ValueError(
+            f"groups must hold one label per row, shape ({n_samples},); got shape "
+            f"{labels.shape}."
+        )
+    borders = np.flatnonzero(labels[1:] != labels[:-1]) + 1
+    starts = np.r_[0, borders]
+    stops = np.r_[borders, n_samples]
+    return [slice(int(a), int(b)) for a, b in zip(starts, stops)]
+
+
+def check_dt(dt):
+    """Return the sample period as a positive finite float."""
+    try:
+        value = float(dt)
+    except (TypeError, ValueError):
+        value = np.nan
+    if dt is None or not np.isfinite(value) or value <= 0:
+        raise ValueError(
+            f"dt must be the sample period in seconds, positive and finite; got {dt!r}."
+        )
+    return value
+
+
+def check_clock(t, n_samples, dt):
+    """Return the time of each row [s]; counted in `dt` where none is given."""
+    if t is None:
+        return None if dt is None else np.arange(n_samples) * check_dt(dt)
+    time = np.asarray(t, dtype=float)
+    if time.shape != (n_samples,):
+        raise ValueError(
+            f"t must hold one time per row, shape ({n_samples},); got {time.shape}."
+        )
+    bad = np.flatnonzero(~(np.diff(time) > 0))
+    if bad.size:
+        raise ValueError(
+            f"t must rise from row to row, over all recordings; it does not at row "
+            f"{bad[0] + 1} ({time[bad[0]]:.6g} s, then {time[bad[0] + 1]:.6g} s)."
+        )
+    return time
+
+
+def check_cutoff(cutoff, dt, name):
+    """Return a cut-off in Hz as a float; infinity for None."""
+    if cutoff is None:
+        return np.inf
+    try:
+        value = float(cutoff)
+    except (TypeError, ValueError):
+        value = np.nan
+    if not value > 0:
+        raise ValueError(
+            f"{name} must be a positive frequency in Hz, 'auto', or None for no "
+            f"low-pass; got {cutoff!r}."
+        )
+    if np.isfinite(value) and value >= 0.5 / dt:
+        raise ValueError(
+            f"{name} must lie below the Nyquist frequency {0.5 / dt:.6g} Hz of "
+            f"dt={dt:.6g} s; got {value:.6g} Hz. Give None for no low-pass."
+        )
+    return value
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class Recording:
+    """Joint positions and torques of a robot, with what is known about them.
+
+    Several recordings may follow one another; `groups` tells them apart.
+    Nothing may be differentiated, filtered or remembered across a change of
+    label.
+
+    Parameters
+    ----------
+    name : str
+        Short name of the data set.
+    q : ndarray of shape (n_samples, nv)
+        Joint positions [rad or m, see `position_units`], in the joint order,
+        zero and sign of `robot_model`.
+    tau : ndarray of shape (n_samples, nv)
+        Joint torques or forces [see `torque_units`], same order and sign.
+    t : ndarray of shape (n_samples,)
+        Time since the start of each recording [s]; as stamped by the logger
+        if a loader was asked not to resample.
+    dt : float
+        Sample period [s]; the median one where `t` is not uniform.
+    groups : ndarray of shape (n_samples,)
+        Labels of the recordings: 0, 1, 2, ... in order of the rows.
+    group_names : tuple of str
+        Names of the recordings; the index is the label.
+    joint_names : tuple of str
+        Names of the nv joints, as in `robot_model`.
+    position_units : tuple of {"rad", "m"}
+        One unit a joint.
+    torque_units : tuple of {"N m", "N", "A", "V", "count"}
+        One unit a joint. A unit other than "N m" and "N" stands for a motor
+        quantity that is proportional to the torque by an unknown factor.
+    v : ndarray of shape (n_samples, nv) or None, default=None
+        The robot's own velocities [rad/s or m/s], if recorded.
+    torque_noise : ndarray of shape (nv,) or None, default=None
+        Standard deviation of the white noise of a torque sample [see `torque_units`],
+        measured before rows were interpolated, which takes some of it away; None if
+        none was. `RobotIdentifier` takes it.
+    signals : mapping of str to ndarray, default={}
+        Other channels on the same rows; the loader gives their units.
+    urdf : str or None, default=None
+        File with a description of the robot.
+    source, licence, citation, description : str, default=""
+        Where the data come from, on which terms, whom to cite, and what to
+        know before using them.
+
+    Raises
+    ------
+    ValueError
+        If shapes disagree, a value is not finite, `dt` is not positive or
+        the labels are not 0, 1, 2, ... in contiguous blocks.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa.datasets import Recording
+    >>> recording = Recording(
+    ...     name="bench", q=np.zeros((4, 1)), tau=np.zeros((4, 1)),
+    ...     t=np.array([0.0, 0.1, 0.0, 0.1]), dt=0.1,
+    ...     groups=np.array([0, 0, 1, 1]), group_names=("slow", "fast"),
+    ...     joint_names=("hinge",), position_units=("rad",), torque_units=("N m",),
+    ... )
+    >>> recording
+    Recording 'bench': 4 samples, 1 joint, dt = 0.1 s, 2 recordings
+    >>> recording.select("fast").n_samples
+    2
+    """
+
+    name: str
+    q: np.ndarray
+    tau: np.ndarray
+    t: np.ndarray
+    dt: float
+    groups: np.ndarray
+    group_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    position_units: tuple[str, ...]
+    torque_units: tuple[str, ...]
+    v: np.ndarray | None = None
+    torque_noise: np.ndarray | None = None
+    signals: Mapping[str, np.ndarray] = field(default_factory=dict)
+    urdf: str | None = None
+    source: str = ""
+    licence: str = ""
+    citation: str = ""
+    description: str = ""
+
+    def __post_init__(self):
+        _check_dt(self.dt)
+        q = _finite_array("q", self.q)
+        if q.ndim != 2 or q.size == 0:
+            raise ValueError(
+                f"q must have shape (n_samples, nv), got {q.shape}; for one joint "
+                "use q.reshape(-1, 1)."
+            )
+        n_samples, nv = q.shape
+        _check_shape("tau", _finite_array("tau", self.tau), (n_samples, nv))
+        if self.v is not None:
+            _check_shape("v", _finite_array("v", self.v), (n_samples, nv))
+        _check_shape("t", _finite_array("t", self.t), (n_samples,))
+        for key, values in self.signals.items():
+            if len(_finite_array(f"signals[{key!r}]", values)) != n_samples:
+                raise ValueError(
+                    f"signals[{key!r}] must have {n_samples} rows like q, got "
+                    f"{len(values)}; resample it on the same time grid."
+                )
+        for key in ("joint_names", "position_units", "torque_units"):
+            if len(getattr(self, key)) != nv:
+                raise ValueError(
+                    f"{key} must have one entry for each of the {nv} columns of q, "
+                    f"got {len(getattr(self, key))}: {getattr(self, key)}."
+                )
+        _check_groups(np.asarray(self.groups), n_samples, self.group_names)
+        back = (np.diff(self.t) < 0) & (np.diff(self.groups) == 0)
+        if back.any():
+            raise ValueError(
+                "t must not decrease inside a recording, it does after row "
+                f"{np.flatnonzero(back)[0]}; sort the rows or start a new label."
+            )
+
+    @property
+    def n_samples(self) -> int:
+        """Number of rows."""
+        return self.q.shape[0]
+
+    @property
+    def nv(self) -> int:
+        """Number of joints."""
+        return self.q.shape[1]
+
+    def __repr__(self) -> str:
+        joints = "joint" if self.nv == 1 else "joints"
+        n_groups = len(self.group_names)
+        recordings = "recording" if n_groups == 1 else "recordings"
+        return (
+            f"Recording {self.name!r}: {self.n_samples} samples, {self.nv} {joints}, "
+            f"dt = {self.dt:.6g} s, {n_groups} {recordings}"
+        )
+
+    def select(self, *names_or_labels: str | int) -> "Recording":
+        """Keep some of the recordings.
+
+        Parameters
+        ----------
+        *names_or_labels : str or int
+            Entries of `group_names`, or labels of `groups`.
+
+        Returns
+        -------
+        recording : Recording
+            These recordings in their order here, labelled 0, 1, 2, ... anew.
+
+        Raises
+        ------
+        ValueError
+            If a name or label does not exist, or none is given.
+        """
+        labels = sorted({self._label(entry) for entry in names_or_labels})
+        if not labels:
+            raise ValueError(
+                f"Name at least one recording to keep, out of {self.group_names}."
+            )
+        rows = np.isin(self.groups, labels)
+        return replace(
+            self,
+            q=self.q[rows],
+            tau=self.tau[rows],
+            v=None if self.v is None else self.v[rows],
+            t=self.t[rows],
+            groups=np.searchsorted(labels, self.groups[rows]),
+            group_names=tuple(self.group_names[label] for label in labels),
+            signals={key: values[rows] for key, values in self.signals.items()},
+        )
+
+    def _label(self, entry: str | int) -> int:
+        """Label of a recording given by its name or label."""
+        if isinstance(entry, str) and entry in self.group_names:
+            return self.group_names.index(entry)
+        is_label = isinstance(entry, (int, np.integer)) and not isinstance(entry, bool)
+        if is_label and 0 <= entry < len(self.group_names):
+            return int(entry)
+        raise ValueError(
+            f"No recording {entry!r} in {self.name!r}; choose from the names "
+            f"{self.group_names} or the labels 0 to {len(self.group_names) - 1}."
+        )
+
+    def robot_model(self) -> "pin.Model":
+        """Nominal model of the robot, with one degree of freedom a joint.
+
+        Joints of the description that were not recorded (fingers, wheels,
+        head) are fixed at their zero.
+
+        Returns
+        -------
+        model : pinocchio.Model
+            `nq == nv == len(joint_names)`, joints in the order of
+            `joint_names`.
+
+        Raises
+        ------
+        ImportError
+            If Pinocchio is not installed.
+        FileNotFoundError
+            If no description of the robot was found.
+        ValueError
+            If the description lacks a recorded joint or orders them otherwise.
+        """
+        from sklearn_vbjfa.model._descriptions import build_model
+
+        return build_model(self.name, self.urdf, self.joint_names)
+
+
+def _check_dt(dt: Any) -> None:
+    """Refuse a sample period that is not a positive number."""
+    if not (isinstance(dt, Real) and 0 < dt < np.inf):
+        raise ValueError(f"dt must be a positive number of seconds, got {dt!r}.")
+
+
+def _finite_array(name: str, values: Any) -> np.ndarray:
+    """Return a numeric array without NaN or infinity, or refuse."""
+    if not isinstance(values, np.ndarray) or values.dtype.kind not in "biuf":
+        raise ValueError(
+            f"{name} must be a numeric ndarray, got {type(values).__name__}"
+            f"{' of ' + str(values.dtype) if isinstance(values, np.ndarray) else ''}."
+        )
+    if not np.isfinite(values).all():
+        raise ValueError(
+            f"{name} must be finite, got {np.count_nonzero(~np.isfinite(values))} "
+            "values that are not; drop or interpolate those rows first."
+        )
+    return values
+
+
+def _check_shape(name: str, values: np.ndarray, expected: tuple[int, ...]) -> None:
+    """Refuse an array whose shape does not agree with that of q."""
+    if values.shape != expected:
+        raise ValueError(
+            f"{name} must have shape {expected} to agree with q, got {values.shape}."
+        )
+
+
+def _check_groups(groups: np.ndarray, n_samples: int, names: tuple[str, ...]) -> None:
+    """Refuse labels that are not 0, 1, 2, ... in contiguous blocks."""
+    _check_shape("groups", groups, (n_samples,))
+    starts = np.flatnonzero(np.diff(groups)) + 1
+    labels = groups[np.concatenate([[0], starts])]
+    if groups.dtype.kind not in "iu" or not np.array_equal(
+        labels, np.arange(len(names))
+    ):
+        raise ValueError(
+            f"groups must hold the integers 0 to {len(names) - 1} (one for each of "
+            f"group_names) in contiguous blocks, got blocks {labels[:10].tolist()}."
+        )
+    if len(set(names)) != len(names):
+        raise ValueError(f"group_names must differ from one another, got {names}.")

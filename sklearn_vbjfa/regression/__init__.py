@@ -1,0 +1,1 @@
+"""Linear models with noisy inputs and outputs, and their rivals."""

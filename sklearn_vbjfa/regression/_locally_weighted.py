@@ -1,0 +1,198 @@
+"""Locally weighted regression around any linear regressor."""
+
+from numbers import Integral, Real
+
+import numpy as np
+from sklearn.base import BaseEstimator, RegressorMixin, clone
+from sklearn.utils.validation import check_is_fitted, validate_data
+
+from sklearn_vbjfa.regression._sklearn_compat import (
+    Interval,
+    StrOptions,
+    check_sample_weight,
+)
+from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
+
+# Samples further than this many bandwidths from a centre weigh less than 0.4 % there
+# and are left out of its model.
+_REACH = 3.3
+
+
+class LocallyWeightedRegressor(RegressorMixin, BaseEstimator):
+    r"""Piecewise linear regression: local models, blended by their distance.
+
+    The extension that section 6 of [1]_ names: linear models around centres
+    :math:`c_k`, each fitted with the weights
+
+    .. math:: w_k(x) = \exp(-\tfrac12 |D (x - c_k)|^2 / h_k^2),
+
+    D scaling every input to unit standard deviation; the prediction is the weighted
+    mean of the local models' predictions.
+
+    Parameters
+    ----------
+    regressor : estimator, default=None
+        Linear regressor whose `fit` takes `sample_weight`; None is
+        ``VBJFARegressor()``.
+    n_models : int, default=10
+        Number of local models; their centres are found by k-means, which starts from
+        points far from each other: nothing is drawn at random, and neither the order
+        of the rows nor their repetition matters.
+    bandwidth : "auto" or float, default="auto"
+        Width h of the weights, in standard deviations of the inputs. ``"auto"``: for
+        each model the distance to the nearest other centre.
+
+    Attributes
+    ----------
+    centers_ : ndarray of shape (n_models, n_features)
+        Centres, in the units of X.
+    bandwidth_ : ndarray of shape (n_models,)
+        Widths, in standard deviations of the inputs.
+    scale_ : ndarray of shape (n_features,)
+        Standard deviations of the inputs; 1 for a constant one.
+    estimators_ : list of estimator
+        Local models, of inputs relative to their centre.
+    n_features_in_ : int
+        Number of features seen during fit.
+    feature_names_in_ : ndarray of shape (n_features,)
+        Their names, where X had names that are all strings.
+
+    Notes
+    -----
+    Locality is judged by the noisy inputs: a model sees samples whose noise put them
+    there, and within a small neighbourhood noise is a larger share of the inputs'
+    variance. Widths far below the standard deviation of the noise make no sense.
+
+    References
+    ----------
+    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
+       with input and output noise", Neural Networks 24(1), 2011.
+       :doi:`10.1016/j.neunet.2010.08.011`
+    .. [2] C. G. Atkeson, A. W. Moore, S. Schaal, "Locally weighted learning",
+       Artificial Intelligence Review 11, 1997. :doi:`10.1023/A:1006559212014`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa import LocallyWeightedRegressor
+    >>> rng = np.random.default_rng(0)
+    >>> X = rng.uniform(-3, 3, size=(2000, 1))
+    >>> y = np.sin(X[:, 0])
+    >>> model = LocallyWeightedRegressor().fit(X, y)
+    >>> bool(model.score(X, y) > 0.99)
+    True
+    """
+
+    _parameter_constraints: dict = {  # noqa: RUF012
+        "regressor": "no_validation",
+        "n_models": [Interval(Integral, 1, None, closed="left")],
+        "bandwidth": [StrOptions({"auto"}), Interval(Real, 0, None, closed="neither")],
+    }
+
+    def __init__(self, regressor=None, *, n_models=10, bandwidth="auto"):
+        self.regressor = regressor
+        self.n_models = n_models
+        self.bandwidth = bandwidth
+
+    def fit(self, X, y, sample_weight=None):
+        """Place the local models and fit them.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Inputs.
+        y : array-like of shape (n_samples,)
+            Output.
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights; a weight of 2 is the row twice.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+        """
+        self._validate_params()
+        X, y = validate_data(
+            self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2
+        )
+        weight = check_sample_weight(sample_weight, X)
+        used = weight > 0
+        mean = np.average(X, axis=0, weights=weight)
+        spread = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weight))
+        self.scale_ = np.where(spread > 0, spread, 1.0)
+        Z = X / self.scale_
+        first = _spread_points(Z[used], self.n_models)
+        n_models = first.shape[0]
+        # Imported here: it brings eighty modules that nothing else needs.
+        from sklearn.cluster import KMeans
+
+        means = KMeans(n_models, init=first, n_init=1)
+        means.fit(Z[used], sample_weight=weight[used])
+        centers = means.cluster_centers_
+        self.centers_ = centers * self.scale_
+        self.bandwidth_ = self._widths(centers)
+        local = self._local_weights(Z, centers)
+        template = VBJFARegressor() if self.regressor is None else self.regressor
+        self.estimators_ = []
+        for k in range(n_models):
+            w = local[:, k] * weight
+            near = w > np.exp(-0.5 * _REACH**2) * weight.max()
+            if near.sum() < 2:
+                near = used
+            model = clone(template)
+            model.fit(X[near] - self.centers_[k], y[near], sample_weight=w[near])
+            self.estimators_.append(model)
+        return self
+
+    def _widths(self, centers):
+        if not isinstance(self.bandwidth, str):
+            return np.full(centers.shape[0], float(self.bandwidth))
+        if centers.shape[0] == 1:
+            # A single model is the global one.
+            return np.full(1, 1e6)
+        squares = ((centers[:, None] - centers[None]) ** 2).sum(axis=-1)
+        np.fill_diagonal(squares, np.inf)
+        return np.sqrt(squares.min(axis=1))
+
+    def _local_weights(self, Z, centers):
+        squares = ((Z[:, None] - centers[None]) ** 2).sum(axis=-1)
+        exponent = -0.5 * squares / self.bandwidth_**2
+        return np.exp(exponent)
+
+    def predict(self, X):
+        """Blend the local models' predictions.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Queries.
+
+        Returns
+        -------
+        ndarray of shape (n_samples,)
+            Predicted outputs.
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        centers = self.centers_ / self.scale_
+        squares = ((X / self.scale_)[:, None] - centers[None]) ** 2
+        exponent = -0.5 * squares.sum(axis=-1) / self.bandwidth_**2
+        # Far from all centres the nearest model decides, whatever underflows.
+        exponent -= exponent.max(axis=1, keepdims=True)
+        weight = np.exp(exponent)
+        local = np.column_stack(
+            [model.predict(X - c) for model, c in zip(self.estimators_, self.centers_)]
+        )
+        return (weight * local).sum(axis=1) / weight.sum(axis=1)
+
+
+def _spread_points(Z, count):
+    """Pick up to `count` distinct rows, each the farthest from those before."""
+    rows = np.unique(Z, axis=0)
+    middle = rows.mean(axis=0)
+    chosen = [int(np.argmin(((rows - middle) ** 2).sum(axis=1)))]
+    distance = ((rows - rows[chosen[0]]) ** 2).sum(axis=1)
+    while len(chosen) < count and distance.max() > 0:
+        chosen.append(int(np.argmax(distance)))
+        distance = np.minimum(distance, ((rows - rows[chosen[-1]]) ** 2).sum(axis=1))
+    return rows[chosen]

@@ -1,0 +1,262 @@
+"""Total least squares for noise in inputs and output of known ratio."""
+
+from numbers import Real
+
+import numpy as np
+from sklearn.base import BaseEstimator, RegressorMixin
+from sklearn.utils.validation import check_array, check_is_fitted, validate_data
+
+from sklearn_vbjfa._core._linear_systems import mixed_tls
+from sklearn_vbjfa._core._moments import standardize
+from sklearn_vbjfa.regression._sklearn_compat import (
+    Interval,
+    _fit_context,
+    check_sample_weight,
+)
+
+__all__ = ["TotalLeastSquares"]
+
+
+class TotalLeastSquares(RegressorMixin, BaseEstimator):
+    r"""Orthogonal regression: noise in X and y, of known ratios of variances.
+
+    Parameters
+    ----------
+    fit_intercept : bool, default=True
+        Whether to fit an intercept: a column of ones, which has no noise.
+
+    input_noise : array-like, default=None
+        Noise variances of the features, shape (n_features,) [unit of X_j squared],
+        zero for a feature known exactly, or the covariance of their noise, shape
+        (n_features, n_features) [unit of X_i times unit of X_j]. To be given
+        together with `output_noise`; only their ratios matter. ``None`` is the
+        classical problem: one variance for all features and the output, in the
+        units of the data.
+
+    output_noise : float, default=None
+        Noise variance of the output [unit of y squared], positive. To be given
+        together with `input_noise`.
+
+    Attributes
+    ----------
+    coef_ : ndarray of shape (n_features,)
+        Coefficients [unit of y / unit of X_j].
+
+    intercept_ : float
+        Intercept [unit of y].
+
+    generic_ : bool
+        Whether the problem has one solution. If not, `coef_` is the minimum-norm
+        solution in the directions of X that determine one, see Notes.
+
+    rank_ : int
+        Number of directions of X used by the solution; `n_features_in_` if
+        `generic_`.
+
+    n_features_in_ : int
+        Number of features seen during `fit`.
+
+    feature_names_in_ : ndarray of shape (`n_features_in_`,)
+        Names of features seen during `fit`, if X has string names.
+
+    See Also
+    --------
+    sklearn.linear_model.LinearRegression : No noise in X.
+    sklearn.cross_decomposition.PLSRegression : Regression on few directions of X.
+
+    Notes
+    -----
+    The model is :math:`y = \xi^T \beta + \beta_0 + \epsilon`,
+    :math:`x = \xi + \delta`, with :math:`\xi` unknown and
+    :math:`\mathrm{cov}(\delta, \epsilon)` known up to a factor. The estimate
+    minimises
+
+    .. math::
+
+        \sum_i w_i \left( \delta_i^T \Psi_x^{-1} \delta_i
+        + \epsilon_i^2 / \psi_y \right)
+
+    and is consistent if the noise ratios are right, which the data alone cannot
+    tell. Sample weights scale the rows by :math:`\sqrt{w_i}`: weight 2 is a row
+    given twice.
+
+    Columns are divided by their noise standard deviations (a covariance is
+    diagonalised), the column of ones and the features without noise are eliminated
+    by an orthogonal projection (mixed LS-TLS [3]_), and the singular value
+    decomposition of the rest of [X y] gives the solution [1]_. The data are first
+    reduced to a triangular factor, at a cost of :math:`2 N d^2`; no cross-product is
+    formed.
+
+    The problem is nongeneric, without a finite or unique solution, if the smallest
+    singular value of X is not above that of [X y]. The smallest singular direction
+    of X is then given up until the condition holds, with squares compared to a
+    relative 1.5e-8 (the nongeneric solution of [2]_). Directions of X at rounding
+    level (linear dependences, constant columns, more features than samples) are
+    given up in the same way, so that the solution has minimum norm, measured in
+    noise standard deviations; dependent features without noise share their
+    coefficients by minimum norm after scaling to equal lengths.
+
+    Without `input_noise` the estimate depends on the units of the features, because
+    the assumption of equal noise does.
+
+    References
+    ----------
+    .. [1] G. H. Golub and C. F. Van Loan, An Analysis of the Total Least Squares
+       Problem, SIAM Journal on Numerical Analysis 17, 883-893, 1980.
+       :doi:`10.1137/0717073`
+    .. [2] S. Van Huffel and J. Vandewalle, The Total Least Squares Problem, SIAM,
+       1991. :doi:`10.1137/1.9781611971002`
+    .. [3] G. H. Golub, A. Hoffman and G. W. Stewart, A generalization of the
+       Eckart-Young-Mirsky matrix approximation theorem, Linear Algebra and its
+       Applications 88-89, 317-327, 1987. :doi:`10.1016/0024-3795(87)90114-5`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa import TotalLeastSquares
+    >>> rng = np.random.default_rng(0)
+    >>> xi = rng.normal(size=(5000, 2))
+    >>> y = xi @ [2.0, -1.0] + 0.5 * rng.normal(size=5000)
+    >>> X = xi + 0.5 * rng.normal(size=(5000, 2))
+    >>> bool(np.all(np.abs(TotalLeastSquares().fit(X, y).coef_ - [2, -1]) < 0.1))
+    True
+
+    The first input is twice as noisy in standard deviation, the second exact:
+
+    >>> X = xi + rng.normal(size=(5000, 2)) * [1.0, 0.0]
+    >>> model = TotalLeastSquares(input_noise=[1.0, 0.0], output_noise=0.25)
+    >>> bool(np.all(np.abs(model.fit(X, y).coef_ - [2, -1]) < 0.1))
+    True
+    """
+
+    _parameter_constraints = {  # noqa: RUF012
+        "fit_intercept": ["boolean"],
+        "input_noise": ["array-like", None],
+        "output_noise": [Interval(Real, 0, None, closed="neither"), None],
+    }
+
+    def __init__(self, *, fit_intercept=True, input_noise=None, output_noise=None):
+        self.fit_intercept = fit_intercept
+        self.input_noise = input_noise
+        self.output_noise = output_noise
+
+    @_fit_context(prefer_skip_nested_validation=True)
+    def fit(self, X, y, sample_weight=None):
+        """Fit the coefficients.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Inputs.
+
+        y : array-like of shape (n_samples,)
+            Output.
+
+        sample_weight : array-like of shape (n_samples,), default=None
+            Weights of the rows.
+
+        Returns
+        -------
+        self : TotalLeastSquares
+            Fitted estimator.
+        """
+        X, y = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
+        weight = check_sample_weight(sample_weight, X)
+        whiten, exact, output_std = self._noise_coordinates(X.shape[1])
+        used = weight > 0
+        columns = standardize(
+            np.column_stack([X, y])[used], weight[used], center=self.fit_intercept
+        )
+        # Column scales commute with the orthogonal factor; with them taken out the
+        # reduction is as accurate for small columns as for large ones.
+        factor = np.linalg.qr(columns.values, mode="r") * columns.scale
+        solution = mixed_tls(factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact)
+        self.coef_ = output_std * (whiten @ solution.coef)
+        self.intercept_ = float(columns.mean[-1] - columns.mean[:-1] @ self.coef_)
+        self.rank_ = solution.rank
+        self.generic_ = solution.rank == X.shape[1]
+        return self
+
+    def predict(self, X):
+        """Predict the output for noiseless inputs.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Inputs.
+
+        Returns
+        -------
+        ndarray of shape (n_samples,)
+            Predicted output [unit of y].
+        """
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        return X @ self.coef_ + self.intercept_
+
+    def _noise_coordinates(self, n_features):
+        """Coordinates with independent noise of unit variance, or without noise.
+
+        Returns
+        -------
+        whiten : ndarray of shape (n_features, n_features)
+            ``X @ whiten`` are the new coordinates.
+
+        exact : ndarray of shape (n_features,), dtype=bool
+            New coordinates that have no noise.
+
+        output_std : float
+            Noise standard deviation of y.
+        """
+        if (self.input_noise is None) != (self.output_noise is None):
+            names = ["input_noise", "output_noise"]
+            given, missing = names if self.output_noise is None else names[::-1]
+            raise ValueError(
+                "input_noise and output_noise must be given together, because only "
+                f"their ratios matter; got {given} without {missing}. Give both, or "
+                "neither for equal variances."
+            )
+        if self.input_noise is None:
+            return np.eye(n_features), np.zeros(n_features, dtype=bool), 1.0
+        noise = check_array(
+            self.input_noise,
+            dtype=np.float64,
+            ensure_2d=False,
+            ensure_min_samples=0,
+            input_name="input_noise",
+        )
+        if noise.shape not in [(n_features,), (n_features, n_features)]:
+            raise ValueError(
+                f"input_noise must be {n_features} variances or a covariance of shape "
+                f"({n_features}, {n_features}), one row for each feature of X; got "
+                f"shape {noise.shape}. For one common variance v, give "
+                f"np.full({n_features}, v)."
+            )
+        variance = noise if noise.ndim == 1 else np.diag(noise)
+        if variance.min() < 0:
+            raise ValueError(
+                "input_noise must have no negative variance, got "
+                f"{variance.min():.6g}; give 0 for a feature without noise."
+            )
+        exact = variance == 0
+        std = np.where(exact, 1.0, np.sqrt(variance))
+        output_std = float(np.sqrt(self.output_noise))
+        if noise.ndim == 1:
+            return np.diag(1 / std), exact, output_std
+
+        scaled = noise / np.outer(std, std)
+        tolerance = 10 * n_features * np.finfo(np.float64).eps
+        eigenvalues, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
+        if np.abs(scaled - scaled.T).max() > np.sqrt(tolerance) or eigenvalues[
+            0
+        ] < -np.sqrt(tolerance):
+            raise ValueError(
+                "input_noise must be a symmetric covariance without negative "
+                f"eigenvalue, got a smallest eigenvalue of {eigenvalues[0]:.6g} "
+                "(features scaled to unit variance) and an asymmetry of "
+                f"{np.abs(scaled - scaled.T).max():.6g}. Symmetrise the matrix or "
+                "give its diagonal only."
+            )
+        exact = eigenvalues <= tolerance
+        whiten = vectors / np.sqrt(np.where(exact, 1.0, eigenvalues))
+        return whiten / std[:, np.newaxis], exact, output_std

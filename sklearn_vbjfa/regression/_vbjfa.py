@@ -1,0 +1,624 @@
+"""Variational Bayesian joint factor analysis regression.
+
+Fitting of the correlated-latent model: dependencies, relevance, noise.
+"""
+
+import warnings
+from dataclasses import dataclass
+from numbers import Integral, Real
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_vbjfa._core import _correlated
+from sklearn_vbjfa._core._dependencies import find_dependencies
+from sklearn_vbjfa._core._moments import GramMoments
+from sklearn_vbjfa._core._updates import LinearModel, Prior
+from sklearn_vbjfa.regression._base import (
+    BaseJointFactorRegressor,
+    noise_shares,
+    resolve_input_noise,
+)
+from sklearn_vbjfa.regression._sklearn_compat import Interval, StrOptions
+
+# An input is relevant when its coefficient is more than this many posterior standard
+# deviations away from zero.
+RELEVANT_DEVIATIONS = 2.0
+# Largest fraction of an input's variance that the prior takes for noise: an input that
+# someone measured in order to predict with it is signal for two thirds at least.
+LARGEST_FRACTION = 1 / 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrelatedFit:
+    """Solutions in standardised units, spread over all active columns.
+
+    `noisy` and `noiseless` are the linear models for the two kinds of queries, with
+    the solutions that they come from; alpha, relevant (d,) and psi (d, d) are the
+    precisions, the relevant inputs and the input noise.
+    """
+
+    noisy: LinearModel
+    noiseless: LinearModel
+    noisy_solution: _correlated.CorrelatedSolution
+    noiseless_solution: _correlated.CorrelatedSolution
+    alpha: np.ndarray
+    relevant: np.ndarray
+    psi: np.ndarray
+    rule: str
+
+
+def largest_noise_fraction(R, r):
+    """Largest input-noise fraction that correlations R (d, d), r (d,) admit.
+
+    Without noise in the inputs' covariance R and in the output what is left must be
+    positive semidefinite: no common fraction can exceed the smallest eigenvalue of
+    R - r r', the covariance of the inputs given an output that is all signal.
+    """
+    given_output = R - np.outer(r, r)
+    smallest = linalg.eigvalsh(given_output, subset_by_index=[0, 0])[0]
+    return float(min(LARGEST_FRACTION, max(smallest, 0.0)))
+
+
+def fit_correlated(data, noise, labels, *, select, settings, dof=np.inf):
+    """Fit the model.
+
+    Parameters
+    ----------
+    data : Standardised
+        Moments as a scatter matrix, and scales.
+    noise : None, float, ndarray of shape (d,) or (d, d)
+        The user's input noise, already validated; None estimates it.
+    labels : sequence
+        Names of the columns for messages.
+    select : bool
+        For noiseless queries: reduce exactly dependent inputs to their generators and
+        fit only relevant ones, with one precision in common. Noisy queries are then
+        answered by all inputs as they are, see `_average`.
+    settings : dict
+        common, ard_shape, ard_rate, max_iter, tol, accelerate; `common` is one
+        precision for all inputs.
+    dof : float
+        Degrees of freedom with which the user's noise was estimated.
+    """
+    m = data.moments
+    d = m.xx.size
+    psi = _standard_noise(noise, data)
+    if psi is not None:
+        _warn_excess(m.S / m.n, psi, data, labels)
+    if not select:
+        return _fit_all(m, np.zeros((d, d)) if psi is None else psi, settings, dof)
+    R, r = m.S / m.n, m.xy / m.n
+    as_they_are = _solve(m, np.zeros((d, d)), settings)
+    found = find_dependencies(R)
+    basis = found.basis
+    kept = _relevant_inputs(m, basis, as_they_are, settings)
+    at = basis[kept]
+    largest = 0.0
+    if psi is None:
+        largest = largest_noise_fraction(R[np.ix_(at, at)], r[at])
+        psi = np.zeros((d, d))
+        psi[at, at] = 0.5 * largest
+    solution = _solve(m.columns(at), psi[np.ix_(at, at)], {**settings, "common": True})
+    coef = np.zeros(basis.size)
+    coef[kept] = solution.state.beta_mean
+    # The inputs that were switched off belong to what is not known.
+    psi_basis = psi[np.ix_(basis, basis)]
+    in_common = _solve(m.columns(basis), psi_basis, {**settings, "common": True})
+    cov = _uncertainty(m.columns(basis), psi_basis, coef, in_common, dof)
+    cov[np.ix_(kept, kept)] += _fraction_covariance(solution, largest)
+    spread = _spread(R, basis, found.copies)
+    relevant = np.zeros(d, dtype=bool)
+    relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
+    return CorrelatedFit(
+        noisy=_average(m, as_they_are, settings),
+        noiseless=LinearModel(
+            coef=spread @ coef,
+            cov=spread @ cov @ spread.T,
+            noise=solution.state.psi_y,
+        ),
+        noisy_solution=as_they_are,
+        noiseless_solution=solution,
+        alpha=as_they_are.state.E_alpha,
+        relevant=relevant,
+        psi=psi,
+        rule=found.rule,
+    )
+
+
+def _solve(m, psi, settings):
+    """Fit all inputs of the moments with a known noise covariance (d, d)."""
+    return _correlated.solve_correlated(
+        m.S, m.xy, m.yy, m.n, psi, root=m.root, **settings
+    )
+
+
+def _fit_all(m, psi, settings, dof=np.inf):
+    """Fit all inputs with a known noise covariance (d, d), for both queries."""
+    solution = _solve(m, psi, settings)
+    state, latent = solution.state, solution.latent
+    in_common = _in_common(m, psi, solution, settings)
+    cov = _uncertainty(m, psi, state.beta_mean, in_common, dof)
+    noiseless = LinearModel(coef=state.beta_mean, cov=cov, noise=state.psi_y)
+    noisy = noiseless
+    if not latent.exact:
+        noisy = _noisy_model(m, solution, settings)
+    variance = np.diagonal(
+        _correlated.posterior_covariance(m.S, m.n, psi, solution, dof)
+    )
+    return CorrelatedFit(
+        noisy=noisy,
+        noiseless=noiseless,
+        noisy_solution=solution,
+        noiseless_solution=solution,
+        alpha=state.E_alpha,
+        relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
+        psi=psi,
+        rule="all inputs",
+    )
+
+
+def _in_common(m, psi, solution, settings):
+    """Solution with one precision in common, which `solution` may be already."""
+    if settings["common"]:
+        return solution
+    return _solve(m, psi, {**settings, "common": True})
+
+
+def _uncertainty(m, psi, coef, in_common, dof=np.inf):
+    """Second moment (d, d) about `coef` of the posterior with one precision in common.
+
+    A posterior under automatic relevance determination takes the precisions for known:
+    of a coefficient that it has switched off, or nearly, it says that it is zero. One
+    precision, known from all coefficients together, does not. What both disagree in
+    belongs to what is not known.
+    """
+    cov = _correlated.posterior_covariance(m.S, m.n, psi, in_common, dof)
+    return cov + _square(in_common.state.beta_mean - coef)
+
+
+def _noisy_model(m, solution, settings):
+    """Model of y given noisy inputs, c = H'beta, with its variance v and uncertainty.
+
+    v is psi_y + beta'P beta. That of c is what a regression on the inputs as they are
+    leaves open, see `_uncertainty`.
+    """
+    beta, latent = solution.state.beta_mean, solution.latent
+    coef, exact = latent.H.T @ beta, np.zeros_like(m.S)
+    in_common = _solve(m, exact, {**settings, "common": True})
+    return LinearModel(
+        coef=coef,
+        cov=_uncertainty(m, exact, coef, in_common),
+        noise=solution.state.psi_y + beta @ latent.P @ beta,
+    )
+
+
+def _square(x):
+    return np.outer(x, x)
+
+
+def _fraction_covariance(solution, largest):
+    """Covariance (d, d) of the coefficients over a fraction uniform on [0, largest].
+
+    From (R - f I) beta_f = R beta_0, the same for all f, follows the slope
+    (R - f I)^-1 beta_f; the variance of f is largest^2 / 12.
+    """
+    slope = linalg.pinvh(solution.latent.Sigma_t) @ solution.state.beta_mean
+    return _square(slope) * largest**2 / 12
+
+
+def _average(m, solution, settings):
+    """Answer to noisy queries: the mean of two regressions on the inputs as they are.
+
+    One gives each input a precision of its own, which suits few relevant inputs; the
+    other one precision to all, which suits many. Nothing tells beforehand which suits;
+    their mean is nearly as good as the better one, and half of what they differ in is
+    not known.
+    """
+    exact = np.zeros_like(m.S)
+    other = _in_common(m, exact, solution, settings)
+    both = [one.state for one in (solution, other)]
+    coef = 0.5 * sum(state.beta_mean for state in both)
+    return LinearModel(
+        coef=coef,
+        cov=_uncertainty(m, exact, coef, other),
+        noise=0.5 * sum(state.psi_y for state in both),
+    )
+
+
+def _standard_noise(noise, data):
+    """Noise covariance (d, d) of the standardised active columns; None is unknown."""
+    if noise is None:
+        return None
+    if np.ndim(noise) == 0:
+        return noise * np.eye(data.x_scale.size)
+    full = np.diag(noise) if np.ndim(noise) == 1 else noise
+    unit = np.outer(data.x_scale, data.x_scale)
+    return full[np.ix_(data.active, data.active)] / unit
+
+
+def _warn_excess(R, psi, data, labels):
+    """Name the columns whose noise alone exceeds what was measured."""
+    over = np.flatnonzero(np.diagonal(psi) > np.diagonal(R) * (1 + 1e-9))
+    if over.size:
+        shown = ", ".join(
+            str(labels[i]) for i in np.flatnonzero(data.active)[over][:10]
+        )
+        warnings.warn(
+            f"input_noise exceeds the whole variance of {over.size} input(s) "
+            f"({shown}): no signal is left in them. Check the units of input_noise "
+            "(variances, not standard deviations).",
+            UserWarning,
+            stacklevel=6,
+        )
+
+
+def _relevant_inputs(m, basis, as_they_are, settings):
+    """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations.
+
+    Asked of the noisy inputs on purpose: an input that has nothing to do with y has a
+    zero coefficient there too, and the test has not lost power to the correction.
+    """
+    state = as_they_are.state
+    if basis.size < m.xx.size:
+        exact = np.zeros((basis.size, basis.size))
+        state = _solve(m.columns(basis), exact, settings).state
+    score = state.beta_mean**2 / np.diagonal(state.beta_cov)
+    kept = score > RELEVANT_DEVIATIONS**2
+    if not kept.any():
+        kept[np.argmax(score)] = True
+    return kept
+
+
+def _spread(R, at, copies):
+    """Matrix (d, k) that gives the columns `at` and their exact copies their shares.
+
+    Nothing tells copies apart: in standardised columns each takes the same part, with
+    the sign of its correlation.
+    """
+    spread = np.zeros((R.shape[0], at.size))
+    for k, (j, group) in enumerate(zip(at, copies)):
+        sign = np.ones(1) if group.size == 1 else np.sign(R[j, group])
+        spread[group, k] = sign / group.size
+    return spread
+
+
+# The default prior on the input noise: inverse-gamma on each variance psi_x with its
+# mode at this share of the input's own variance, and the weight of this share of the
+# samples. A share of a share: free of units, and no stronger or weaker for more data.
+NOISE_PRIOR_MODE = 0.2
+NOISE_PRIOR_WEIGHT = 0.1
+
+# Samples per input from which on each input has a precision of its own, and second
+# moments say something of the inputs' noise.
+SAMPLES_PER_INPUT = 2
+
+
+class VBJFARegressor(BaseJointFactorRegressor):
+    r"""Variational Bayesian joint factor analysis regression (VB-JFA).
+
+    Linear regression with noise in inputs and output, automatic relevance
+    determination, and coefficients for noiseless queries [1]_.
+
+    For predictions from inputs as noisy as those of the fit, the default, this is
+    Bayesian regression on the inputs as they are: as good as least squares with many
+    rows, where noise in the inputs is no reason to do anything else, and better where
+    inputs are many, correlated or irrelevant. What goes beyond that are queries
+    without noise: motions that are planned, instruments better than those of the fit,
+    coefficients that mean something (a mass, a dose). They need the input noise. Give
+    it (`input_noise`) where you know it or can measure it (`replicate_noise`); without,
+    the data only bound it, and the intervals say how much that leaves open.
+
+    Parameters
+    ----------
+    latent : {"auto", "independent", "correlated"}, default="auto"
+        ``"independent"``: the paper's model, one hidden input of its own for each
+        observed input. ``"correlated"``: the hidden inputs share a full covariance.
+        ``"auto"``: correlated with more samples than inputs, else (and with
+        ``prior="paper"``) independent.
+    selection : "auto" or bool, default="auto"
+        Correlated latents and noiseless queries only. Whether inputs that are exact
+        combinations of others are reduced to those that generate them, only relevant
+        inputs are fitted, and their coefficients share one precision. Noisy queries are
+        then answered by all inputs, see Notes. ``"auto"``: yes, unless `input_noise`
+        is zero (then this is Bayesian ARD regression on all inputs) or a full
+        covariance (then dependencies are part of what is known).
+    prior : {"noise", "paper"}, default="noise"
+        For independent latents: ``"paper"`` is the model of the paper to the letter
+        (one precision alpha_m for both w_zm and w_xm, no prior on the input noise);
+        ``"noise"`` puts alpha_m on w_zm alone and a weak prior on the input noise,
+        an inverse-gamma with its mode at 0.2 of the input's variance and the weight
+        of 0.1 of the samples. See Notes. Not used with correlated latents.
+    input_noise : float or array-like, default=None
+        What is known of the input noise: its share of each input's variance, in
+        [0, 1), its variances, shape (n_features,) [unit of X_j squared], or
+        (correlated latents) its covariance, shape (n_features, n_features), or what
+        `replicate_noise` returns. ``None``: unknown, see Notes.
+    initial_input_noise : float, default=0.3
+        Share of each input's variance that is noise at the start; not used when
+        `input_noise` is given.
+    ard_shape, ard_rate : float, default=1e-6
+        Gamma prior of the precisions alpha, for standardised X and y.
+    fit_intercept : bool, default=True
+        Whether the means of X and y are free.
+    query : {"noisy", "noiseless"}, default="noisy"
+        Which queries `predict` answers: inputs as noisy as those of the fit, or
+        noiseless ones (planned motions).
+
+        .. versionchanged:: 0.2
+           The default was ``"noiseless"``, which is worse than least squares wherever
+           queries are as noisy as the data, and with them in cross-validation.
+    solver : {"accelerated", "plain"}, default="accelerated"
+        How the bound is climbed. ``"plain"`` does the updates as printed (in [1]_, and
+        in the guide for correlated latents), one iteration after the other.
+
+        .. versionadded:: 0.2
+    max_iter : int, default=20000
+        Largest number of iterations.
+    tol : float, default=1e-7
+        Gain of the bound per sample below which the iteration has converged. With
+        correlated latents it goes on from there to the fixed point, which a few
+        extrapolated steps reach.
+    forgetting : float, default=1.0
+        Weight that what `partial_fit` has seen keeps with each further row, in
+        (0, 1]: the memory is ``1 / (1 - forgetting)`` rows long. `fit` does not
+        forget.
+
+    Attributes
+    ----------
+    coef_ : ndarray of shape (n_features,)
+        Coefficients that `predict` uses, unit of y / unit of X_j: `coef_noisy_` or
+        `coef_noiseless_`, by `query`.
+    coef_noiseless_ : ndarray of shape (n_features,)
+        Coefficients for noiseless queries (eq. 29); zero for inputs that are not
+        relevant (with `selection`).
+    coef_noisy_ : ndarray of shape (n_features,)
+        Coefficients for noisy queries (eq. 27).
+    coef_std_ : ndarray of shape (n_features,)
+        Posterior standard deviations of `coef_`; infinite for an input that never
+        varies. For noiseless queries and correlated latents they hold the uncertainty
+        of the input noise: that of its estimate (`replicate_noise`), or of the whole
+        range that the data permit. With independent latents they are given the noise.
+    coef_cov_ : ndarray of shape (n_features, n_features)
+        Their posterior covariance.
+    intercept_, intercept_noiseless_, intercept_noisy_ : float
+        Intercepts that go with the coefficient vectors.
+    input_noise_ : ndarray of shape (n_features,) or (n_features, n_features)
+        Input-noise variances, or covariance with correlated latents: where it is
+        unknown, the mean of what the data permit.
+    output_noise_ : float
+        Variance of y given noiseless inputs, unit of y squared.
+    alpha_ : ndarray of shape (n_features,)
+        Posterior means of the ARD precisions, 1 / unit of y squared; infinite for
+        an input that never varies. With hardly more samples than inputs, and correlated
+        latents, all inputs share one.
+    relevant_ : ndarray of shape (n_features,), bool
+        Inputs that matter. Independent latents: the posterior means of both loadings
+        are more than two posterior standard deviations away from zero. Correlated
+        latents: the coefficient of an ARD regression on the noisy inputs is. Of inputs
+        that are exact combinations of others only the generators can be relevant;
+        exact copies share one coefficient and are relevant together.
+    elbo_history_ : ndarray
+        The bound at each iteration that was kept, at most `n_iter_` values, with all
+        constants of the likelihood: of X and y with independent latents, of y given X
+        with correlated ones.
+    n_iter_ : int
+        Number of iterations of the fit behind `coef_`.
+    converged_ : bool
+        Whether the gain fell below `tol`.
+    basis_rule_ : {"full rank", "rays", "volume", "all inputs"}
+        How the generators of exactly dependent inputs were found; correlated latents
+        only.
+    heywood_ : ndarray of shape (n_features,), bool
+        Inputs whose estimated noise went to zero.
+    w_x_mean_, w_x_var_, w_z_mean_, w_z_var_ : ndarray of shape (n_features,)
+        Posterior means and variances of the loadings (eqs. 8-11); independent
+        latents only.
+    psi_y_, psi_z_ : float, ndarray of shape (n_features,)
+        The parts of `output_noise_` (eqs. 14, 15); independent latents only. The
+        variational posterior moves all noise from psi_y to psi_z little by little:
+        only their sum means something.
+    statistics_ : SufficientStatistics or None
+        Count, means and scatter; None when there were fewer samples than features.
+    n_features_in_ : int
+        Number of features seen during fit.
+    feature_names_in_ : ndarray of shape (n_features,)
+        Their names, where X had names that are all strings.
+
+    See Also
+    --------
+    JFARegressor : The same model by EM, without priors.
+    replicate_noise : The input noise from repeated measurements.
+    sklearn.linear_model.ARDRegression : Noiseless inputs.
+
+    Notes
+    -----
+    **What is identifiable.** Second moments fix the coefficients for noisy queries.
+    How the variance of an input splits into signal and noise they do not say; they
+    only bound the noise from above. So the split comes from `input_noise` if given,
+    else from a prior, which is documented and free of units:
+
+    - Correlated latents: all relevant inputs have the same fraction f of noise in
+      their variances. With R the correlations of the inputs and :math:`b_0` the
+      coefficients for noisy queries, :math:`(R - f I) b_f = R b_0` for every f that
+      the data admit, from zero to the smallest eigenvalue of the correlations of the
+      inputs given the output; an input is taken to be signal for two thirds at least.
+      f is uniform on that interval; `coef_noiseless_` is that of its mean, and
+      `coef_cov_` holds its spread, which more rows do not reduce. Exact inputs thus
+      get coefficients that are a little too large: give ``input_noise=0`` if you know
+      that they are exact.
+    - Independent latents with ``prior="noise"``: an inverse-gamma on each psi_x with
+      its mode at 0.2 of the input's variance and the weight of 0.1 of the samples.
+    - ``prior="paper"``: the starting point and the shared alpha_m, under which both
+      loadings of a redundant input shrink at different rates; their ratio then means
+      nothing, and the input is reported as not relevant with the coefficient zero.
+
+    **Noisy queries** need no split. With `selection` they are answered by the mean of
+    two Bayesian regressions on the inputs as they are, one with a precision for each
+    input (automatic relevance determination) and one with a precision for all; which of
+    them suits depends on how many inputs matter.
+
+    Noise that is independent from input to input is not so among inputs that are sums
+    of each other. Exactly dependent inputs are therefore reduced to the ones that
+    generate the others with non-negative weights, where these are unique, else to
+    the subset of largest volume.
+
+    Known noise: the correlated model fits the second moments of any data of full
+    rank exactly, so its estimates are consistent; with zero noise it is Bayesian
+    linear regression with automatic relevance determination.
+
+    An iteration costs O(d^2) with independent latents (O(n d) on the data with more
+    features than samples), O(d^3) with correlated ones, whatever the number of
+    samples.
+
+    References
+    ----------
+    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
+       with input and output noise", Neural Networks 24(1), 2011.
+       :doi:`10.1016/j.neunet.2010.08.011`
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa import VBJFARegressor
+    >>> rng = np.random.default_rng(0)
+    >>> t = rng.normal(size=(2000, 3))
+    >>> y = t @ [1.0, -2.0, 0.0] + 0.1 * rng.normal(size=2000)
+    >>> X = t + 0.5 * rng.normal(size=t.shape)
+    >>> model = VBJFARegressor(input_noise=[0.25, 0.25, 0.25]).fit(X, y)
+    >>> model.coef_.round(1)  # for inputs as noisy as these
+    array([ 0.8, -1.6, -0. ])
+    >>> model.coef_noiseless_.round(1)
+    array([ 1., -2.,  0.])
+    >>> model.relevant_
+    array([ True,  True, False])
+    """
+
+    _parameter_constraints: dict = {  # noqa: RUF012
+        "latent": [StrOptions({"auto", "independent", "correlated"})],
+        "selection": [StrOptions({"auto"}), "boolean"],
+        "prior": [StrOptions({"noise", "paper"})],
+        "input_noise": [None, Real, "array-like"],
+        "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
+        "ard_shape": [Interval(Real, 0, None, closed="neither")],
+        "ard_rate": [Interval(Real, 0, None, closed="neither")],
+        "fit_intercept": ["boolean"],
+        "query": [StrOptions({"noiseless", "noisy"})],
+        "solver": [StrOptions({"accelerated", "plain"})],
+        "max_iter": [Interval(Integral, 1, None, closed="left")],
+        "tol": [Interval(Real, 0, None, closed="left")],
+        "forgetting": [Interval(Real, 0, 1, closed="right")],
+    }
+
+    def __init__(
+        self,
+        *,
+        latent="auto",
+        selection="auto",
+        prior="noise",
+        input_noise=None,
+        initial_input_noise=0.3,
+        ard_shape=1e-6,
+        ard_rate=1e-6,
+        fit_intercept=True,
+        query="noisy",
+        solver="accelerated",
+        max_iter=20000,
+        tol=1e-7,
+        forgetting=1.0,
+    ):
+        self.latent = latent
+        self.selection = selection
+        self.prior = prior
+        self.input_noise = input_noise
+        self.initial_input_noise = initial_input_noise
+        self.ard_shape = ard_shape
+        self.ard_rate = ard_rate
+        self.fit_intercept = fit_intercept
+        self.query = query
+        self.solver = solver
+        self.max_iter = max_iter
+        self.tol = tol
+        self.forgetting = forgetting
+
+    def _accepts_data_moments(self):
+        return self.latent != "correlated"
+
+    def _fit(self, data):
+        noise = resolve_input_noise(self.input_noise, data.active.shape[0])
+        if self._resolve_latent(data) == "correlated":
+            return self._fit_correlated(data, noise)
+        fixed = noise_shares(noise, data, self._feature_labels())
+        weight = 0.0
+        if self.prior == "noise" and fixed is None:
+            weight = NOISE_PRIOR_WEIGHT * data.moments.n
+        prior = Prior(
+            ard=True,
+            coupled=self.prior == "paper",
+            ard_shape=self.ard_shape,
+            ard_rate=self.ard_rate,
+            psi_x_fixed=fixed,
+            psi_x_weight=weight,
+            psi_x_mode=np.full(data.x_scale.size, NOISE_PRIOR_MODE),
+        )
+        return self._fit_independent(data, prior, self.initial_input_noise)
+
+    def _resolve_latent(self, data):
+        if self.latent != "auto":
+            return self.latent
+        if self.prior == "paper":
+            return "independent"
+        gram = isinstance(data.moments, GramMoments)
+        more = data.moments.n > data.x_scale.size
+        return "correlated" if more and gram else "independent"
+
+    @staticmethod
+    def _enough_samples(data):
+        return data.moments.n > SAMPLES_PER_INPUT * data.x_scale.size
+
+    def _resolve_selection(self, noise, data):
+        if not isinstance(self.selection, str):
+            return bool(self.selection)
+        if noise is None:
+            # With hardly more samples than inputs the smallest eigenvalues, which bound
+            # the noise, are those of chance: regression on inputs taken as exact.
+            return self._enough_samples(data)
+        # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
+        return np.ndim(noise) < 2 and bool(np.any(noise))
+
+    def _fit_correlated(self, data, noise):
+        d = data.active.shape[0]
+        if data.x_scale.size == 0 or data.y_scale == 0.0:
+            self._fit_constant(data)
+            self.input_noise_ = np.zeros((d, d))
+            return self
+        result = fit_correlated(
+            data,
+            noise,
+            self._feature_labels(),
+            select=self._resolve_selection(noise, data),
+            settings={
+                # Hardly more samples than inputs do not tell a precision for each.
+                "common": not self._enough_samples(data),
+                "ard_shape": self.ard_shape,
+                "ard_rate": self.ard_rate,
+                "max_iter": self.max_iter,
+                "tol": self.tol,
+                "accelerate": self.solver == "accelerated",
+            },
+            dof=getattr(self.input_noise, "dof", np.inf),
+        )
+        y2 = data.y_scale**2
+        solution = result.noiseless_solution
+        if self.query == "noisy":
+            solution = result.noisy_solution
+        self._set_loop_attributes(solution, data, np.log(data.y_scale))
+        self._set_linear_models(result.noisy, result.noiseless, data)
+        unit = np.outer(data.x_scale, data.x_scale)
+        self.input_noise_ = np.zeros((d, d))
+        self.input_noise_[np.ix_(data.active, data.active)] = result.psi * unit
+        self.alpha_ = data.expand(result.alpha / y2, fill=np.inf)
+        self.relevant_ = data.expand(result.relevant).astype(bool)
+        self.heywood_ = np.zeros(d, dtype=bool)
+        self.basis_rule_ = result.rule
+        return self

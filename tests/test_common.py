@@ -17,7 +17,7 @@ from sklearn_vbjfa import (
 )
 
 # One joint has three columns of states, as many as most of the checks' tables.
-SWING = str(Path(__file__).parent / "robot" / "swing.urdf")
+SWING = str(Path(__file__).parent / "model" / "swing.urdf")
 
 ESTIMATORS = [
     JFARegressor(),

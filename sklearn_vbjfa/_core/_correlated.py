@@ -138,6 +138,7 @@ def expect_latent(S, xy, yy, n, latent, state):
 # iteration on, and the outer loop goes on where this one stops.
 _NEWTON_STEPS = 20
 _ENOUGH = 1e-4  # share of the promised gain that a step must bring
+# Largest logarithm of a precision or a noise: exp of it must stay a number.
 _LARGEST_LOG = 300.0
 
 
@@ -266,15 +267,11 @@ def mean_and_noise(moments, latent_gain, latent_cov, shape, start, alpha):
     return mean, float(np.exp(log_noise))
 
 
-_LOG_2PI = float(np.log(2 * np.pi))
-
 # Smallest output noise, as a share of the variance of y, that second moments can tell
 # from their own rounding: the residual is a difference of sums of products.
 OUTPUT_FLOOR = 1e-12
 # The same for a triangular factor of the rows, whose residual is a sum of squares.
 FACTOR_FLOOR = OUTPUT_FLOOR**2
-# Largest logarithm of a precision or a noise: exp of it must stay a number.
-_LARGEST_LOG = 300.0
 
 
 @dataclass(frozen=True, kw_only=True)

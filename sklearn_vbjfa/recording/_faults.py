@@ -69,7 +69,7 @@ _MANY_REPEATED = 0.1
 # The logger is frozen if so many rows are equal, while a joint moves at this share of
 # its speed in the samples right before and right behind.
 _FROZEN_ROWS = 5
-_FROZEN_SPEED = 0.1
+_HELD_SPEED = 0.1
 _FROZEN_BESIDE = 3
 # Steps that are this multiple of the channel's resolution are no rounding; at least so
 # many of them, and this share of all, tell the rate of a channel.
@@ -286,7 +286,7 @@ def _frozen_rows(names, q, dt, same, parts, rows):
     """Find stretches in which every channel stands still in the middle of a motion."""
     frozen = np.zeros(q.shape[0], dtype=bool)
     steps = np.concatenate([np.abs(np.diff(q[part], axis=0)) for part in parts])
-    speed = _FROZEN_SPEED * np.quantile(steps, 0.995, axis=0)
+    speed = _HELD_SPEED * np.quantile(steps, 0.995, axis=0)
     found, seconds = [], 0.0
     for part in parts:
         x = q[part]

@@ -24,7 +24,7 @@ from sklearn_vbjfa.inspection._inspect import inspect_channels
 from sklearn_vbjfa.model._loading import is_prismatic, load_model
 
 add_root_to_path()
-from tests.robot._channel_faults import FAULTS, visible  # noqa: E402
+from tests.inspection._channel_faults import FAULTS, visible  # noqa: E402
 
 MEASURED = (
     "bam_xl330",

@@ -7,7 +7,7 @@ pytest.importorskip("pinocchio")
 
 import bench_channel_faults as bench
 
-from tests.robot._channel_faults import FAULTS, visible
+from tests.inspection._channel_faults import FAULTS, visible
 
 
 def test_every_fault_changes_the_recording():

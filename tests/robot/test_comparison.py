@@ -11,7 +11,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
 from sklearn_vbjfa.robot import _comparison
 from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
-from tests.robot._robots import swing
+from tests.model._robots import swing
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from sklearn_vbjfa import PhysicalProjector, RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model._loading import load_model, nominal_parameters  # noqa: E402
 from sklearn_vbjfa.robot import _identifier  # noqa: E402
-from tests.robot._robots import random_tree  # noqa: E402
+from tests.model._robots import random_tree  # noqa: E402
 
 FRICTION = ("viscous", "coulomb")
 
@@ -476,7 +476,7 @@ def test_a_branching_tree_with_sliding_joints():
 
 
 def test_one_joint_takes_a_flat_torque():
-    from tests.robot._robots import swing
+    from tests.model._robots import swing
 
     recording = make_robot_recording(swing(), duration=10.0, dt=0.01, random_state=0)
     robot = RobotIdentifier(swing(), dt=0.01, friction=FRICTION)

@@ -22,7 +22,7 @@ from sklearn_vbjfa import (
     TotalLeastSquares,
     VBJFARegressor,
 )
-from tests.robot._robots import (
+from tests.model._robots import (
     joint_equations,
     random_body,
     weighted_least_squares,

@@ -16,7 +16,7 @@ from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
 from sklearn_vbjfa.robot._online import _FADED
-from tests.robot._robots import random_tree, swing
+from tests.model._robots import random_tree, swing
 
 FRICTION = ("viscous", "coulomb", "offset", "rotor_inertia")
 

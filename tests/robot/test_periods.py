@@ -15,7 +15,7 @@ from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._periods import average_periods, period_samples
-from tests.robot._robots import swing
+from tests.model._robots import swing
 
 DT = 0.005
 N_PERIOD = 800

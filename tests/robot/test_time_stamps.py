@@ -10,7 +10,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.robot._plan import check_time_stamps, resolve_clock
-from tests.robot._robots import swing
+from tests.model._robots import swing
 
 DT = 0.01
 PARTS = [slice(0, 60), slice(60, 100)]

@@ -150,7 +150,7 @@ def residual_picture(curves, joint, floor):
     if not limit > 0:
         return "", np.nan
     torque = np.asarray(curves["torque"], dtype=float)[used, joint]
-    band = _band(floor * torque.std(), limit)
+    band = _floor_band(floor * torque.std(), limit)
     x = _places(curves, before.size)
     grey, colour = (
         _shape(x, np.where(used, values, np.nan), limit, kind)
@@ -165,7 +165,7 @@ def residual_picture(curves, joint, floor):
     return svg, limit
 
 
-def _band(half, limit):
+def _floor_band(half, limit):
     """Noise floor as a band of one standard deviation to each side."""
     if not np.isfinite(half) or half <= 0:
         return ""

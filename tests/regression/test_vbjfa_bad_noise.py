@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.utils._param_validation import InvalidParameterError
 
 from sklearn_vbjfa import JFARegressor, VBJFARegressor
-from tests._regressions import make_regression
+from tests.regression._problems import make_regression
 
 OFF_DIAGONAL = np.eye(4, k=1) + np.eye(4, k=-1)
 

@@ -10,7 +10,12 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._html import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.effects import Coulomb, available
-from tests.diagnosis._outcomes import finding, make_effect, make_outcome, make_round
+from tests.diagnosis.report._outcomes import (
+    finding,
+    make_effect,
+    make_outcome,
+    make_round,
+)
 
 SUCCESS = ("Nothing is missing", "what remains is")
 CASES = {

@@ -13,8 +13,8 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.inspection._inspect import inspect_channels
 from sklearn_vbjfa.model._loading import is_prismatic
-from tests.robot._channel_faults import FAULTS, visible
-from tests.robot._robots import random_tree
+from tests.inspection._channel_faults import FAULTS, visible
+from tests.model._robots import random_tree
 
 CASES = 4
 # What the samples show by themselves needs no luck with the motion.

@@ -77,7 +77,7 @@ def test_without_arguments_the_loop_is_closed_on_the_demo(closed):
 
 
 def test_readme_shows_what_is_printed(closed):
-    readme = (Path(__file__).resolve().parents[1] / "README.md").read_text("utf-8")
+    readme = (Path(__file__).resolve().parents[2] / "README.md").read_text("utf-8")
     shown = re.search(r"^```text\n(.*?)^```", readme, flags=re.DOTALL | re.M)[1]
     printed = closed[1]
     # Other versions of the libraries may move a last digit, and with it a column.

@@ -22,7 +22,7 @@ from sklearn_vbjfa.model._loading import (  # noqa: E402
     solid_bodies,
     write_reduced,
 )
-from tests.robot._robots import random_tree  # noqa: E402
+from tests.model._robots import random_tree  # noqa: E402
 
 ONE_JOINT = """<robot name="bench">
   <link name="base"/>

@@ -10,8 +10,8 @@ from sklearn.utils._param_validation import InvalidParameterError
 
 from sklearn_vbjfa import VBJFARegressor
 from sklearn_vbjfa.regression import _base
-from tests._regressions import assert_same_fit, least_squares, make_regression
 from tests.reference import paper_jfa as ref
+from tests.regression._problems import assert_same_fit, least_squares, make_regression
 
 
 def make_model(kind, **params):

@@ -12,8 +12,8 @@ from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_vbjfa import JFARegressor
 from sklearn_vbjfa.regression import _base
-from tests._regressions import assert_same_fit, least_squares, make_regression
 from tests.reference import paper_jfa as ref
+from tests.regression._problems import assert_same_fit, least_squares, make_regression
 
 
 def params_of(model):

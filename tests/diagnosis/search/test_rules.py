@@ -220,7 +220,7 @@ def test_slow_noise_does_not_hide_fast_effects_nor_make_slow_ones():
 
 def test_what_was_named_before_its_rivals_had_a_place_is_replaced():
     """Coulomb friction that looked quadratic while a spring was missing."""
-    from tests.diagnosis.test_search import search
+    from tests.diagnosis.search.test_search import search
 
     torque = ONE.torque(joint_1=lambda r: 2.0 * r.q[:, 0] + coulomb(r))
     now = search(torque, ["coulomb", "viscous_quadratic", "spring"], ONE)
@@ -256,7 +256,7 @@ def test_the_search_does_not_run_in_circles():
 
 def test_shapes_are_not_judged_on_what_they_were_tuned_to():
     """A ripple in white noise: its best period helps on all rows, and in no fold."""
-    from tests.diagnosis.test_search import search
+    from tests.diagnosis.search.test_search import search
 
     noisy = record("Y", seed=1, duration=24.0, noise=0.5)
     now = search(noisy.torque(), ["ripple"], noisy)
@@ -275,7 +275,7 @@ def test_shapes_are_not_judged_on_what_they_were_tuned_to():
 
 
 def test_trials_after_a_refusal_double_the_p_value():
-    from tests.diagnosis.test_search import search
+    from tests.diagnosis.search.test_search import search
 
     torque = ONE.torque(joint_1=lambda r: 0.1 * ripple(r))
     now = search(torque, ["ripple"], ONE)

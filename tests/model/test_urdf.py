@@ -11,7 +11,7 @@ from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.model._loading import load_model, nominal_parameters  # noqa: E402
 from sklearn_vbjfa.model._urdf import write_urdf  # noqa: E402
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
-from tests.robot._robots import random_body  # noqa: E402
+from tests.model._robots import random_body  # noqa: E402
 
 TREE = """<?xml version="1.0"?>
 <robot name="tree">

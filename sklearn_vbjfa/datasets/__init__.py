@@ -4,20 +4,17 @@ from sklearn_vbjfa.datasets._closed_loop import (
     ClosedLoopRecording,
     make_closed_loop_recording,
 )
-from sklearn_vbjfa.datasets._fetch_benches import fetch_emps, fetch_tflex_1dof
-from sklearn_vbjfa.datasets._fetch_industrial import (
-    fetch_kuka_kr300,
-    fetch_staubli_tx40,
-    fetch_ur5,
-)
-from sklearn_vbjfa.datasets._fetch_pendulums import (
+from sklearn_vbjfa.datasets._fetch import (
     fetch_bam_xl330,
     fetch_dfki_double_pendulum,
-)
-from sklearn_vbjfa.datasets._fetch_research import (
+    fetch_emps,
     fetch_franka_panda,
+    fetch_kuka_kr300,
     fetch_kuka_lbr_med7,
+    fetch_staubli_tx40,
+    fetch_tflex_1dof,
     fetch_tiago,
+    fetch_ur5,
 )
 from sklearn_vbjfa.datasets._paper_robots import load_arm_model, load_head_model
 from sklearn_vbjfa.datasets._robots import (

@@ -45,7 +45,7 @@ def load(name, data_home):
     """Return the recording, the declared model, and rows to fit and to test."""
     protocol = protocols()[name]
     access = {} if name == "demo" else {"data_home": data_home}
-    recording = protocol.load(**access, **protocol.options)
+    recording = protocol.load(**access)
     identifier = RobotIdentifier(
         recording.robot_model(),
         dt=recording.dt,

@@ -203,7 +203,7 @@ def test_protocols_name_recordings_that_exist(measured_data_home):
         if name == "demo" or not protocol.train:
             continue
         recording = protocol.load(
-            data_home=measured_data_home, download_if_missing=False, **protocol.options
+            data_home=measured_data_home, download_if_missing=False
         )
         assert set(protocol.train + protocol.test) <= set(recording.group_names)
         assert 0 < protocol.split(recording)[0].size < recording.n_samples

@@ -196,7 +196,7 @@ def test_a_period_in_another_unit_is_named(dt, meant):
 @pytest.mark.parametrize("name", ["ur5", "kuka_lbr_med7", "bam_xl330", "emps"])
 def test_measured_recordings(name, measured_data_home, tmp_path):
     protocol = protocols()[name]
-    made = protocol.load(data_home=measured_data_home, **protocol.options)
+    made = protocol.load(data_home=measured_data_home)
     sizes = np.bincount(made.groups)
     t = made.dt * np.concatenate([np.arange(n) for n in sizes])
     rng = np.random.default_rng(0)

@@ -7,8 +7,8 @@ from os import PathLike, fspath
 import numpy as np
 
 from sklearn_vbjfa.recording._recording import Recording, _check_dt
+from sklearn_vbjfa.recording._resample import on_grid
 from sklearn_vbjfa.recording._table import Table, read_table
-from sklearn_vbjfa.recording._uniform import on_grid
 
 # Positions [rad or m], speeds and torques [N m or N] beyond this are no robot's.
 _LARGEST = 1e12

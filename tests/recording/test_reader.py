@@ -11,7 +11,8 @@ import pytest
 
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
 from sklearn_vbjfa.datasets._robots import demo_arm_urdf
-from sklearn_vbjfa.recording._stamps import inspect_time_stamps, interpolate
+from sklearn_vbjfa.recording._resample import interpolate
+from sklearn_vbjfa.recording._stamps import inspect_time_stamps
 
 N = 60
 DT = 0.01

@@ -9,7 +9,8 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Drift
-from sklearn_vbjfa.robot._plan import check_time_stamps, resolve_clock
+from sklearn_vbjfa.recording._stamps import check_time_stamps
+from sklearn_vbjfa.robot._plan import resolve_clock
 from tests.model._robots import swing
 
 DT = 0.01

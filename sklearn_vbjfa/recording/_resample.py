@@ -81,8 +81,8 @@ def interpolate(
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Interpolate channels (n, ...) at t (n,) [s], from 0 on, on multiples of dt.
 
-    Positions "q" follow the function that `cubic` makes of stamps and rows, all else, which
-    is noisier, straight lines.
+    Positions "q" follow the function that `cubic` makes of stamps and rows, all else,
+    which is noisier, straight lines.
     """
     # Rounding of t must not cost the last point.
     grid = dt * np.arange(int(np.floor(t[-1] / dt + STEADY)) + 1)
@@ -149,8 +149,8 @@ def join(
 ) -> dict:
     """Concatenate logs into the array fields of a `Recording`.
 
-    With `resample` each log is put on multiples of dt; one with long gaps becomes several
-    recordings, "name [1]", "name [2]", ...
+    With `resample` each log is put on multiples of dt; one with long gaps becomes
+    several recordings, "name [1]", "name [2]", ...
     """
     pieces = []
     for log in logs:
@@ -176,8 +176,8 @@ def resample_uniform(
 ) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
     """Return grid (n_part,) [s] and channels of each part of a log between long gaps.
 
-    A log that is uniform already is left as it is; `drop_repeated` also drops rows equal to
-    the one before in every channel, readings that the logger wrote twice.
+    A log that is uniform already is left as it is; `drop_repeated` also drops rows
+    equal to the one before in every channel, readings that the logger wrote twice.
     """
     step = np.diff(t)
     if np.any(step < 0):
@@ -234,7 +234,7 @@ class _Tally:
             yield f"{self.merged} row(s) repeat a stamp and were averaged with it."
 
     def white_noise(self):
-        """Return the standard deviation (nv,) of white noise in what is off the grid."""
+        """Return the standard deviation (nv,) of white noise off the grid."""
         # The lower quartile passes over what jumps, as friction does.
         errors = [prediction_errors(t, torques) for t, torques in self.off_grid]
         errors = np.abs(np.concatenate(errors))
@@ -244,8 +244,8 @@ class _Tally:
 def on_grid(table: Table, t, labels, dt, channels, notes):
     """Cut a file at segments and gaps, return the array fields of a `Recording`.
 
-    Stamps t [s] and labels of segments, (n_rows,) or None; dt [s] or None for that of the
-    stamps; channels (n_rows, ...), "q" and "tau" among them. What was found goes to
+    Stamps t [s] and labels of segments, (n_rows,) or None; dt [s] or None for that of
+    the stamps; channels (n_rows, ...), "q" and "tau" among them. What was found goes to
     `notes`.
     """
     segments = _segments(labels, table.n_rows)

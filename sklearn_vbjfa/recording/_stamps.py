@@ -82,10 +82,10 @@ class TimeStamps:
 def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
     """Return what the stamps t (n_samples,) [s] of one recording tell.
 
-    dt [s] is the period if it is known; `where` turns a row (from 0) into words; positions
-    (n_samples, nv) tell whether irregular stamps are the time of sampling, without them a
-    steady sampling is taken. Refuses time that stands still or runs backwards, is not in
-    seconds, contradicts dt, or says nothing of the period.
+    dt [s] is the period if it is known; `where` turns a row (from 0) into words;
+    positions (n_samples, nv) tell whether irregular stamps are the time of sampling,
+    without them a steady sampling is taken. Refuses time that stands still or runs
+    backwards, is not in seconds, contradicts dt, or says nothing of the period.
     """
     t = np.asarray(t, dtype=float)
     where = where or (lambda row: f"row {row}")
@@ -332,7 +332,7 @@ def _roughness(times, pieces, positions):
 
 
 def prediction_errors(t, values):
-    """Return differences (m, k) of values (n, k) from the cubic through their neighbours.
+    """Return how far values (n, k) are from the cubic through their neighbours, (m, k).
 
     In units of their standard deviation for unit white noise; rows beside equal times t
     (n,) [s], which must not fall, are left out.

@@ -1,8 +1,10 @@
-"""Robot recordings: measured sets, found on disk or downloaded."""
+"""Robot recordings: measured sets, found on disk or downloaded, and simulated ones."""
 
 from sklearn_vbjfa.datasets._closed_loop import (
     ClosedLoopRecording,
+    TrackingResult,
     make_closed_loop_recording,
+    simulate_tracking,
 )
 from sklearn_vbjfa.datasets._fetch import (
     fetch_bam_xl330,
@@ -16,14 +18,13 @@ from sklearn_vbjfa.datasets._fetch import (
     fetch_tiago,
     fetch_ur5,
 )
-from sklearn_vbjfa.datasets._paper_robots import load_arm_model, load_head_model
-from sklearn_vbjfa.datasets._robots import (
+from sklearn_vbjfa.datasets._robot_recording import (
     SimulatedRecording,
     load_demo_recording,
     make_robot_recording,
 )
+from sklearn_vbjfa.datasets._robots import load_arm_model, load_head_model
 from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
-from sklearn_vbjfa.datasets._tracking import TrackingResult, simulate_tracking
 from sklearn_vbjfa.recording._reader import read_recording
 from sklearn_vbjfa.recording._recording import Recording
 

@@ -17,7 +17,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets._catalogue import protocols
-from sklearn_vbjfa.datasets._plant import rigid_torques
+from sklearn_vbjfa.datasets._robots import rigid_torques
 from sklearn_vbjfa.physical import ProjectionError
 
 ROBOTS = ("ur5", "staubli_tx40", "kuka_kr300")

@@ -120,7 +120,7 @@ class ClosedLoop:
         torques behind the actuators and commands to them, likewise.
         """
         out = np.empty((4, *reference.shape))
-        # A robot that runs away ends in infinities and no-numbers, to be found there.
+        # A robot that runs away ends in infinities and nan, which callers look for.
         with np.errstate(all="ignore"):
             if self._first_speed is not None:
                 self._set_out(reference[:1] - noise[:1], feedforward[:1])
@@ -345,11 +345,11 @@ def make_closed_loop_recording(
 ) -> ClosedLoopRecording:
     """Simulate a robot with more dynamics than its model, moved by a controller.
 
-    As in the experiments of [1]_: sinusoids in all joints are tracked by the inverse
-    dynamics of the nominal model and a low-gain feedback from the encoders, so that
-    the robot moves near to but not as it was asked to, and encoder noise enters the
-    torques. The robot differs from its model in its inertias and in effects that no
-    rigid-body model has.
+    As in the experiments of [1]_, sinusoids in all joints are tracked with the inverse
+    dynamics of the nominal model and low-gain feedback from the encoders: the robot
+    moves roughly but not exactly as asked, and encoder noise enters the torques. The
+    robot differs from its model in its inertias and in effects that no rigid-body model
+    has.
 
     Parameters
     ----------
@@ -382,11 +382,11 @@ def make_closed_loop_recording(
         What is recorded as `tau`: the torque behind the actuators with noise, or the
         command to them, which has none.
     plant : Plant, default=None
-        ``recording.plant`` of an earlier recording, to move the same robot again;
-        `perturbation`, `effects` and `effect_size` are not used then.
+        ``recording.plant`` of an earlier recording, to move the same robot again; then
+        `perturbation`, `effects` and `effect_size` are ignored.
     random_state : int, RandomState instance or None, default=None
-        Seed of everything that is drawn; an int means one robot and one first motion,
-        whatever `duration`, `dt` and `n_recordings` are.
+        Seed of everything that is drawn; an int gives the same robot and the same first
+        motion whatever `duration`, `dt` and `n_recordings` are.
 
     Returns
     -------
@@ -403,7 +403,7 @@ def make_closed_loop_recording(
 
     See Also
     --------
-    make_robot_recording : Motions as planned, without dynamics in forward direction.
+    make_robot_recording : Motions exactly as planned, without forward dynamics.
 
     Notes
     -----
@@ -559,9 +559,9 @@ def simulate_tracking(
 ) -> TrackingResult:
     """Let a robot follow a motion by feedforward torques and low-gain feedback.
 
-    Computed torque in the form of section 5.2 of [1]_: the identified model says the
-    torques of the desired motion, which is noiseless, and the feedback, from noisy
-    encoders, does the rest.
+    Computed torque as in section 5.2 of [1]_: the identified model gives the torques of
+    the desired motion, which is free of noise; feedback from noisy encoders does the
+    rest.
 
     Parameters
     ----------
@@ -570,8 +570,8 @@ def simulate_tracking(
     motion : SineMotion
         Desired motion, such as one of ``recording.motions``.
     feedforward : callable or array-like of shape (n, nv)
-        Commands to feed forward [N m or N], or what makes them of the desired states
-        [q | v | a] of shape (n, 3 * nv), such as ``identifier.predict``.
+        Commands to feed forward [N m or N], or a function that computes them from the
+        desired states [q | v | a] of shape (n, 3 * nv), such as ``identifier.predict``.
     duration : float, default=20.0
         Length of the motion [s]; n is ``round(duration / dt)``.
     dt : float, default=1/480
@@ -581,8 +581,8 @@ def simulate_tracking(
     encoder_noise : float, default=1e-4
         Standard deviation of the white position noise [rad or m].
     settle : float, default=1.0
-        Time at the start that does not count [s]: the robot begins in the desired
-        state, but its cables and actuators have yet to follow.
+        Time at the start that is not counted [s]: the robot begins in the desired
+        state, but its cables and actuators have yet to settle.
     substeps : int, default=1
         Steps of the integration in a period.
     random_state : int, RandomState instance or None, default=None
@@ -591,13 +591,13 @@ def simulate_tracking(
     Returns
     -------
     TrackingResult
-        Errors of each joint, and whether the robot had to be stopped: a joint beyond
-        its limit or at more than twice its speed limit, or no number at all.
+        Errors of each joint, and whether the robot had to be stopped: because a joint
+        went beyond its limit or twice its speed limit, or because values diverged.
 
     Raises
     ------
     ValueError
-        If the feedforward has another shape than the motion, or there are no samples
+        If the feedforward does not have the shape of the motion, or no samples are left
         after `settle`.
 
     References
@@ -681,7 +681,7 @@ def _first_failure(model, q, v):
     """Row and description of the first thing that stops a robot; (0, "") if none."""
     limit = model.velocityLimit
     limit = np.where(limit > 0, _SPEEDING * limit, np.inf)
-    # Comparisons that are False for what is no number.
+    # Comparisons that are False for nan.
     inside = (q >= model.lowerPositionLimit) & (q <= model.upperPositionLimit)
     slow = np.abs(v) <= limit
     bad = np.flatnonzero(~(inside & slow).all(axis=1))

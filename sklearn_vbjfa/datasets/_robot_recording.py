@@ -196,11 +196,11 @@ def make_robot_recording(
 def load_demo_recording() -> SimulatedRecording:
     """Simulate the recording of a made-up six-axis arm that comes with the package.
 
-    Simulated on the spot, always the same: two motions of 20 s up to 1 Hz at 200 Hz,
+    Simulated on the spot and always the same: two motions of 20 s up to 1 Hz at 200 Hz,
     encoder noise of 1e-4 rad, torque noise of 5 %, viscous and Coulomb friction,
-    inertias that differ from those in the URDF by some 30 %. Joint 2 also has friction
-    in proportion to its load, 0.11 of it, which a model of rigid bodies with viscous
-    and Coulomb friction lacks.
+    inertias that differ from those in the URDF by about 30 %. Joint 2 also has friction
+    of 0.11 times its load, which a model of rigid bodies with viscous and Coulomb
+    friction lacks.
 
     Returns
     -------

@@ -16,7 +16,7 @@ SEVERITIES = ("error", "doubt", "warning")
 _SHUFFLED = 0.7
 # ... of a joint that moves at all [rad or m]: noise at rest has no order either.
 _LEAST_MOTION = 0.01
-# Runs of equal labels in shuffled rows: so many more than labels, and so short.
+# Shuffled rows: at least this many runs of equal labels per label, each this short.
 _RUNS_PER_LABEL = 4
 _SHORT_RUN = 16
 # A jump is a whole turn if this share of a turn is left at most.
@@ -25,16 +25,17 @@ _TURN_LEFT = 0.15
 _FEWEST_REPEATED = 3
 _REPEATED_SHARE = 0.002
 _MANY_REPEATED = 0.1
-# The logger is frozen if so many rows are equal, while a joint moves at this share of
-# its speed in the samples right before and right behind.
+# The logger was frozen if this many rows are equal while a joint moves at this share
+# of its speed over this many samples right before and right after them.
 _FROZEN_ROWS = 5
 _HELD_SPEED = 0.1
 _FROZEN_BESIDE = 3
-# Steps that are this multiple of the channel's resolution are no rounding; at least so
-# many of them, and this share of all, tell the rate of a channel.
+# Steps of this multiple of the channel's resolution are not rounding; the rate of a
+# channel takes at least this many of them, and this share of all, ...
 _STEP = 4.0
 _FEWEST_STEPS = 20
 _STEP_SHARE = 0.3
+# ... most of which must come equally often.
 _SAME_RATE = 0.8
 # A joint whose travel is below this many standard deviations of its own noise rests.
 _STILL_TRAVEL = 12.0
@@ -42,29 +43,29 @@ _STILL_TRAVEL = 12.0
 _COARSE = 0.05
 # Clipping: samples within this share of the channel's range of an extreme value, ...
 _PLATEAU = 1e-3
-# ... in runs of at least so many, in at least so many places, ...
+# ... in runs of at least this length, in at least this many places, ...
 _PLATEAU_RUN = 5
 _PLATEAU_RUNS = 3
-# (or one of so many equal samples, in a channel that does not repeat itself)
+# (or one run of this length, in a channel that does not repeat itself)
 _LONG_PLATEAU = 12
 # ... and denser by this factor than the torques next to the extreme value. Of a sine
 # without noise, whose extremes are flat, 3.4 times as many lie there.
 _PLATEAU_DENSITY = 8.0
-# Repeated positions are a dropout if the motion around them covers so many standard
-# deviations of the noise and the step after them is so many times the others (an
-# encoder's quantum at low speed is as large as the steps around it).
+# Repeated positions are a dropout if the motion around them covers this many standard
+# deviations of the noise and the step after them is this many times the others (an
+# encoder's quantum at low speed is as large as the steps around it), ...
 _FROZEN_TRAVEL = 6.0
 _FROZEN_STEP = 2.5
+# ... in runs of at least this length, of a joint that moves at this share of its speed.
 _FROZEN_RUN = 3
-# ... share of the joint's speed that counts as moving.
 _FROZEN_SPEED = 0.02
 # Steps and spikes, in robust standard deviations of what the neighbours leave open.
 _OUTLIER = 25.0
-# ... of so many samples together at least.
+# ... in recordings of at least this many samples, ...
 _FEWEST_AROUND = 16
-# ... and of the channel's range.
+# ... and at least this share of the channel's range.
 _LEAST_JUMP = 0.003
-# More than this share of outliers is no fault of single samples, but noise.
+# A larger share of outliers than this is noise, not a fault of single samples.
 _MOST_OUTLIERS = 0.01
 
 
@@ -314,7 +315,7 @@ def repeated_rows(names, q, tau, dt, moving, parts, rows):
         ChannelFinding(
             "repeated_rows",
             tuple(range(q.shape[1])),
-            # Some are told from the motion around them; many make its speed and the
+            # Some can be told from the motion around them; many make its speed and the
             # sample period wrong.
             "doubt" if share > _MANY_REPEATED else "warning",
             f"{count} rows ({100 * share:.2g} %) equal the row before them in "
@@ -430,7 +431,7 @@ def _period(y):
     if fast.sum() < max(_FEWEST_STEPS, _STEP_SHARE * steps.size):
         return None
     k = np.median(gaps[fast])
-    # Where the rate is no whole multiple, some gaps are longer or shorter by a row.
+    # If the rate is not a whole multiple, some gaps are longer or shorter by a row.
     regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
     return float(k) if np.mean(regular) >= _SAME_RATE else None
 

@@ -81,8 +81,8 @@ def interpolate(
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Interpolate channels (n, ...) at t (n,) [s], from 0 on, on multiples of dt.
 
-    Positions "q" follow the function that `cubic` makes of stamps and rows, all else,
-    which is noisier, straight lines.
+    Positions "q" follow the cubic that `cubic` builds from stamps and rows; all else,
+    being noisier, follows straight lines.
     """
     # Rounding of t must not cost the last point.
     grid = dt * np.arange(int(np.floor(t[-1] / dt + STEADY)) + 1)
@@ -294,7 +294,7 @@ def _put(t, values, checked, part, dt, tally):
         at = at - at[0]
     else:
         slots = checked.slots[part]
-        # What late stamps make of the period is no other period.
+        # Late stamps alone do not make another period.
         unsure = 3 * checked.jitter / checked.slots.size
         same = abs(checked.dt - dt) < max(_SAME_DT * dt, unsure)
         at = (dt if same else checked.dt) * (slots - slots[0])

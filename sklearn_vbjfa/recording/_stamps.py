@@ -395,7 +395,7 @@ def check_time_stamps(t, dt, parts):
     for part in parts:
         count = part.stop - part.start - 1
         took = time[part.stop - 1] - time[part.start]
-        # One gap is no other sample period.
+        # One gap does not make another sample period.
         usual = np.median(np.diff(time[part])) if count else dt
         if abs(usual - dt) > _MISSING * dt or (
             abs(usual - dt) > _WRONG_PERIOD * dt

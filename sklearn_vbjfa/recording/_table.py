@@ -1,6 +1,6 @@
 """Columns with names out of CSV, npz and parquet files.
 
-Text goes through numpy, or line by line where a cell is no plain number, so that a
+Text goes through numpy, or line by line where a cell is not a plain number, so that a
 refusal names the line and the column. A reader of data frames would be no shorter: it
 takes most damaged tables for good ones (short rows, names that come twice, decimal
 commas between commas) and does not know the line that a row came from.
@@ -22,7 +22,7 @@ import numpy as np
 
 # Endings that are read as text with separators.
 _TEXT = (".csv", ".tsv", ".txt", ".dat")
-# What numpy lets through of a file that is no whole zip archive of arrays.
+# What numpy raises on a file that is not a whole zip archive of arrays.
 _BROKEN_ARCHIVE = (
     EOFError,
     OSError,
@@ -98,9 +98,9 @@ def _row(row: int) -> str:
 
 # -- text ------------------------------------------------------------------------------
 
-# Longer lines are no rows of a table.
+# A longer line is not a row of a table.
 _LONGEST_LINE = 1 << 25
-# What float() takes beyond it (1_000, digits of other scripts) is no number of a log.
+# float() takes more (1_000, digits of other scripts), which no logger writes.
 _NUMBER = re.compile(
     r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
 )

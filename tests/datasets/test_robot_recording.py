@@ -10,7 +10,6 @@ from sklearn_vbjfa.datasets import (  # noqa: E402
     load_demo_recording,
     make_robot_recording,
 )
-from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
 
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
@@ -20,7 +19,7 @@ def test_torques_are_inverse_dynamics_plus_friction():
     recording = make_robot_recording(
         duration=2.0, dt=0.01, friction=ALL, n_recordings=2, random_state=0
     )
-    model = pin.buildModelFromUrdf(demo_arm_urdf())
+    model = pin.buildModelFromUrdf(recording.urdf)
     for j, body in enumerate(recording.inertial):
         model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
     data = model.createData()
@@ -65,7 +64,7 @@ def test_noise_is_as_large_as_said():
 
 def test_the_motion_keeps_the_limits():
     recording = make_robot_recording(duration=40.0, dt=0.01, random_state=3)
-    model = pin.buildModelFromUrdf(demo_arm_urdf())
+    model = pin.buildModelFromUrdf(recording.urdf)
     q, v, _ = np.split(recording.states, 3, axis=1)
     assert np.all(q >= model.lowerPositionLimit)
     assert np.all(q <= model.upperPositionLimit)
@@ -79,7 +78,7 @@ def test_the_motion_keeps_the_limits():
 
 
 def test_bodies_are_possible_and_not_those_of_the_model():
-    model = pin.buildModelFromUrdf(demo_arm_urdf())
+    model = pin.buildModelFromUrdf(load_demo_recording().urdf)
     nominal = np.array([b.toDynamicParameters() for b in model.inertias[1:]])
     for seed in range(5):
         recording = make_robot_recording(

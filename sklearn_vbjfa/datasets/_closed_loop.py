@@ -11,6 +11,7 @@ how well a robot tracks a motion with an identified model in control.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from sklearn.utils import check_random_state
@@ -78,6 +79,18 @@ def low_gains(plant: Plant) -> Gains:
     return Gains(stiffness=stiffness, damping=damping)
 
 
+class Motion(NamedTuple):
+    """What the robots did, ndarrays of shape (n, n_copies, nv).
+
+    True positions and velocities, torques behind the actuators, commands to them.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    torque: np.ndarray
+    command: np.ndarray
+
+
 class ClosedLoop:
     """Copies of a robot with actuators and controller, stepped through time together.
 
@@ -112,12 +125,11 @@ class ClosedLoop:
         self._past = np.zeros_like(q)  # low-pass of the controller
         self._first_speed = v
 
-    def run(self, reference, feedforward, noise):
+    def run(self, reference, feedforward, noise) -> Motion:
         """Go on for as many periods as there are rows.
 
         Desired positions [rad or m], feedforward [N m or N] and errors of the encoders
-        [rad or m], (n, n_copies, nv) each; returns true positions and velocities,
-        torques behind the actuators and commands to them, likewise.
+        [rad or m] are (n, n_copies, nv) each.
         """
         out = np.empty((4, *reference.shape))
         # A robot that runs away ends in infinities and nan, which callers look for.
@@ -125,7 +137,7 @@ class ClosedLoop:
             if self._first_speed is not None:
                 self._set_out(reference[:1] - noise[:1], feedforward[:1])
             self._advance(reference - noise, feedforward, self._n, *out)
-        return tuple(out)
+        return Motion(*out)
 
     def _set_out(self, seen, feedforward):
         """Find the velocity half a step before the start."""
@@ -316,14 +328,14 @@ def closed_loop_chunks(
         noise = encoder_noise * rng.normal(size=feedforward.shape)
         if loop is None:
             loop = ClosedLoop(plant, gains, dt, states[0], feedforward[0], substeps)
-        q, _, torque, command = loop.run(states[..., :nv], feedforward, noise)
-        if not np.isfinite(q).all():
+        made = loop.run(states[..., :nv], feedforward, noise)
+        if not np.isfinite(made.q).all():
             raise ValueError(
                 "The simulated robot is unstable under its nominal feedforward and "
                 f"low gains, {t[0]:.1f} s after the start; lower perturbation, "
                 "effect_size, frequency or dt."
             )
-        yield q + noise, torque, command
+        yield made.q + noise, made.torque, made.command
 
 
 def make_closed_loop_recording(
@@ -644,8 +656,8 @@ def simulate_tracking(
     for first in range(0, n, _TRACKING_CHUNK):
         rows = slice(first, min(first + _TRACKING_CHUNK, n))
         parts = states[rows, :nv], forward[rows], noise[rows]
-        answer = loop.run(*(part[:, None] for part in parts))
-        q, v, _, command = (part[:, 0] for part in answer)
+        made = loop.run(*(part[:, None] for part in parts))
+        q, v = made.q[:, 0], made.v[:, 0]
         row, failure = _first_failure(plant.model, q, v)
         if failure:
             return _stopped(nv, failure, (first + row) * dt)
@@ -653,7 +665,7 @@ def simulate_tracking(
         errors = (
             q - states[rows, :nv],
             v - states[rows, nv : 2 * nv],
-            command - forward[rows],
+            made.command[:, 0] - forward[rows],
         )
         sums += [np.sum(error[counted] ** 2, axis=0) for error in errors]
     position, velocity, feedback = np.sqrt(sums / (n - skipped))

@@ -235,7 +235,7 @@ def held_out_error(predicted, part, fitted, cutoff, standstill):
 def load(name, data_home):
     """Return protocol, recording and the fitted and held-out part of one set."""
     protocol = protocols()[name]
-    recording = protocol.load(data_home=data_home, **protocol.options)
+    recording = protocol.load(data_home=data_home)
     parts = [
         {
             "q": recording.q[rows],

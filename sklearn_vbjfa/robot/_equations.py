@@ -20,9 +20,9 @@ from sklearn.utils.parallel import Parallel, delayed
 from sklearn_vbjfa._core._lowpass import BlockFilter, block_length, decimate
 from sklearn_vbjfa.effects import Effect, Motion, resolve
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
+from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.robot import _friction
-from sklearn_vbjfa.robot._features import rounding_entries
 from sklearn_vbjfa.robot._joint_moments import Numbering, joint_statistics
 from sklearn_vbjfa.robot._joint_torque import filter_weight
 from sklearn_vbjfa.robot._states import SplineStates
@@ -150,7 +150,7 @@ def _rigid_support(features):
     """Entries of the features that some motion makes, (nv, p), bool."""
     nv = features.n_joints_
     entries = np.zeros((nv, nv, _width(features)), dtype=bool)
-    entries[:, :, :10] = features._regressor.carried[:, :, None] & ~features._zeros
+    entries[:, :, :10] = features._regressor.support
     entries[np.arange(nv), np.arange(nv), 10:] = True
     return entries.reshape(nv, -1)
 

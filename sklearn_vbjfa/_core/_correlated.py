@@ -27,6 +27,7 @@ from scipy import linalg
 from scipy.special import digamma, gammaln
 
 from sklearn_vbjfa._core._moments import SquareRoot
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa._core._solver import rounding_of_bound, rounding_of_fit
 
 _LOG_2PI = float(np.log(2 * np.pi))
@@ -80,7 +81,7 @@ def infer_latent(S, n, psi, floor=1e-12):
     total = Sigma_t + psi
     # Exactly redundant columns make `total` singular; the pseudo-inverse keeps to
     # the span of the data, outside of which x never lies.
-    H = Sigma_t @ linalg.pinvh(total, rtol=floor)
+    H = Sigma_t @ scaled_eigen(total, floor, scale=1.0).inverse()
     P = Sigma_t - H @ Sigma_t
     P = 0.5 * (P + P.T)
     return Latent(H=H, P=P, Sigma_t=Sigma_t, exact=False, clipped=clipped)
@@ -227,6 +228,8 @@ def mean_and_noise(moments, latent_gain, latent_cov, shape, start, alpha):
     def value(mean, log_noise):
         s2 = np.exp(log_noise)
         q = s2 + mean @ P @ mean
+        if not q > 0:  # rounding of P, where there is hardly any noise
+            return -np.inf
         squares = yy - 2 * mean @ k + mean @ K @ mean
         data = n * np.log(q) + squares / q
         return -0.5 * (data + alpha @ mean**2 - d * log_noise + penalty * s2)
@@ -308,11 +311,10 @@ def _square_root(S, xy, yy):
     Eigenvalues below their own rounding are zero: left in, they would be information
     as soon as the noise is small enough.
     """
-    values, vectors = linalg.eigh(S)
-    keep = values > values[-1] * values.size * 4 * np.finfo(float).eps
-    R = np.sqrt(values[keep])[:, None] * vectors[:, keep].T
+    eigen = scaled_eigen(S, scale=1.0)
+    R = eigen.root()
     # y in the coordinates of R, whose rows are orthogonal
-    z = (R @ xy) / np.einsum("ij,ij->i", R, R)
+    z = (R @ xy) / eigen.known_values
     return SquareRoot(R=R, z=z, rest=max(yy - z @ z, 0.0))
 
 

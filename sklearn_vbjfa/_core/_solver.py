@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa._core._moments import GramMoments, exact_fit
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     HiddenExpectations,
@@ -152,7 +152,7 @@ def at_highest_likelihood(moments, state, prior):
 
     Parameters
     ----------
-    moments : GramMoments
+    moments : SecondMoments
         Standardised moments.
     state : State
         Where EM has led.
@@ -212,14 +212,10 @@ def _least_squares_step(moments, c, used):
         left = moments.root.z - moments.root.R @ c
         step[used] = linalg.lstsq(R, left)[0]
         return step
-    values, vectors = linalg.eigh(moments.S[np.ix_(used, used)])
-    keep = values > values[-1] * values.size * 4 * np.finfo(float).eps
-    left = (moments.xy - moments.dot(c))[used]
-    V = vectors[:, keep]
+    eigen = scaled_eigen(moments.S[np.ix_(used, used)], scale=1.0)
     # Once more with what is left, whose rounding is smaller.
     for _ in range(2):
-        step[used] += V @ ((V.T @ left) / values[keep])
-        left = (moments.xy - moments.dot(c + step))[used]
+        step[used] += eigen.solve((moments.xy - moments.dot(c + step))[used])
     return step
 
 
@@ -266,7 +262,7 @@ def start(moments, prior, input_noise):
 
     Parameters
     ----------
-    moments : Moments
+    moments : SecondMoments
         Standardised moments.
     prior : Prior
         Says whether there is an ARD layer, and which noise is fixed.
@@ -504,14 +500,14 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
         state = replace(state, psi_x=prior.psi_x_fixed)
     # Without a prior an exact fit has no highest likelihood, and nothing to
     # extrapolate to but rounding.
-    exact = not prior.ard and exact_fit(moments, VARIANCE_FLOOR)
+    exact = not prior.ard and moments.is_exact(VARIANCE_FLOOR)
     if accelerate and not exact:
         # Along flat directions the last digits of the moments decide where within
         # `tol` a quasi-Newton method stops: they must not depend on the rows' order.
         state, history, used, status, fall = _solve_fast(
             moments.without_last_digits(), state, prior, max_iter, tol
         )
-        explicit = not prior.ard and isinstance(moments, GramMoments)
+        explicit = not prior.ard and moments.S is not None
         if status == "converged" and explicit:
             # The last step is an iteration too.
             if used < max_iter:

@@ -12,7 +12,7 @@ from scipy import linalg
 
 from sklearn_vbjfa._core import _correlated
 from sklearn_vbjfa._core._dependencies import find_dependencies
-from sklearn_vbjfa._core._moments import GramMoments
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa._core._updates import LinearModel, Prior
 from sklearn_vbjfa.regression._base import (
     BaseJointFactorRegressor,
@@ -203,7 +203,7 @@ def _fraction_covariance(solution, largest):
     From (R - f I) beta_f = R beta_0, the same for all f, follows the slope
     (R - f I)^-1 beta_f; the variance of f is largest^2 / 12.
     """
-    slope = linalg.pinvh(solution.latent.Sigma_t) @ solution.state.beta_mean
+    slope = scaled_eigen(solution.latent.Sigma_t).solve(solution.state.beta_mean)
     return _square(slope) * largest**2 / 12
 
 
@@ -418,7 +418,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         The parts of `output_noise_` (eqs. 14, 15); independent latents only. The
         variational posterior moves all noise from psi_y to psi_z little by little:
         only their sum means something.
-    statistics_ : SufficientStatistics or None
+    statistics_ : Moments or None
         Count, means and scatter; None when there were fewer samples than features.
     n_features_in_ : int
         Number of features seen during fit.
@@ -568,7 +568,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
             return self.latent
         if self.prior == "paper":
             return "independent"
-        gram = isinstance(data.moments, GramMoments)
+        gram = data.moments.S is not None
         more = data.moments.n > data.x_scale.size
         return "correlated" if more and gram else "independent"
 
@@ -588,7 +588,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
 
     def _fit_correlated(self, data, noise):
         d = data.active.shape[0]
-        if data.x_scale.size == 0 or data.y_scale == 0.0:
+        if data.is_degenerate:
             self._fit_constant(data)
             self.input_noise_ = np.zeros((d, d))
             return self

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa._core._moments import SufficientStatistics
+from sklearn_vbjfa._core._moments import Moments
 from sklearn_vbjfa._core._sandwich import block_variance
 
 # Blocks that the recordings of a fit are divided into, all together, and the fewest
@@ -449,12 +449,13 @@ def combine(stats, weight):
     """Statistics of all joints' rows together, weighted, about zero."""
     p = stats.g.shape[1]
     used = weight > 0
-    return SufficientStatistics(
+    scatter = np.empty((p + 1, p + 1))
+    scatter[:-1, :-1] = np.einsum("j,jik->ik", weight, stats.G)
+    scatter[-1, :-1] = scatter[:-1, -1] = weight @ stats.g
+    scatter[-1, -1] = weight @ stats.yy
+    return Moments(
         n_rows=int(stats.n_rows[used].sum()),
         n_samples=float(stats.n[used].sum()),
-        x_mean=np.zeros(p),
-        y_mean=0.0,
-        S_xx=np.einsum("j,jik->ik", weight, stats.G),
-        S_xy=weight @ stats.g,
-        S_yy=float(weight @ stats.yy),
+        mean=np.zeros(p + 1),
+        scatter=scatter,
     )

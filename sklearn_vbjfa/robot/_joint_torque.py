@@ -371,7 +371,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         self.n_rows_ = stats.n_rows
         total = combine(stats, self.joint_weights_)
         self.input_noise_ = combined_noise(stats, self.joint_weights_)
-        self.metric_ = total.S_xx
+        self.metric_ = total.S_xx.copy()
         if self.input_noise_ is not None:
             self.metric_ = _denoised(total, self.input_noise_)
         if self._from_statistics:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa._core._moments import DataMoments, GramMoments
+from sklearn_vbjfa._core._moments import SecondMoments, SquareRoot
 from sklearn_vbjfa._core._updates import Prior, State
 from tests.reference import paper_jfa as ref
 
@@ -23,15 +23,20 @@ def make_data(seed, n_features, n_samples=25, noise=0.4):
 def as_gram(X, y):
     """Take moments of the rows as they are, neither centred nor scaled."""
     S = X.T @ X
-    return GramMoments(
+    return SecondMoments(
         n=float(len(y)), S=S, xy=X.T @ y, yy=float(y @ y), xx=np.diagonal(S).copy()
     )
 
 
 def as_rows(X, y):
     """Hold the same moments as the rows."""
-    return DataMoments(
-        n=float(len(y)), X=X, xy=X.T @ y, yy=float(y @ y), xx=(X**2).sum(axis=0)
+    return SecondMoments(
+        n=float(len(y)),
+        S=None,
+        xy=X.T @ y,
+        yy=float(y @ y),
+        xx=(X**2).sum(axis=0),
+        root=SquareRoot(R=X, z=y, rest=0.0),
     )
 
 

@@ -26,7 +26,7 @@ CONSTANT_COLUMN = 32 * _EPS
 
 # Rows per block of the one pass over the data: small enough that the centred copy
 # of a block stays in the processor's cache, large enough for the matrix product.
-_BLOCK_BYTES = 1 << 20
+_BLOCK_BYTES = 4 << 20
 
 
 def is_constant(spread, mean):

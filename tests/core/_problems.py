@@ -3,6 +3,7 @@
 import numpy as np
 
 from sklearn_vbjfa._core._moments import SecondMoments, SquareRoot
+from sklearn_vbjfa._core._solver import evaluate, plain_step
 from sklearn_vbjfa._core._updates import Prior, State
 from tests.reference import paper_jfa as ref
 
@@ -71,6 +72,12 @@ def make_prior(model, n_samples, n_features):
         psi_x_weight=0.1 * n_samples,
         psi_x_mode=np.full(n_features, 0.2),
     )
+
+
+def iterate(moments, state, prior):
+    """Do one whole iteration; return the new state and the bound of the old one."""
+    point = evaluate(moments, state, prior)
+    return plain_step(moments, point, prior), point.value
 
 
 def as_jfa_params(state):

@@ -235,7 +235,7 @@ def test_direction_is_that_of_the_dense_update():
     root = rng.normal(size=(d, d))
     hessian = root @ root.T + np.eye(d)
     scale = rng.uniform(0.5, 2.0, d)
-    curvature = _solver._Curvature()
+    curvature = _solver.Curvature()
     pairs = []
     for _ in range(n_pairs):
         step = rng.normal(size=d)
@@ -256,7 +256,7 @@ def test_direction_is_that_of_the_dense_update():
 
 
 def test_a_pair_without_concavity_is_not_learnt():
-    curvature = _solver._Curvature()
+    curvature = _solver.Curvature()
     before = Slope(gradient=np.ones(2), scale=np.ones(2))
     after = Slope(gradient=np.array([2.0, 1.0]), scale=np.ones(2))
     curvature.learn(np.array([1.0, 0.0]), before, after)

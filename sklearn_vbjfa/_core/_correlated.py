@@ -512,10 +512,6 @@ class CorrelatedProblem:
             state=state, logdet=logdet, precisions=precisions, sums=sums, value=value
         )
 
-    def final_state(self, point):
-        """State that a run which ends at this point returns."""
-        return point.state
-
     def judge(self, point, new, tol):
         """Whether a step made the bound fall, and whether it gained next to nothing.
 

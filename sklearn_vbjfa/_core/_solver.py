@@ -74,8 +74,7 @@ def climb(steps, point, max_iter):
         used; ``judge(point, new)`` whether the bound fell and whether it gained next to
         nothing; ``retry()`` whether there is another way after a fall; ``accept(point,
         new, quiet)`` takes the step and says whether it is the last. ``converged`` is
-        whether the last step taken could be the end, ``problem.final_state(point)`` the
-        state to return.
+        whether the last step taken could be the end.
     point : object
         Evaluated start; ``value`` is its bound, ``state`` its state.
     max_iter : int
@@ -104,7 +103,7 @@ def climb(steps, point, max_iter):
         if last:
             break
     return Solution(
-        state=steps.problem.final_state(point),
+        state=point.state,
         history=np.array(history),
         n_iter=used,
         status="converged" if steps.converged else "max_iter",
@@ -174,10 +173,6 @@ class IndependentProblem:
     def step(self, point):
         """Point of the state after the M-steps."""
         return self.evaluate(plain_step(self.moments, point, self.prior))
-
-    def final_state(self, point):
-        """State after the M-steps, which cost nothing more."""
-        return plain_step(self.moments, point, self.prior)
 
     def judge(self, point, new, tol):
         """Whether a step made the bound fall, and whether it gained next to nothing."""
@@ -591,6 +586,10 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
                 found = replace(found, status="max_iter")
     else:
         found = climb(PlainSteps(problem, tol), problem.evaluate(state), max_iter)
+        if found.status != "bound_decreased":
+            # The expectations at the end are good for one more update.
+            end = plain_step(moments, problem.evaluate(found.state), prior)
+            found = replace(found, state=end)
     return replace(found, at_floor=_at_floor(found.state, prior))
 
 

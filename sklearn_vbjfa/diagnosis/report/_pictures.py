@@ -45,21 +45,21 @@ def residual_picture(curves, joint, floor):
     Parameters
     ----------
     curves : dict of str to ndarray
-        ``"before"``, ``"after"``, ``"weight"``, ``"torque"``: arrays (m, nv);
-        ``"seconds"``, where it is known: (m,), rising.
+        ``"before"``, ``"after"``, ``"weight"``: arrays (m, nv); ``"seconds"``, where it
+        is known: (m,), rising.
     joint : int
         Joint, from zero.
     floor : float
-        Noise floor over the standard deviation of the torque; may be nan.
+        Noise floor [N m or N]; may be nan.
 
     Returns
     -------
     Picture or None
         None if there is nothing to draw.
     """
-    before, after, weight, torque = (
+    before, after, weight = (
         np.asarray(curves[key], dtype=float)[:, joint]
-        for key in ("before", "after", "weight", "torque")
+        for key in ("before", "after", "weight")
     )
     used = (weight > 0) & np.isfinite(before) & np.isfinite(after)
     if used.sum() < 2:
@@ -71,10 +71,9 @@ def residual_picture(curves, joint, floor):
     seconds = np.asarray(curves.get("seconds", np.arange(before.size)), dtype=float)
     x = WIDTH * (seconds - seconds[0]) / (seconds[-1] - seconds[0])
     draw = _line if before.size <= WIDTH else _envelope
-    half = floor * torque[used].std()
     band = ()
-    if half > 0:
-        top = HEIGHT / 2 * (1 - min(half / limit, 1.0))
+    if floor > 0:
+        top = HEIGHT / 2 * (1 - min(floor / limit, 1.0))
         band = (top, HEIGHT - 2 * top)
     paths = {}
     for key, values in (("before", before), ("after", after)):

@@ -422,11 +422,12 @@ class Residuals:
 def _residuals(outcome, verdict):
     curves = outcome.curves
     heading = "Torque residuals"
-    if not {"before", "after", "weight", "torque"} <= set(curves):
+    if not {"before", "after", "weight"} <= set(curves):
         return Section(heading=heading)
+    floor = outcome.floor * outcome.spread
     found = []
     for v in verdict.joints:
-        picture = residual_picture(curves, v.joint, outcome.floor[v.joint])
+        picture = residual_picture(curves, v.joint, floor[v.joint])
         if picture is not None:
             unit = outcome.torque_units[v.joint]
             found.append(

@@ -24,7 +24,7 @@ def text(sections):
     """Write the sections for a terminal, lists and tables between empty lines."""
     out, follows = "", False
     for section in sections:
-        shown = section.sentences if section.terminal is None else section.terminal
+        shown = section.terminal
         if not shown:
             continue
         plain = all(isinstance(x, str) and x[:2] not in _MARKS for x in shown)

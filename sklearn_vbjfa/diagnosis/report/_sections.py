@@ -73,8 +73,8 @@ class Section:
         Below them.
     note : str
         Small print below that.
-    terminal : tuple of str or Table, default=None
-        What a terminal shows; None for the sentences and the table.
+    terminal : tuple of str or Table
+        What a terminal shows; by default the sentences and the table.
     template : str
         Which of ``templates/<template>.html.j2`` draws it on a page.
     drawn : object
@@ -89,16 +89,16 @@ class Section:
     template: str = "section"
     drawn: object = None
 
-    @property
-    def is_empty(self):
-        """Whether there is nothing to show in any format."""
-        return not (self.sentences or self.table or self.drawn)
+    def __post_init__(self):
+        if self.terminal is None:
+            shown = (*self.sentences, *([self.table] if self.table else []))
+            object.__setattr__(self, "terminal", shown)
 
 
 def sections(outcome, verdict):
-    """Return the sections that have something to say, in order."""
+    """Return the sections that have something to show, in order."""
     found = [make(outcome, verdict) for make in SECTIONS]
-    return tuple(section for section in found if not section.is_empty)
+    return tuple(s for s in found if s.sentences or s.table or s.drawn)
 
 
 # -- the verdict ------------------------------------------------------------------
@@ -154,27 +154,18 @@ def _headline(outcome, verdict):
 
 @dataclass(frozen=True, kw_only=True)
 class JointBars:
-    """A joint's errors as bars; places are per cent of the longest bar.
-
-    Attributes
-    ----------
-    label, colour, text, note : str
-        The joint, its verdict and how to colour it, what else is known.
-    bars : tuple of (str, float or None, str)
-        "before" and "after", length, text beside the bar.
-    reach : tuple of float
-        Where the interval of the error after begins and how long it is, or empty.
-    floor : float or None
-        Noise floor.
-    """
+    """A joint's errors as bars; places are per cent of the longest bar."""
 
     label: str
-    colour: str
+    # The verdict on the joint, how to colour it, and what else is known.
     text: str
+    colour: str
     note: str
+    # ("before" or "after", length or None, text beside the bar)
     bars: tuple
+    # Where the interval of the error after begins and how long it is, or empty.
     reach: tuple
-    floor: object
+    floor: float | None
 
 
 def _joints(outcome, verdict):
@@ -207,7 +198,6 @@ def _joints(outcome, verdict):
         note=f"Interval: {_interval_text(outcome.settings)}. Root mean square of the "
         "torque residual on data that was not touched before, over the standard "
         f"deviation of the torque in the moving time of the whole recording{note}.",
-        terminal=(Table(heads=(*heads, ""), rows=tuple(rows), numbers=True),),
         template="joints",
         drawn=_bars(outcome, verdict.joints),
     )
@@ -440,7 +430,6 @@ def _residuals(outcome, verdict):
     return Section(
         heading=heading,
         note=f"one standard deviation. {time}; gaps where the joint stands still.",
-        terminal=(),
         template="residuals",
         drawn=Residuals(pictures=tuple(found), axis=axis) if found else None,
     )

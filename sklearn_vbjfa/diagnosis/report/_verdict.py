@@ -45,41 +45,21 @@ class JointVerdict:
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Mean errors of the joints that are judged, shares of the spread; nan if unknown.
-
-    Attributes
-    ----------
-    before, after : float
-        On the untouched part.
-    wide : float
-        After, in the wider band.
-    floor : float
-        Noise floor; known only if that of every such joint is.
-    """
+    """Mean errors of the joints that are judged, over the spread; nan if unknown."""
 
     before: float
     after: float
+    # After, in the wider band.
     wide: float
+    # Known only if that of every such joint is.
     floor: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """The verdict on a robot.
+    """The verdict on a robot; `text` is the headline with the mean errors."""
 
-    Attributes
-    ----------
-    joints : tuple of JointVerdict
-        Verdict on each joint.
-    status : str
-        The outcome in a word, as `Report` explains it.
-    errors : Errors
-        Mean errors.
-    headline, text : str
-        The outcome in a sentence, without and with the mean errors.
-    """
-
-    joints: tuple
+    joints: tuple[JointVerdict, ...]
     status: str
     errors: Errors
     headline: str

@@ -16,7 +16,7 @@ _MARKS = ("- ", "? ")
 # Spaces at which no line is broken.
 _UNIT = re.compile(
     r"(?<=\d) (?=%|x\b|Hz|N\b|m\b|rad|kg|s\b)|(?<=\bN) (?=m\b)| (?=\+-)|(?<=\+-) |"
-    r"(?<=joint) (?=\d)"
+    r"(?<=joint) (?=\d)|(?<=[<>=]) (?=\d)"
 )
 
 

@@ -314,7 +314,7 @@ def _unexplained(outcome, verdict):
             f"({words.whole_percent(s.share)})"
             for s in first.signals
         ]
-        nothing = "it varies with no signal alone"
+        nothing = "it varies with no single signal"
         all_of_them = f"varies with {words.join(signals, 3)}" if signals else nothing
         sentences.append(f"{joints}: {share}; {all_of_them}")
         strongest = f"varies with {signals[0]}" if signals else nothing
@@ -364,10 +364,10 @@ def _record_next(outcome, verdict):
 def _hidden(outcome, verdict):
     """Say what could not be looked for, in a sentence for each reason."""
     sentences = []
-    for reason, title in (
-        ("excitation", "This recording cannot show"),
-        ("signal", "Not looked for"),
-        ("span", "No motion can show (inside the declared parameters)"),
+    for reason, title, because in (
+        ("excitation", "This recording cannot show", ""),
+        ("signal", "Not looked for:", "; {}"),
+        ("span", "No motion can show", ", which the declared parameters cover"),
     ):
         own = [h for h in outcome.hidden if h.reason == reason]
         if not own:
@@ -380,8 +380,7 @@ def _hidden(outcome, verdict):
             f"({words.joint_list(outcome.joint_names, joints)})"
             for name, joints in by_effect.items()
         ]
-        remedies = sorted({h.remedy for h in own}) if reason == "signal" else []
-        because = f": {words.join(remedies, 2)}" if remedies else ""
+        because = because.format(words.join(sorted({h.remedy for h in own}), 2))
         sentences.append(f"{title} {words.join(parts, len(parts))}{because}.")
     return Section(heading="Not visible in this recording", sentences=tuple(sentences))
 
@@ -564,7 +563,8 @@ def _split(settings):
         text += f"; search: {settings['n_blocks']} blocks of {seconds} s, "
         text += f"{settings.get('n_folds', '?')} folds"
     if "correlation_seconds" in settings:
-        text += f"; correlated {words.number(settings['correlation_seconds'], 2)} s"
+        seconds = words.number(settings["correlation_seconds"], 2)
+        text += f"; residual correlated for {seconds} s"
     return f"{text}."
 
 
@@ -589,7 +589,7 @@ def _errors(settings):
     if "error_seconds" not in settings:
         return ""
     return (
-        f"+-: 90 % of a parameter; [ ]: {_interval_text(settings)}. Files and "
+        f"+-: 90 % interval of a parameter; [ ]: {_interval_text(settings)}. Files and "
         "parameters: fitted to all data after the errors were taken, in the same band."
     )
 

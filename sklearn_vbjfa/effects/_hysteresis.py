@@ -79,6 +79,8 @@ class Presliding(Effect):
     """
 
     name = "presliding"
+    label = "hysteresis after reversals (presliding)"
+    formula = r"F_p\,z, \quad \dot z = (v - |v|\,z) / \mathrm{displacement}"
     coefficients = ("Fp",)
     nonnegative = ("Fp",)
     units = (("N m", "N"),)
@@ -86,6 +88,7 @@ class Presliding(Effect):
     continuous = ("displacement",)
     positive = ("displacement",)
     visible = "many reversals"
+    record = "many reversals"
 
     def __init__(self, joint=0, displacement=0.01):
         super().__init__(joint)
@@ -135,12 +138,15 @@ class Backlash(Effect):
     """
 
     name = "backlash"
+    label = "backlash"
+    formula = r"k\,\mathrm{play}(q;\,\mathrm{width}) + c"
     coefficients = ("k", "c")
     units = (("N m/rad", "N/m"), ("N m", "N"))
     contains = ("spring", "coulomb")
     continuous = ("width",)
     positive = ("width",)
     visible = "many reversals, at several positions"
+    record = "reversals at several positions"
 
     def __init__(self, joint=0, width=0.01):
         super().__init__(joint)

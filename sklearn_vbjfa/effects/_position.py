@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._base import Effect, JointEffect
 
 _TORQUE = ("N m", "N")
 # Longest and shortest period to try: of a revolute joint [rad], and as shares of the
@@ -12,7 +12,7 @@ _LONGEST, _SHORTEST = np.radians(75.0), np.radians(2.0)
 _CYCLES = 0.3
 
 
-class Offset(Effect):
+class Offset(JointEffect):
     """Constant torque, tau = c: a sensor's zero, a drive's bias.
 
     Parameters
@@ -33,13 +33,16 @@ class Offset(Effect):
     """
 
     name = "offset"
+    label = "constant offset"
+    formula = r"c"
     coefficients = ("c",)
     units = (_TORQUE,)
     visible = "any motion, unless gravity is constant on the joint as well"
+    record = "motion with and against gravity"
 
-    def columns(self, motion):
-        """Return ones; see `Effect.columns`."""
-        return np.ones((motion.q.shape[0], 1))
+    def column(self, v, a, rest=None):
+        """Return ones; see `JointEffect.column`."""
+        return np.ones_like(v)
 
 
 class Spring(Effect):
@@ -69,10 +72,13 @@ class Spring(Effect):
     """
 
     name = "spring"
+    label = "spring"
+    formula = r"k\,(q - q_0)"
     coefficients = ("k", "c")
     units = (("N m/rad", "N/m"), _TORQUE)
     contains = ("offset",)
     visible = "a wide range of positions"
+    record = "a wide range of positions"
 
     def columns(self, motion):
         """Position and one; see `Effect.columns`."""
@@ -117,10 +123,13 @@ class Counterbalance(Effect):
     """
 
     name = "counterbalance"
+    label = "counterbalance"
+    formula = r"a \cos q + b \sin q + c \cos 2q + d \sin 2q + e"
     coefficients = ("a", "b", "c", "d", "e")
     units = (_TORQUE,) * 5
     contains = ("offset", "spring")
     visible = "a range of positions of some 60 degrees"
+    record = "a wide range of positions"
 
     def applies(self, motion):
         """Only a revolute joint has an angle; see `Effect.applies`."""
@@ -160,12 +169,15 @@ class Ripple(Effect):
     """
 
     name = "ripple"
+    label = "torque ripple"
+    formula = r"A \cos(2 \pi q / \mathrm{period} - \mathrm{phase})"
     coefficients = ("c", "s")
     units = (_TORQUE, _TORQUE)
     contains = ("offset",)
     continuous = ("period",)
     positive = ("period",)
     visible = "motion across several periods, slow enough for the low-pass"
+    record = "slow motion over the whole range"
 
     def __init__(self, joint=0, period=0.1):
         super().__init__(joint)

@@ -3,6 +3,7 @@
 import numpy as np
 
 from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._friction import Coulomb, Viscous
 
 # Time constants to try, as shares of the recording's length.
 _CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0)
@@ -43,6 +44,11 @@ class Drift(Effect):
     """
 
     name = "drift"
+    label = "drift with time"
+    formula = (
+        r"D\,e^{-t / \mathrm{time\_constant}} f, \quad"
+        r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
+    )
     coefficients = ("D",)
     units = (("N m", "N"),)
     contains = ("offset", "coulomb", "viscous")
@@ -51,11 +57,19 @@ class Drift(Effect):
     positive = ("time_constant",)
     slow = True
     visible = "the same motion early and late"
+    record = "the same motion cold and warm"
 
     def __init__(self, joint=0, of="coulomb", time_constant=100.0):
         super().__init__(joint)
         self.of = of
         self.time_constant = time_constant
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Say what drifts; see `Effect.describe`."""
+        what = {"coulomb": Coulomb.label, "viscous": Viscous.label}
+        of = shape.get("of")
+        return f"drift of the {what.get(of, of)} with time" if of else cls.label
 
     def columns(self, motion):
         """Decaying torque; see `Effect.columns`."""
@@ -119,6 +133,11 @@ class Payload(Effect):
     """
 
     name = "payload"
+    label = "change of payload"
+    formula = (
+        r"\Phi_n(q, v, a)\,\Delta\pi(dm, dmc_x, dmc_y, dmc_z, d) \quad"
+        r" \text{for}\ t \ge \mathrm{instant}"
+    )
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
     needs = ("time",)
@@ -127,6 +146,7 @@ class Payload(Effect):
     tangent = ("centre",)
     slow = True
     visible = "motion against gravity before and after the change"
+    record = "motion against gravity with and without payload"
     whole_robot = True
 
     def __init__(self, joint=0, instant=0.0, centre=(0.0, 0.0, 0.0)):

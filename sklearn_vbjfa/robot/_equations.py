@@ -19,9 +19,9 @@ from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_vbjfa._core._lowpass import BlockFilter, block_length, decimate
 from sklearn_vbjfa.effects import Effect, Motion, resolve
+from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
 from sklearn_vbjfa.physical._threads import one_blas_thread
-from sklearn_vbjfa.robot import _friction
 from sklearn_vbjfa.robot._features import rounding_entries
 from sklearn_vbjfa.robot._joint_moments import Numbering, joint_statistics
 from sklearn_vbjfa.robot._joint_torque import filter_weight

@@ -7,9 +7,9 @@ import numpy as np
 from scipy import linalg
 from sklearn.base import clone
 
+from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
-from sklearn_vbjfa.robot import _friction
 
 
 def consistent_anchor(model, theta, metric, per_joint):

@@ -18,13 +18,14 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.effects._rest import Rest
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._urdf import write_identified
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.regression._base import BaseJointFactorRegressor
-from sklearn_vbjfa.robot import _friction, _online, _torque_noise
+from sklearn_vbjfa.robot import _online, _torque_noise
 from sklearn_vbjfa.robot._equations import (
     RegressorRows,
     Stretch,

@@ -8,8 +8,8 @@ row is one symmetric rank-one update a joint, whatever the length of the memory.
 import numpy as np
 from scipy.linalg import blas
 
+from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import import_pinocchio
-from sklearn_vbjfa.robot import _friction
 from sklearn_vbjfa.robot._equations import RegressorRows
 from sklearn_vbjfa.robot._joint_moments import JointStatistics, joint_statistics
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor

@@ -187,15 +187,3 @@ class Step:
     rule: Rule
     squares_before: np.ndarray
     squares_after: np.ndarray
-
-
-def closure(effect, library):
-    """Names of all effects that an effect contains, directly or not."""
-    by_name = {e.name: e for e in library}
-    found, open_ = set(), list(effect.contains)
-    while open_:
-        name = open_.pop()
-        if name not in found:
-            found.add(name)
-            open_ += by_name[name].contains if name in by_name else ()
-    return found

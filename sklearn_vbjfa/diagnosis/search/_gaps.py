@@ -5,8 +5,8 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
 from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
-from sklearn_vbjfa.diagnosis.search._evidence import closure
 from sklearn_vbjfa.diagnosis.search._findings import Hidden, Unexplained
+from sklearn_vbjfa.effects._library import closure
 from sklearn_vbjfa.robot._equations import make_motion
 
 # A joint whose residual is this far above its noise floor has something unexplained:
@@ -16,7 +16,6 @@ ABOVE_FLOOR = (1.1, 1.5)
 # Share of a column's power outside the span of the others below which it cannot be
 # seen in this recording, and below which no motion can show it.
 _UNSEEN, _IN_SPAN = 1e-3, 1e-6
-_PLAIN = ("viscous", "coulomb", "offset", "spring")
 
 
 def unexplained(search, names, spread, floors, errors):
@@ -103,7 +102,7 @@ def hidden(search, names):
         present = set(search.declared).union(
             *({e.name} | closure(e, search.library) for e in held)
         )
-        plain = [e for e in own if e.name in _PLAIN and e.name not in present]
+        missing = [e for e in own if e.name not in present]
         bases = {}
         for effect in search.library:
             one = clone(effect).set_params(joint=j)
@@ -122,9 +121,9 @@ def hidden(search, names):
                         )
                     )
                 continue
-            beside = tuple(p.name for p in plain if p.name in one.contains)
+            beside = tuple(e.name for e in missing if e.name in one.contains)
             if beside not in bases:
-                more = [p for p in plain if p.name in beside]
+                more = [e for e in missing if e.name in beside]
                 bases[beside] = search.regression([*search.accepted, *more])
             variants, columns = view.family(one, search.motion)
             if not variants:

@@ -20,12 +20,12 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
     Candidate,
     Rule,
     Step,
-    closure,
     compare,
     no_worse,
 )
 from sklearn_vbjfa.diagnosis.search._regression import BlockRegression, Judge
-from sklearn_vbjfa.robot import _friction
+from sklearn_vbjfa.effects import _declared as _friction
+from sklearn_vbjfa.effects._library import closure
 from sklearn_vbjfa.robot._equations import unexcited_entries
 from sklearn_vbjfa.robot._estimate import project_beside
 from sklearn_vbjfa.robot._joint_moments import joint_statistics, residual_squares
@@ -284,9 +284,6 @@ class EffectSearch:
         """Effects of the library on a joint that can be looked for."""
         found = []
         for effect in self.library:
-            if effect.whole_robot and effect.name == "payload":
-                if joint != self.view.nv - 1:
-                    continue
             one = clone(effect).set_params(joint=joint)
             if effect.name in self.declared or one.applies(self.motion):
                 continue

@@ -135,7 +135,9 @@ def constants_of_the_loop():
         _gaps,
         _judgement,
         _search,
+        _shapes,
         _split,
+        _transfer,
     )
     from sklearn_vbjfa.diagnosis.search import _intervals as intervals
     from sklearn_vbjfa.effects import _base
@@ -145,7 +147,7 @@ def constants_of_the_loop():
     few, many = _blocks._WANTED
     words = {8: "eight", 9: "nine", 10: "ten"}
     varies, any_case = _gaps.ABOVE_FLOOR
-    third = ("whole", "half", "third", "quarter")[_search._STRETCHES - 1]
+    third = ("whole", "half", "third", "quarter")[_transfer._STRETCHES - 1]
     small = {3: "three", 4: "four", 10: "ten"}
     return [
         f"fitted to the first {100 * _search._FORWARD:g} % of the search data",
@@ -159,7 +161,7 @@ def constants_of_the_loop():
         f"fewer than {_blocks.FEWEST} times what the residual stays correlated for",
         f"fitted to the first {100 * _search._LATE:g} % of where it acts",
         f"acts in fewer than {2 * _search._ACTIVE} blocks",
-        f"and {words[_search._FINER]} finer steps around the tuned one",
+        f"and {words[_shapes._FINER]} finer steps around the tuned one",
         f"{_blocks._CORRELATION_TIMES:g} times as long as the residual stays corr",
         f"{few} to {many} blocks are aimed at, and {_blocks.FEWEST} are the fewest",
         f"Every {_blocks._FOLDS}th block is predicted from the others",

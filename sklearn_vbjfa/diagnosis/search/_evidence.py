@@ -1,12 +1,11 @@
-"""What the search for effects tries, and what it does.
-
-What blocks of time say about a change of the model.
-"""
+"""What blocks of time say about a change of the model, and the steps of a search."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special, stats
+
+from sklearn_vbjfa.effects import Effect
 
 # Effects that take less than this off a joint's squared error are not worth a name.
 SMALLEST_GAIN = 0.02
@@ -125,7 +124,7 @@ class Candidate:
         Share of its columns' power outside the span of the model's.
     """
 
-    effect: object
+    effect: Effect
     evidence: Evidence
     squares: np.ndarray
     white: np.ndarray
@@ -164,26 +163,26 @@ class Step:
         motion that it was not fitted to is withdrawn.
     effect : Effect
         What was added or dropped.
-    replaced : Effect or None
-        What it replaced.
     evidence : Evidence
         Why.
-    rivals : tuple of Candidate
-        Others that the data cannot tell from it.
-    tried : tuple of Candidate
-        All candidates of the joint that beat chance, best first.
     rule : Rule
         By which rule, at what level.
     squares_before, squares_after : ndarray of shape (nv,)
         Sums of squared out-of-sample residuals.
+    replaced : Effect or None
+        What it replaced.
+    rivals : tuple of Candidate
+        Others that the data cannot tell from it.
+    tried : tuple of Candidate
+        All candidates of the joint that beat chance, best first.
     """
 
     action: str
-    effect: object
-    replaced: object
+    effect: Effect
     evidence: Evidence
-    rivals: tuple
-    tried: tuple
     rule: Rule
     squares_before: np.ndarray
     squares_after: np.ndarray
+    replaced: Effect | None = None
+    rivals: tuple = ()
+    tried: tuple = ()

@@ -79,18 +79,10 @@ class FinalFit:
             identifier._load_theta,
             view.robot.cutoff_,
         )
-        self._columns = [self._in_all_joints(effect) for effect in self.effects]
-
-    def _in_all_joints(self, effect):
-        """Columns of an effect in all joints' equations, (m, nv, k)."""
-        columns = self.view.filtered(effect.columns(self.motion))
-        if effect.whole_robot:
-            return columns
-        out = np.zeros((columns.shape[0], self.view.nv, columns.shape[-1]))
-        out[:, effect.joint] = columns
-        return out
+        self._columns = [view.in_equations(e, self.motion) for e in self.effects]
 
     def _predicted(self, theta):
+        """Torques of the completed model with some parameters, (m, nv)."""
         Phi = self.view.equations.Phi
         predicted = Phi @ theta[: Phi.shape[2]]
         for columns, coef in zip(self._columns, self._split(theta)):
@@ -160,11 +152,11 @@ class FinalFit:
         value = getattr(effect, name)
         step = _STEP * abs(value)
         sides = [
-            self._in_all_joints(clone(effect).set_params(**{name: value + way * step}))
-            @ coef
+            clone(effect).set_params(**{name: value + way * step})
             for way in (0.5, -0.5)
         ]
-        return ((sides[0] - sides[1]) / step)[:, :, None]
+        above, below = (self.view.in_equations(e, self.motion) @ coef for e in sides)
+        return ((above - below) / step)[:, :, None]
 
     def _variance(self, extra):
         """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""

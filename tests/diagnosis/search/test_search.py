@@ -9,7 +9,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import effects
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._search import EffectSearch
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search._view import RecordingView, Samples
 from tests.diagnosis._recordings import DT, record
 
 CLEAN = record("ZY", seed=2)
@@ -36,9 +36,11 @@ def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
     groups = np.zeros(torque.shape[0], int) if groups is None else groups
     robot.fit(recording.position, torque, groups=groups)
     weight = np.ones_like(torque)
-    view = RecordingView(robot, recording.position, torque, groups, weight, recording.t)
+    samples = Samples(
+        X=recording.position, y=torque, groups=groups, weight=weight, clock=recording.t
+    )
     return EffectSearch(
-        view=view,
+        view=RecordingView(robot, samples),
         library=effects.resolve(library),
         declared=tuple(robot.features_._friction),
         floor=robot.noise_floor_**2,
@@ -47,7 +49,7 @@ def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
 
 
 def found(run):
-    return [(e.name, e.joint) for e in run.accepted]
+    return [(e.name, e.joint) for e in run.effects]
 
 
 # -- the recording as the search sees it
@@ -91,10 +93,9 @@ def test_filter_and_blocks_respect_recordings():
 
 
 def test_load_is_that_of_the_bodies():
-    now = search(CLEAN.torque(), ["load_friction"])
-    now.run()
+    now = search(CLEAN.torque(), ["load_friction"]).run()
     inside = slice(50, -50)
-    error = (now.motion.load - CLEAN.load)[inside]
+    error = (now.model.motion.load - CLEAN.load)[inside]
     assert np.all(error.std(axis=0) < 0.03 * CLEAN.load.std(axis=0))
 
 
@@ -104,7 +105,7 @@ def test_load_is_that_of_the_bodies():
 def test_candidates_are_what_can_be_looked_for():
     robot = CLEAN.robot(friction=("viscous", "coulomb"))
     now = search(CLEAN.torque(), "all", robot=robot)
-    now.motion = now.view.motion(None)
+    now.accept(())
     names = {e.name for e in now.candidates_of(0)}
     assert not names & {"viscous", "coulomb", "payload"}
     assert {"stribeck", "coupling", "backlash"} <= names
@@ -116,10 +117,11 @@ def test_candidates_are_what_can_be_looked_for():
 
 
 def test_a_clean_recording_needs_nothing():
-    now = search(CLEAN.torque(), ["coulomb", "spring", "offset"]).run()
-    assert now.accepted == []
-    assert now.steps == []
-    assert now.at_floor(now.before).all()
+    now = search(CLEAN.torque(), ["coulomb", "spring", "offset"])
+    nothing = now.run()
+    assert nothing.effects == ()
+    assert nothing.steps == ()
+    assert now.at_floor(nothing.model.squares).all()
 
 
 def test_steps_tell_the_story():
@@ -135,7 +137,7 @@ def test_steps_tell_the_story():
             assert step.evidence.significant(step.rule.level)
             assert 0.05 / step.rule.n_tests <= step.rule.level <= 0.05
             before, after = (
-                np.sum(s * now.view.precision)
+                np.sum(s * now.model.precision)
                 for s in (step.squares_before, step.squares_after)
             )
             assert after < before
@@ -155,23 +157,22 @@ def test_what_has_the_wrong_sign_is_something_else():
 def test_what_took_the_wrong_sign_beside_others_is_dropped():
     robot = CLEAN.robot(friction=("viscous", "coulomb"))
     now = search(CLEAN.torque(joint_2=stribeck(-0.6)), ["stribeck"], robot=robot)
-    now._refresh()
-    now.accepted = [effects.Stribeck(1, vs=0.3), effects.Spring(0)]
-    now._refresh()
-    now._prune(now.accepted[1])
+    now.accept(())
+    now.accept([effects.Stribeck(1, vs=0.3), effects.Spring(0)])
+    now.prune(now.model.effects[1])
     assert [s.action for s in now.steps] == ["drop"]
     assert now.steps[0].evidence.significant(0.05)
-    assert [e.name for e in now.accepted] == ["spring"]
+    assert [e.name for e in now.model.effects] == ["spring"]
 
 
 def test_coefficients_are_in_the_effects_own_units():
     torque = CLEAN.torque(joint_2=coulomb(1.5), joint_1=spring(4.0, 1.0))
     now = search(torque, ["coulomb", "spring"]).run()
-    by_name = {e.name: now.coefficients(e) for e in now.accepted}
+    by_name = {e.name: now.model.coefficients(e) for e in now.effects}
     assert_allclose(by_name["coulomb"], [1.5], rtol=0.02)
     assert_allclose(by_name["spring"], [4.0, 1.0], rtol=0.05)
     with pytest.raises(ValueError, match="not among the accepted"):
-        now.coefficients(effects.Offset(0))
+        now.model.coefficients(effects.Offset(0))
 
 
 def test_the_plain_effect_comes_before_what_contains_it():
@@ -192,16 +193,16 @@ def test_shapes_are_refined_between_the_points_of_the_grid(period):
     )
     now = search(torque, ["ripple"]).run()
     assert found(now) == [("ripple", 1)]
-    assert now.accepted[0].period == pytest.approx(period, rel=0.01)
-    grid = [s["period"] for s in now.accepted[0].shapes(now.motion)]
-    assert now.accepted[0].period not in grid
+    (ripple,) = now.effects
+    assert ripple.period == pytest.approx(period, rel=0.01)
+    assert ripple.period not in [s["period"] for s in ripple.shapes(now.model.motion)]
 
 
 @pytest.mark.parametrize("limit", [0, 1])
 def test_most_effects(limit):
     torque = CLEAN.torque(joint_2=coulomb(1.0), joint_1=spring(4.0))
     now = search(torque, ["coulomb", "spring"], max_effects=limit).run()
-    assert len(now.accepted) == limit
+    assert len(now.effects) == limit
     assert len([s for s in now.steps if s.action == "add"]) == limit
 
 
@@ -217,7 +218,7 @@ def test_the_search_draws_nothing():
     torque = CLEAN.torque(joint_2=coulomb(0.3))
     runs = [search(torque, ["coulomb", "stribeck"]).run() for _ in range(2)]
     assert found(runs[0]) == found(runs[1])
-    assert_array_equal(runs[0].base.theta, runs[1].base.theta)
+    assert_array_equal(runs[0].model.theta, runs[1].model.theta)
 
 
 def test_joints_without_weight_are_left_out():
@@ -227,5 +228,4 @@ def test_joints_without_weight_are_left_out():
     now.view.precision[1] = 0.0
     now.view.Z[1] = 0.0
     now.view.target[1] = 0.0
-    now.run()
-    assert {joint for _, joint in found(now)} <= {0}
+    assert {joint for _, joint in found(now.run())} <= {0}

@@ -39,33 +39,15 @@ class Memory:
 
 
 def fit_memory(residual, used, starts, step, stride=1):
-    """Fit an autoregression to a residual, order by Akaike's criterion.
+    """Fit an autoregression to residuals (m,) in rows that count, a `Memory`.
 
     Rows are a stride apart: those in between are alike because of the low-pass, which
-    is no memory of the residual, and to predict them would be to undo the low-pass.
-    Least squares in the form r_t = rho r_(t-1) + sum psi_k (r_(t-k) - r_(t-k-1)) + e,
-    where rho, the sum of the coefficients, says how slowly the residual forgets. Its
-    estimate is too small in short recordings, by (1 + 3 rho) / n for a mean that was
-    fitted [1]_, times what the psi leave of a slow change; that much is added, up to
-    a random walk.
-
-    Parameters
-    ----------
-    residual : ndarray of shape (m,)
-        Residuals.
-    used : ndarray of shape (m,), bool
-        Rows that count.
-    starts : ndarray of int
-        First rows of the recordings.
-    step : float
-        Time between rows [s].
-    stride : int, default=1
-        Rows from one lag to the next.
-
-    Returns
-    -------
-    Memory
-        Coefficients and correlation time.
+    is no memory of the residual, and to predict them would be to undo the low-pass. The
+    order is that of Akaike's criterion. Least squares in the form r_t = rho r_(t-1) +
+    sum psi_k (r_(t-k) - r_(t-k-1)) + e, where rho, the sum of the coefficients, says
+    how slowly the residual forgets. Its estimate is too small in short recordings, by
+    (1 + 3 rho) / n for a mean that was fitted [1]_, times what the psi leave of a slow
+    change; that much is added, up to a random walk.
 
     References
     ----------
@@ -278,20 +260,11 @@ class Blocks:
 
 
 def correlation_time(residual, weight, step, starts):
-    """Longest integrated autocorrelation time of the joints' residuals [s].
+    """Longest integrated autocorrelation time of residuals (m, nv) [s].
 
     That of an autoregression, see `fit_memory`: sums of sample autocorrelations read
     slow residuals too short, as their own mean is taken out of them; infinite for a
     random walk.
-
-    Parameters
-    ----------
-    residual, weight : ndarray of shape (m, nv)
-        Residuals and what they count.
-    step : float
-        Time between rows [s].
-    starts : ndarray of int
-        First rows of the recordings.
     """
     times = []
     for r, used in zip(residual.T, weight.T > 0):
@@ -302,23 +275,9 @@ def correlation_time(residual, weight, step, starts):
 
 
 def make_blocks(time, starts, correlation, filter_length):
-    """Divide rows into blocks of time.
+    """Divide rows at times (m,) [s] into blocks as long as independence asks for.
 
-    Parameters
-    ----------
-    time : ndarray of shape (m,)
-        Time of the rows within their recording [s].
-    starts : ndarray of int
-        First rows of the recordings.
-    correlation : float
-        Correlation time of the residual [s].
-    filter_length : float
-        Length of the low-pass [s].
-
-    Raises
-    ------
-    ValueError
-        If the recordings are too short for blocks.
+    The residual's correlation time and the filter's length are in seconds.
     """
     edges = np.r_[starts, time.size]
     lengths = [float(np.ptp(time[a:b])) for a, b in itertools.pairwise(edges)]

@@ -66,13 +66,8 @@ def p_value(before, after):
 def compare(before, after, white=None):
     """Compare squared errors (n_blocks,) of two models.
 
-    Parameters
-    ----------
-    before, after : ndarray of shape (n_blocks,)
-        Squared errors.
-    white : (ndarray, ndarray) or None
-        The same of rows from which the residual's memory is taken out, see `Judge`;
-        blocks of these are independent, and the p-value is theirs.
+    `white` is the same pair in rows from which the residual's memory is taken out, see
+    `Judge`; blocks of these are independent, and the p-value is theirs.
     """
     difference = before - after
     changed = difference != 0

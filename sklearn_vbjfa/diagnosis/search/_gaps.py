@@ -25,19 +25,8 @@ _UNSEEN, _IN_SPAN = 1e-3, 1e-6
 def unexplained(model, names, spread, floors, errors):
     """Joints above their floor, with the signals that the rest varies with.
 
-    Parameters
-    ----------
-    model : SearchModel
-        The declared model with what was found.
-    names : sequence of str
-        Joints.
-    spread : ndarray of shape (nv,)
-        Spread of the torques [N m or N].
-    floors : ndarray of shape (nv,)
-        Noise floors of the completed model [N m or N]; nan where unknown. What a
-        declared model lacks may hide its own.
-    errors : ndarray of shape (nv,)
-        Errors on the untouched part over the spread; nan where there is none.
+    Of a `SearchModel`; spread and noise floors (nv,) in N m or N, nan where unknown,
+    and the errors on the untouched part over the spread, nan where there is none.
     """
     view = model.view
     residual = model.residuals() / np.where(view.root.T > 0, view.root.T, np.inf)
@@ -88,15 +77,7 @@ def too_short(model, seconds):
 
 
 def hidden(found, names):
-    """Effects of the library that this robot or this recording cannot show.
-
-    Parameters
-    ----------
-    found : Found
-        What the search found.
-    names : sequence of str
-        Joints.
-    """
+    """Effects of the library that this robot or this recording cannot show."""
     model, view = found.model, found.model.view
     probe = _probe(view)
     told = []

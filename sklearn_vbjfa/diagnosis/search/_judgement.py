@@ -63,23 +63,9 @@ class Judgement:
 
 
 def judge(declared, completed, found, split, whole):
-    """Judge the declared and the completed model on the untouched part.
+    """Judge two fitted models on the part of a recording that is untouched.
 
-    Parameters
-    ----------
-    declared, completed : RobotIdentifier
-        Models that were fitted to the rows of the search.
-    found : Found
-        What the search found there.
-    split : Split
-        Rows of the search and untouched stretches.
-    whole : Samples
-        The whole recording.
-
-    Returns
-    -------
-    Judgement
-        Errors and how well they are known.
+    Both were fitted to the rows of the search, and `found` is what it found there.
     """
     model, dt = found.model, declared.dt
     memory = max(model.memory_seconds(), default=0.0)

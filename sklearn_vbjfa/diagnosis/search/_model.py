@@ -38,15 +38,8 @@ class SearchModel:
     def of(cls, view, effects=(), start=None):
         """Fit a model whose joint weights and load are its own.
 
-        Parameters
-        ----------
-        view : RecordingView
-            Recording.
-        effects : iterable of Effect
-            Effects beside the declared model.
-        start : SearchModel or None
-            Model whose weights, ridge and load are the first guess; None begins with
-            the weights of the declared model, and without a load.
+        Weights, ridge and load of the model to start from are the first guess; without
+        one, those of the declared model's fit, and no load.
         """
         effects = tuple(effects)
         motion, precision, ridge = view.motion(None), view.precision, None
@@ -76,12 +69,7 @@ class SearchModel:
     def beside(self, effects, ridge="same"):
         """Fit other effects with the weights and the load of this model.
 
-        Parameters
-        ----------
-        effects : iterable of Effect
-            Effects beside the declared model.
-        ridge : "same" or None
-            Ridge of this model, or the one that suits the other best.
+        The ridge is that of this model, or with None the one that suits them best.
         """
         ridge = self.ridge if ridge == "same" else ridge
         return self._fit(self.view, tuple(effects), self.motion, self.precision, ridge)
@@ -195,23 +183,10 @@ class Judge:
         return self._fitted.score(joints, white).squares * self._precision
 
     def forward(self, joints, columns, blocks, border):
-        """Squared residuals of later blocks, all fitted to those before.
+        """Squared residuals of later blocks (n_blocks - border, nv), in units of noise.
 
-        Parameters
-        ----------
-        joints : list of int
-            Joints that the candidate acts on.
-        columns : ndarray of shape (nj, m, k)
-            Its columns.
-        blocks : Blocks
-            Blocks that are summed over.
-        border : int
-            First of the later blocks.
-
-        Returns
-        -------
-        without, with_it : ndarray of shape (n_blocks - border, nv)
-            Sums of squares in units of noise.
+        Without the candidate's columns (nj, m, k) and with them, all fitted to the
+        blocks before the border.
         """
         base = self._fitted
         extra = np.zeros((*base.Z.shape[:2], columns.shape[-1]))

@@ -28,19 +28,8 @@ _POINTS = 4000
 def make_outcome(search, models, judgement, channels, asked):
     """Collect what `Report` shows.
 
-    Parameters
-    ----------
-    search : Found
-        What the search found.
-    models : Models
-        The models of the loop.
-    judgement : Judgement
-        Of the untouched part.
-    channels : tuple of ChannelFinding
-        What is wrong with channels.
-    asked : dict
-        Parameters of the loop that the report repeats: "test_size", "alpha",
-        "random_state".
+    `asked` are the parameters of the loop that the report repeats: "test_size",
+    "alpha", "random_state".
     """
     robot = models.declared
     features, names = robot.features_, robot.joint_names_

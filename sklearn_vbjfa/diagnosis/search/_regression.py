@@ -42,17 +42,8 @@ class Equations:
     def reduce(self, precision):
         """Express the regressor in the directions that the data determine.
 
-        Parameters
-        ----------
-        precision : ndarray of shape (nv,)
-            Weights of the joints.
-
-        Returns
-        -------
-        Z : ndarray of shape (nv, m, r)
-            Regressor in reduced coordinates, rows scaled by the root of their weight.
-        back : ndarray of shape (p, r)
-            theta = back @ reduced coordinates.
+        Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
+        weight, and the matrix (p, r) that leads back to the parameters.
         """
         root = np.sqrt(self.weight).T[:, :, None]
         rows = self.Phi.transpose(1, 0, 2) * root
@@ -89,14 +80,9 @@ class FoldMoments:
         self._g = np.array([_transposed(Z[:, f]) @ y[:, f, None] for f in folds])
 
     def extended(self, Z, y, precision):
-        """Return the joints' weighted sums for Z, which may have more columns.
+        """Gram matrices (n_folds, r, r) and products (n_folds, r) with the torques.
 
-        Returns
-        -------
-        G : ndarray of shape (n_folds, r, r)
-            Gram matrices.
-        g : ndarray of shape (n_folds, r)
-            Products with the torques.
+        Weighted sums over the joints, for a Z (nv, m, r) that may have more columns.
         """
         r, known = Z.shape[2], self._G.shape[-1]
         G, g = np.empty((len(self._folds), r, r)), np.empty((len(self._folds), r))
@@ -307,20 +293,10 @@ class BlockRegression:
         return sums[border:]
 
     def score(self, joints, F):
-        """Score a family of candidates, one for each value of a shape parameter.
+        """Score c candidates, one for each value of a shape parameter.
 
-        Parameters
-        ----------
-        joints : list of int
-            Joints that the columns act on.
-        F : ndarray of shape (nj, m, c, k)
-            Columns of the c candidates, rows scaled by the root of the weights.
-
-        Returns
-        -------
-        Score
-            Out-of-sample error, with the shape chosen inside each fold, and the
-            choice on all rows.
+        Their columns F (nj, m, c, k) act on the given joints, rows scaled by the root
+        of the weights. The shape is chosen inside each fold, and once more on all rows.
         """
         # A slice takes no copy.
         chosen = slice(joints[0], joints[0] + 1) if len(joints) == 1 else joints

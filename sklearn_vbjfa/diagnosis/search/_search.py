@@ -309,14 +309,9 @@ class EffectSearch:
         return candidates_of(joint, self.library, self.declared, self.model.motion)
 
     def score(self, effect, base):
-        """Try an effect of the library beside a model.
+        """Try an effect beside a model: a Candidate, and its family's columns.
 
-        Returns
-        -------
-        Candidate or None
-            None if there is nothing new; its evidence has no p-value yet.
-        columns : ndarray of shape (nj, m, c, k) or None
-            Columns of the shapes that were tried.
+        None of both if there is nothing new. The evidence has no p-value yet.
         """
         taken = {e.key() for e in base.effects} | self.refused
         family = base.family(effect).where(lambda one: one.key() not in taken)
@@ -338,27 +333,12 @@ class EffectSearch:
         return candidate, family.columns
 
     def try_joint(self, joint, base, quiet=False):
-        """Try all effects on a joint, name -> Candidate, the plainer first.
+        """Try all effects on a joint beside a model, name -> Candidate, plainer first.
 
-        All are judged on rows from which the memory is taken out that the residual
-        has with the best of them.
-
-        Parameters
-        ----------
-        joint : int
-            Joint.
-        base : SearchModel
-            Model that they come beside.
-        quiet : bool
-            A quiet joint lacks nothing of its own, but may be where something acts
-            that others feel.
-
-        Returns
-        -------
-        tried : dict of str to Candidate
-            Candidates.
-        judge : Judge or None
-            What they were judged by; None if none is worth a name.
+        All are judged on rows from which the memory is taken out that the residual has
+        with the best of them; the `Judge` is returned as well, None if none is worth a
+        name. A quiet joint lacks nothing of its own, but may be where something acts
+        that others feel.
         """
         everything = self.candidates_of(joint)
         if quiet:
@@ -409,15 +389,10 @@ class EffectSearch:
         return list(found.values()), significant
 
     def best_of(self, candidates, others):
-        """Return the simplest of the best, and all that compare with it.
+        """Return the simplest of the best candidates, and all that compare with it.
 
-        Parameters
-        ----------
-        candidates : list of Candidate
-            Those that may be added.
-        others : list of Candidate
-            All that beat chance; those that contain the chosen one and explain no
-            more are its rivals as well.
+        Among `others`, all that beat chance, those that contain the chosen one and
+        explain no more are its rivals as well.
         """
         everything = list({id(c): c for c in [*candidates, *others]}.values())
         whole = any(c.effect.whole_robot for c in everything)
@@ -497,17 +472,10 @@ class EffectSearch:
         )
 
     def _later(self, effect, base):
-        """Try an effect on later data than it was fitted to, beside a model.
+        """Try an effect on later data: Evidence, and the Rule that refuses it or None.
 
         Both models are fitted and judged in rows without the residual's memory: slow
         noise that goes on from where it was would decide otherwise.
-
-        Returns
-        -------
-        Evidence
-            On the later blocks.
-        Rule or None
-            By which it is refused, if it is.
         """
         view = self.view
         joints, own = view.joints_of(effect), base.columns_of(effect)

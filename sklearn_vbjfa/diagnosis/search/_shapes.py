@@ -57,21 +57,9 @@ class Bracket:
 
 
 def refined(effect, base, rows=None):
-    """Continue the search of the shape parameters between the grid's points.
+    """Search an effect's shape parameters on between the points of the grid.
 
-    Parameters
-    ----------
-    effect : Effect
-        With the shape to begin with.
-    base : SearchModel
-        Model that the effect comes beside.
-    rows : ndarray of shape (m,), bool, default=None
-        Which rows the base was fitted to, if not to all.
-
-    Returns
-    -------
-    Effect
-        With the best shape.
+    It comes beside a model, which was fitted to some rows (m,) only if they are given.
     """
     joints = base.view.joints_of(effect)
     for name in effect.continuous:

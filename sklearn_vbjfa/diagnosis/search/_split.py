@@ -80,16 +80,9 @@ class Split:
     def decided(self, clock, instants):
         """Return the split without stretches in which something jumps.
 
-        All that the search knows of such an instant is that it lies between two of its
-        rows. A stretch at the end of a recording stays: what changes there changes
-        between the recordings.
-
-        Parameters
-        ----------
-        clock : ndarray of shape (n,)
-            Time of the rows [s].
-        instants : sequence of float
-            When something jumps [s].
+        All that the search knows of such an instant [s] is that it lies between two of
+        its rows on the clock (n,). A stretch at the end of a recording stays: what
+        changes there changes between the recordings.
         """
         kept = [
             k
@@ -187,22 +180,9 @@ def check_share(test_size):
 def split_in_time(identifier, X, groups, test_size):
     """Choose the untouched stretches from the motion; torques are not looked at.
 
-    Parameters
-    ----------
-    identifier : RobotIdentifier
-        Declared model, not fitted: sample period, cut-offs, standstill.
-    X : ndarray of shape (n, nv) or (n, 3 * nv)
-        Positions or states.
-    groups : array-like of shape (n,) or None
-        Labels of recordings.
-    test_size : float
-        Share of the motion that is kept.
-
-    Returns
-    -------
-    Split
-        Stretches at both ends of each of several recordings, or at several places of
-        a single one; of recordings that are too short to be cut, some as a whole.
+    At both ends of each of several recordings, or at several places of a single one; of
+    recordings that are too short to be cut, some as a whole. The identifier is the
+    declared model, not fitted; X are positions or states, groups labels or None.
     """
     share = check_share(test_size)
     parts = contiguous_groups(groups, X.shape[0])

@@ -25,14 +25,7 @@ def stretches(blocks, recording):
     """Return the stretch of each row: every recording's first third, second, last.
 
     What only one recording has (a payload, a warm start) is known from its other
-    thirds.
-
-    Parameters
-    ----------
-    blocks : Blocks
-        Blocks of time, of which none is cut in two.
-    recording : ndarray of shape (m,)
-        Recording of each row.
+    thirds. No block of time is cut in two.
     """
     label = np.empty(blocks.label.size, dtype=int)
     for number in np.unique(recording):
@@ -76,17 +69,9 @@ class Transfer:
         ]
 
     def squares(self, effects):
-        """Squared errors with some of the effects, each stretch fitted to the others.
+        """Squared errors (n_stretches, nv) of the model with some of the effects.
 
-        Parameters
-        ----------
-        effects : iterable of Effect
-            Those of all effects that the model has.
-
-        Returns
-        -------
-        ndarray of shape (n_stretches, nv)
-            Weighted sums of squares.
+        Each stretch is predicted by a fit to the others.
         """
         there = {id(effect) for effect in effects}
         pieces = [np.arange(self._edges[0])]

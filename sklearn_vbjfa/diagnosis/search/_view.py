@@ -244,15 +244,7 @@ class RecordingView:
         return list(range(self.nv)) if effect.whole_robot else [effect.joint]
 
     def columns(self, effects, motion):
-        """Columns of a family of effects, ndarray of shape (nj, m, c, k).
-
-        Parameters
-        ----------
-        effects : sequence of Effect
-            One effect with different shape parameters.
-        motion : Motion
-            Signals.
-        """
+        """Columns (nj, m, c, k) of an effect with several shape parameters."""
         joints = self.joints_of(effects[0])
         k = len(effects[0].coefficients)
         out = np.empty((len(joints), self.index.size, len(effects), k))
@@ -296,15 +288,10 @@ class RecordingView:
         return found
 
     def stacked(self, effects, motion):
-        """Regressor with the columns of effects behind the declared ones.
+        """Regressor (nv, m, r + k) with effects behind the declared columns.
 
-        Returns
-        -------
-        Z : ndarray of shape (nv, m, r + k)
-            Rows, scaled by the root of the weights.
-        scales : tuple of ndarray
-            What the columns of each effect were multiplied with to have the declared
-            ones' size.
+        They are brought to the size of those, by factors for each effect that are
+        returned as well.
         """
         Z, scales = [self.Z], []
         for effect in effects:

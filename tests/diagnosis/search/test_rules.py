@@ -7,8 +7,8 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis.search import _search, _split
-from sklearn_vbjfa.diagnosis.search._shapes import refined
 from tests.diagnosis._recordings import record
+from tests.diagnosis.search._searches import search
 
 ONE = record("Y", seed=0, duration=24.0)
 # The search sees the first three quarters.
@@ -221,8 +221,6 @@ def test_slow_noise_does_not_hide_fast_effects_nor_make_slow_ones():
 
 def test_what_was_named_before_its_rivals_had_a_place_is_replaced():
     """Coulomb friction that looked quadratic while a spring was missing."""
-    from tests.diagnosis.search.test_search import search
-
     torque = ONE.torque(joint_1=lambda r: 2.0 * r.q[:, 0] + coulomb(r))
     now = search(torque, ["coulomb", "viscous_quadratic", "spring"], ONE)
     assert now.threshold == now.alpha
@@ -254,28 +252,7 @@ def test_the_search_does_not_run_in_circles():
     assert len(added) == len(set(added))
 
 
-def test_shapes_are_not_judged_on_what_they_were_tuned_to():
-    """A ripple in white noise: its best period helps on all rows, and in no fold."""
-    from tests.diagnosis.search.test_search import search
-
-    noisy = record("Y", seed=1, duration=24.0, noise=0.5)
-    now = search(noisy.torque(), ["ripple"], noisy)
-    now.accept(())
-    (ripple,) = [e for e in now.candidates_of(0) if e.name == "ripple"]
-    family = now.model.family(ripple)
-    best = family.effects[now.model.fitted.score([0], family.columns).best]
-    now.accept([refined(best, now.model)])
-    before = now.model.beside(()).squares
-    tuned = 1 - now.model.squares.sum() / before.sum()
-    assert tuned > 0.02
-    evidence = now.evidence_of(now.model.effects[0])
-    assert evidence.gain < 0.5 * tuned
-    assert not evidence.significant(0.05)
-
-
 def test_trials_after_a_refusal_double_the_p_value():
-    from tests.diagnosis.search.test_search import search
-
     torque = ONE.torque(joint_1=lambda r: 0.1 * ripple(r))
     now = search(torque, ["ripple"], ONE)
     now.accept(())

@@ -2,102 +2,19 @@
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis.search._search import EffectSearch
-from sklearn_vbjfa.diagnosis.search._view import RecordingView, Samples
-from tests.diagnosis._recordings import DT, record
-
-CLEAN = record("ZY", seed=2)
-
-
-def coulomb(size):
-    return lambda r: size * np.sign(r.v[:, 1])
-
-
-def spring(k, c=0.0):
-    return lambda r: k * r.q[:, 0] + c
-
-
-def stribeck(size):
-    def torque(r):
-        v = r.v[:, 1]
-        return (1.0 + size * np.exp(-np.abs(v / 0.3))) * np.sign(v)
-
-    return torque
-
-
-def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
-    robot = recording.robot() if robot is None else robot
-    groups = np.zeros(torque.shape[0], int) if groups is None else groups
-    robot.fit(recording.position, torque, groups=groups)
-    weight = np.ones_like(torque)
-    samples = Samples(
-        X=recording.position, y=torque, groups=groups, weight=weight, clock=recording.t
-    )
-    return EffectSearch(
-        view=RecordingView(robot, samples),
-        library=effects.resolve(library),
-        declared=tuple(robot.features_._friction),
-        floor=robot.noise_floor_**2,
-        **{"alpha": 0.05, **given},
-    )
-
-
-def found(run):
-    return [(e.name, e.joint) for e in run.effects]
-
-
-# -- the recording as the search sees it
-
-
-def test_columns_pass_the_filter_of_the_torques():
-    torque = CLEAN.torque()
-    now = search(torque, ["coulomb"])
-    view, robot = now.view, now.view.robot
-    lowpass = _lowpass.design(DT, robot.cutoff_)
-    motion = view.motion(None)
-    for effect in (effects.Coulomb(1), effects.Counterbalance(0)):
-        columns = view.columns([effect], motion)
-        assert columns.shape == (1, view.index.size, 1, len(effect.coefficients))
-        expected = lowpass(effect.columns(motion)) * view.root[:, [effect.joint]]
-        assert_allclose(columns[0, :, 0], expected, atol=1e-12)
-    residuals = robot.residuals(CLEAN.position, torque)
-    assert_array_equal(view.index, residuals.index)
-    assert_allclose(view.target.T, residuals.torque * view.root, atol=1e-12)
-    assert_allclose(view.equations.weight, residuals.weight, atol=1e-12)
-
-
-def test_whole_robot_effects_have_columns_on_every_joint():
-    now = search(CLEAN.torque(), ["payload"])
-    payload = effects.Payload(joint=1, instant=10.0)
-    columns = now.view.columns([payload], now.view.motion(None))
-    assert columns.shape == (2, now.view.index.size, 1, 5)
-    before = CLEAN.t[now.view.index] < 9.0
-    assert_array_equal(columns[:, before], 0.0)
-    assert np.abs(columns[:, ~before]).max() > 0
-
-
-def test_filter_and_blocks_respect_recordings():
-    groups = np.repeat([0, 1], [500, CLEAN.t.size - 500])
-    view = search(CLEAN.torque(), ["coulomb"], groups=groups).view
-    half = _lowpass.design(DT, view.robot.cutoff_).half
-    assert np.all((view.index < 500 - half) | (view.index >= 500 + half))
-    first = np.flatnonzero(view.index >= 500)[0]
-    assert_array_equal(view.starts, [0, first])
-    assert view.blocks.label[first] == view.blocks.label[first - 1] + 1
-
-
-def test_load_is_that_of_the_bodies():
-    now = search(CLEAN.torque(), ["load_friction"]).run()
-    inside = slice(50, -50)
-    error = (now.model.motion.load - CLEAN.load)[inside]
-    assert np.all(error.std(axis=0) < 0.03 * CLEAN.load.std(axis=0))
-
+from tests.diagnosis.search._searches import (
+    CLEAN,
+    coulomb,
+    found,
+    search,
+    spring,
+    stribeck,
+)
 
 # -- candidates
 
@@ -165,16 +82,6 @@ def test_what_took_the_wrong_sign_beside_others_is_dropped():
     assert [e.name for e in now.model.effects] == ["spring"]
 
 
-def test_coefficients_are_in_the_effects_own_units():
-    torque = CLEAN.torque(joint_2=coulomb(1.5), joint_1=spring(4.0, 1.0))
-    now = search(torque, ["coulomb", "spring"]).run()
-    by_name = {e.name: now.model.coefficients(e) for e in now.effects}
-    assert_allclose(by_name["coulomb"], [1.5], rtol=0.02)
-    assert_allclose(by_name["spring"], [4.0, 1.0], rtol=0.05)
-    with pytest.raises(ValueError, match="not among the accepted"):
-        now.model.coefficients(effects.Offset(0))
-
-
 def test_the_plain_effect_comes_before_what_contains_it():
     torque = CLEAN.torque(joint_2=coulomb(1.0))
     now = search(torque, ["stribeck", "presliding", "asymmetric_friction", "coulomb"])
@@ -184,18 +91,6 @@ def test_the_plain_effect_comes_before_what_contains_it():
 def test_a_constant_is_no_spring():
     now = search(CLEAN.torque(joint_1=spring(0.0, 1.0)), ["spring", "offset"]).run()
     assert found(now) == [("offset", 0)]
-
-
-@pytest.mark.parametrize("period", [0.23, 0.41])
-def test_shapes_are_refined_between_the_points_of_the_grid(period):
-    torque = CLEAN.torque(
-        joint_2=lambda r: 0.8 * np.cos(2 * np.pi * r.q[:, 1] / period)
-    )
-    now = search(torque, ["ripple"]).run()
-    assert found(now) == [("ripple", 1)]
-    (ripple,) = now.effects
-    assert ripple.period == pytest.approx(period, rel=0.01)
-    assert ripple.period not in [s["period"] for s in ripple.shapes(now.model.motion)]
 
 
 @pytest.mark.parametrize("limit", [0, 1])

@@ -10,7 +10,7 @@ from sklearn_vbjfa import JointTorqueRegressor, PhysicalProjector, effects
 from sklearn_vbjfa.diagnosis.search._blocks import Blocks
 from sklearn_vbjfa.diagnosis.search._transfer import Transfer, stretches
 from tests.diagnosis._recordings import record
-from tests.diagnosis.search.test_search import coulomb, found, search, spring
+from tests.diagnosis.search._searches import coulomb, found, search, spring
 
 ARM = record("ZY", seed=2, duration=30.0)
 HALVES = np.repeat([0, 1], ARM.t.size // 2)

@@ -1,14 +1,12 @@
-"""Blocks of time: what counts as one independent piece of evidence.
+"""Blocks of time, and what a residual remembers from one to the next.
 
-What a residual keeps of its own past, and rows from which that is taken out.
-
-A residual that stays correlated for seconds is a few independent values, however many
-rows it has. Blocks long enough to be independent of each other would be too few in a
-short recording, and would throw away that slow noise hardly touches fast effects.
-Here the residual's own prediction from its past is subtracted instead, from torques and
-columns alike (generalised least squares): what is left is as good as white, and an
-effect is worth what it explains of that. Slow noise makes slow effects worthless so,
-and leaves fast ones their evidence.
+A block counts as one independent piece of evidence. A residual that stays correlated
+for seconds amounts to a few independent values, however many rows it has: blocks long
+enough to be independent would be too few in a short recording, and would ignore that
+slow noise hardly touches fast effects. Rows are therefore whitened before blocks are
+compared: what the residual's own past predicts is subtracted from torques and columns
+alike (generalised least squares), and an effect is worth what it explains of the rest.
+Slow noise thus takes the evidence of slow effects, and leaves fast ones theirs.
 """
 
 import itertools
@@ -153,8 +151,8 @@ class Whitening:
         """Whiten rows (nj, m, ...) of some joints, scaled by the root of the weights.
 
         Missing rows are bridged by straight lines, in torques and columns alike, so
-        that what explains the one explains the other; a recording begins as if it had
-        been what it is in its first row.
+        that what explains the one explains the other; before its first row a recording
+        counts as constant.
         """
         out = np.empty_like(rows)
         for i, j in enumerate(joints):

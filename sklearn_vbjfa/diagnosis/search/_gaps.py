@@ -80,7 +80,7 @@ def hidden(found, names):
     """Effects of the library that this robot or this recording cannot show."""
     model, view = found.model, found.model.view
     probe = _probe(view)
-    told = []
+    not_seen = []
     for j, name in enumerate(names):
         if model.precision[j] == 0:
             continue
@@ -98,7 +98,7 @@ def hidden(found, names):
                 remedy = "" if structural else one.visible
             elif not remedy.startswith("needs"):
                 continue
-            told.append(
+            not_seen.append(
                 Hidden(
                     name=one.name,
                     joint=j,
@@ -107,7 +107,7 @@ def hidden(found, names):
                     remedy=remedy,
                 )
             )
-    return tuple(told)
+    return tuple(not_seen)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

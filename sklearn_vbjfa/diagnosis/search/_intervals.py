@@ -16,7 +16,7 @@ from sklearn_vbjfa.robot._residuals import TorqueResiduals
 _UPPER_END = 0.95
 # Relative step of the derivative by a shape parameter.
 _STEP = 1e-3
-# Errors are predicted for so many seconds.
+# Time for which errors are predicted [s].
 NEXT_SECONDS = 50.0
 # Slowest cosines of time whose mean square is the long-run variance. Few of them leave
 # residuals that are slow their full variance, and Student's t knows how few they are

@@ -8,8 +8,8 @@ from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, error_intervals
 from sklearn_vbjfa.diagnosis.search._split import FEWEST_VALUES
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 
-# The wider band reaches so many times as far as that of the fit, and at least to the
-# frequency [Hz] at which controllers act.
+# The wider band reaches this many times as far as that of the fit, and at least to
+# the frequency [Hz] at which controllers act.
 _WIDER, _CONTROL = 4.0, 10.0
 # Share of the sample rate up to which it may reach.
 _HIGHEST = 0.4

@@ -1,4 +1,4 @@
-"""From the search to what is reported."""
+"""Everything that a loop found out, collected for the report."""
 
 import platform
 from dataclasses import dataclass
@@ -92,7 +92,7 @@ class Models:
     def noise_floor(self):
         """Noise floor of the completed model, (nv,) [N m or N].
 
-        More data tell more of the noise, without what the declared model lacks.
+        More data show more of the noise; the declared model's would hold what it lacks.
         """
         own = self.final.identifier.noise_floor_
         return np.where(np.isfinite(own), own, self.judged.noise_floor_)
@@ -122,7 +122,7 @@ def _effects(search, final, names, prismatic):
                     values[key] + half * deviations[key],
                 )
                 for key in deviations
-                # Of what no column tells there is no interval.
+                # What no column determines has no interval.
                 if deviations[key] != 0
             },
             evidence=evidence,

@@ -19,9 +19,9 @@ from sklearn_vbjfa.robot._states import fit_states
 _STRETCHES = 3
 # The most, where fewer would miss the motion of a joint.
 _MOST_STRETCHES = 12
-# A stretch, and what is left between two of them, is so many times longer than the
-# low-pass, of which half is lost at each end; and so many times where there is more
-# than one stretch in a recording, so that they do not cost more than they tell.
+# A stretch, and what is left between two of them, is this many times longer than the
+# low-pass, which takes half its length at each end; the second number holds where a
+# recording has more than one stretch, so that these do not cost more than they show.
 _FILTER_LENGTHS, _LENGTHS_OF_MORE = 2.0, 2.5
 # Samples, where nothing is filtered.
 _FEWEST_SAMPLES = 24

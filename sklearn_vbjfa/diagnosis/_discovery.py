@@ -226,20 +226,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             split = split_in_time(
                 self.identifier, whole.X, whole.groups, self.test_size
             )
-            searched = whole.take(split.search, split.pieces)
-            self.declared_ = searched.fit(clone(self.identifier))
-            view = RecordingView(
-                self.declared_,
-                searched,
-                leave_out=silent,
-                recording=split.recording,
-                begins=tuple(whole.clock[part.start] for part in whole.parts),
-            )
+            part = split.searched(whole)
+            self.declared_ = part.fit(clone(self.identifier))
             found = EffectSearch(
-                view=view,
+                view=RecordingView(self.declared_, part, leave_out=silent),
                 library=library,
-                declared=tuple(self.declared_.features_._friction),
-                floor=self.declared_.noise_floor_**2,
                 alpha=float(self.alpha),
                 max_effects=self.max_effects,
                 on_progress=say,
@@ -247,7 +238,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             say(len(found.effects), "final model")
             self.judged_ = self.declared_
             if found.effects:
-                self.judged_ = searched.fit(self._with(found.effects))
+                self.judged_ = part.fit(self._with(found.effects))
             judgement = judge(self.declared_, self.judged_, found, split, whole)
             final = self._hand_over(found, whole, silent)
         models = Models(declared=self.declared_, judged=self.judged_, final=final)

@@ -113,18 +113,12 @@ class Candidate:
     white : ndarray of shape (n_blocks, nv)
         The same in rows without the residual's memory, in units of what is left of
         each joint's residual, see `Judge`.
-    coef : ndarray of shape (k,)
-        Its coefficients.
-    outside : float
-        Share of its columns' power outside the span of the model's.
     """
 
     effect: Effect
     evidence: Evidence
     squares: np.ndarray
     white: np.ndarray
-    coef: np.ndarray
-    outside: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -134,10 +134,12 @@ class _Unseen:
     @classmethod
     def on(cls, joint, found):
         """Collect what a joint has and lacks."""
-        model, library, declared = found.model, found.library, found.declared
+        model, library = found.model, found.library
         held = [e for e in model.effects if e.joint == joint]
-        present = set(declared).union(*({e.name} | closure(e, library) for e in held))
-        own = candidates_of(joint, library, declared, model.motion)
+        present = set(model.view.declared).union(
+            *({e.name} | closure(e, library) for e in held)
+        )
+        own = candidates_of(joint, library, model)
         missing = tuple(e for e in own if e.name not in present)
         return cls(model=model, present=present, missing=missing)
 

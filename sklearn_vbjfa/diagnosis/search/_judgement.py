@@ -75,7 +75,7 @@ def judge(declared, completed, found, split, whole):
     count = len(split.stretches)
     split = split.decided(whole.clock, instants).guarded(guard)
     rows = split.test
-    rest = whole.take(rows, split.test_pieces)
+    rest = split.untouched(whole)
 
     def errors(**band):
         return tuple(rest.residuals(one, **band) for one in (declared, completed))

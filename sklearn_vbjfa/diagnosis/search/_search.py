@@ -76,8 +76,6 @@ class Found:
         Tests among which it was shared out; 0 if nothing was tried.
     library : tuple of Effect
         Effects that were tried on every joint.
-    declared : tuple of str
-        Effects that the declared model has on every joint.
     """
 
     model: SearchModel
@@ -86,7 +84,6 @@ class Found:
     threshold: float
     n_tests: int
     library: tuple
-    declared: tuple
 
     @property
     def effects(self):
@@ -129,9 +126,10 @@ class Place:
         )
 
 
-def candidates_of(joint, library, declared, motion):
+def candidates_of(joint, library, model):
     """Effects of a library that can be looked for on a joint, list of Effect."""
     found = [clone(effect).set_params(joint=joint) for effect in library]
+    declared, motion = model.view.declared, model.motion
     return [e for e in found if e.name not in declared and not e.applies(motion)]
 
 
@@ -145,10 +143,6 @@ class EffectSearch:
         Recording.
     library : tuple of Effect
         Effects to try, on every joint.
-    declared : tuple of str
-        Effects that the declared model has on every joint.
-    floor : ndarray of shape (nv,)
-        Mean square of the residual to expect from noise alone; nan if unknown.
     alpha : float
         Level of significance, over all candidates on all joints.
     max_effects : int or None
@@ -169,8 +163,6 @@ class EffectSearch:
 
     view: RecordingView
     library: tuple
-    declared: tuple
-    floor: np.ndarray
     alpha: float
     max_effects: int | None = None
     on_progress: Callable | None = None
@@ -210,7 +202,6 @@ class EffectSearch:
             threshold=self.threshold,
             n_tests=self.n_tests,
             library=self.library,
-            declared=self.declared,
         )
 
     def accept(self, effects):
@@ -300,13 +291,13 @@ class EffectSearch:
         """Joints whose error noise alone explains."""
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = squares.sum(axis=0) / self.view.rows
-        return mean < AT_FLOOR**2 * self.floor
+        return mean < AT_FLOOR**2 * self.view.floor
 
     # -- candidates -----------------------------------------------------------------
 
     def candidates_of(self, joint):
         """Effects of the library on a joint that can be looked for."""
-        return candidates_of(joint, self.library, self.declared, self.model.motion)
+        return candidates_of(joint, self.library, self.model)
 
     def score(self, effect, base):
         """Try an effect beside a model: a Candidate, and its family's columns.
@@ -327,8 +318,6 @@ class EffectSearch:
             evidence=replace(evidence, p_value=1.0),
             squares=score.squares,
             white=score.squares * base.precision,
-            coef=score.coef,
-            outside=score.outside,
         )
         return candidate, family.columns
 
@@ -370,7 +359,9 @@ class EffectSearch:
         itself would win by that alone. The plain one is offered in its place; the
         other may come in a later round, beside it.
         """
-        present = set(self.declared) | {e.name for e in accepted if e.joint == joint}
+        present = set(self.view.declared) | {
+            e.name for e in accepted if e.joint == joint
+        }
         library = [candidate.effect for candidate in tried.values()]
         significant = [
             c for c in tried.values() if c.evidence.significant(self.threshold)

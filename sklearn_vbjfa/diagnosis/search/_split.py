@@ -66,6 +66,14 @@ class Split:
     borders: tuple
     amount: object
 
+    def searched(self, samples):
+        """Return the rows of the search of a recording's `Samples`."""
+        return samples.take(self.search, self.pieces, self.recording)
+
+    def untouched(self, samples):
+        """Return the untouched rows of a recording's `Samples`."""
+        return samples.take(self.test, self.test_pieces)
+
     @property
     def test(self):
         """Untouched rows, ndarray of int."""

@@ -33,6 +33,11 @@ class Samples:
         What the torques count.
     clock : ndarray of shape (n,) or None
         Time [s].
+    recording : ndarray of shape (n,) or None
+        Number of the recording that each row is from, where the groups cut recordings
+        in pieces; None where they do not.
+    begins : tuple of float or None
+        When recordings begin [s], if their first rows are not among these.
     """
 
     X: np.ndarray
@@ -40,20 +45,28 @@ class Samples:
     groups: np.ndarray | None
     weight: np.ndarray
     clock: np.ndarray | None
+    recording: np.ndarray | None = None
+    begins: tuple | None = None
 
     @property
     def parts(self):
         """Recordings, list of slice."""
         return contiguous_groups(self.groups, self.X.shape[0])
 
-    def take(self, rows, groups):
-        """Return some rows, with labels of their own."""
+    def take(self, rows, groups, recording=None):
+        """Return some rows with labels of their own, and where they are from."""
+        clock, begins = self.clock, None
+        if clock is not None:
+            begins = tuple(clock[part.start] for part in self.parts)
+            clock = clock[rows]
         return Samples(
             X=self.X[rows],
             y=self.y[rows],
             groups=groups,
             weight=self.weight[rows],
-            clock=None if self.clock is None else self.clock[rows],
+            clock=clock,
+            recording=recording,
+            begins=begins,
         )
 
     def fit(self, identifier):
@@ -111,16 +124,15 @@ class RecordingView:
         Recording.
     leave_out : sequence of int
         Joints whose torque channel carries no information.
-    recording : ndarray of shape (n,) or None
-        Number of the recording that each row is from, where the groups cut recordings
-        in pieces; None where they do not.
-    begins : tuple of float or None
-        When recordings begin [s], if their first rows are not given.
 
     Attributes
     ----------
     robot : RobotIdentifier
         As given.
+    declared : tuple of str
+        Effects that the declared model has on every joint.
+    floor : ndarray of shape (nv,)
+        Mean square of the residual to expect from noise alone; nan if unknown.
     states : ndarray of shape (n, 3 * nv)
         States at the full rate.
     clock : ndarray of shape (n,) or None
@@ -153,13 +165,15 @@ class RecordingView:
         Root mean square of a column of Z.
     """
 
-    def __init__(self, robot, samples, leave_out=(), recording=None, begins=None):
+    def __init__(self, robot, samples, leave_out=()):
         self.robot = robot
+        self.declared = tuple(robot.features_._friction)
+        self.floor = robot.noise_floor_**2
         self.parts = samples.parts
         self.clock = check_clock(samples.clock, samples.X.shape[0], robot.dt)
         self.states = robot._states(samples.X, samples.groups)
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
-        self._begins = begins
+        self._begins = samples.begins
         self._families, self._columns = {}, {}
         weight = np.array(samples.weight, dtype=float)
         weight[:, list(leave_out)] = 0.0
@@ -167,6 +181,7 @@ class RecordingView:
         edges = np.array([part.start for part in self.parts])
         self.starts = np.unique(np.searchsorted(self.index, edges))
         self.starts = self.starts[self.starts < self.index.size]
+        recording = samples.recording
         if recording is None:
             sizes = [part.stop - part.start for part in self.parts]
             recording = np.repeat(np.arange(len(self.parts)), sizes)

@@ -37,8 +37,6 @@ def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
     return EffectSearch(
         view=RecordingView(robot, samples),
         library=effects.resolve(library),
-        declared=tuple(robot.features_._friction),
-        floor=robot.noise_floor_**2,
         **{"alpha": 0.05, **given},
     )
 

@@ -1,5 +1,9 @@
 """The search by itself: rounds, refinement, pruning, limits."""
 
+import ast
+from dataclasses import FrozenInstanceError
+from pathlib import Path
+
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
@@ -7,6 +11,7 @@ from numpy.testing import assert_array_equal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
+from sklearn_vbjfa.diagnosis.search import _search
 from tests.diagnosis.search._searches import (
     CLEAN,
     coulomb,
@@ -124,3 +129,31 @@ def test_joints_without_weight_are_left_out():
     now.view.Z[1] = 0.0
     now.view.target[1] = 0.0
     assert {joint for _, joint in found(now.run())} <= {0}
+
+
+# -- what the search leaves alone
+
+
+def test_the_view_is_as_it_was_after_a_search():
+    torque = CLEAN.torque(joint_2=coulomb(1.0), joint_1=spring(4.0, 1.0))
+    now = search(torque, ["coulomb", "spring", "load_friction"])
+    names = ("precision", "Z", "back", "root", "target", "index", "size", "floor")
+    before = {name: np.copy(getattr(now.view, name)) for name in names}
+    attributes = set(vars(now.view))
+    run = now.run()
+    assert len(run.effects) == 2
+    for name in names:
+        assert_array_equal(getattr(now.view, name), before[name])
+    assert set(vars(now.view)) == attributes
+    with pytest.raises(FrozenInstanceError):
+        run.model = None
+    with pytest.raises(FrozenInstanceError):
+        run.model.effects = ()
+
+
+def test_no_effect_is_named_in_the_search():
+    """What must be known of an effect is read off its class."""
+    for path in Path(_search.__file__).parents[1].rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        texts = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)}
+        assert not texts & set(effects.available()), path.name

@@ -14,6 +14,10 @@ from sklearn_vbjfa.effects._rest import Rest, mean_sign
 
 # Speeds are scaled by this quantile of a joint's speed: its fastest, without outliers.
 _FAST = 0.995
+# Units for a revolute and for a prismatic joint.
+TORQUE, STIFFNESS = ("N m", "N"), ("N m/rad", "N/m")
+POSITION, SPEED, TIME = ("rad", "m"), ("rad/s", "m/s"), ("s", "s")
+VISCOSITY, INERTIA = ("N m s/rad", "N s/m"), ("kg m^2", "kg")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,6 +136,11 @@ class Effect(TransformerMixin, BaseEstimator):
         Symbols of the linear coefficients, one for each column.
     units : tuple of (str, str)
         Their units, for a revolute and for a prismatic joint.
+    named_units : tuple of (str, (str, str))
+        Symbols and units of what `parameters` returns, where that is not the
+        coefficients.
+    shape_units : tuple of (str, (str, str))
+        Shape parameters and their units.
     contains : tuple of str
         Plainer effects that this one must beat: it is judged beside them.
     needs : tuple of {"time", "load"}
@@ -172,6 +181,8 @@ class Effect(TransformerMixin, BaseEstimator):
     formula = ""
     coefficients = ()
     units = ()
+    named_units = ()
+    shape_units = ()
     contains = ()
     needs = ()
     continuous = ()
@@ -238,8 +249,9 @@ class Effect(TransformerMixin, BaseEstimator):
 
     def parameter_units(self, prismatic=False):
         """Units of `parameters` and of the shape parameters, symbol -> unit."""
+        named = self.named_units or zip(self.coefficients, self.units)
         kind = int(bool(prismatic))
-        return {s: u[kind] for s, u in zip(self.coefficients, self.units)}
+        return {name: units[kind] for name, units in (*named, *self.shape_units)}
 
     @classmethod
     def describe(cls, shape, joint_label):

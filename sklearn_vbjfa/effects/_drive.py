@@ -4,7 +4,15 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect, JointEffect
+from sklearn_vbjfa.effects._base import (
+    INERTIA,
+    STIFFNESS,
+    TIME,
+    TORQUE,
+    VISCOSITY,
+    Effect,
+    JointEffect,
+)
 from sklearn_vbjfa.effects._rest import mean_sign
 
 # Delays to try [s].
@@ -43,7 +51,7 @@ class RotorInertia(JointEffect):
     formula = r"I_r\,a"
     coefficients = ("Ir",)
     nonnegative = ("Ir",)
-    units = (("kg m^2", "kg"),)
+    units = (INERTIA,)
     visible = "acceleration in poses with different link inertia"
     record = "fast acceleration in several poses"
 
@@ -86,11 +94,7 @@ class Coupling(Effect):
     label = "coupling to another joint"
     formula = r"F_{vm}\,w + F_{cm}\,\mathrm{sign}(w) + I_{am}\,\dot w"
     coefficients = ("Fvm", "Fcm", "Iam")
-    units = (
-        ("N m s/rad", "N s/m"),
-        ("N m", "N"),
-        ("kg m^2", "kg"),
-    )
+    units = (VISCOSITY, TORQUE, INERTIA)
     contains = ("coulomb", "viscous")
     visible = "the other joint reverses while this one moves"
     record = "each joint moving alone"
@@ -182,6 +186,7 @@ class Elastic(Effect):
     coefficients = ("compliance",)
     nonnegative = ("compliance",)
     units = (("rad/(N m)", "m/N"),)
+    named_units = (("k", STIFFNESS),)
     needs = ("load", "time")
     visible = "motion near a tenth of the elastic mode's frequency and above"
     record = "fast motion near the elastic mode"
@@ -214,10 +219,6 @@ class Elastic(Effect):
         """Stiffness; see `Effect.parameters`."""
         compliance = float(coef[0])
         return {"k": 1 / compliance if compliance else np.inf}
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return {"k": "N/m" if prismatic else "N m/rad"}
 
 
 class Delay(Effect):
@@ -252,7 +253,8 @@ class Delay(Effect):
     label = "delay of the torque signal"
     formula = r"\tau(t - \mathrm{delay}) - \tau(t)"
     coefficients = ("delay_estimate",)
-    units = (("s", "s"),)
+    units = (TIME,)
+    named_units = shape_units = (("delay", TIME),)
     needs = ("load", "time")
     continuous = ("delay",)
     visible = "fast changes of the torque"
@@ -291,7 +293,3 @@ class Delay(Effect):
     def parameters(self, coef):
         """Delay, the coefficient; see `Effect.parameters`."""
         return {"delay": float(coef[0])}
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return {"delay": "s"}

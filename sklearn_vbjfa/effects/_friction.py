@@ -2,11 +2,9 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect, JointEffect
+from sklearn_vbjfa.effects._base import SPEED, TORQUE, VISCOSITY, Effect, JointEffect
 from sklearn_vbjfa.effects._rest import mean_sign
 
-_TORQUE = ("N m", "N")
-_VISCOUS = ("N m s/rad", "N s/m")
 # Smoothing and Stribeck speeds to try, as shares of the joint's fastest speed.
 _SMOOTHINGS = (0.0, 0.02, 0.05, 0.1, 0.2)
 _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6)
@@ -16,6 +14,7 @@ class _Smoothed(Effect):
     """Dry friction, with a sign that may be smoothed."""
 
     continuous = ("smoothing",)
+    shape_units = (("smoothing", SPEED),)
 
     def __init__(self, joint=0, smoothing=0.0):
         super().__init__(joint)
@@ -24,10 +23,6 @@ class _Smoothed(Effect):
     def shapes(self, motion):
         fast = motion.speed(self.joint)
         return [{"smoothing": s * fast} for s in _SMOOTHINGS]
-
-    def parameter_units(self, prismatic=False):
-        units = super().parameter_units(prismatic)
-        return units | {"smoothing": "m/s" if prismatic else "rad/s"}
 
 
 class Viscous(JointEffect):
@@ -58,7 +53,7 @@ class Viscous(JointEffect):
     formula = r"F_v\,v"
     coefficients = ("Fv",)
     nonnegative = ("Fv",)
-    units = (_VISCOUS,)
+    units = (VISCOSITY,)
     visible = "motion at several speeds"
     record = "motion at several speeds"
 
@@ -101,7 +96,7 @@ class Coulomb(_Smoothed, JointEffect):
     )
     coefficients = ("Fc",)
     nonnegative = ("Fc",)
-    units = (_TORQUE,)
+    units = (TORQUE,)
     visible = "the joint reverses"
     record = "many reversals"
 
@@ -142,7 +137,7 @@ class AsymmetricFriction(Effect):
     label = "friction that differs with direction"
     formula = r"\Delta F_c\,|\mathrm{sign}(v)| + \Delta F_v\,|v|"
     coefficients = ("dFc", "dFv")
-    units = (_TORQUE, _VISCOUS)
+    units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
     visible = "both directions of motion, at several speeds"
     record = "both directions at several speeds"
@@ -188,9 +183,10 @@ class Stribeck(Effect):
     formula = r"F_s\,e^{-|v/v_s|^k}\,\mathrm{sign}(v)"
     coefficients = ("Fs",)
     nonnegative = ("Fs",)
-    units = (_TORQUE,)
+    units = (TORQUE,)
     contains = ("coulomb", "viscous")
     continuous = ("vs",)
+    shape_units = (("vs", SPEED), ("k", ("", "")))
     positive = ("vs",)
     visible = "slow motion without standing still, and fast motion"
     record = "slow and fast motion"
@@ -213,11 +209,6 @@ class Stribeck(Effect):
     def key(self):
         """Both exponents are one use of the effect."""
         return (self.name, self.joint, ())
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        units = super().parameter_units(prismatic)
-        return units | {"vs": "m/s" if prismatic else "rad/s", "k": ""}
 
 
 class ViscousQuadratic(Effect):

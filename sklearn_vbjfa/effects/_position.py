@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect, JointEffect
+from sklearn_vbjfa.effects._base import POSITION, STIFFNESS, TORQUE, Effect, JointEffect
 
-_TORQUE = ("N m", "N")
 # Longest and shortest period to try: of a revolute joint [rad], and as shares of the
 # range of a prismatic one.
 _LONGEST, _SHORTEST = np.radians(75.0), np.radians(2.0)
@@ -36,7 +35,7 @@ class Offset(JointEffect):
     label = "constant offset"
     formula = r"c"
     coefficients = ("c",)
-    units = (_TORQUE,)
+    units = (TORQUE,)
     visible = "any motion, unless gravity is constant on the joint as well"
     record = "motion with and against gravity"
 
@@ -75,7 +74,8 @@ class Spring(Effect):
     label = "spring"
     formula = r"k\,(q - q_0)"
     coefficients = ("k", "c")
-    units = (("N m/rad", "N/m"), _TORQUE)
+    units = (STIFFNESS, TORQUE)
+    named_units = (("k", STIFFNESS), ("q0", POSITION))
     contains = ("offset",)
     visible = "a wide range of positions"
     record = "a wide range of positions"
@@ -89,13 +89,6 @@ class Spring(Effect):
         """Stiffness and position at rest; see `Effect.parameters`."""
         k, c = (float(x) for x in coef)
         return {"k": k, "q0": -c / k if k else np.nan}
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return {
-            "k": "N/m" if prismatic else "N m/rad",
-            "q0": "m" if prismatic else "rad",
-        }
 
 
 class Counterbalance(Effect):
@@ -126,7 +119,7 @@ class Counterbalance(Effect):
     label = "counterbalance"
     formula = r"a \cos q + b \sin q + c \cos 2q + d \sin 2q + e"
     coefficients = ("a", "b", "c", "d", "e")
-    units = (_TORQUE,) * 5
+    units = (TORQUE,) * 5
     contains = ("offset", "spring")
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
@@ -172,7 +165,9 @@ class Ripple(Effect):
     label = "torque ripple"
     formula = r"A \cos(2 \pi q / \mathrm{period} - \mathrm{phase})"
     coefficients = ("c", "s")
-    units = (_TORQUE, _TORQUE)
+    units = (TORQUE, TORQUE)
+    named_units = (("A", TORQUE), ("phase", ("rad", "rad")))
+    shape_units = (("period", POSITION),)
     contains = ("offset",)
     continuous = ("period",)
     positive = ("period",)
@@ -213,11 +208,3 @@ class Ripple(Effect):
         """Amplitude and phase; see `Effect.parameters`."""
         c, s = (float(x) for x in coef)
         return {"A": float(np.hypot(c, s)), "phase": float(np.arctan2(s, c))}
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return {
-            "A": "N" if prismatic else "N m",
-            "phase": "rad",
-            "period": "m" if prismatic else "rad",
-        }

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._base import TIME, TORQUE, VISCOSITY, Effect
 from sklearn_vbjfa.effects._friction import Coulomb, Viscous
 
 # Time constants to try, as shares of the recording's length.
@@ -50,7 +50,8 @@ class Drift(Effect):
         r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
     )
     coefficients = ("D",)
-    units = (("N m", "N"),)
+    units = (TORQUE,)
+    shape_units = (("time_constant", TIME),)
     contains = ("offset", "coulomb", "viscous")
     needs = ("time",)
     continuous = ("time_constant",)
@@ -94,10 +95,8 @@ class Drift(Effect):
 
     def parameter_units(self, prismatic=False):
         """Units; see `Effect.parameter_units`."""
-        unit = "N" if prismatic else "N m"
-        if self.of == "viscous":
-            unit = "N s/m" if prismatic else "N m s/rad"
-        return {"D": unit, "time_constant": "s"}
+        units = VISCOSITY if self.of == "viscous" else TORQUE
+        return super().parameter_units(prismatic) | {"D": units[bool(prismatic)]}
 
 
 class Payload(Effect):
@@ -140,6 +139,7 @@ class Payload(Effect):
     )
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
+    shape_units = (("instant", TIME),)
     needs = ("time",)
     continuous = ("instant",)
     jumping = ("instant",)
@@ -190,10 +190,6 @@ class Payload(Effect):
         taken = np.isin(np.searchsorted(t, shares), border)
         instants = np.unique(np.concatenate([shares[~taken], starts]))
         return [{"instant": float(s)} for s in instants]
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return super().parameter_units(prismatic) | {"instant": "s"}
 
 
 def _ball(c):

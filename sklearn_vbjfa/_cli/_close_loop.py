@@ -79,13 +79,13 @@ def add_to(commands):
 def run(arguments):
     """Close the loop on a user's recording and write the files."""
     from sklearn_vbjfa import effects
+    from sklearn_vbjfa.effects import _declared
     from sklearn_vbjfa.physical import ProjectionError
-    from sklearn_vbjfa.robot import _friction
 
     source, urdf = Path(arguments.recording), Path(arguments.urdf)
     out = Path(arguments.out) if arguments.out else _input.default_folder(source)
     _input.check_folder(out)
-    friction = _input.names("--friction", arguments.friction, _friction.available())
+    friction = _input.names("--friction", arguments.friction, _declared.available())
     library = arguments.effects
     if library != "all":
         library = _input.names("--effects", library, effects.available())

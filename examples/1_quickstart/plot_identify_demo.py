@@ -28,7 +28,8 @@ print(recording)
 # %%
 # The fit
 # -------
-# States, filter, standstill mask, joint weights and projection are chosen from the data.
+# States, filter, standstill mask, joint weights and projection are chosen from the
+# data.
 
 robot = RobotIdentifier(
     recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")

@@ -99,8 +99,8 @@ missing = [name for name, found in loaded.items() if found is None]
 # %%
 # The loop
 # --------
-# A mean of neighbouring samples is one sample of a slower clock; incomplete means at the
-# end of a recording are left out.
+# A mean of neighbouring samples is one sample of a slower clock; incomplete means at
+# the end of a recording are left out.
 
 
 def averaged(recording, count):
@@ -152,8 +152,8 @@ for name, found in loaded.items():
 # %%
 # Without the recordings
 # ----------------------
-# The table of the benchmark stands in for them: another declared model (viscous friction
-# alone), the whole library, the whole recordings.
+# The table of the benchmark stands in for them: another declared model (viscous
+# friction alone), the whole library, the whole recordings.
 
 if missing:
     table = Path("docs", "tables", "discovery_measured.rst")

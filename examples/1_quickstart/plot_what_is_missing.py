@@ -4,9 +4,9 @@ What does the model lack?
 =========================
 
 A declared model is fitted, its torque residuals are searched for known effects, and the
-model is completed with what is found. The recorded arm has viscous and Coulomb friction,
-and on joint 2 friction proportional to the load; the declared model has only viscous
-friction.
+model is completed with what is found. The recorded arm has viscous and Coulomb
+friction, and on joint 2 friction proportional to the load; the declared model has only
+viscous friction.
 """
 
 # %%
@@ -62,8 +62,8 @@ for name, before, after in zip(
 print(f"unexplained: {[rest.joint_name for rest in loop.unexplained_]}")
 
 # %%
-# Effects that could not have been found: here the inertia of the first two rotors, which
-# acts on the torques like inertias of the links.
+# Effects that could not have been found: here the inertia of the first two rotors,
+# which acts on the torques like inertias of the links.
 
 for effect in loop.hidden_:
     print(f"{effect.joint_name}: {effect.name} ({effect.reason})")
@@ -71,9 +71,9 @@ for effect in loop.hidden_:
 # %%
 # Residual against speed
 # ----------------------
-# The residual of the declared model has a step where the joint reverses. On joint 2 more
-# is missing: the step depends on the load. (The completed model is the final one, fitted
-# to all data.)
+# The residual of the declared model has a step where the joint reverses. On joint 2
+# more is missing: the step depends on the load. (The completed model is the final one,
+# fitted to all data.)
 
 tested = np.concatenate(
     [np.flatnonzero(recording.groups == label)[-1000:] for label in (0, 1)]

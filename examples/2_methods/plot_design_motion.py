@@ -100,9 +100,9 @@ def draw():
 # The choice
 # ----------
 # The intended use is represented by twenty random motions. Let M be the information
-# matrix of the data, and U that of one equation of these motions on average. The expected
-# squared error of the predictions, in units of the noise, is then the trace of M^-1 U.
-# The best of 60 random motions is improved by small changes, kept if they help.
+# matrix of the data, and U that of one equation of these motions on average. The
+# expected squared error of the predictions, in units of the noise, is then the trace of
+# M^-1 U. The best of 60 random motions is improved by small changes, kept if they help.
 
 uses = [information(motion(draw())) for _ in range(20)]
 wanted = np.mean(uses, axis=0) / (len(t) / 10 * 6)

@@ -10,9 +10,9 @@ truth.
 # %%
 # The data
 # --------
-# A smaller version of the paper's synthetic problem (section 5.1): six inputs matter, and
-# a third of their variance is noise; thirty inputs have nothing to do with the output.
-# One fit is given the noise of the inputs, the other is not.
+# A smaller version of the paper's synthetic problem (section 5.1): six inputs matter,
+# and a third of their variance is noise; thirty inputs have nothing to do with the
+# output. One fit is given the noise of the inputs, the other is not.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -36,10 +36,11 @@ print(f"noise of the first six inputs: {share[:6].round(2)} of their variances")
 # %%
 # Noise
 # -----
-# Noise is shown as shares of the variances, since inputs may have any units; with `units`
-# it is shown as standard deviations, one panel per unit. Without known noise, the
-# regression treats the inputs that it finds irrelevant (one too many here) as exact, and
-# gives the others one common share, of which second moments give only an upper bound.
+# Noise is shown as shares of the variances, since inputs may have any units; with
+# `units` it is shown as standard deviations, one panel per unit. Without known noise,
+# the regression treats the inputs that it finds irrelevant (one too many here) as
+# exact, and gives the others one common share, of which second moments give only an
+# upper bound.
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 7.5), layout="constrained")
 for axis, model, title in zip(axes, (told, free), ("noise known", "noise estimated")):
@@ -50,9 +51,9 @@ for axis, model, title in zip(axes, (told, free), ("noise known", "noise estimat
 # Coefficients
 # ------------
 # Coefficients for noiseless queries, with their intervals, and the smaller ones for
-# queries as noisy as the data. Inputs that the fit finds irrelevant have hollow markers.
-# One of them, x0, does matter: the intervals hold for the chosen inputs and do not allow
-# for errors of that choice.
+# queries as noisy as the data. Inputs that the fit finds irrelevant have hollow
+# markers. One of them, x0, does matter: the intervals hold for the chosen inputs and do
+# not allow for errors of that choice.
 
 display = ParameterDisplay.from_estimator(told, nominal=true).plot()
 

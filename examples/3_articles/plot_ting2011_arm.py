@@ -113,9 +113,9 @@ for k, (ax, label) in enumerate(zip(axes, labels)):
 plt.show()
 
 # %%
-# The margin of the paper, 5 to 20 per cent, does not appear: after smoothing and low-pass
-# hardly any noise is left in the inputs by which the methods could differ, and what is
-# left to the feedback is what no rigid-body model contains.
+# The margin of the paper, 5 to 20 per cent, does not appear: after smoothing and
+# low-pass hardly any noise is left in the inputs by which the methods could differ, and
+# what is left to the feedback is what no rigid-body model contains.
 #
 # The margin returns with the noise: with states smoothed to 60 Hz and no low-pass the
 # default needs 29 per cent less feedback than its rivals (see the benchmarks).

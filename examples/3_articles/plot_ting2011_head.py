@@ -43,9 +43,9 @@ fit_to = (recording.q, recording.tau, recording.groups)
 # %%
 # Methods
 # -------
-# The paper's, each with the projection onto physically consistent parameters; the default
-# of `RobotIdentifier`; and the default completed with what `EffectDiscovery` finds out of
-# two effects.
+# The paper's, each with the projection onto physically consistent parameters; the
+# default of `RobotIdentifier`; and the default completed with what `EffectDiscovery`
+# finds out of two effects.
 
 blocks = KFold(5)
 regressors = {

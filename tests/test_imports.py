@@ -137,7 +137,7 @@ def test_the_walk_sees_what_is_there():
     path = ROOT / "regression" / "_vbjfa.py"
     assert {"_core", "regression"} <= set(rooms_imported(path))
     path = ROOT / "robot" / "_estimate.py"
-    assert {"_core", "regression", "robot"} <= set(rooms_imported(path))
+    assert {"physical", "regression", "robot"} <= set(rooms_imported(path))
     assert all(modules_of(room) for room in ROOMS)
 
 

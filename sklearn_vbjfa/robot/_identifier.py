@@ -18,6 +18,7 @@ from sklearn_vbjfa.recording._recording import (
     contiguous_groups,
     take_arrays,
 )
+from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
@@ -50,7 +51,6 @@ from sklearn_vbjfa.robot._recording_checks import (
     check_input_noise,
     check_length,
     check_speed,
-    check_time_stamps,
     check_weight,
     check_widths,
     warn_of_disorder,

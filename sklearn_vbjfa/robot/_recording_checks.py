@@ -5,12 +5,6 @@ import warnings
 import numpy as np
 
 from sklearn_vbjfa.recording._faults import position_jumps, shuffled_rows
-from sklearn_vbjfa.recording._recording import check_dt
-
-# Steps between time stamps, in sample periods: beyond the first a sample is missing,
-# beyond the second it is told of. Accelerations go with the square of a wrong period:
-# this much of it, and no less than a sample over a recording, is refused.
-_MISSING, _JITTER, _WRONG_PERIOD = 1.5, 0.1, 0.002
 
 # A period [s] that is no robot's; and one that is none if the fastest joint is as slow
 # as this [rad/s or m/s], which a unit of time that is no second makes of every motion.
@@ -198,89 +192,6 @@ def check_count(stats, standstill, n_parameters):
             f"than the {n_parameters} parameters; record for longer, or raise "
             "`cutoff`."
         )
-
-
-def check_time_stamps(t, dt, parts):
-    """Refuse time stamps that contradict the sample period, tell of irregular ones.
-
-    Nothing is asked of the step from one recording to the next.
-
-    Parameters
-    ----------
-    t : array-like of shape (n,) or None
-        Time stamps [s]; None checks nothing.
-    dt : float or None
-        Sample period [s]; None, where rows need not be equidistant, checks nothing
-        but that the stamps rise.
-    parts : list of slice
-        Recordings.
-    """
-    if t is None:
-        return
-    time = np.asarray(t, dtype=float)
-    n = parts[-1].stop
-    if time.shape != (n,):
-        raise ValueError(
-            f"t must hold one time per row, shape ({n},); got {time.shape}."
-        )
-    if not np.isfinite(time).all():
-        raise ValueError(
-            f"t must be finite; row {np.flatnonzero(~np.isfinite(time))[0]} is not."
-        )
-    inside = np.ones(n - 1, dtype=bool)
-    inside[[part.stop - 1 for part in parts[:-1]]] = False
-    rows = np.flatnonzero(inside)
-    step = np.diff(time)[rows]
-    back = rows[step <= 0]
-    if back.size:
-        raise ValueError(
-            f"t must rise within a recording; it does not after {_first(back)} "
-            f"({time[back[0]]:.6g} s, then {time[back[0] + 1]:.6g} s). Drop repeated "
-            "rows, or begin another recording there (groups)."
-        )
-    if dt is None:
-        return
-    dt = check_dt(dt)
-    for part in parts:
-        count = part.stop - part.start - 1
-        took = time[part.stop - 1] - time[part.start]
-        # One gap is no other sample period.
-        usual = np.median(np.diff(time[part])) if count else dt
-        if abs(usual - dt) > _MISSING * dt or (
-            abs(usual - dt) > _WRONG_PERIOD * dt
-            and abs(took - count * dt) > max(_WRONG_PERIOD * count, 1.0) * dt
-        ):
-            raise ValueError(
-                f"The time stamps of the recording from row {part.start} advance by "
-                f"{took / count:.6g} s a row ({usual:.6g} s in the median), but "
-                f"dt={dt:.6g} s. Correct dt, or resample onto equidistant times."
-            )
-    gap = rows[step > _MISSING * dt]
-    if gap.size:
-        raise ValueError(
-            f"Samples are missing: the time stamps step by up to {step.max():.6g} s, "
-            f"with dt={dt:.6g} s, {gap.size} times by more than {_MISSING} dt (after "
-            f"{_first(gap)}). Resample onto equidistant times, or begin another "
-            "recording after each gap (groups)."
-        )
-    off = np.abs(step / dt - 1)
-    irregular = rows[off > _JITTER]
-    if irregular.size:
-        warnings.warn(
-            f"{irregular.size} of {step.size} steps between time stamps differ from "
-            f"dt={dt:.6g} s by more than {100 * _JITTER:.0f} %, at most by "
-            f"{100 * off.max():.0f} % (after {_first(irregular)}); rows count as "
-            "equidistant. "
-            "Resample, unless only the stamps are irregular and not the sampling.",
-            UserWarning,
-            stacklevel=4,
-        )
-
-
-def _first(rows):
-    """Name the first few of some rows."""
-    more = ", ..." if rows.size > 5 else ""
-    return f"row {', '.join(str(row) for row in rows[:5])}{more}"
 
 
 def check_weight(sample_weight, shape):

@@ -11,8 +11,8 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot._plan import Plan
-from sklearn_vbjfa.robot._recording_checks import check_time_stamps
 from tests.model._robots import swing
 
 DT = 0.01

@@ -12,6 +12,7 @@ import pytest
 
 import sklearn_vbjfa
 from sklearn_vbjfa import datasets, diagnosis, distributed, effects, physical
+from tests.test_imports import APART, ROOMS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -45,7 +46,8 @@ def code_blocks(path):
     if path.suffix == ".md":
         pattern = r"^```python\n(.*?)^```"
     else:
-        pattern = r"^\.\. code-block:: python\n\n((?:    .*\n|\n)+)"
+        # A block inside a list is indented with the list.
+        pattern = r"^ *\.\. code-block:: python\n\n((?:    .*\n|\n)+)"
     blocks = []
     for match in re.finditer(
         pattern, text, flags=re.DOTALL * (path.suffix == ".md") | re.M
@@ -205,6 +207,18 @@ def constants_of_the_loop():
         f"holds the error over the next {intervals.NEXT_SECONDS:g} s",
         f"the {intervals._COSINES} slowest cosines of time",
     ]
+
+
+def test_table_of_rooms_is_that_of_the_imports():
+    rows = re.findall(
+        r"    \* - ``(\w+)``\n      - .+(?:\n {8}.+)*\n      - (.+)\n",
+        read(DOCS / "architecture.rst"),
+    )
+    assert tuple(room for room, _ in rows) == ROOMS
+    for room, imports in rows:
+        above = set(ROOMS[: ROOMS.index(room)])
+        told = above if imports == "all above" else set(re.findall(r"\w+", imports))
+        assert told - {"none"} == APART.get(room, above), room
 
 
 def test_numbers_of_the_loop_are_those_of_the_code():

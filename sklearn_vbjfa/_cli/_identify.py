@@ -22,7 +22,7 @@ def run(arguments):
     if arguments.data == "demo":
         recording = protocol.load()
     else:
-        recording = protocol.load(data_home=arguments.data_home, **protocol.options)
+        recording = protocol.load(data_home=arguments.data_home)
     train, test = protocol.split(recording)
     identifier = RobotIdentifier(
         recording.robot_model(),

@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.displays._base import (
     share_limits,
     split_rows,
 )
-from sklearn_vbjfa.model._loading import is_prismatic, load_model
+from sklearn_vbjfa.model._loading import is_prismatic
 
 SHARE = "share of the variance"
 # From this ratio of the largest to the smallest value on, a linear axis would hide
@@ -121,7 +121,7 @@ class NoiseDisplay(Display):
 
     @classmethod
     def _of_robot(cls, robot):
-        prismatic = is_prismatic(load_model(robot.features_.model))
+        prismatic = is_prismatic(robot.features_.model_)
         torque = tuple("N" if kind else "N m" for kind in prismatic)
         noise = {
             "output noise": robot.output_noise_,

@@ -563,8 +563,10 @@ def _split(settings):
         text += f"; search: {settings['n_blocks']} blocks of {seconds} s, "
         text += f"{settings.get('n_folds', '?')} folds"
     if "correlation_seconds" in settings:
-        seconds = words.number(settings["correlation_seconds"], 2)
-        text += f"; residual correlated for {seconds} s"
+        seconds = settings["correlation_seconds"]
+        known = math.isfinite(seconds)
+        length = f"for {words.number(seconds, 2)} s" if known else "throughout"
+        text += f"; residual correlated {length}"
     return f"{text}."
 
 

@@ -55,9 +55,7 @@ def text_table(heads, rows, *, numbers):
     last = len(widths) - 1
     flexible = [0, last] if numbers else range(last + 1)
     # No word is broken unless it is very long.
-    words = [
-        [word for cell in column for word in cell.split()] for column in zip(*cells)
-    ]
+    words = [" ".join(column).split() for column in zip(*cells)]
     least = [min(max(map(len, column), default=0), _LONG) for column in words]
     while sum(widths) + 2 * last > _TERMINAL:
         wrapped = [k for k in flexible if widths[k] > least[k]]

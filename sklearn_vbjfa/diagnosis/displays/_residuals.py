@@ -292,13 +292,11 @@ def _signals(robot, X, groups, t, index, joints):
     motion = make_motion(
         robot.features_, states_of(robot, X, groups), clock, parts, rigid, robot.cutoff_
     )
-    kinds = motion.prismatic[joints]
+    kinds, load = motion.prismatic[joints], motion.load[index][:, joints]
     signals = {
         f"velocity [{_unit(kinds, 'rad/s', 'm/s')}]": motion.v[index][:, joints],
         f"position [{_unit(kinds, 'rad', 'm')}]": motion.q[index][:, joints],
-        f"rigid-body torque [{_unit(kinds, 'N m', 'N')}]": motion.load[index][
-            :, joints
-        ],
+        f"rigid-body torque [{_unit(kinds, 'N m', 'N')}]": load,
     }
     if clock is not None:
         signals["time [s]"] = clock[index]
@@ -306,5 +304,5 @@ def _signals(robot, X, groups, t, index, joints):
 
 
 def _unit(kinds, turning, sliding):
-    """Unit of what the joints of some kinds have in common, of both if they differ."""
+    """Return the unit of what the joints of some kinds share, or both units."""
     return " or ".join(dict.fromkeys(sliding if kind else turning for kind in kinds))

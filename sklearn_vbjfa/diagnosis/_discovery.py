@@ -24,8 +24,7 @@ from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._plan import check_widths
+from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
 
 @contextlib.contextmanager
@@ -229,7 +228,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         )
         y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
         groups = np.zeros(X.shape[0], int) if groups is None else np.asarray(groups)
-        weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
+        weight = check_weight(sample_weight, y.shape)
         clock = check_clock(t, X.shape[0], check_dt(self.identifier.dt))
         whole = X, y, groups, weight
         with progress_bar(self.verbose) as say:
@@ -246,7 +245,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             found = EffectSearch(
                 view=view,
                 library=library,
-                declared=tuple(self.declared_.features_._friction),
+                declared=tuple(self.declared_.features_.friction_),
                 floor=self.declared_.noise_floor_**2,
                 alpha=float(self.alpha),
                 max_effects=self.max_effects,

@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signa
 from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._recording_checks import check_weight
 
 # Signals that are named in the printed table.
 _SHOWN = 3
@@ -147,7 +147,7 @@ def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=No
         )
     X = check_array(X, dtype=np.float64)
     y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
-    weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
+    weight = check_weight(sample_weight, y.shape)
     if not hasattr(identifier, "theta_"):
         identifier = clone(identifier).fit(X, y, groups, weight, t=t)
     view = RecordingView(identifier, X, y, groups, weight, t)

@@ -287,8 +287,8 @@ class ChannelEquations:
 
     def __init__(self, model, signals):
         n, nv = signals.sign.shape
-        self._features = RigidBodyFeatures(model, friction=())._load()
-        self._rigid = self._features._compute(signals.states).reshape(n, nv, -1)
+        self._features = RigidBodyFeatures(model, friction=()).load()
+        self._rigid = self._features.matrices(signals.states).reshape(n, nv, -1)
         self._parameters = nominal_parameters(model).ravel()
         self._nominal = self._rigid @ self._parameters
         self._at_rest = None
@@ -384,7 +384,7 @@ class ChannelEquations:
             nv = self._signals.sign.shape[1]
             still = self._signals.states.copy()
             still[:, nv:] = 0.0
-            rigid = self._features._compute(still).reshape(
+            rigid = self._features.matrices(still).reshape(
                 *self._signals.sign.shape, -1
             )
             self._at_rest = rigid @ self._parameters

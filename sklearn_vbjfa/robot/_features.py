@@ -124,27 +124,34 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self : object
             Fitted transformer.
         """
-        self._load()
+        self.load()
         X = validate_data(self, X, dtype=np.float64)
         self._check_width(X)
         return self
 
-    def _load(self):
-        self._model = load_model(self.model)
-        self._friction = _friction.check_names(self.friction)
-        self.n_joints_ = self._model.nv
-        per_joint = len(INERTIAL_NAMES) + len(self._friction)
+    def load(self):
+        """Load the model alone, without states to check.
+
+        Returns
+        -------
+        self : object
+            Fitted transformer.
+        """
+        self.model_ = load_model(self.model)
+        self.friction_ = _friction.check_names(self.friction)
+        self.n_joints_ = self.model_.nv
+        per_joint = len(INERTIAL_NAMES) + len(self.friction_)
         self.n_parameters_ = self.n_joints_ * per_joint
         names, units = [], []
-        kinds = is_prismatic(self._model)
-        for name, prismatic in zip(joint_names(self._model), kinds):
-            columns = INERTIAL_NAMES + self._friction
+        kinds = is_prismatic(self.model_)
+        for name, prismatic in zip(joint_names(self.model_), kinds):
+            columns = INERTIAL_NAMES + self.friction_
             names += [f"{name}:{column}" for column in columns]
             units += ["kg"] + 3 * ["kg m"] + 6 * ["kg m^2"]
-            units += [_friction.unit(column, prismatic) for column in self._friction]
+            units += [_friction.unit(column, prismatic) for column in self.friction_]
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
-        self._regressor = TreeRegressor(self._model)
+        self._regressor = TreeRegressor(self.model_)
         self._zeros = self._find_zeros()
         return self
 
@@ -156,10 +163,10 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         # not depend on a parameter; in world axes they are the rounding of
         # differences, which have no scale to be told by.
         pin = import_pinocchio()
-        data = self._model.createData()
+        data = self.model_.createData()
         probes = np.array(
             [
-                pin.computeJointTorqueRegressor(self._model, data, *np.split(row, 3))
+                pin.computeJointTorqueRegressor(self.model_, data, *np.split(row, 3))
                 for row in states
             ]
         )
@@ -175,7 +182,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
                 + (
                     "These look like positions alone: use StateEstimator first."
                     if X.shape[1] == nv
-                    else f"Joints in order: {', '.join(joint_names(self._model))}."
+                    else f"Joints in order: {', '.join(joint_names(self.model_))}."
                 )
             )
 
@@ -194,20 +201,43 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         """
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        return self._compute(X).reshape(X.shape[0], -1)
+        return self.matrices(X).reshape(X.shape[0], -1)
 
-    def _compute(self, X, rest=None):
-        """Return the regressor matrices as (n_samples, nv, p).
+    def matrices(self, X, rest=None):
+        """Compute the regressor matrices of states that were checked.
 
-        With a `Rest` the sign of a velocity is its mean.
+        Parameters
+        ----------
+        X : ndarray of shape (n_samples, 3 * nv)
+            States [q | v | a].
+        rest : Rest or None, default=None
+            Signs of velocities are their means with it.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, nv, p)
+            Regressor matrices.
         """
         nv, n = self.n_joints_, X.shape[0]
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
-        Phi = np.empty((n, nv, nv, 10 + len(self._friction)))
+        Phi = np.empty((n, nv, nv, 10 + len(self.friction_)))
         self._regressor(q, v, a, out=Phi, zeros=self._zeros)
         diagonal = np.arange(nv)
-        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self._friction, v, a, rest)
+        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self.friction_, v, a, rest)
         return Phi.reshape(n, nv, self.n_parameters_)
+
+    def torques(self, q, v, a, inertial):
+        """Rigid-body torques (n, nv) of bodies (nv, 10), without friction."""
+        return self._regressor.torques(q, v, a, inertial)
+
+    @property
+    def support_(self):
+        """Entries of a regressor matrix that some motion makes, (nv, p), bool."""
+        nv = self.n_joints_
+        entries = np.zeros((nv, nv, self.n_parameters_ // nv), dtype=bool)
+        entries[:, :, :10] = self._regressor.carried[:, :, None] & ~self._zeros
+        entries[np.arange(nv), np.arange(nv), 10:] = True
+        return entries.reshape(nv, -1)
 
     def get_feature_names_out(self, input_features=None):
         """Names of the columns, such as "tau_joint_1/joint_2:m".
@@ -226,7 +256,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         return np.array(
             [
                 f"tau_{joint}/{parameter}"
-                for joint in joint_names(self._model)
+                for joint in joint_names(self.model_)
                 for parameter in self.parameter_names_
             ],
             dtype=object,

@@ -31,7 +31,6 @@ from sklearn.model_selection import KFold
 
 from sklearn_vbjfa import (
     EffectDiscovery,
-    JointTorqueRegressor,
     PhysicalProjector,
     RigidBodyFeatures,
     RobotIdentifier,
@@ -45,6 +44,7 @@ from sklearn_vbjfa.datasets._plant import draw_motion
 from sklearn_vbjfa.datasets._robots import rigid_torques
 from sklearn_vbjfa.physical import ProjectionError
 from sklearn_vbjfa.robot import _identifier
+from sklearn_vbjfa.robot._joint_moments import JointMoments
 from sklearn_vbjfa.robot._states import SplineStates
 
 FRICTION = ("viscous",)
@@ -58,12 +58,12 @@ STAGES = ("states", "features", "statistics", "fit", "projection", "other")
 CALLS = (
     ("states", StateEstimator, ("fit", "transform", "split_transform")),
     ("states", SplineStates, ("__getitem__", "derivative")),
-    ("features", RigidBodyFeatures, ("_compute",)),
+    ("features", RigidBodyFeatures, ("matrices",)),
     ("statistics", Lowpass, ("__call__",)),
     ("statistics", BlockFilter, ("add",)),
     ("statistics", _identifier, ("accumulate",)),
-    ("statistics", JointTorqueRegressor, ("_accumulate",)),
-    ("fit", JointTorqueRegressor, ("_finish",)),
+    ("statistics", JointMoments, ("__add__",)),
+    ("fit", _identifier, ("estimate",)),
     ("projection", PhysicalProjector, ("fit", "transform")),
 )
 

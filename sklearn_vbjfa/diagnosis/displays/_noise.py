@@ -120,7 +120,7 @@ class NoiseDisplay:
 
     @classmethod
     def _of_robot(cls, robot):
-        prismatic = is_prismatic(robot.features_._model)
+        prismatic = is_prismatic(robot.features_.model_)
         torque = tuple("N" if kind else "N m" for kind in prismatic)
         noise = {
             "output noise": robot.output_noise_,

@@ -6,7 +6,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_vbjfa.diagnosis.displays._base import check_attributes, import_pyplot
 from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._equations import make_motion
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
+from sklearn_vbjfa.robot._identifier import RobotIdentifier, states_of
 
 # Points of one panel: more are a blot, and slow.
 _POINTS = 4000
@@ -283,7 +283,7 @@ def _signals(robot, X, groups, t, index, joints):
     clock = check_clock(t, X.shape[0], robot.dt)
     rigid = robot.theta_[: robot.features_.n_parameters_]
     motion = make_motion(
-        robot.features_, robot._states(X, groups), clock, parts, rigid, robot.cutoff_
+        robot.features_, states_of(robot, X, groups), clock, parts, rigid, robot.cutoff_
     )
     kinds = motion.prismatic[joints]
     angle = "m" if kinds.all() else "rad" if not kinds.any() else "rad or m"

@@ -45,16 +45,16 @@ def make_outcome(loop, search, final, judgement, floor, channels, library):
     """
     robot = loop.declared_
     names = robot.joint_names_
-    prismatic = is_prismatic(robot.features_._model)
+    prismatic = is_prismatic(robot.features_.model_)
     spread = judgement.spread
     with np.errstate(divide="ignore", invalid="ignore"):
         floor = floor / spread
         wide = np.array(judgement.wide or np.full((2, spread.size), np.nan)) / spread
     return Outcome(
         declared={
-            "robot": robot.features_._model.name,
+            "robot": robot.features_.model_.name,
             "joints": names,
-            "friction": robot.features_._friction,
+            "friction": robot.features_.friction_,
             "n_parameters": robot.features_.n_parameters_,
             "cutoff": float(robot.cutoff_),
             "standstill": robot.standstill_.tolist(),

@@ -25,11 +25,9 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
     no_worse,
 )
 from sklearn_vbjfa.diagnosis.search._regression import BlockRegression, Judge
-from sklearn_vbjfa.robot import _friction
 from sklearn_vbjfa.robot._equations import unexcited_entries
-from sklearn_vbjfa.robot._estimate import project_beside
-from sklearn_vbjfa.robot._joint_moments import joint_statistics, residual_squares
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._estimate import estimate, project
+from sklearn_vbjfa.robot._joint_moments import joint_moments
 
 # Stretches that are left out in turn.
 _STRETCHES = 3
@@ -82,7 +80,7 @@ class Transfer:
         self._edges = np.cumsum(widths)
         label = stretches(view.blocks, view.recording)
         self._stats = [
-            joint_statistics(Phi[rows], equations.tau[rows], equations.weight[rows])
+            joint_moments(Phi[rows], equations.tau[rows], equations.weight[rows])
             for rows in (label == k for k in np.unique(label))
         ]
 
@@ -104,33 +102,20 @@ class Transfer:
             if any(effect is one for one in effects):
                 pieces.append(np.arange(self._edges[i], self._edges[i + 1]))
         chosen = np.concatenate(pieces)
-        stats = [_columns(one, chosen) for one in self._stats]
+        stats = [one.columns(chosen) for one in self._stats]
         out = []
         for k, kept in enumerate(stats):
             others = [one for i, one in enumerate(stats) if i != k]
             theta = self._fit(sum(others[1:], start=others[0]))
-            out.append(residual_squares(kept, theta))
+            out.append(kept.residual_squares(theta))
         return np.array(out)
 
     def _fit(self, stats):
         """Physically consistent parameters from statistics."""
         robot = self.view.robot
-        estimator = JointTorqueRegressor(joint_weights=self.view.precision)
-        estimator._begin()
-        estimator._stats = stats
-        rigid = robot.features_.n_parameters_
-        estimator._forget(unexcited_entries(stats, rigid))
-        estimator._finish()
-        if robot.projector is None:
-            return estimator.theta_
-        _, theta = project_beside(
-            robot.projector,
-            robot.features_._model,
-            estimator.theta_unconstrained_,
-            estimator.metric_,
-            _friction.check_names(robot.friction),
-        )
-        return theta
+        stats = stats.zeroed(unexcited_entries(stats, robot.features_.n_parameters_))
+        found = estimate(stats, joint_weights=self.view.precision)
+        return project(found, robot.projector, robot.features_).theta
 
 
 def _by_joint(view, motion, effect):
@@ -141,11 +126,6 @@ def _by_joint(view, motion, effect):
     out = np.zeros((columns.shape[0], view.nv, columns.shape[-1]))
     out[:, effect.joint] = columns
     return out
-
-
-def _columns(stats, chosen):
-    """Statistics of some columns."""
-    return replace(stats, G=stats.G[:, chosen][:, :, chosen], g=stats.g[:, chosen])
 
 
 # A joint whose out-of-sample error is within this factor of its noise floor lacks

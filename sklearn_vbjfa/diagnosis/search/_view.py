@@ -13,6 +13,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
 from sklearn_vbjfa.diagnosis.search._regression import Equations, FoldMoments
 from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._identifier import equations_of, states_of
 
 # Full-rate columns that are in memory at once.
 _COLUMN_BYTES = 128 << 20
@@ -59,14 +60,10 @@ class RecordingView:
         sample_weight[:, list(leave_out)] = 0.0
         self.parts = contiguous_groups(groups, X.shape[0])
         self.clock = check_clock(t, X.shape[0], robot.dt)
-        self.states = robot._states(X, groups)
+        self.states = states_of(robot, X, groups)
         self.lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
-        pieces = list(
-            robot._filtered(
-                self.states, y, sample_weight, self.parts, self.lowpass, t=self.clock
-            )
-        )
-        index, Phi, tau, weight = (np.concatenate(x) for x in zip(*pieces))
+        made = equations_of(robot, X, y, groups, sample_weight, self.clock)
+        index, Phi, tau, weight = made.index, made.Phi, made.tau, made.weight
         self.index = index
         self.equations = Equations(Phi=Phi, tau=tau, weight=weight)
         self.root = np.sqrt(weight)

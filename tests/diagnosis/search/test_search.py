@@ -40,7 +40,7 @@ def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
     return EffectSearch(
         view=view,
         library=effects.resolve(library),
-        declared=tuple(robot.features_._friction),
+        declared=tuple(robot.features_.friction_),
         floor=robot.noise_floor_**2,
         **{"alpha": 0.05, **given},
     )

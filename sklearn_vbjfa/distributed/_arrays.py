@@ -130,4 +130,6 @@ def _block_statistics(X, y, weight=None):
 
 
 def _merge(first, second):
-    return first if second is None else _moments.merge(first, second)
+    if first is None or second is None:
+        return first if second is None else second
+    return first + second

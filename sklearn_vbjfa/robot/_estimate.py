@@ -127,7 +127,7 @@ def estimate(
         theta_unconstrained=theta,
         std=std * _correlation(moments, weight, theta),
         joint_weights=weight,
-        metric=total.S_xx if noise is None else _denoised(total, noise),
+        metric=total.S_xx.copy() if noise is None else _denoised(total, noise),
         input_noise=noise,
         moments=replace(moments, blocks=None),
         regressor=regressor,

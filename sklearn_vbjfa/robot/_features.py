@@ -6,43 +6,12 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.model._loading import (
     INERTIAL_NAMES,
-    import_pinocchio,
     is_prismatic,
     joint_names,
     load_model,
 )
 from sklearn_vbjfa.model._regressor import TreeRegressor
 from sklearn_vbjfa.robot import _friction
-
-# Root mean square below which an entry of the regressor matrix is the rounding of a
-# zero, relative to the largest of its unit in the same torque.
-_ROUNDING = 1e-12
-# Random states that tell which entries are zero whatever the motion.
-_N_PROBES = 32
-
-
-def rounding_entries(power):
-    """Return which entries of the regressor matrices are the rounding of a zero.
-
-    Where a torque does not depend on a parameter the recursive algorithm leaves some
-    1e-16, which a regression in standardised columns would take for information. In
-    one torque all masses (first moments, inertias) have one unit and can be compared.
-
-    Parameters
-    ----------
-    power : ndarray of shape (nv, nv, k)
-        Mean or summed squares: torque, body, parameter (k >= 10).
-
-    Returns
-    -------
-    ndarray of shape (nv, nv, k), bool
-        Rounding; never a friction column.
-    """
-    rounding = np.zeros(power.shape, dtype=bool)
-    for kind in (slice(0, 1), slice(1, 4), slice(4, 10)):
-        largest = power[:, :, kind].max(axis=(1, 2), keepdims=True)
-        rounding[:, :, kind] = power[:, :, kind] <= _ROUNDING**2 * largest
-    return rounding
 
 
 class RigidBodyFeatures(TransformerMixin, BaseEstimator):
@@ -72,6 +41,12 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         Names of the entries of theta, such as "joint_1:m" or "joint_2:viscous".
     parameter_units_ : tuple of str
         Their units.
+    model_ : pinocchio.Model
+        The loaded model.
+    friction_ : tuple of str
+        Names of the friction columns.
+    support_ : ndarray of shape (nv, p), bool
+        Entries of a regressor matrix that some motion makes.
     n_features_in_ : int
         3 nv.
 
@@ -152,26 +127,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
         self._regressor = TreeRegressor(self.model_)
-        self._zeros = self._find_zeros()
         return self
-
-    def _find_zeros(self):
-        """Entries that are zero in every motion, ndarray of shape (nv, nv, 10)."""
-        nv = self.n_joints_
-        states = np.random.default_rng(0).normal(size=(_N_PROBES, 3 * nv))
-        # Pinocchio's recursion in body frames leaves exact zeros where the torque does
-        # not depend on a parameter; in world axes they are the rounding of
-        # differences, which have no scale to be told by.
-        pin = import_pinocchio()
-        data = self.model_.createData()
-        probes = np.array(
-            [
-                pin.computeJointTorqueRegressor(self.model_, data, *np.split(row, 3))
-                for row in states
-            ]
-        )
-        power = np.mean(probes.reshape(_N_PROBES, nv, nv, 10) ** 2, axis=0)
-        return rounding_entries(power)
 
     def _check_width(self, X):
         nv = self.n_joints_
@@ -221,10 +177,17 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         nv, n = self.n_joints_, X.shape[0]
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
         Phi = np.empty((n, nv, nv, 10 + len(self.friction_)))
-        self._regressor(q, v, a, out=Phi, zeros=self._zeros)
+        self._regressor(q, v, a, out=Phi)
         diagonal = np.arange(nv)
         Phi[:, diagonal, diagonal, 10:] = _friction.columns(self.friction_, v, a, rest)
         return Phi.reshape(n, nv, self.n_parameters_)
+
+    def one_by_one(self):
+        """Return a function of one state (q, v, a), for control loops.
+
+        It makes the bodies' regressor matrix (nv, nv, 10); see `TreeRegressor`.
+        """
+        return self._regressor.one_by_one()
 
     def torques(self, q, v, a, inertial):
         """Rigid-body torques (n, nv) of bodies (nv, 10), without friction."""
@@ -235,7 +198,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         """Entries of a regressor matrix that some motion makes, (nv, p), bool."""
         nv = self.n_joints_
         entries = np.zeros((nv, nv, self.n_parameters_ // nv), dtype=bool)
-        entries[:, :, :10] = self._regressor.carried[:, :, None] & ~self._zeros
+        entries[:, :, :10] = self._regressor.support
         entries[np.arange(nv), np.arange(nv), 10:] = True
         return entries.reshape(nv, -1)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa._core._moments import SufficientStatistics
+from sklearn_vbjfa._core._moments import Moments
 from sklearn_vbjfa._core._sandwich import block_variance
 
 # Blocks that the recordings of a fit are divided into, all together, and the fewest
@@ -270,14 +270,15 @@ class JointMoments:
         """Return the moments about zero of all joints' rows, weighted by (nv,)."""
         p = self.g.shape[1]
         used = weight > 0
-        return SufficientStatistics(
+        scatter = np.empty((p + 1, p + 1))
+        scatter[:-1, :-1] = np.einsum("j,jik->ik", weight, self.G)
+        scatter[-1, :-1] = scatter[:-1, -1] = weight @ self.g
+        scatter[-1, -1] = weight @ self.yy
+        return Moments(
             n_rows=int(self.n_rows[used].sum()),
             n_samples=float(self.n[used].sum()),
-            x_mean=np.zeros(p),
-            y_mean=0.0,
-            S_xx=np.einsum("j,jik->ik", weight, self.G),
-            S_xy=weight @ self.g,
-            S_yy=float(weight @ self.yy),
+            mean=np.zeros(p + 1),
+            scatter=scatter,
         )
 
     def total_noise(self, weight):

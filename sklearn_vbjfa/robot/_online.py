@@ -8,7 +8,6 @@ row is one symmetric rank-one update a joint, whatever the length of the memory.
 import numpy as np
 from scipy.linalg import blas
 
-from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.robot import _friction
 from sklearn_vbjfa.robot._equations import RegressorRows
 from sklearn_vbjfa.robot._joint_moments import JointMoments, joint_moments
@@ -44,8 +43,7 @@ class OnlineMoments:
         self._prepare()
 
     def _prepare(self):
-        self._data = self._features.model_.createData()
-        self._compute = import_pinocchio().computeJointTorqueRegressor
+        self._one = self._features.one_by_one()
         nv, p = self._g.shape
         # From the first column that a joint's torque depends on to the last.
         used = [np.flatnonzero(~row) for row in self._zero]
@@ -61,7 +59,7 @@ class OnlineMoments:
     def __getstate__(self):
         """Leave out what Pinocchio keeps for itself."""
         state = {**self.__dict__, "_G": self._full()}
-        for name in ("_data", "_compute", "_triangles", "_used", "_Phi", "_bodies"):
+        for name in ("_one", "_triangles", "_used", "_Phi", "_bodies"):
             del state[name]
         return state
 
@@ -109,12 +107,11 @@ class OnlineMoments:
     def _regressor(self, x):
         """Regressor matrix (nv, p) of one row, in memory that is used again.
 
-        For one row Pinocchio is faster than what spreads its work over many.
+        By Pinocchio itself: for one row a call of the compiled loop is no faster.
         """
         nv = self._n.size
         q, v, a = x[:nv], x[nv : 2 * nv], x[2 * nv :]
-        bodies = self._compute(self._features.model_, self._data, q, v, a)
-        self._bodies[:] = bodies.reshape(nv, nv, 10)
+        self._bodies[:] = self._one(q, v, a)
         columns = _friction.columns(self._features.friction_, v[None], a[None])
         diagonal = np.arange(nv)
         self._Phi.reshape(nv, nv, -1)[diagonal, diagonal, 10:] = columns[0]

@@ -25,7 +25,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from _report import parser, publish, rst_table, rst_title
+from _report import add_root_to_path, parser, publish, rst_table, rst_title
 from sklearn.linear_model import LassoCV, RidgeCV
 from sklearn.model_selection import KFold
 
@@ -77,7 +77,10 @@ def methods():
     blocks = KFold(5)
     ridge = RidgeCV(alphas=np.geomspace(1e-4, 1e4, 17), cv=blocks)
     lasso = LassoCV(cv=blocks, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
-    descent = PhysicalProjector(constraint="eq30", solver="virtual")
+    add_root_to_path()
+    from tests.reference.descent_projector import DescentProjector
+
+    descent = DescentProjector(constraint="eq30")
     plain = {
         "input_noise": None,
         "projector": PhysicalProjector(constraint="eq30"),

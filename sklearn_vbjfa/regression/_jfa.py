@@ -3,7 +3,7 @@
 from numbers import Integral, Real
 
 from sklearn_vbjfa._core._updates import Prior
-from sklearn_vbjfa.regression._base import (
+from sklearn_vbjfa.regression._joint_factor import (
     BaseJointFactorRegressor,
     noise_shares,
     resolve_input_noise,

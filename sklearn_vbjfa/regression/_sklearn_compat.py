@@ -1,11 +1,10 @@
 """Private parts of scikit-learn, gathered here so that one file follows its changes."""
 
 import numpy as np
-from sklearn.base import _fit_context
 from sklearn.utils._param_validation import Interval, StrOptions
 from sklearn.utils.validation import _check_sample_weight
 
-__all__ = ["Interval", "StrOptions", "_fit_context", "check_sample_weight"]
+__all__ = ["Interval", "StrOptions", "check_sample_weight"]
 
 
 def check_sample_weight(sample_weight, X):

@@ -23,7 +23,7 @@ from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._urdf import write_identified
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
-from sklearn_vbjfa.regression._base import BaseJointFactorRegressor
+from sklearn_vbjfa.regression._joint_factor import BaseJointFactorRegressor
 from sklearn_vbjfa.robot import _friction, _online, _torque_noise
 from sklearn_vbjfa.robot._equations import (
     RegressorRows,

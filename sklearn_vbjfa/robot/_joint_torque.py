@@ -18,7 +18,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._lowpass import averaging, decimate
 from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
-from sklearn_vbjfa.regression._base import BaseJointFactorRegressor
+from sklearn_vbjfa.regression._joint_factor import BaseJointFactorRegressor
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 from sklearn_vbjfa.robot import _joint_moments
 from sklearn_vbjfa.robot._joint_moments import (

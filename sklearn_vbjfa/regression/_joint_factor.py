@@ -202,8 +202,8 @@ def resolve_input_noise(input_noise, n_features):
                 "input_noise as a covariance must be symmetric, got "
                 f"{value[i, j]:.6g} at ({i}, {j}) and {value[j, i]:.6g} at ({j}, {i})."
             )
-        normal = value / np.where(unit > 0, unit, 1.0)
-        smallest = np.linalg.eigvalsh(0.5 * (normal + normal.T)).min()
+        scale = np.where(scale > 0, scale, 1.0)
+        smallest = scaled_eigen(0.5 * (value + value.T), scale=scale).values[0]
         if smallest < -1e-8 or (np.diagonal(value) < 0).any():
             raise ValueError(
                 "input_noise as a covariance must be positive semidefinite, got a "

@@ -63,9 +63,8 @@ class ScaledEigen:
     def matrix(self):
         """Return A without its null space, ndarray of shape (p, p)."""
         values = np.where(self.known, self.values, 0.0)
-        return (
-            (self.vectors * values) @ self.vectors.T * np.outer(self.scale, self.scale)
-        )
+        scaled = (self.vectors * values) @ self.vectors.T
+        return scaled * np.outer(self.scale, self.scale)
 
     def by_magnitude(self):
         """Decomposition with the magnitudes of the eigenvalues, none below rounding.

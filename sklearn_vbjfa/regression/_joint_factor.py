@@ -7,6 +7,7 @@ user's units. The independent-latent model, which both estimators have, is fitte
 
 import warnings
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 import numpy as np
 from scipy import linalg
@@ -16,219 +17,25 @@ from sklearn_vbjfa._core import _moments, _solver, _updates
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa._core._updates import VARIANCE_FLOOR, LinearModel, expect_hidden
 from sklearn_vbjfa.regression._base import BaseRegressor
-
-
-@dataclass(frozen=True, kw_only=True)
-class IndependentFit:
-    """Solution in standardised units, with what the attributes are made of."""
-
-    solution: _solver.Solution
-    retained: np.ndarray
-    noisy: _updates.LinearModel
-    noiseless: _updates.LinearModel
-
-
-def noise_shares(noise, data, names):
-    """Turn a user's input noise into shares of the active columns' variances.
-
-    Returns None, or an array of shape (n_active,) in [0, 1]; a share of 1 marks an
-    input that holds no signal beyond its noise, of which the user is warned.
-    """
-    if noise is None:
-        return None
-    n_active = data.x_scale.shape[0]
-    if np.ndim(noise) == 0:
-        return np.full(n_active, noise)
-    if np.ndim(noise) == 2:
-        off = noise - np.diag(np.diagonal(noise))
-        if np.any(off):
-            raise ValueError(
-                "input_noise with covariances between inputs needs "
-                'latent="correlated"; with independent latents give the variances '
-                "alone, of shape (n_features,)."
-            )
-        noise = np.diagonal(noise)
-    share = noise[data.active] / data.x_scale**2
-    full = np.flatnonzero(data.active)[share >= 1.0]
-    if full.size:
-        shown = ", ".join(str(names[i]) for i in full[:10])
-        warnings.warn(
-            f"input_noise is at least the whole variance of {full.size} input(s) "
-            f"({shown}): they hold no signal beyond noise and get the coefficient 0. "
-            "Check the units of input_noise (variances, not standard deviations).",
-            UserWarning,
-            stacklevel=5,
-        )
-    return np.minimum(share, 1.0)
-
-
-def _coefficient_covariance(data, hidden, precision):
-    """Covariance of the noisy-query coefficients c, from the collapsed likelihood.
-
-    With z and t integrated out, y | x ~ N(c'x, s), so that c has the precision
-    S_xx / s plus that of its prior. The variational variances, conditional on the
-    private z of each input, would be far too small.
-    """
-    moments, s = data.moments, hidden.y_var
-    if moments.S is None:
-        # Woodbury with n < d; inputs without a prior have no finite variance.
-        if not np.all(precision > 0):
-            return np.full((moments.xx.size, moments.xx.size), np.inf)
-        rows = moments.root.R
-        scaled = rows / precision
-        inner = scaled @ rows.T
-        inner[np.diag_indices_from(inner)] += s
-        return np.diag(1.0 / precision) - scaled.T @ linalg.solve(
-            inner, scaled, assume_a="pos"
-        )
-    if np.all(precision > 0):
-        root = 1.0 / np.sqrt(precision)
-        A = moments.S * np.outer(root, root) / s
-        A[np.diag_indices_from(A)] += 1.0
-        factor = linalg.cholesky(A, lower=True)
-        half = linalg.solve_triangular(factor, np.diag(root), lower=True)
-        return half.T @ half
-    # Without a prior the null space of S_xx has no finite variance: the span's
-    # covariance is reported and the affected inputs are marked infinite.
-    eigen = scaled_eigen(moments.S / s, scale=1.0)
-    cov, lost = eigen.inverse(), eigen.lost(1e-8)
-    cov[lost, lost] = np.inf
-    return cov
-
-
-def fit_independent(data, prior, initial_noise, *, max_iter, tol, accelerate=True):
-    """Run the iteration and derive coefficients, covariances and noise.
-
-    Parameters
-    ----------
-    data : Standardised
-        Moments and scales.
-    prior : Prior
-        Priors and known noise.
-    initial_noise : float
-        Share of each input's variance that is noise at the start.
-    max_iter, tol : int, float
-        Stopping rule of the loop.
-    accelerate : bool
-        Whether to do quasi-Newton steps; otherwise the updates as they are printed.
-    """
-    moments = data.moments
-    d = moments.xx.shape[0]
-    state = _solver.start(moments, prior, np.full(d, initial_noise))
-    solution = _solver.solve(
-        moments, state, prior, max_iter=max_iter, tol=tol, accelerate=accelerate
-    )
-    state = solution.state
-    hidden = expect_hidden(moments, state)
-    gain_x = state.w_x_mean**2 > 4 * state.w_x_var
-    gain_z = state.w_z_mean**2 > 4 * state.w_z_var
-    if prior.ard:
-        retained = gain_x & gain_z
-        # c = w_z w_x / V, and w_z ~ N(0, 1/alpha): the prior precision of c
-        usable = np.maximum(state.w_x_mean**2, VARIANCE_FLOOR)
-        precision = state.E_alpha * (usable + state.psi_x) ** 2 / usable
-    else:
-        retained = state.w_x_mean**2 > VARIANCE_FLOOR
-        precision = np.zeros(d)
-    cov_noisy = _coefficient_covariance(data, hidden, precision)
-    if prior.psi_x_fixed is not None:
-        retained &= prior.psi_x_fixed < 1.0
-    # beta = c V / w_x^2, input by input; an input switched off keeps c's deviation
-    lift = np.ones(d)
-    w_x2 = state.w_x_mean[retained] ** 2
-    lift[retained] = (w_x2 + state.psi_x[retained]) / w_x2
-    finite = np.isfinite(np.diagonal(cov_noisy))
-    cov = np.where(np.outer(finite, finite), cov_noisy, 0.0) * np.outer(lift, lift)
-    cov[np.diag_indices_from(cov)] += np.where(finite, 0.0, np.inf)
-    return IndependentFit(
-        solution=solution,
-        retained=retained,
-        noisy=_updates.LinearModel(
-            coef=_updates.coefficients_noisy(state),
-            cov=cov_noisy,
-            noise=float(hidden.y_var),
-        ),
-        noiseless=_updates.LinearModel(
-            coef=_updates.coefficients_noiseless(state, retained),
-            cov=cov,
-            noise=float(state.psi_y + state.psi_z.sum()),
-        ),
-    )
-
+from sklearn_vbjfa.regression._sklearn_compat import Interval, StrOptions
 
 # Up to this many features the scatter matrix is cheap, however few the rows are.
 _GRAM_FEATURES = 256
 
 
-def resolve_input_noise(input_noise, n_features):
-    """Validate the user's input noise; return None, a fraction, (d,) or (d, d).
-
-    Parameters
-    ----------
-    input_noise : None, float or array-like
-        Fraction of each input's variance, variances (d,), or covariance (d, d).
-    n_features : int
-        Number of inputs d.
-    """
-    if input_noise is None:
-        return None
-    value = np.asarray(input_noise, dtype=float)
-    if not np.isfinite(value).all():
-        raise ValueError(
-            "input_noise must be finite, got NaN or infinity; give a fraction in "
-            "[0, 1), variances per feature, or a covariance."
-        )
-    if value.ndim == 0:
-        if not 0 <= value < 1:
-            raise ValueError(
-                f"input_noise as a number is a fraction of each input's variance in "
-                f"[0, 1), got {float(value):.6g}; give variances as an array."
-            )
-        return float(value)
-    if value.shape == (n_features,):
-        if value.min() < 0:
-            raise ValueError(
-                f"input_noise variances must not be negative, got {value.min():.6g} "
-                f"for feature {int(value.argmin())}; give 0 for an exact input."
-            )
-        return value
-    if value.shape == (n_features, n_features):
-        scale = np.sqrt(np.abs(np.diagonal(value)))
-        unit = np.outer(scale, scale)
-        asymmetry = np.abs(value - value.T) > 1e-8 * unit
-        if asymmetry.any():
-            i, j = np.argwhere(asymmetry)[0]
-            raise ValueError(
-                "input_noise as a covariance must be symmetric, got "
-                f"{value[i, j]:.6g} at ({i}, {j}) and {value[j, i]:.6g} at ({j}, {i})."
-            )
-        scale = np.where(scale > 0, scale, 1.0)
-        smallest = scaled_eigen(0.5 * (value + value.T), scale=scale).values[0]
-        if smallest < -1e-8 or (np.diagonal(value) < 0).any():
-            raise ValueError(
-                "input_noise as a covariance must be positive semidefinite, got a "
-                f"smallest eigenvalue of {smallest:.3g} in units of its diagonal."
-            )
-        return 0.5 * (value + value.T)
-    raise ValueError(
-        f"input_noise must be a fraction, variances of shape ({n_features},) or a "
-        f"covariance of shape ({n_features}, {n_features}) for {n_features} features, "
-        f"got an array of shape {value.shape}."
-    )
-
-
-def _warn_lost_digits(name):
-    warnings.warn(
-        f"{name}.partial_fit loses digits: the inputs so far are too dependent, or y "
-        "too free of noise, for their scatter matrix, and earlier rows are not at hand "
-        "for a QR decomposition; fit all rows at once, or begin with a larger chunk.",
-        UserWarning,
-        stacklevel=3,
-    )
-
-
 class BaseJointFactorRegressor(BaseRegressor):
-    """Validation, statistics, prediction; subclasses fit standardised moments."""
+    """Rows to moments, prediction; subclasses fit standardised moments in `_fit`."""
+
+    _parameter_constraints: dict = {  # noqa: RUF012
+        "input_noise": [None, Real, "array-like"],
+        "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
+        "fit_intercept": ["boolean"],
+        "query": [StrOptions({"noiseless", "noisy"})],
+        "solver": [StrOptions({"accelerated", "plain"})],
+        "max_iter": [Interval(Integral, 1, None, closed="left")],
+        "tol": [Interval(Real, 0, None, closed="left")],
+        "forgetting": [Interval(Real, 0, 1, closed="right")],
+    }
 
     def fit(self, X, y, sample_weight=None):
         """Fit the model.
@@ -470,3 +277,188 @@ class BaseJointFactorRegressor(BaseRegressor):
         parameters = np.where(Xc[:, ~finite].any(axis=1), np.inf, parameters)
         noise = self._query_noise + self._mean_variance
         return mean, np.sqrt(np.maximum(parameters, 0.0) + noise)
+
+
+def _warn_lost_digits(name):
+    warnings.warn(
+        f"{name}.partial_fit loses digits: the inputs so far are too dependent, or y "
+        "too free of noise, for their scatter matrix, and earlier rows are not at hand "
+        "for a QR decomposition; fit all rows at once, or begin with a larger chunk.",
+        UserWarning,
+        stacklevel=3,
+    )
+
+
+def resolve_input_noise(input_noise, n_features):
+    """Validate the user's input noise; return None, a fraction, (d,) or (d, d)."""
+    if input_noise is None:
+        return None
+    value = np.asarray(input_noise, dtype=float)
+    if not np.isfinite(value).all():
+        raise ValueError(
+            "input_noise must be finite, got NaN or infinity; give a fraction in "
+            "[0, 1), variances per feature, or a covariance."
+        )
+    if value.ndim == 0:
+        if not 0 <= value < 1:
+            raise ValueError(
+                f"input_noise as a number is a fraction of each input's variance in "
+                f"[0, 1), got {float(value):.6g}; give variances as an array."
+            )
+        return float(value)
+    if value.shape == (n_features,):
+        if value.min() < 0:
+            raise ValueError(
+                f"input_noise variances must not be negative, got {value.min():.6g} "
+                f"for feature {int(value.argmin())}; give 0 for an exact input."
+            )
+        return value
+    if value.shape == (n_features, n_features):
+        scale = np.sqrt(np.abs(np.diagonal(value)))
+        unit = np.outer(scale, scale)
+        asymmetry = np.abs(value - value.T) > 1e-8 * unit
+        if asymmetry.any():
+            i, j = np.argwhere(asymmetry)[0]
+            raise ValueError(
+                "input_noise as a covariance must be symmetric, got "
+                f"{value[i, j]:.6g} at ({i}, {j}) and {value[j, i]:.6g} at ({j}, {i})."
+            )
+        scale = np.where(scale > 0, scale, 1.0)
+        smallest = scaled_eigen(0.5 * (value + value.T), scale=scale).values[0]
+        if smallest < -1e-8 or (np.diagonal(value) < 0).any():
+            raise ValueError(
+                "input_noise as a covariance must be positive semidefinite, got a "
+                f"smallest eigenvalue of {smallest:.3g} in units of its diagonal."
+            )
+        return 0.5 * (value + value.T)
+    raise ValueError(
+        f"input_noise must be a fraction, variances of shape ({n_features},) or a "
+        f"covariance of shape ({n_features}, {n_features}) for {n_features} features, "
+        f"got an array of shape {value.shape}."
+    )
+
+
+def noise_shares(noise, data, names):
+    """Shares (n_active,) of the inputs' variances that are noise, or None if unknown.
+
+    A share of 1 marks an input that holds no signal beyond its noise; the user is
+    warned of it.
+    """
+    if noise is None:
+        return None
+    n_active = data.x_scale.shape[0]
+    if np.ndim(noise) == 0:
+        return np.full(n_active, noise)
+    if np.ndim(noise) == 2:
+        off = noise - np.diag(np.diagonal(noise))
+        if np.any(off):
+            raise ValueError(
+                "input_noise with covariances between inputs needs "
+                'latent="correlated"; with independent latents give the variances '
+                "alone, of shape (n_features,)."
+            )
+        noise = np.diagonal(noise)
+    share = noise[data.active] / data.x_scale**2
+    full = np.flatnonzero(data.active)[share >= 1.0]
+    if full.size:
+        shown = ", ".join(str(names[i]) for i in full[:10])
+        warnings.warn(
+            f"input_noise is at least the whole variance of {full.size} input(s) "
+            f"({shown}): they hold no signal beyond noise and get the coefficient 0. "
+            "Check the units of input_noise (variances, not standard deviations).",
+            UserWarning,
+            stacklevel=5,
+        )
+    return np.minimum(share, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndependentFit:
+    """Solution in standardised units, with what the attributes are made of."""
+
+    solution: _solver.Solution
+    retained: np.ndarray
+    noisy: _updates.LinearModel
+    noiseless: _updates.LinearModel
+
+
+def fit_independent(data, prior, initial_noise, *, max_iter, tol, accelerate=True):
+    """Run the iteration and derive coefficients, covariances and noise.
+
+    data : Standardised; initial_noise : share of each input's variance at the start.
+    """
+    moments = data.moments
+    d = moments.xx.shape[0]
+    state = _solver.start(moments, prior, np.full(d, initial_noise))
+    solution = _solver.solve(
+        moments, state, prior, max_iter=max_iter, tol=tol, accelerate=accelerate
+    )
+    state = solution.state
+    hidden = expect_hidden(moments, state)
+    gain_x = state.w_x_mean**2 > 4 * state.w_x_var
+    gain_z = state.w_z_mean**2 > 4 * state.w_z_var
+    if prior.ard:
+        retained = gain_x & gain_z
+        # c = w_z w_x / V, and w_z ~ N(0, 1/alpha): the prior precision of c
+        usable = np.maximum(state.w_x_mean**2, VARIANCE_FLOOR)
+        precision = state.E_alpha * (usable + state.psi_x) ** 2 / usable
+    else:
+        retained = state.w_x_mean**2 > VARIANCE_FLOOR
+        precision = np.zeros(d)
+    cov_noisy = _coefficient_covariance(moments, hidden.y_var, precision)
+    if prior.psi_x_fixed is not None:
+        retained &= prior.psi_x_fixed < 1.0
+    # beta = c V / w_x^2, input by input; an input switched off keeps c's deviation
+    lift = np.ones(d)
+    w_x2 = state.w_x_mean[retained] ** 2
+    lift[retained] = (w_x2 + state.psi_x[retained]) / w_x2
+    finite = np.isfinite(np.diagonal(cov_noisy))
+    cov = np.where(np.outer(finite, finite), cov_noisy, 0.0) * np.outer(lift, lift)
+    cov[np.diag_indices_from(cov)] += np.where(finite, 0.0, np.inf)
+    return IndependentFit(
+        solution=solution,
+        retained=retained,
+        noisy=_updates.LinearModel(
+            coef=_updates.coefficients_noisy(state),
+            cov=cov_noisy,
+            noise=float(hidden.y_var),
+        ),
+        noiseless=_updates.LinearModel(
+            coef=_updates.coefficients_noiseless(state, retained),
+            cov=cov,
+            noise=float(state.psi_y + state.psi_z.sum()),
+        ),
+    )
+
+
+def _coefficient_covariance(moments, s, precision):
+    """Covariance (d, d) of the noisy-query coefficients c, of prior precision (d,).
+
+    With z and t integrated out, y | x ~ N(c'x, s), so that c has the precision
+    S_xx / s plus that of its prior. The variational variances, conditional on the
+    private z of each input, would be far too small.
+    """
+    if moments.S is None:
+        # Woodbury with n < d; inputs without a prior have no finite variance.
+        if not np.all(precision > 0):
+            return np.full((moments.xx.size, moments.xx.size), np.inf)
+        rows = moments.root.R
+        scaled = rows / precision
+        inner = scaled @ rows.T
+        inner[np.diag_indices_from(inner)] += s
+        return np.diag(1.0 / precision) - scaled.T @ linalg.solve(
+            inner, scaled, assume_a="pos"
+        )
+    if np.all(precision > 0):
+        root = 1.0 / np.sqrt(precision)
+        A = moments.S * np.outer(root, root) / s
+        A[np.diag_indices_from(A)] += 1.0
+        factor = linalg.cholesky(A, lower=True)
+        half = linalg.solve_triangular(factor, np.diag(root), lower=True)
+        return half.T @ half
+    # Without a prior the null space of S_xx has no finite variance: the span's
+    # covariance is reported and the affected inputs are marked infinite.
+    eigen = scaled_eigen(moments.S / s, scale=1.0)
+    cov, lost = eigen.inverse(), eigen.lost(1e-8)
+    cov[lost, lost] = np.inf
+    return cov

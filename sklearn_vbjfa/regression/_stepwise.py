@@ -288,20 +288,8 @@ def sweep(table, pivot):
     Swept on a set S, a correlation matrix R of [X y] holds ``inv(R_SS)`` in the
     block SS, the standardised coefficients in S y, and in the rest the products of
     what S leaves unexplained: 1 - R^2 of each other feature on the diagonal, the
-    residual sum of squares in y y.
-
-    Parameters
-    ----------
-    table : ndarray of shape (n_columns, n_columns)
-        Matrix, possibly swept on other elements; not modified.
-
-    pivot : int
-        Row and column to sweep.
-
-    Returns
-    -------
-    ndarray of shape (n_columns, n_columns)
-        Swept matrix.
+    residual sum of squares in y y. The table (k, k), possibly swept on other
+    elements, is not modified.
     """
     column = table[:, pivot].copy()
     row = table[pivot] / column[pivot]
@@ -315,26 +303,8 @@ def sweep(table, pivot):
 def select_features(correlation, dof, *, p_enter, p_remove, max_iter):
     """Run forward selection with backward elimination until no test moves a feature.
 
-    Parameters
-    ----------
-    correlation : ndarray of shape (n_features + 1, n_features + 1)
-        Products of the unit-length columns of [X y]; zero rows and columns for
-        constants.
-
-    dof : float
-        Degrees of freedom of y before any feature enters.
-
-    p_enter, p_remove : float
-        A feature enters below `p_enter` and leaves above `p_remove`;
-        ``p_enter <= p_remove``.
-
-    max_iter : int or None
-        Largest number of steps.
-
-    Returns
-    -------
-    StepwiseSelection
-        Final model, steps and reason of the end.
+    correlation : products (d + 1, d + 1) of the unit-length columns of [X y], zero for
+    constants; dof : degrees of freedom of y before any feature enters.
     """
     n_features = correlation.shape[0] - 1
     selected = np.zeros(n_features, dtype=bool)

@@ -159,10 +159,12 @@ class TotalLeastSquares(LinearRegressor):
         # Column scales commute with the orthogonal factor; with them taken out the
         # reduction is as accurate for small columns as for large ones.
         factor = np.linalg.qr(columns.values, mode="r") * columns.scale
-        solution = mixed_tls(factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact)
-        self._set_coefficients(output_std * (whiten @ solution.coef), columns.mean)
-        self.rank_ = solution.rank
-        self.generic_ = solution.rank == X.shape[1]
+        coef, rank = mixed_tls(
+            factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact
+        )
+        self._set_coefficients(output_std * (whiten @ coef), columns.mean)
+        self.rank_ = rank
+        self.generic_ = rank == X.shape[1]
         return self
 
     def _noise_coordinates(self, n_features):

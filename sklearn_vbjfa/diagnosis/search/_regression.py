@@ -39,6 +39,17 @@ class Equations:
     tau: np.ndarray
     weight: np.ndarray
 
+    def spread(self):
+        """Return the standard deviation of the torques that count, (nv,) [N m or N].
+
+        nan for a joint without rows.
+        """
+        with np.errstate(divide="ignore", invalid="ignore"):
+            total = self.weight.sum(axis=0)
+            mean = (self.weight * self.tau).sum(axis=0) / total
+            squares = (self.weight * (self.tau - mean) ** 2).sum(axis=0)
+            return np.sqrt(squares / total)
+
     def reduce(self, precision):
         """Express the regressor in the directions that the data determine.
 

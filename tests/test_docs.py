@@ -12,6 +12,7 @@ import pytest
 
 import sklearn_vbjfa
 from sklearn_vbjfa import datasets, diagnosis, distributed, effects, physical
+from tests.test_imports import APART, ROOMS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -34,13 +35,19 @@ def tagged_equations(text):
     return numbers
 
 
+def own_tags(text):
+    """Numbers of the guide's own equations, such as [C3] in the code, in order."""
+    return re.findall(r"\[([BC]\d+)\]", text)
+
+
 def code_blocks(path):
     """Python examples of a page, in order, with the line at which each begins."""
     text = read(path)
     if path.suffix == ".md":
         pattern = r"^```python\n(.*?)^```"
     else:
-        pattern = r"^\.\. code-block:: python\n\n((?:    .*\n|\n)+)"
+        # A block inside a list is indented with the list.
+        pattern = r"^ *\.\. code-block:: python\n\n((?:    .*\n|\n)+)"
     blocks = []
     for match in re.finditer(
         pattern, text, flags=re.DOTALL * (path.suffix == ".md") | re.M
@@ -69,6 +76,30 @@ def test_every_equation_tag_is_in_the_guide(folder, pages):
     explained = tagged_equations("\n".join(read(DOCS / page) for page in pages))
     assert used, "no tags found"
     assert used <= explained, f"not in the guide: {sorted(used - explained)}"
+    here = explained - tagged_equations(read(DOCS / "robots.rst"))
+    assert here <= used, f"not in the code: {sorted(here - used)}"
+
+
+def test_own_equations_are_in_the_guide_and_in_the_code():
+    guide = read(DOCS / "model.rst")
+    printed = re.findall(r"\\tag\{(\w+)\}", guide)
+    for letter in "BC":
+        numbers = [int(tag[1:]) for tag in printed if tag[0] == letter]
+        assert numbers == list(range(1, len(numbers) + 1)), letter
+        assert numbers, f"no equation {letter}1"
+    source = ROOT / "sklearn_vbjfa"
+    used = {tag for path in source.rglob("*.py") for tag in own_tags(read(path))}
+    assert used == set(printed)
+    assert set(own_tags(guide)) <= set(printed)
+
+
+def test_own_tags_are_read():
+    assert own_tags("q = s2 + 1  # [C5]\nx[B] + c[C2]  # [B1], [C12]") == [
+        "C5",
+        "C2",
+        "B1",
+        "C12",
+    ]
 
 
 def test_every_public_name_is_in_api_once():
@@ -176,6 +207,18 @@ def constants_of_the_loop():
         f"holds the error over the next {intervals.NEXT_SECONDS:g} s",
         f"the {intervals._COSINES} slowest cosines of time",
     ]
+
+
+def test_table_of_rooms_is_that_of_the_imports():
+    rows = re.findall(
+        r"    \* - ``(\w+)``\n      - .+(?:\n {8}.+)*\n      - (.+)\n",
+        read(DOCS / "architecture.rst"),
+    )
+    assert tuple(room for room, _ in rows) == ROOMS
+    for room, imports in rows:
+        above = set(ROOMS[: ROOMS.index(room)])
+        told = above if imports == "all above" else set(re.findall(r"\w+", imports))
+        assert told - {"none"} == APART.get(room, above), room
 
 
 def test_numbers_of_the_loop_are_those_of_the_code():

@@ -136,8 +136,8 @@ def test_the_walk_sees_what_is_there():
     # The test above would pass on nothing at all, too.
     path = ROOT / "regression" / "_vbjfa.py"
     assert {"_core", "regression"} <= set(rooms_imported(path))
-    path = ROOT / "robot" / "_joint_torque.py"
-    assert {"_core", "regression", "robot"} <= set(rooms_imported(path))
+    path = ROOT / "robot" / "_estimate.py"
+    assert {"physical", "regression", "robot"} <= set(rooms_imported(path))
     assert all(modules_of(room) for room in ROOMS)
 
 

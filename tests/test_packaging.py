@@ -70,7 +70,12 @@ def test_wheel_holds_the_package_and_installs(tmp_path):
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "sklearn_vbjfa").rglob("*.py")
     }
-    assert modules <= set(names)
+    templates = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "sklearn_vbjfa").rglob("*.j2")
+    }
+    assert templates
+    assert modules | templates <= set(names)
     assert set(DATA) <= set(names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
     top = {name.split("/")[0] for name in names}

@@ -3,51 +3,42 @@
     t ~ N(0, Sigma_t),  x = t + e_x,  e_x ~ N(0, Psi),  y = beta't + e_y,
     e_y ~ N(0, psi_y),  beta_m ~ N(0, 1/alpha_m),  alpha_m ~ Gamma,
 
-with Psi known and Sigma_t = psd(S - Psi) from the scatter S of x. Variational
-posterior q(T) q(beta) q(alpha); everything follows from n, S, S_xy and S_yy, at
-O(d^3) an iteration. With Psi = 0, t is x and this is Bayesian linear regression with
-automatic relevance determination.
+with Psi known. Variational posterior q(T) q(beta) q(alpha); everything follows from n,
+S_xx, S_xy and S_yy, at O(d^3) an iteration. With Psi = 0, t is x and this is Bayesian
+linear regression with automatic relevance determination.
 
-Latent inputs given the observed ones and the coefficients' posterior.
-
-Exact conditional maximisers of the correlated-latent model's bound.
-
-The plain iteration updates coefficients, precisions and output noise one after the
-other, each given the others' last values, and creeps where two of them move together.
-Here pairs are maximised jointly; every result is a higher bound at the price of the
-same O(d^3), and the fixed points are those of the plain iteration.
+In order: the latent inputs given the observed ones; the updates of the posterior; the
+joint maxima that replace updates which creep, at the same fixed points; the steps that
+the loop of `_solver` makes of them. Tags such as [C6] are equations of the guide.
 """
 
 from collections import deque
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from scipy import linalg
-from scipy.special import digamma, gammaln
+from scipy.special import digamma
 
 from sklearn_vbjfa._core._moments import SquareRoot
-from sklearn_vbjfa._core._solver import rounding_of_bound, rounding_of_fit
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._solver import (
+    PlainSteps,
+    Solution,
+    climb,
+    rounding_of_bound,
+    rounding_of_fit,
+)
+from sklearn_vbjfa._core._updates import precision_bound
 
 _LOG_2PI = float(np.log(2 * np.pi))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Latent:
-    """Gaussian of the latent inputs given the observed ones.
+    """Gaussian of the latent inputs: E[t | x] = H x, Cov[t | x] = P, Cov[t] = Sigma_t.
 
-    Attributes
-    ----------
-    H : ndarray of shape (d, d)
-        E[t | x] = H x.
-    P : ndarray of shape (d, d)
-        Cov[t | x].
-    Sigma_t : ndarray of shape (d, d)
-        Covariance of t.
-    exact : bool
-        The noise is zero, so that t is x.
-    clipped : ndarray
-        Eigenvalues of S - Psi (relative to S) that were negative.
+    All are (d, d). With ``exact`` the noise is zero and t is x; ``clipped`` are the
+    eigenvalues of S/n - Psi that were negative.
     """
 
     H: np.ndarray
@@ -58,10 +49,9 @@ class Latent:
 
 
 def infer_latent(S, n, psi, floor=1e-12):
-    """Split the covariance of x into that of t and the noise.
+    """Split the scatter (d, d) of x into latent and noise, [C1] to [C3].
 
-    S : scatter (d, d) of x; psi : noise covariance (d, d). Where psi exceeds S along
-    some direction no latent signal is left there: the eigenvalue is set to zero.
+    Where psi exceeds S along some direction no latent signal is left there.
     """
     covariance = S / n
     d = covariance.shape[0]
@@ -76,44 +66,48 @@ def infer_latent(S, n, psi, floor=1e-12):
         )
     values, vectors = linalg.eigh(covariance - psi)
     clipped = values[values < -floor * max(values[-1], 0.0)]
-    Sigma_t = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    Sigma_t = (vectors * np.maximum(values, 0.0)) @ vectors.T  # [C1]
     total = Sigma_t + psi
     # Exactly redundant columns make `total` singular; the pseudo-inverse keeps to
     # the span of the data, outside of which x never lies.
-    H = Sigma_t @ linalg.pinvh(total, rtol=floor)
-    P = Sigma_t - H @ Sigma_t
+    H = Sigma_t @ scaled_eigen(total, floor, scale=1.0).inverse()  # [C2]
+    P = Sigma_t - H @ Sigma_t  # [C3]
     P = 0.5 * (P + P.T)
     return Latent(H=H, P=P, Sigma_t=Sigma_t, exact=False, clipped=clipped)
 
 
 @dataclass(frozen=True, kw_only=True)
 class LatentSums:
-    """Sums of <tt'> and <t> y over the samples, and the data part of the bound."""
+    """Sums of <tt'> (d, d) and <t> y (d,), and the data part of the bound."""
 
     S_tt: np.ndarray
     S_ty: np.ndarray
     bound: float
 
 
-def expect_latent(S, xy, yy, n, latent, state):
-    """E-step over T: the sums of <tt'> and <t> y, and the data part of the bound."""
-    beta, s2 = state.beta_mean, state.psi_y
+def _given_beta(latent, G):
+    """H, P (d, d) and log det(I + P_0 G), beta having the covariance psi_y G, [C4]."""
+    lu = linalg.lu_factor(np.eye(G.shape[0]) + latent.P @ G)
+    H, P = linalg.lu_solve(lu, latent.H), linalg.lu_solve(lu, latent.P)  # [C4]
+    logdet = np.log(np.abs(np.diagonal(lu[0]))).sum()
+    return H, 0.5 * (P + P.T), logdet
+
+
+def expect_latent(moments, latent, state):
+    """E-step over T: the sums and the data part of the bound, [C4] to [C7], [C12]."""
+    n, xy, yy = moments.n, moments.xy, moments.yy
+    S, beta, s2 = moments.S, state.beta_mean, state.psi_y
     if latent.exact:
         residual = yy - 2 * beta @ xy + beta @ S @ beta
         spread = float(np.einsum("ij,ji->", state.beta_cov, S))
-        value = -0.5 * (n * (_LOG_2PI + np.log(s2)) + (residual + spread) / s2)
+        value = -0.5 * (n * (_LOG_2PI + np.log(s2)) + (residual + spread) / s2)  # [C12]
         return LatentSums(S_tt=S, S_ty=xy, bound=value)
-    d = beta.shape[0]
     # The uncertainty of beta acts as further precision beta_cov / s2 on t.
-    inflate = np.eye(d) + latent.P @ state.beta_cov / s2
-    lu = linalg.lu_factor(inflate)
-    H = linalg.lu_solve(lu, latent.H)
-    P = linalg.lu_solve(lu, latent.P)
-    P = 0.5 * (P + P.T)
+    H, P, logdet = _given_beta(latent, state.beta_cov / s2)
     P_beta = P @ beta
-    q = s2 + beta @ P_beta
-    k = P_beta / q
-    c = H.T @ beta
+    q = s2 + beta @ P_beta  # [C5]
+    k = P_beta / q  # [C5]
+    c = H.T @ beta  # [C5]
     S_c = S @ c
     S_xe = xy - S_c
     S_ee = yy - 2 * c @ xy + c @ S_c
@@ -125,12 +119,10 @@ def expect_latent(S, xy, yy, n, latent, state):
         + np.outer(k, H_xe)
         + S_ee * np.outer(k, k)
         + n * (P - q * np.outer(k, k))
-    )
-    S_ty = H @ xy + k * (yy - c @ xy)
-    # Collapsed data term: log N(y; c'x, q) and the price of beta's uncertainty.
-    logdet = np.log(np.abs(np.diagonal(lu[0]))).sum()
+    )  # [C6]
+    S_ty = H @ xy + k * (yy - c @ xy)  # [C7]
     cost = np.einsum("ij,ji->", latent.H.T @ state.beta_cov @ H, S) / s2
-    value = -0.5 * (n * (_LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)
+    value = -0.5 * (n * (_LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)  # [C12]
     return LatentSums(S_tt=0.5 * (S_tt + S_tt.T), S_ty=S_ty, bound=float(value))
 
 
@@ -143,24 +135,19 @@ _LARGEST_LOG = 300.0
 
 
 def precisions_given_others(mean, variance, alpha, shape0, rate0):
-    """Best E[alpha_m] of each coefficient, the posterior of the others held.
+    """E[alpha_m] (d,) that the updates of alpha_m and beta_m end at, [C14].
 
-    mean, variance : posterior of beta under the precisions `alpha`, each (d,). Without
-    its own prior, beta_m has the precision s_m = 1/variance - alpha and the score
-    q_m = mean / variance (Tipping and Faul, 2003). The plain update is then
-
-        alpha <- (2 a0 + 1) / (2 b0 + q^2 / (alpha + s)^2 + 1 / (alpha + s)),
-
-    whose fixed points are the roots of a cubic. It rises with alpha, so that it would
-    end at the next root on the side to which it moves: that one is returned.
+    mean, variance : posterior of beta under the precisions `alpha`, each (d,), of which
+    s and q follow (Tipping and Faul, 2003). The plain update rises with alpha, so that
+    it would end at the next root on the side to which it moves: that one is returned.
     """
     total = 2 * shape0 + 1.0
     # An input that says nothing has s = 0, to rounding.
     s = np.maximum(1.0 / variance - alpha, np.finfo(float).eps / variance)
     strength = (mean / variance) ** 2 / s
     rate = 2 * rate0 * s
-    # In v = s / alpha: total v^3 = (rate + strength + 1 - 2 total) v^2
-    #                              + (2 rate - 2 a0) v + rate
+    # [C14] in v = s / alpha: total v^3 = (rate + strength + 1 - 2 total) v^2
+    #                                    + (2 rate - 2 a0) v + rate
     companion = np.zeros((s.size, 3, 3))
     companion[:, 0, 0] = (rate + strength + 1.0 - 2 * total) / total
     companion[:, 0, 1] = (2 * rate - 2 * shape0) / total
@@ -181,55 +168,40 @@ def precisions_given_others(mean, variance, alpha, shape0, rate0):
 
 
 def noise_given_shape(squares, n, d, penalty):
-    """Best output noise s2 when the posterior covariance of beta scales with it.
+    """Best output noise when the covariance of beta scales with it, [C15].
 
-    Maximises -(n log s2 + squares / s2) / 2 + (d log s2 - penalty s2) / 2, `penalty`
-    being sum(alpha_m cov_mm) / s2.
+    squares : squared residual at the mean; penalty : sum of alpha_m cov_mm / psi_y.
     """
     half = 0.5 * (n - d)
-    root = np.sqrt(half * half + penalty * squares)
+    root = np.sqrt(half * half + penalty * squares)  # [C15]
     if half > 0:
         return squares / (half + root)
     return (root - half) / penalty
 
 
-def mean_and_noise(moments, latent_gain, latent_cov, shape, start, alpha):
-    """Best mean of beta and output noise together, q(T) at its optimum throughout.
+def mean_and_noise(moments, latent, G, start, alpha):
+    """Best mean (d,) of beta and output noise together, q(T) at its optimum, [C16].
 
-    Given shape = cov / s2 (d, d), the noise enters the bound through
-    y | x ~ N(c'x, s2 + beta'P beta), c = H'beta, with H and P the latent gain and
-    covariance raised by `shape`; the prior and the entropy add
-    -(beta' A beta + penalty s2 - d log s2) / 2. Newton's method in (beta, log s2) with
-    the magnitudes of the eigenvalues, which makes each step an ascent.
-
-    Parameters
-    ----------
-    moments : tuple
-        S (d, d), S_xy (d,), S_yy and n.
-    latent_gain, latent_cov : ndarray of shape (d, d)
-        E[t | x] = H x and Cov[t | x].
-    shape : ndarray of shape (d, d)
-        Posterior covariance of beta over s2.
-    start : tuple
-        Mean (d,) and noise to start from.
-    alpha : ndarray of shape (d,)
-        Precisions of the prior.
+    Given G = cov / psi_y (d, d). Newton's method in (beta, log psi_y) with the
+    magnitudes of the eigenvalues, which makes each step an ascent; `start` is a mean
+    and a noise, `alpha` (d,) the precisions of the prior.
     """
-    S, xy, yy, n = moments
+    n, xy, yy = moments.n, moments.xy, moments.yy
     mean, noise = start
     d = mean.size
-    lu = linalg.lu_factor(np.eye(d) + latent_cov @ shape)
-    H, P = linalg.lu_solve(lu, latent_gain), linalg.lu_solve(lu, latent_cov)
-    P = 0.5 * (P + P.T)
-    K, k = H @ S @ H.T, H @ xy
-    penalty = alpha @ np.diagonal(shape)
+    H, P, _ = _given_beta(latent, G)
+    K, k = H @ moments.S @ H.T, H @ xy
+    penalty = alpha @ np.diagonal(G)
 
     def value(mean, log_noise):
         s2 = np.exp(log_noise)
         q = s2 + mean @ P @ mean
+        if not q > 0:  # rounding of P, where there is hardly any noise
+            return -np.inf
         squares = yy - 2 * mean @ k + mean @ K @ mean
         data = n * np.log(q) + squares / q
-        return -0.5 * (data + alpha @ mean**2 - d * log_noise + penalty * s2)
+        prior = alpha @ mean**2 + penalty * s2
+        return -0.5 * (data + prior - d * log_noise)  # [C16]
 
     log_noise = np.log(noise)
     best = value(mean, log_noise)
@@ -291,28 +263,26 @@ class CorrelatedState:
 
 
 def _prior_bound(state, shape0, rate0, logdet_cov, shared):
+    """Part of the bound that the prior takes, [C13]."""
     shape, rate = state.alpha_shape, state.alpha_rate
     E_alpha, E_log = state.E_alpha, digamma(shape) - np.log(rate)
     square = state.beta_mean**2 + np.diagonal(state.beta_cov)
     loadings = 0.5 * (E_log - E_alpha * square + 1.0)
-    prior = shape0 * np.log(rate0) - gammaln(shape0) + (shape0 - 1) * E_log
-    prior = prior - rate0 * E_alpha
-    entropy = shape - np.log(rate) + gammaln(shape) + (1 - shape) * digamma(shape)
+    precisions = precision_bound(shape, rate, shape0, rate0)
     # A precision that `shared` coefficients have in common counts once.
-    return float((loadings + (prior + entropy) / shared).sum()) + 0.5 * logdet_cov
+    return float((loadings + precisions / shared).sum()) + 0.5 * logdet_cov  # [C13]
 
 
-def _square_root(S, xy, yy):
+def square_root(S, xy, yy):
     """Square root of second moments, without the rounding of their null space.
 
     Eigenvalues below their own rounding are zero: left in, they would be information
     as soon as the noise is small enough.
     """
-    values, vectors = linalg.eigh(S)
-    keep = values > values[-1] * values.size * 4 * np.finfo(float).eps
-    R = np.sqrt(values[keep])[:, None] * vectors[:, keep].T
+    eigen = scaled_eigen(S, scale=1.0)
+    R = eigen.root()
     # y in the coordinates of R, whose rows are orthogonal
-    z = (R @ xy) / np.einsum("ij,ij->i", R, R)
+    z = (R @ xy) / eigen.known_values
     return SquareRoot(R=R, z=z, rest=max(yy - z @ z, 0.0))
 
 
@@ -322,8 +292,18 @@ _SAFE_ROUNDING = 1e-8
 _HALF_DIGITS = np.sqrt(np.finfo(float).eps)
 
 
-def _posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
-    """Posterior mean, covariance and log-determinant of beta, and <|y - beta't|^2>.
+@dataclass(frozen=True, kw_only=True)
+class BetaPosterior:
+    """Mean (d,), covariance (d, d), its log-determinant, and <|y - beta't|^2>."""
+
+    mean: np.ndarray
+    cov: np.ndarray
+    logdet: float
+    squares: float
+
+
+def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
+    """Posterior of beta from the sums over t, [C8], [C9], [C11].
 
     ``square_root()`` returns that of the moments; it is asked for only where needed,
     or always.
@@ -337,49 +317,39 @@ def _posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
         factor = linalg.cholesky(A, lower=True)
         inverse = linalg.solve_triangular(factor, np.eye(d), lower=True)
         scaled = inverse * prior
-        cov = scaled.T @ scaled
-        mean = prior * linalg.cho_solve((factor, True), prior * S_ty) / s2
+        cov = scaled.T @ scaled  # [C8]
+        mean = prior * linalg.cho_solve((factor, True), prior * S_ty) / s2  # [C9]
         logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
-        residual = yy - 2 * mean @ S_ty + mean @ S_tt @ mean
-        residual += np.einsum("ij,ij->", cov, S_tt)
-        return mean, cov, float(logdet), float(residual)
-    root = square_root()
-    U, sv, Vt = linalg.svd(root.R * prior, full_matrices=False)
-    # Singular values of the size of rounding are zero: with hardly any noise they would
-    # be information.
-    keep = sv > sv[:1] * max(root.R.shape) * np.finfo(float).eps
-    U, sv, Vt = U[:, keep], sv[keep], Vt[keep]
-    share = s2 / (s2 + sv**2)
-    Uz = U.T @ root.z
-    mean = prior * (Vt.T @ (sv / (s2 + sv**2) * Uz))
-    cov = (Vt.T * share) @ Vt
-    if sv.size < d:
-        # The projector on what is left, squared: its diagonal must not be negative.
-        others = np.eye(d) - Vt.T @ Vt
-        cov += others @ others.T
-    cov *= np.outer(prior, prior)
-    logdet = np.log(share).sum() - np.log(alpha).sum()
-    # In these coordinates the residual is a sum of squares: no cancellation.
-    outside = root.z - U @ Uz
-    residual = root.rest + outside @ outside
-    residual += np.sum((share * Uz) ** 2) + share @ sv**2
-    return mean, cov, float(logdet), float(residual)
+        squares = yy - 2 * mean @ S_ty + mean @ S_tt @ mean
+        squares += np.einsum("ij,ij->", cov, S_tt)  # [C11]
+    else:
+        # The same with S_tt = R'R, in whose singular coordinates nothing cancels.
+        root = square_root()
+        U, sv, Vt = linalg.svd(root.R * prior, full_matrices=False)
+        # Singular values of the size of rounding are zero: with hardly any noise they
+        # would be information.
+        keep = sv > sv[:1] * max(root.R.shape) * np.finfo(float).eps
+        U, sv, Vt = U[:, keep], sv[keep], Vt[keep]
+        share = s2 / (s2 + sv**2)
+        Uz = U.T @ root.z
+        mean = prior * (Vt.T @ (sv / (s2 + sv**2) * Uz))  # [C9]
+        cov = (Vt.T * share) @ Vt
+        if sv.size < d:
+            # The projector on what is left, squared: its diagonal must not be negative.
+            others = np.eye(d) - Vt.T @ Vt
+            cov += others @ others.T
+        cov *= np.outer(prior, prior)  # [C8]
+        logdet = np.log(share).sum() - np.log(alpha).sum()
+        outside = root.z - U @ Uz
+        squares = root.rest + outside @ outside
+        squares += np.sum((share * Uz) ** 2) + share @ sv**2  # [C11]
+    return BetaPosterior(
+        mean=mean, cov=cov, logdet=float(logdet), squares=float(squares)
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
-class CorrelatedSolution:
-    """Where the iteration ended; see `_solver.Solution`."""
-
-    state: CorrelatedState
-    latent: Latent
-    history: np.ndarray
-    n_iter: int
-    status: str
-    fall: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Point:
+class Point:
     """A state with all that the next step needs, and its bound."""
 
     state: CorrelatedState
@@ -389,30 +359,45 @@ class _Point:
     value: float
 
 
-class _Problem:
-    """The moments, and the steps from one state to the next."""
+class CorrelatedProblem:
+    """The moments, and the steps from one state to the next.
 
-    def __init__(self, S, xy, yy, n, psi, ard_shape, ard_rate, common, root):
-        self.S, self.xy, self.yy, self.n = S, xy, yy, n
-        self.latent = infer_latent(S, n, psi)
+    Parameters
+    ----------
+    moments : SecondMoments
+        Standardised moments as a scatter matrix; a square root of more digits is used
+        with exact inputs.
+    psi : ndarray of shape (d, d)
+        Input-noise covariance.
+    ard_shape, ard_rate : float
+        Gamma prior of the precisions.
+    common : bool
+        One precision for all coefficients instead of one for each.
+    """
+
+    def __init__(self, moments, psi, *, ard_shape, ard_rate, common):
+        self.moments, self.n = moments, moments.n
+        self.latent = infer_latent(moments.S, moments.n, psi)
         self.ard_shape, self.ard_rate, self.common = ard_shape, ard_rate, common
-        self.d = xy.shape[0]
+        self.d = moments.xy.shape[0]
         self.shared = self.d if common else 1
         # With exact inputs S_tt is S throughout: one decomposition serves all.
-        self.root = root if self.latent.exact else None
+        self.root = moments.root if self.latent.exact else None
         self.given = self.root is not None
         self.floor = FACTOR_FLOOR if self.given else OUTPUT_FLOOR
 
     def root_of(self, sums):
+        """Square root of the latent moments, made once where the inputs are exact."""
+        yy = self.moments.yy
         if not self.latent.exact:
-            return _square_root(sums.S_tt, sums.S_ty, self.yy)
+            return square_root(sums.S_tt, sums.S_ty, yy)
         if self.root is None:
-            self.root = _square_root(self.S, self.xy, self.yy)
+            self.root = square_root(self.moments.S, self.moments.xy, yy)
         return self.root
 
     def start(self, *, fast):
         """Ridge solution with <alpha> = 1, as in the paper, and all of y as noise."""
-        return self._start_from(np.ones(self.d), self.yy / self.n, fast=fast)
+        return self._start_from(np.ones(self.d), self.moments.yy / self.n, fast=fast)
 
     def start_from_least_squares(self, *, fast):
         """Posterior with the precisions and the noise of least squares.
@@ -420,8 +405,7 @@ class _Problem:
         From the ridge solution a direction with a tiny share of the inputs' variance
         is not found, though y may depend on it with hardly any noise.
         """
-        sums = LatentSums(S_tt=self.S, S_ty=self.xy, bound=np.nan)
-        root = self.root_of(sums)
+        root = self.root_of(self._observed())
         beta = np.linalg.lstsq(root.R, root.z, rcond=None)[0]
         left = root.z - root.R @ beta
         square = np.full(self.d, np.mean(beta**2)) if self.common else beta**2
@@ -429,55 +413,52 @@ class _Problem:
         alpha = shape / (self.ard_rate + 0.5 * self.shared * square)
         return self._start_from(alpha, (left @ left + root.rest) / self.n, fast=fast)
 
+    def _observed(self):
+        """Take the inputs as they were observed for the latent ones."""
+        return LatentSums(S_tt=self.moments.S, S_ty=self.moments.xy, bound=np.nan)
+
     def _start_from(self, alpha, s2, *, fast):
         s2 = max(s2, self.floor)
-        shape = self.ard_shape + 0.5 * self.shared
-        sums = LatentSums(S_tt=self.S, S_ty=self.xy, bound=np.nan)
-        mean, cov, logdet, squares = self._posterior(sums, s2, alpha)
-        spread = self.d - alpha @ np.diagonal(cov)
+        shape = self.ard_shape + 0.5 * self.shared  # [C10]
+        beta = self._posterior(self._observed(), s2, alpha)
+        spread = self.d - alpha @ np.diagonal(beta.cov)
         if fast:
-            mean, cov, logdet, s2 = self._joint(mean, cov, logdet, squares, s2, alpha)
+            beta, s2 = self._joint(beta, s2, alpha)
         state = CorrelatedState(
-            beta_mean=mean,
-            beta_cov=cov,
+            beta_mean=beta.mean,
+            beta_cov=beta.cov,
             alpha_shape=shape,
             alpha_rate=shape / alpha,
             psi_y=s2,
         )
-        return self._evaluate(state, logdet, alpha, spread)
+        return self.evaluate(state, beta.logdet, alpha, spread)
 
     def _posterior(self, sums, s2, alpha):
-        return _posterior_beta(
+        return posterior_beta(
             sums.S_tt,
             sums.S_ty,
-            self.yy,
+            self.moments.yy,
             s2,
             alpha,
             lambda: self.root_of(sums),
             always=self.given,
         )
 
-    def _joint(self, mean, cov, logdet, squares, s2, alpha):
-        """Maximise over the noise (and with it the mean) at a fixed cov / s2."""
-        shape = cov / s2
-        penalty = alpha @ np.diagonal(shape)
+    def _joint(self, beta, s2, alpha):
+        """Maximise over the noise, and with it the mean, at a fixed cov / psi_y."""
+        G, mean = beta.cov / s2, beta.mean
+        penalty = alpha @ np.diagonal(G)
         if self.latent.exact:
             # tr(cov S) = s2 (d - alpha'diag(cov))
-            fit = max(squares - s2 * (self.d - s2 * penalty), 0.0)
+            fit = max(beta.squares - s2 * (self.d - s2 * penalty), 0.0)
             new = noise_given_shape(fit, self.n, self.d, penalty)
         else:
-            mean, new = mean_and_noise(
-                (self.S, self.xy, self.yy, self.n),
-                self.latent.H,
-                self.latent.P,
-                shape,
-                (mean, s2),
-                alpha,
-            )
+            mean, new = mean_and_noise(self.moments, self.latent, G, (mean, s2), alpha)
         new = max(new, self.floor)
-        return mean, shape * new, logdet + self.d * np.log(new / s2), new
+        logdet = beta.logdet + self.d * np.log(new / s2)
+        return replace(beta, mean=mean, cov=G * new, logdet=logdet), new
 
-    def step(self, point, *, fast):
+    def step(self, point, *, fast=False):
         """Do the M-steps: beta, the noise, alpha; plain or jointly where possible."""
         state = point.state
         alpha = state.E_alpha
@@ -490,24 +471,65 @@ class _Problem:
                 self.ard_rate,
             )
         s2 = state.psi_y
-        mean, cov, logdet, squares = self._posterior(point.sums, s2, alpha)
-        spread = self.d - alpha @ np.diagonal(cov)
+        beta = self._posterior(point.sums, s2, alpha)
+        spread = self.d - alpha @ np.diagonal(beta.cov)
         if fast:
-            mean, cov, logdet, s2 = self._joint(mean, cov, logdet, squares, s2, alpha)
+            beta, s2 = self._joint(beta, s2, alpha)
         else:
-            spread *= s2 / max(squares / self.n, self.floor)
-            s2 = max(squares / self.n, self.floor)
-        square = mean**2 + np.diagonal(cov)
+            spread *= s2 / max(beta.squares / self.n, self.floor)
+            s2 = max(beta.squares / self.n, self.floor)  # [C11]
+        square = beta.mean**2 + np.diagonal(beta.cov)
         if self.common:
             square = np.full(self.d, square.sum())
         new = CorrelatedState(
-            beta_mean=mean,
-            beta_cov=cov,
+            beta_mean=beta.mean,
+            beta_cov=beta.cov,
             alpha_shape=state.alpha_shape,
-            alpha_rate=self.ard_rate + 0.5 * square,
+            alpha_rate=self.ard_rate + 0.5 * square,  # [C10]
             psi_y=s2,
         )
-        return self._evaluate(new, logdet, alpha, spread)
+        return self.evaluate(new, beta.logdet, alpha, spread)
+
+    def evaluate(self, state, logdet, precisions, spread):
+        """E-step over T, and the bound.
+
+        logdet : of the covariance of beta, which was taken under `precisions` (d,);
+        spread : tr(cov S) / psi_y with exact inputs.
+        """
+        sums = expect_latent(self.moments, self.latent, state)
+        if self.given:
+            # The squared residual of the factor instead of a difference of moments,
+            # and the identity tr(cov S) = s2 (d - alpha'diag(cov)), in which the huge
+            # variances of directions with little information do not cancel.
+            left = self.root.z - self.root.R @ state.beta_mean
+            data = self.n * (_LOG_2PI + np.log(state.psi_y)) + spread
+            data += (left @ left + self.root.rest) / state.psi_y
+            sums = replace(sums, bound=-0.5 * float(data))  # [C12]
+        value = sums.bound + _prior_bound(
+            state, self.ard_shape, self.ard_rate, logdet, self.shared
+        )
+        return Point(
+            state=state, logdet=logdet, precisions=precisions, sums=sums, value=value
+        )
+
+    def judge(self, point, new, tol):
+        """Whether a step made the bound fall, and whether it gained next to nothing.
+
+        A gain within the residual's rounding is none, whatever `tol` asks for.
+        """
+        gain = new.value - point.value
+        resolution = min(self._resolution(new), self._resolution(point))
+        fell = not gain >= -rounding_of_bound(new.value, self.n, resolution)
+        return fell, abs(gain) <= self.n * max(tol, rounding_of_fit(resolution))
+
+    def _resolution(self, point):
+        """Output variance in units of what cancels in the residual."""
+        size = np.linalg.norm(point.state.beta_mean)
+        if self.given:
+            # The residual itself is rounded, in units of the terms that cancel in it.
+            return np.sqrt(point.state.psi_y) / (1.0 + size)
+        # Its square is, a difference of products.
+        return point.state.psi_y / (1.0 + size**2)
 
     def coordinates(self, point):
         """Return all that the next plain step depends on, log alpha and log s2 first.
@@ -536,120 +558,6 @@ class _Problem:
                 sums, S_tt=self.n * S_tt, S_ty=self.n * vector[d + 1 + d * d :]
             )
         return replace(point, state=state, sums=sums)
-
-    def _evaluate(self, state, logdet, precisions, spread):
-        """E-step over T, and the bound."""
-        sums = expect_latent(self.S, self.xy, self.yy, self.n, self.latent, state)
-        if self.given:
-            # The squared residual of the factor instead of a difference of moments,
-            # and the identity tr(cov S) = s2 (d - alpha'diag(cov)), in which the huge
-            # variances of directions with little information do not cancel.
-            left = self.root.z - self.root.R @ state.beta_mean
-            data = self.n * (_LOG_2PI + np.log(state.psi_y)) + spread
-            data += (left @ left + self.root.rest) / state.psi_y
-            sums = replace(sums, bound=-0.5 * float(data))
-        value = sums.bound + _prior_bound(
-            state, self.ard_shape, self.ard_rate, logdet, self.shared
-        )
-        return _Point(
-            state=state, logdet=logdet, precisions=precisions, sums=sums, value=value
-        )
-
-    def resolution(self, point):
-        """Return the output variance in units of what cancels in the residual."""
-        size = np.linalg.norm(point.state.beta_mean)
-        if self.given:
-            # The residual itself is rounded, in units of the terms that cancel in it.
-            return np.sqrt(point.state.psi_y) / (1.0 + size)
-        # Its square is, a difference of products.
-        return point.state.psi_y / (1.0 + size**2)
-
-
-def _has_digits(S):
-    """Whether rounding is far below the smallest eigenvalue."""
-    values = linalg.eigvalsh(S)
-    return bool(values[0] > _HALF_DIGITS * values[-1])
-
-
-def solve_correlated(
-    S,
-    xy,
-    yy,
-    n,
-    psi,
-    *,
-    ard_shape,
-    ard_rate,
-    max_iter,
-    tol,
-    common=False,
-    root=None,
-    accelerate=True,
-):
-    """Fit the model to standardised moments.
-
-    Parameters
-    ----------
-    S, xy, yy : ndarray (d, d), ndarray (d,), float
-        Scatter of x, of x with y, and of y.
-    n : float
-        Number of samples.
-    psi : ndarray of shape (d, d)
-        Input-noise covariance.
-    common : bool
-        One precision for all coefficients instead of one for each.
-    root : SquareRoot or None
-        Square root of the moments where it is known to more digits than they are;
-        used with exact inputs.
-    accelerate : bool, default=True
-        Reach the fixed point in fewer iterations: by maximising the bound jointly over
-        what the plain iteration updates in turn, where `root` is given or the moments
-        have the digits that this needs in all directions (the smallest eigenvalue of S
-        is half their digits above rounding), and by Anderson's extrapolation. A step
-        that does not raise the bound is replaced by the plain one. Every evaluation of
-        the bound counts as an iteration. False is the iteration to the letter, ended
-        by `tol` alone.
-        With exact inputs the bound of least squares is looked at in the end: where it
-        is higher, the iteration goes on from there.
-    """
-    problem = _Problem(S, xy, yy, n, psi, ard_shape, ard_rate, common, root)
-    joint, climb = False, _climb_plainly
-    if accelerate:
-        joint = root is not None or (n > xy.shape[0] and _has_digits(S))
-        climb = partial(_climb, joint=joint)
-    if accelerate and problem.latent.exact and common and n <= xy.shape[0]:
-        return _highest_of_two(problem, climb, max_iter, tol, joint=joint)
-    found = climb(problem, problem.start(fast=joint), max_iter, tol)
-    if not (problem.latent.exact and n > xy.shape[0]):
-        return found
-    used = found.n_iter + 1
-    other = problem.start_from_least_squares(fast=joint)
-    if other.value > found.history[-1] and used < max_iter:
-        found = climb(problem, other, max_iter - used, tol)
-        return replace(found, n_iter=used + found.n_iter - 1)
-    return replace(found, n_iter=used)
-
-
-# Evaluations of the bound after which two ways up are compared.
-_GLANCE = 100
-
-
-def _highest_of_two(problem, climb, max_iter, tol, *, joint):
-    """Go up from the exact fit or from the ridge solution, whichever gets higher.
-
-    Fewer samples than inputs can be fitted exactly, or taken for noise altogether;
-    often both are maxima, and the way from one to the other is long and flat.
-    """
-    glance = min(_GLANCE, max_iter)
-    exact = climb(problem, problem.start_from_least_squares(fast=joint), glance, tol)
-    noisy = climb(problem, problem.start(fast=joint), glance, tol)
-    best = exact if exact.history[-1] > noisy.history[-1] else noisy
-    used = exact.n_iter + noisy.n_iter
-    if best.status != "max_iter" or used >= max_iter:
-        return replace(best, n_iter=min(used, max_iter))
-    make = problem.start_from_least_squares if best is exact else problem.start
-    best = climb(problem, make(fast=joint), max_iter - used, tol)
-    return replace(best, n_iter=used + best.n_iter)
 
 
 # Steps and changes of the step that Anderson's method keeps (its usual number is 5 to
@@ -694,101 +602,155 @@ class _Anderson:
         return image - further
 
 
-def _verdict(problem, new, point, tol):
-    """Judge a step: whether the bound fell, and whether it gained too little to go on.
-
-    A gain within the residual's rounding is none, whatever `tol` asks for.
-    """
-    gain = new.value - point.value
-    resolution = min(problem.resolution(new), problem.resolution(point))
-    fell = not gain >= -rounding_of_bound(new.value, problem.n, resolution)
-    return fell, abs(gain) <= problem.n * max(tol, rounding_of_fit(resolution))
-
-
-def _solution(problem, point, history, used, status, fall=0.0):
-    return CorrelatedSolution(
-        state=point.state,
-        latent=problem.latent,
-        history=np.array(history),
-        n_iter=used,
-        status=status,
-        fall=fall,
-    )
-
-
-def _climb_plainly(problem, point, max_iter, tol):
-    """Iterate to the letter from one starting point."""
-    history = [point.value]
-    for used in range(2, max_iter + 1):
-        new = problem.step(point, fast=False)
-        fell, quiet = _verdict(problem, new, point, tol)
-        if fell:
-            fall = point.value - new.value
-            return _solution(problem, point, history, used, "bound_decreased", fall)
-        point = new
-        history.append(point.value)
-        if quiet:
-            return _solution(problem, point, history, used, "converged")
-    return _solution(problem, point, history, max_iter, "max_iter")
-
-
-def _climb(problem, point, max_iter, tol, *, joint):
-    """Iterate from one starting point to the fixed point.
+class FixedPointSteps:
+    """Steps to the fixed point: joint maxima, and extrapolated plain steps.
 
     Where the bound gains less than `tol` the ends still differ by the length of a step,
     and rounding decides which step is the last. From there on (and from the start,
     where joint steps would lose digits) the plain iteration is extrapolated until its
     step is rounding: the end is the fixed point, whatever the order of the sums.
     """
-    history, used, status = [point.value], 1, "max_iter"
-    fast = joint
-    anderson, at, smallest, idle = _Anderson(problem.d + 1), None, np.inf, 0
-    while used < max_iter:
-        start = point if at is None else problem.moved(point, at)
-        new = problem.step(start, fast=fast)
-        used += 1
-        if fast and not new.value >= point.value:
-            fast = False  # this once
-            continue
-        fell, quiet = _verdict(problem, new, point, tol)
-        if fell and at is not None:
-            # Extrapolated too far: from the best point on again.
-            at = None
-            anderson.forget()
-            continue
-        if fell:
-            fall = point.value - new.value
-            return _solution(problem, point, history, used, "bound_decreased", fall)
+
+    def __init__(self, problem, tol, *, joint):
+        self.problem, self.tol, self.joint = problem, tol, joint
+        self.fast, self.converged = joint, False
+        self.anderson, self.at = _Anderson(problem.d + 1), None
+        self.smallest, self.idle = np.inf, 0
+
+    def propose(self, point, budget):
+        """Return a new point, or None where a joint step does not raise the bound."""
+        problem = self.problem
+        self.start = point if self.at is None else problem.moved(point, self.at)
+        new = problem.step(self.start, fast=self.fast)
+        if self.fast and not new.value >= point.value:
+            self.fast = False  # this once
+            return None, 1
+        return new, 1
+
+    def judge(self, point, new):
+        """Whether the bound fell, and whether it gained next to nothing."""
+        return self.problem.judge(point, new, self.tol)
+
+    def retry(self):
+        """After a fall: extrapolated too far, from the best point on again."""
+        extrapolated, self.at = self.at is not None, None
+        if extrapolated:
+            self.anderson.forget()
+        return extrapolated
+
+    def accept(self, point, new, quiet):
+        """Take a step; return whether it is the last."""
         # An extrapolated point may happen to gain nothing, on the way to another.
-        status = "converged" if quiet else "max_iter"
-        if not joint:
-            here, there = problem.coordinates(start), problem.coordinates(new)
-            length = np.abs(there - here)[: problem.d + 1].max()
-            idle = 0 if length < 0.5 * smallest else idle + 1
-            smallest = min(length, smallest)
-            at = anderson.next(here, there)
-        joint = joint and not quiet
-        fast, point = joint, new
-        history.append(point.value)
-        if quiet and (smallest <= _SETTLED or idle >= _PATIENCE):
-            break
-    return _solution(problem, point, history, used, status)
+        self.converged = quiet
+        if not self.joint:
+            here = self.problem.coordinates(self.start)
+            there = self.problem.coordinates(new)
+            length = np.abs(there - here)[: self.problem.d + 1].max()
+            self.idle = 0 if length < 0.5 * self.smallest else self.idle + 1
+            self.smallest = min(length, self.smallest)
+            self.at = self.anderson.next(here, there)
+        self.fast = self.joint = self.joint and not quiet
+        return quiet and (self.smallest <= _SETTLED or self.idle >= _PATIENCE)
 
 
-def posterior_covariance(S, n, psi, solution, dof=np.inf):
-    """Covariance of beta that counts the noise of the inputs' moments too.
+# Evaluations of the bound after which two ways up are compared.
+_GLANCE = 100
 
-    For known psi the corrected estimate has the asymptotic covariance (Fuller 1987,
-    eq. 2.2.23, normal errors)
 
-        (v G^-1 + G^-1 (v psi + psi beta beta' psi) G^-1) / n,
-        v = psi_y + beta' psi beta,
+@dataclass(frozen=True, kw_only=True)
+class CorrelatedSolution(Solution):
+    """Where the iteration ended, with the latent inputs of the model."""
 
-    G being the covariance of the latent inputs, here with the prior's share added. With
-    a psi that was estimated with `dof` degrees of freedom this rises by
-    G^-1 (psi beta'psi beta + psi beta beta' psi) G^-1 / dof (the same, theorem 2.2.1).
-    With psi = 0 it is the posterior covariance of Bayesian regression. The
-    variational one takes the latent inputs as given and is too small.
+    latent: Latent
+
+
+def solve_correlated(
+    moments,
+    psi,
+    *,
+    ard_shape,
+    ard_rate,
+    max_iter,
+    tol,
+    common=False,
+    accelerate=True,
+):
+    """Fit the model to standardised moments.
+
+    Parameters
+    ----------
+    moments : SecondMoments
+        Moments as a scatter matrix.
+    psi : ndarray of shape (d, d)
+        Input-noise covariance.
+    common : bool
+        One precision for all coefficients instead of one for each.
+    accelerate : bool, default=True
+        Reach the fixed point in fewer iterations: by maximising the bound jointly over
+        what the plain iteration updates in turn, where the moments have a square root
+        or the digits that this needs in all directions (the smallest eigenvalue of S
+        is half their digits above rounding), and by Anderson's extrapolation. A step
+        that does not raise the bound is replaced by the plain one. Every evaluation of
+        the bound counts as an iteration. False is the iteration to the letter, ended
+        by `tol` alone.
+        With exact inputs the bound of least squares is looked at in the end: where it
+        is higher, the iteration goes on from there.
+    """
+    problem = CorrelatedProblem(
+        moments, psi, ard_shape=ard_shape, ard_rate=ard_rate, common=common
+    )
+    more = moments.n > problem.d  # samples than inputs
+    joint = accelerate and (moments.root is not None or (more and _has_digits(moments)))
+
+    def up(point, most):
+        steps = PlainSteps(problem, tol)
+        if accelerate:
+            steps = FixedPointSteps(problem, tol, joint=joint)
+        found = climb(steps, point, most)
+        return CorrelatedSolution(latent=problem.latent, **vars(found))
+
+    if accelerate and problem.latent.exact and common and not more:
+        return _highest_of_two(problem, up, max_iter, fast=joint)
+    found = up(problem.start(fast=joint), max_iter)
+    if not (problem.latent.exact and more):
+        return found
+    used = found.n_iter + 1
+    other = problem.start_from_least_squares(fast=joint)
+    if other.value > found.history[-1] and used < max_iter:
+        found = up(other, max_iter - used)
+        return replace(found, n_iter=used + found.n_iter - 1)
+    return replace(found, n_iter=used)
+
+
+def _has_digits(moments):
+    """Whether rounding is far below the smallest eigenvalue of S."""
+    values = linalg.eigvalsh(moments.S)
+    return bool(values[0] > _HALF_DIGITS * values[-1])
+
+
+def _highest_of_two(problem, up, max_iter, *, fast):
+    """Go up from the exact fit or from the ridge solution, whichever gets higher.
+
+    Fewer samples than inputs can be fitted exactly, or taken for noise altogether;
+    often both are maxima, and the way from one to the other is long and flat.
+    """
+    glance = min(_GLANCE, max_iter)
+    exact = up(problem.start_from_least_squares(fast=fast), glance)
+    noisy = up(problem.start(fast=fast), glance)
+    best = exact if exact.history[-1] > noisy.history[-1] else noisy
+    used = exact.n_iter + noisy.n_iter
+    if best.status != "max_iter" or used >= max_iter:
+        return replace(best, n_iter=min(used, max_iter))
+    make = problem.start_from_least_squares if best is exact else problem.start
+    best = up(make(fast=fast), max_iter - used)
+    return replace(best, n_iter=used + best.n_iter)
+
+
+def posterior_covariance(n, psi, solution, dof=np.inf):
+    """Covariance (d, d) of beta that counts the noise of the inputs' moments, [C17].
+
+    psi (d, d) is known, or was estimated with `dof` degrees of freedom. With psi = 0 it
+    is the posterior covariance of Bayesian regression.
     """
     state = solution.state
     if solution.latent.exact:
@@ -807,5 +769,6 @@ def posterior_covariance(S, n, psi, solution, dof=np.inf):
     middle = v * psi + np.outer(psi_beta, psi_beta)
     # Wishart: the covariance of psi beta for an estimated psi, times dof.
     estimated = (beta @ psi_beta) * psi + np.outer(psi_beta, psi_beta)
-    cov = (v * G_inv + G_inv @ middle @ G_inv) / n + G_inv @ estimated @ G_inv / dof
+    cov = (v * G_inv + G_inv @ middle @ G_inv) / n
+    cov += G_inv @ estimated @ G_inv / dof  # [C17]
     return 0.5 * (cov + cov.T)

@@ -17,6 +17,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize
 
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+
 # Share of a standardised column's variance below which a dependency counts as exact:
 # the rounding of second moments, generously.
 DEPENDENCY_TOLERANCE = 1e-9
@@ -46,19 +48,17 @@ class Dependencies:
 def find_dependencies(R):
     """Find the generating columns from the correlation matrix R (d, d)."""
     d = R.shape[0]
-    values, vectors = linalg.eigh(R)
-    null = values < DEPENDENCY_TOLERANCE * values[-1]
+    eigen = scaled_eigen(R, DEPENDENCY_TOLERANCE, scale=1.0)
     alone = tuple(np.array([j]) for j in range(d))
-    if not null.any():
+    if eigen.rank == d:
         return Dependencies(basis=np.arange(d), copies=alone, rule="full rank")
-    involved = (vectors[:, null] ** 2).sum(axis=1) > 1e-6
+    involved = eigen.lost(1e-6)
     dependent, free = np.flatnonzero(involved), np.flatnonzero(~involved)
     groups = _copies(R, dependent)
     first = np.array([group[0] for group in groups])
-    rank = d - int(null.sum()) - free.size
+    rank = eigen.rank - free.size
     # Columns as points: F'F = R without the null space.
-    F = (vectors[:, ~null] * np.sqrt(values[~null])).T
-    rays = _extreme_rays(F, first) if first.size <= _MOST_RAYS else None
+    rays = _extreme_rays(eigen.root(), first) if first.size <= _MOST_RAYS else None
     if rays is not None and rays.size == rank:
         chosen, rule = rays, "rays"
     else:

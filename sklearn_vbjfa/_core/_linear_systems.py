@@ -1,12 +1,84 @@
-"""Total least squares and two-stage least squares on triangular factors."""
+"""Least squares on columns of unit length, and total least squares.
+
+The rivals of the joint factor models solve on the rows, or on a triangular factor of
+them; columns are scaled to one length first, so that no rank depends on a unit.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa._core._moments import is_constant
+
 # Relative distance of squared singular values below which total least squares is
 # nongeneric: nearer than this, half of the solution's digits are rounding.
 NONGENERIC = np.sqrt(np.finfo(np.float64).eps)
+
+
+@dataclass(frozen=True, kw_only=True)
+class UnitColumns:
+    """Columns of unit length, weighted by the square root of the row weights.
+
+    Attributes
+    ----------
+    values : ndarray of shape (n_samples, n_features)
+        ``sqrt(weight) * (X - mean) / scale``; zero for a constant column.
+
+    mean : ndarray of shape (n_features,)
+        Weighted means, in the unit of each column; zero without centring.
+
+    scale : ndarray of shape (n_features,)
+        Lengths of the centred, weighted columns, in the unit of each column; one
+        for a constant column.
+    """
+
+    values: np.ndarray
+    mean: np.ndarray
+    scale: np.ndarray
+
+
+def unit_columns(X, weight, *, center):
+    """Centre the columns at their weighted means and scale them to unit length.
+
+    Dividing by the largest magnitude first keeps squares from overflowing, and the
+    second pass of the mean takes away the rounding of the first, so that columns in
+    any unit and with any offset are treated alike.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n_samples, n_features)
+        Columns; not modified.
+
+    weight : ndarray of shape (n_samples,)
+        Strictly positive weights of the rows.
+
+    center : bool
+        Whether to subtract the weighted mean. Without it a column is constant only
+        if it is zero.
+
+    Returns
+    -------
+    UnitColumns
+        Columns of unit length, their means and scales.
+    """
+    total = weight.sum()
+    magnitude = np.maximum(X.max(axis=0), -X.min(axis=0))
+    magnitude = np.where(magnitude > 0, magnitude, 1.0)
+    values = X / magnitude
+    mean = np.zeros(X.shape[1])
+    if center:
+        for _ in range(2):
+            shift = weight @ values / total
+            values -= shift
+            mean += shift
+    values *= np.sqrt(weight)[:, np.newaxis]
+    length = np.sqrt(np.einsum("ij,ij->j", values, values))
+    constant = is_constant(length / np.sqrt(total), mean)
+    values[:, constant] = 0.0
+    length[constant] = 1.0
+    values /= length
+    scale = np.where(constant, 1.0, magnitude * length)
+    return UnitColumns(values=values, mean=mean * magnitude, scale=scale)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,12 +5,10 @@ is defined where the whole filter lies inside the recording, so that edges are c
 never made up; and since it looks at a bounded neighbourhood only, a long recording can
 be filtered in overlapping chunks with exactly the same result.
 
-The low-pass with decimation as matrix products, for rows that come in blocks.
-
-Only the outputs that are kept are computed: a block of rows adds to the outputs whose
-window it lies in, one product with a small matrix of taps. Regressor matrices, whose
-blocks are a thousand columns wide, then neither have to be there all at once nor cost
-more than to make them.
+Rows may come in blocks: each adds to the outputs whose window it lies in, one product
+with a small matrix of taps, and only the outputs that are kept are computed. Regressor
+matrices, whose blocks are a thousand columns wide, then neither have to be there all at
+once nor cost more than to make them.
 """
 
 from dataclasses import dataclass
@@ -20,6 +18,11 @@ import numpy as np
 from scipy import signal
 
 _ATTENUATION = 60.0  # dB
+# A filtered row counts when at least this share of the filter's neighbourhood counts.
+_MASK_SHARE = 0.5
+# Memory of a block's rows, and fewest rows for which a call is worth its overhead.
+_BLOCK_BYTES = 4 << 20
+_MIN_ROWS = 128
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,11 +107,6 @@ def design(dt, cutoff, step=None):
     if step is None:
         step = max(1, int(0.25 / relative))
     return Lowpass(taps=taps / taps.sum(), step=step)
-
-
-# Memory of a block's rows, and fewest rows for which a call is worth its overhead.
-_BLOCK_BYTES = 4 << 20
-_MIN_ROWS = 128
 
 
 @lru_cache(maxsize=64)
@@ -219,3 +217,13 @@ def averaging(lowpass):
     """Return the filter that averages weights over the neighbourhood of a filter."""
     taps = np.abs(lowpass.taps)
     return Lowpass(taps=taps / taps.sum(), step=lowpass.step)
+
+
+def filter_weight(lowpass, weight):
+    """Count filtered rows as independent samples; zero where too little counts."""
+    smoother = averaging(lowpass)
+    average = decimate(smoother, weight)
+    full = decimate(smoother, (weight > 0).astype(float))
+    # A tie must not depend on the order in which the taps were summed.
+    counts = full > _MASK_SHARE - 1e-9
+    return np.where(counts, lowpass.efficiency * average, 0.0)

@@ -8,7 +8,8 @@ the fit took from each block, which is put back exactly for white noise.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 
 # Directions of the scaled Gram matrix below this are not determined.
 _RANK = 1e-10
@@ -66,14 +67,9 @@ def block_variance(grams, scores, place, noise=1.0):
         Factors of the variances, nan for what is not determined.
     """
     H = grams.sum(axis=0)
-    size = np.sqrt(np.diagonal(H))
-    used = size > 0
-    unit = np.where(used, size, 1.0)
-    values, vectors = linalg.eigh(H / np.outer(unit, unit))
-    keep = values > _RANK * values[-1]
+    used = np.diagonal(H) > 0
     # H^-1 = L L'
-    L = np.where(used[:, None], vectors[:, keep] / unit[:, None], 0.0)
-    L /= np.sqrt(values[keep])
+    L = np.where(used[:, None], scaled_eigen(H, _RANK).inverse_root(), 0.0)
     K = L.T @ (grams @ L)
     s = scores @ L
     place = np.array(place)

@@ -1,41 +1,219 @@
-"""The loop: start, iterate, watch the bound, stop.
+"""The loop of all models, and the steps of the independent-latent one.
 
-The state as a vector, the bound's gradient in it, and the scale of an EM step.
-
-Loadings stand as they are and variances as logarithms, so that any vector of real
-numbers is a state. The precisions alpha do not occur: at their own optimum, which is
-explicit, they add nothing to the gradient.
-
-Highest likelihood of the model without priors, which is explicit.
-
-With z and t integrated out, x_m ~ N(0, V_m) and y | x ~ N(c'x, s), where
-
-    V_m = w_xm^2 + psi_xm,   c_m = w_zm w_xm / V_m,
-    s = psi_y + sum(psi_z) + sum(c_m^2 V_m o_m),   o_m = psi_xm / w_xm^2,
-
-and nothing else of the parameters counts. Where the input noise alone does not make
-more of s than least squares leaves, the highest likelihood has the variance of x_m as
-V_m, least squares as c and its residual variance as s. EM creeps towards it where
-inputs are strongly correlated: the gain of an iteration says little of what is left.
+`climb` starts, asks for the next point, watches the bound, and stops. What the next
+point is, its caller says: the updates as they are printed (`PlainSteps`), quasi-Newton
+steps (`QuasiNewtonSteps`, here), or joint maxima (`_correlated`). Without priors the
+end is explicit (`at_highest_likelihood`).
 """
 
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa._core._moments import GramMoments, exact_fit
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     HiddenExpectations,
     State,
     bound,
+    coefficients_noisy,
     expect_hidden,
     update_loadings,
     update_noise,
     update_precisions,
 )
+
+# -------------------------------------------------------------------------- the loop
+
+_RELATIVE_FALL = 1e-9
+
+
+def rounding_of_bound(value, n, output_variance):
+    """Return the largest fall of the bound that rounding can explain.
+
+    A share of the bound's own size, and what the rounding of the squared residual
+    (a difference of terms of size 1 per sample, in standardised units) does to the
+    bound when the residual itself is tiny.
+    """
+    return _RELATIVE_FALL * max(abs(value), n) + n * rounding_of_fit(output_variance)
+
+
+def rounding_of_fit(output_variance):
+    """Return the bound's rounding per sample from that of the squared residual."""
+    return 64 * np.finfo(float).eps / output_variance
+
+
+@dataclass(frozen=True, kw_only=True)
+class Solution:
+    """Where the iteration ended, and how.
+
+    ``status`` is "converged", "max_iter" or "bound_decreased"; ``fall`` is the size of
+    that decrease; ``at_floor`` names the variances at their floor (Heywood cases).
+    """
+
+    state: object
+    history: np.ndarray
+    n_iter: int
+    status: str
+    fall: float = 0.0
+    at_floor: dict = field(default_factory=dict)
+
+
+def climb(steps, point, max_iter):
+    """Go up from a point until the steps have no more to gain.
+
+    An iteration is one evaluation of the bound with its expectations, whether or not
+    the step that asked for it is kept.
+
+    Parameters
+    ----------
+    steps : object
+        ``propose(point, budget)`` returns a new point, or None, and the evaluations
+        used; ``judge(point, new)`` whether the bound fell and whether it gained next to
+        nothing; ``retry()`` whether there is another way after a fall; ``accept(point,
+        new, quiet)`` takes the step and says whether it is the last. ``converged`` is
+        whether the last step taken could be the end.
+    point : object
+        Evaluated start; ``value`` is its bound, ``state`` its state.
+    max_iter : int
+        Largest number of evaluations, that of the start included.
+    """
+    history, used = [point.value], 1
+    while used < max_iter:
+        new, spent = steps.propose(point, max_iter - used)
+        used += spent
+        if new is None:
+            continue
+        fell, quiet = steps.judge(point, new)
+        if fell:
+            if steps.retry():
+                continue
+            return Solution(
+                state=point.state,
+                history=np.array(history),
+                n_iter=used,
+                status="bound_decreased",
+                fall=point.value - new.value,
+            )
+        last = steps.accept(point, new, quiet)
+        point = new
+        history.append(point.value)
+        if last:
+            break
+    return Solution(
+        state=point.state,
+        history=np.array(history),
+        n_iter=used,
+        status="converged" if steps.converged else "max_iter",
+    )
+
+
+class PlainSteps:
+    """The updates as they are printed, one after the other."""
+
+    def __init__(self, problem, tol):
+        self.problem, self.tol, self.converged = problem, tol, False
+
+    def propose(self, point, budget):
+        """Return the point of the next state."""
+        return self.problem.step(point), 1
+
+    def judge(self, point, new):
+        """Whether the bound fell, and whether it gained next to nothing."""
+        return self.problem.judge(point, new, self.tol)
+
+    def retry(self):
+        """There is no other way after a fall."""
+        return False
+
+    def accept(self, point, new, quiet):
+        """Take the step; a quiet one is the last."""
+        self.converged = quiet
+        return quiet
+
+
+# ------------------------------------------------- plain steps of independent latents
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A state with its expectations and its bound."""
+
+    state: State
+    value: float
+    hidden: HiddenExpectations
+
+
+def evaluate(moments, state, prior):
+    """Do the E-step and the bound of a state."""
+    hidden = expect_hidden(moments, state)
+    value = bound(moments, state, hidden, prior)
+    return Point(state=state, value=value, hidden=hidden)
+
+
+def plain_step(moments, point, prior):
+    """Do the M-steps: the state after a point."""
+    new = update_loadings(point.state, point.hidden, prior)
+    new = update_precisions(new, prior)
+    return update_noise(moments, point.state, new, point.hidden, prior)
+
+
+class IndependentProblem:
+    """The moments and the prior, and the step from one state to the next."""
+
+    def __init__(self, moments, prior):
+        self.moments, self.prior = moments, prior
+
+    def evaluate(self, state):
+        """Point of a state."""
+        return evaluate(self.moments, state, self.prior)
+
+    def step(self, point):
+        """Point of the state after the M-steps."""
+        return self.evaluate(plain_step(self.moments, point, self.prior))
+
+    def judge(self, point, new, tol):
+        """Whether a step made the bound fall, and whether it gained next to nothing."""
+        n, gain = self.moments.n, new.value - point.value
+        fell = gain < -rounding_of_bound(new.value, n, new.state.psi_y)
+        return fell, abs(gain) <= tol * n
+
+
+def start(moments, prior, input_noise):
+    """Return the documented starting point.
+
+    The inputs start with the shares `input_noise` (d,) of their variances as noise. The
+    loadings to z start along the covariance with y with the step that fits y best
+    (one component of PLS); the rest of y is shared by y's own noise and the z's.
+    """
+    n, d = moments.n, moments.xx.shape[0]
+    psi_x = input_noise if prior.psi_x_fixed is None else prior.psi_x_fixed
+    w_x = np.sqrt(np.maximum(1.0 - psi_x, VARIANCE_FLOOR))
+    direction = moments.xy
+    curvature = direction @ moments.dot(direction)
+    step = (direction @ direction) / curvature if curvature > 0 else 0.0
+    w_z = step * direction / w_x
+    explained = step * (direction @ direction)
+    rest = max(moments.yy - explained, VARIANCE_FLOOR * moments.yy) / n
+    shape = prior.ard_shape + (1.0 if prior.coupled else 0.5)
+    variance = np.full(d, 1.0 / n) if prior.ard else np.zeros(d)
+    return State(
+        w_z_mean=w_z,
+        w_z_var=variance,
+        w_x_mean=w_x,
+        w_x_var=variance if prior.coupled else np.zeros(d),
+        # The paper's initial value: <alpha> = 1.
+        alpha_shape=shape,
+        alpha_rate=np.full(d, shape),
+        psi_y=max(0.5 * rest, VARIANCE_FLOOR),
+        psi_z=np.full(d, max(0.5 * rest / d, VARIANCE_FLOOR)),
+        psi_x=np.maximum(psi_x, VARIANCE_FLOOR),
+    )
+
+
+# ---------------------------------------------------------------- quasi-Newton steps
 
 _TINY = float(np.finfo(float).tiny)
 # Largest logarithm: exp of it must stay a number.
@@ -55,7 +233,12 @@ def _blocks(prior):
 
 
 def to_vector(state, prior):
-    """Coordinates of a state, ndarray of shape (n_blocks * d + 1,)."""
+    """Coordinates of a state, ndarray of shape (n_blocks * d + 1,).
+
+    Loadings stand as they are and variances as logarithms, so that any vector of real
+    numbers is a state. The precisions alpha do not occur: at their own optimum, which
+    is explicit, they add nothing to the gradient.
+    """
     parts = [
         values if name.endswith("mean") else np.log(np.maximum(values, _TINY))
         for name in _blocks(prior)
@@ -142,189 +325,6 @@ def slope(moments, state, hidden, prior):
     )
 
 
-def at_highest_likelihood(moments, state, prior):
-    """State of highest likelihood that keeps what it can of the split of `state`.
-
-    Known input noise stays as it is; None is returned where it makes more output noise
-    than there is, since V and c then depend on each other. Unknown noise has the odds
-    to the signal that it has in `state`; where these would make too much output noise,
-    all are lowered by one factor, so that they make the share that they make there.
-
-    Parameters
-    ----------
-    moments : GramMoments
-        Standardised moments.
-    state : State
-        Where EM has led.
-    prior : Prior
-        Without an ARD layer.
-    """
-    n, variance = moments.n, moments.xx / moments.n
-    if prior.psi_x_fixed is None:
-        share = state.psi_x / (state.psi_x + state.w_x_mean**2)
-    else:
-        share = np.minimum(prior.psi_x_fixed / variance, 1.0)
-    signal = np.maximum(1.0 - share, 0.0)
-    used = signal > VARIANCE_FLOOR
-    odds = np.where(used, share / np.where(used, signal, 1.0), 0.0)
-
-    c = np.where(used, _coefficients(state), 0.0)
-    c = c + _least_squares_step(moments, c, used)
-    s = moments.residual(c)[1] / n
-    through = c**2 * variance @ odds
-    if through > s:
-        if prior.psi_x_fixed is not None:
-            return None
-        old = _coefficients(state) ** 2 @ (
-            state.psi_x * (state.w_x_mean**2 + state.psi_x) / state.w_x_mean**2
-        )
-        part = old / (old + state.psi_y + state.psi_z.sum())
-        odds = odds * (part * s / through)
-        through = part * s
-    rest = (s - through) / (state.psi_y + state.psi_z.sum())
-    psi_x = prior.psi_x_fixed
-    w_x = np.sqrt(variance / (1.0 + odds)) * np.where(state.w_x_mean < 0, -1.0, 1.0)
-    if psi_x is None:
-        psi_x = np.maximum(variance * odds / (1.0 + odds), VARIANCE_FLOOR)
-    w_x = np.where(used, w_x, state.w_x_mean)
-    w_z = np.where(used, c * variance / np.where(used, w_x, 1.0), 0.0)
-    return replace(
-        state,
-        w_z_mean=w_z,
-        w_x_mean=w_x,
-        psi_x=psi_x,
-        psi_y=max(rest * state.psi_y, VARIANCE_FLOOR),
-        psi_z=np.maximum(rest * state.psi_z, VARIANCE_FLOOR),
-    )
-
-
-def _coefficients(state):
-    """Coefficients of E[y | x], (d,)."""
-    w_x = state.w_x_mean
-    return state.w_z_mean * w_x / (w_x**2 + state.psi_x)  # [eq. 27]
-
-
-def _least_squares_step(moments, c, used):
-    """Shortest step (d,) from coefficients to least squares in the inputs in use."""
-    step = np.zeros_like(c)
-    if moments.root is not None:
-        R = moments.root.R[:, used]
-        left = moments.root.z - moments.root.R @ c
-        step[used] = linalg.lstsq(R, left)[0]
-        return step
-    values, vectors = linalg.eigh(moments.S[np.ix_(used, used)])
-    keep = values > values[-1] * values.size * 4 * np.finfo(float).eps
-    left = (moments.xy - moments.dot(c))[used]
-    V = vectors[:, keep]
-    # Once more with what is left, whose rounding is smaller.
-    for _ in range(2):
-        step[used] += V @ ((V.T @ left) / values[keep])
-        left = (moments.xy - moments.dot(c + step))[used]
-    return step
-
-
-_RELATIVE_FALL = 1e-9
-
-
-def rounding_of_bound(value, n, output_variance):
-    """Return the largest fall of the bound that rounding can explain.
-
-    A share of the bound's own size, and what the rounding of the squared residual
-    (a difference of terms of size 1 per sample, in standardised units) does to the
-    bound when the residual itself is tiny.
-    """
-    return _RELATIVE_FALL * max(abs(value), n) + n * rounding_of_fit(output_variance)
-
-
-def rounding_of_fit(output_variance):
-    """Return the bound's rounding per sample from that of the squared residual."""
-    return 64 * np.finfo(float).eps / output_variance
-
-
-@dataclass(frozen=True, kw_only=True)
-class Solution:
-    """Where the iteration ended, and how.
-
-    ``status`` is "converged", "max_iter" or "bound_decreased"; ``fall`` is the size of
-    that decrease; ``at_floor`` names the variances at their floor (Heywood cases).
-    """
-
-    state: State
-    history: np.ndarray
-    n_iter: int
-    status: str
-    fall: float
-    at_floor: dict
-
-
-def start(moments, prior, input_noise):
-    """Return the documented starting point.
-
-    The inputs start with the share `input_noise` of their variance as noise. The
-    loadings to z start along the covariance with y with the step that fits y best
-    (one component of PLS); the rest of y is shared by y's own noise and the z's.
-
-    Parameters
-    ----------
-    moments : Moments
-        Standardised moments.
-    prior : Prior
-        Says whether there is an ARD layer, and which noise is fixed.
-    input_noise : ndarray of shape (n_features,)
-        Input-noise variances to start from, as shares of the inputs' variances.
-    """
-    n, d = moments.n, moments.xx.shape[0]
-    psi_x = input_noise if prior.psi_x_fixed is None else prior.psi_x_fixed
-    w_x = np.sqrt(np.maximum(1.0 - psi_x, VARIANCE_FLOOR))
-    direction = moments.xy
-    curvature = direction @ moments.dot(direction)
-    step = (direction @ direction) / curvature if curvature > 0 else 0.0
-    w_z = step * direction / w_x
-    explained = step * (direction @ direction)
-    rest = max(moments.yy - explained, VARIANCE_FLOOR * moments.yy) / n
-    shape = prior.ard_shape + (1.0 if prior.coupled else 0.5)
-    variance = np.full(d, 1.0 / n) if prior.ard else np.zeros(d)
-    return State(
-        w_z_mean=w_z,
-        w_z_var=variance,
-        w_x_mean=w_x,
-        w_x_var=variance if prior.coupled else np.zeros(d),
-        # The paper's initial value: <alpha> = 1.
-        alpha_shape=shape,
-        alpha_rate=np.full(d, shape),
-        psi_y=max(0.5 * rest, VARIANCE_FLOOR),
-        psi_z=np.full(d, max(0.5 * rest / d, VARIANCE_FLOOR)),
-        psi_x=np.maximum(psi_x, VARIANCE_FLOOR),
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Point:
-    """A state with its bound, and the iteration's next state."""
-
-    state: State
-    value: float
-    hidden: HiddenExpectations
-
-    def plain_step(self, moments, prior):
-        new = update_loadings(self.state, self.hidden, prior)
-        new = update_precisions(new, prior)
-        return update_noise(moments, self.state, new, self.hidden, prior)
-
-
-def _evaluate(moments, state, prior):
-    hidden = expect_hidden(moments, state)
-    return _Point(
-        state=state, value=bound(moments, state, hidden, prior), hidden=hidden
-    )
-
-
-def iterate(moments, state, prior):
-    """Do one whole iteration; return the new state and the bound of the old one."""
-    point = _evaluate(moments, state, prior)
-    return point.plain_step(moments, prior), point.value
-
-
 # Pairs of steps and changes of the gradient that are kept: the usual number of
 # limited-memory quasi-Newton methods (Nocedal and Wright, 2006, section 7.2).
 _MEMORY = 10
@@ -348,7 +348,7 @@ def _on_grid(vector, point):
     return np.round(vector / width) * width
 
 
-class _Curvature:
+class Curvature:
     """Inverse curvature of the bound: that of an EM step, corrected by past steps.
 
     The quasi-Newton acceleration of EM by Jamshidian and Jennrich (1997), with the
@@ -391,150 +391,212 @@ class _Curvature:
         return found if found @ slope.gradient > 0 else None
 
 
-def _search(moments, point, start, direction, promised, prior, trials):
-    """Return the first point along the direction that gains enough, and the trials."""
-    length = 1.0
-    for k in range(trials):
-        vector = _on_grid(start + length * direction, point)
-        state = from_vector(vector, point.state, prior)
-        trial = _evaluate(moments, state, prior)
-        if trial.value >= point.value + _ENOUGH * length * promised:
-            return trial, k + 1
-        # The parabola through both values and the slope, within [0.1, 0.5].
-        short = 2 * (point.value + length * promised - trial.value)
-        share = length * promised / short if np.isfinite(short) else 0.1
-        length *= min(max(share, 0.1), 0.5)
-    return None, trials
+class QuasiNewtonSteps:
+    """Quasi-Newton steps where they raise the bound, else the plain one.
 
+    The plain iteration crawls along flat directions. Its step is that of a Newton
+    method with a diagonal curvature that is much too large; correcting that by what
+    past steps tell of the bound's curvature takes far fewer iterations.
+    """
 
-def _solve_plain(moments, state, prior, max_iter, tol):
-    """Do the iteration as it stands."""
-    history, before = [], state
-    for used in range(1, max_iter + 1):
-        new, value = iterate(moments, state, prior)
-        gain = value - history[-1] if history else np.inf
-        if gain < -rounding_of_bound(value, moments.n, state.psi_y):
-            return before, history, used, "bound_decreased", -gain
-        history.append(value)
-        before, state = state, new
-        if abs(gain) <= tol * moments.n:
-            return state, history, used, "converged", 0.0
-    return state, history, max_iter, "max_iter", 0.0
+    def __init__(self, problem, tol):
+        self.problem, self.tol, self.converged = problem, tol, False
+        self.curvature, self.here, self.quiet = Curvature(), None, 0
 
-
-def _solve_fast(moments, state, prior, max_iter, tol):
-    """Do quasi-Newton steps where they raise the bound, else those of the iteration."""
-    point, used = _evaluate(moments, state, prior), 1
-    history = [point.value]
-    curvature, here, quiet = _Curvature(), None, 0
-    while used < max_iter:
-        new = None
+    def propose(self, point, budget):
+        """Return a point that gains enough, or None when the budget is spent."""
+        prior, spent = self.problem.prior, 0
         # An (all but) exact fit: gradients are rounding, more than the grid absorbs.
-        known = here is not None and rounding_of_fit(point.hidden.y_var) <= _GRID
-        direction = curvature.direction(here) if known else None
-        if direction is not None:
-            start = to_vector(point.state, prior)
-            promised = direction @ here.gradient
-            trials = min(_TRIALS, max_iter - used)
-            new, spent = _search(
-                moments, point, start, direction, promised, prior, trials
-            )
-            used += spent
-        if new is None:
-            if used >= max_iter:
-                break
-            curvature.forget()
-            plain = point.plain_step(moments, prior)
-            vector = _on_grid(to_vector(plain, prior), point)
-            new = _evaluate(moments, from_vector(vector, plain, prior), prior)
-            if not new.value >= point.value:
-                new = _evaluate(moments, plain, prior)
-                used += 1
-            used += 1
-        gain = new.value - point.value
-        if gain < -rounding_of_bound(new.value, moments.n, new.state.psi_y):
-            return point.state, history, used, "bound_decreased", -gain
-        there = slope(moments, new.state, new.hidden, prior)
-        if here is not None:
+        if self.here is not None and rounding_of_fit(point.hidden.y_var) <= _GRID:
+            direction = self.curvature.direction(self.here)
+            if direction is not None:
+                new, spent = self._search(point, direction, min(_TRIALS, budget))
+                if new is not None or spent >= budget:
+                    return new, spent
+        self.curvature.forget()
+        plain = plain_step(self.problem.moments, point, prior)
+        vector = _on_grid(to_vector(plain, prior), point)
+        new = self.problem.evaluate(from_vector(vector, plain, prior))
+        if new.value >= point.value:
+            return new, spent + 1
+        return self.problem.evaluate(plain), spent + 2
+
+    def _search(self, point, direction, trials):
+        """First point along the direction that gains enough, and the trials."""
+        prior = self.problem.prior
+        start = to_vector(point.state, prior)
+        promised = direction @ self.here.gradient
+        length = 1.0
+        for k in range(trials):
+            vector = _on_grid(start + length * direction, point)
+            trial = self.problem.evaluate(from_vector(vector, point.state, prior))
+            if trial.value >= point.value + _ENOUGH * length * promised:
+                return trial, k + 1
+            # The parabola through both values and the slope, within [0.1, 0.5].
+            short = 2 * (point.value + length * promised - trial.value)
+            share = length * promised / short if np.isfinite(short) else 0.1
+            length *= min(max(share, 0.1), 0.5)
+        return None, trials
+
+    def judge(self, point, new):
+        """Whether the bound fell, and whether it gained next to nothing."""
+        fell, _ = self.problem.judge(point, new, self.tol)
+        return fell, new.value - point.value <= self.tol * self.problem.moments.n
+
+    def retry(self):
+        """There is no other way after a fall."""
+        return False
+
+    def accept(self, point, new, quiet):
+        """Learn from the step; one short step may be a poor direction, two the end."""
+        prior = self.problem.prior
+        there = slope(self.problem.moments, new.state, new.hidden, prior)
+        if self.here is not None:
             step = to_vector(new.state, prior) - to_vector(point.state, prior)
-            curvature.learn(step, here, there)
-        point, here = new, there
-        history.append(point.value)
-        # One short step may be a poor direction; two are the end.
-        quiet = quiet + 1 if gain <= tol * moments.n else 0
-        if quiet == 2:
-            return point.state, history, used, "converged", 0.0
-    return point.state, history, used, "max_iter", 0.0
+            self.curvature.learn(step, self.here, there)
+        self.here = there
+        self.quiet = self.quiet + 1 if quiet else 0
+        self.converged = self.quiet == 2
+        return self.converged
 
 
-def _end(moments, state, prior, history):
+# --------------------------------------------------- the highest likelihood, explicit
+
+
+def at_highest_likelihood(moments, state, prior):
+    """State of highest likelihood that keeps what it can of the split of `state`.
+
+    With z and t integrated out, x_m ~ N(0, V_m) and y | x ~ N(c'x, s), where
+
+        V_m = w_xm^2 + psi_xm,   c_m = w_zm w_xm / V_m,
+        s = psi_y + sum(psi_z) + sum(c_m^2 V_m o_m),   o_m = psi_xm / w_xm^2,
+
+    and nothing else of the parameters counts. Where the input noise alone does not make
+    more of s than least squares leaves, the highest likelihood has the variance of x_m
+    as V_m, least squares as c and its residual variance as s. EM creeps towards it
+    where inputs are strongly correlated: the gain of an iteration says little of what
+    is left.
+
+    Known input noise stays as it is; None is returned where it makes more output noise
+    than there is, since V and c then depend on each other. Unknown noise has the odds
+    to the signal that it has in `state`; where these would make too much output noise,
+    all are lowered by one factor, so that they make the share that they make there.
+    """
+    n, variance = moments.n, moments.xx / moments.n
+    if prior.psi_x_fixed is None:
+        share = state.psi_x / (state.psi_x + state.w_x_mean**2)
+    else:
+        share = np.minimum(prior.psi_x_fixed / variance, 1.0)
+    signal = np.maximum(1.0 - share, 0.0)
+    used = signal > VARIANCE_FLOOR
+    odds = np.where(used, share / np.where(used, signal, 1.0), 0.0)
+
+    c = np.where(used, coefficients_noisy(state), 0.0)
+    c = c + _least_squares_step(moments, c, used)
+    s = moments.residual(c)[1] / n
+    through = c**2 * variance @ odds
+    if through > s:
+        if prior.psi_x_fixed is not None:
+            return None
+        old = coefficients_noisy(state) ** 2 @ (
+            state.psi_x * (state.w_x_mean**2 + state.psi_x) / state.w_x_mean**2
+        )
+        part = old / (old + state.psi_y + state.psi_z.sum())
+        odds = odds * (part * s / through)
+        through = part * s
+    rest = (s - through) / (state.psi_y + state.psi_z.sum())
+    psi_x = prior.psi_x_fixed
+    w_x = np.sqrt(variance / (1.0 + odds)) * np.where(state.w_x_mean < 0, -1.0, 1.0)
+    if psi_x is None:
+        psi_x = np.maximum(variance * odds / (1.0 + odds), VARIANCE_FLOOR)
+    w_x = np.where(used, w_x, state.w_x_mean)
+    w_z = np.where(used, c * variance / np.where(used, w_x, 1.0), 0.0)
+    return replace(
+        state,
+        w_z_mean=w_z,
+        w_x_mean=w_x,
+        psi_x=psi_x,
+        psi_y=max(rest * state.psi_y, VARIANCE_FLOOR),
+        psi_z=np.maximum(rest * state.psi_z, VARIANCE_FLOOR),
+    )
+
+
+def _least_squares_step(moments, c, used):
+    """Shortest step (d,) from coefficients to least squares in the inputs in use."""
+    step = np.zeros_like(c)
+    if moments.root is not None:
+        R = moments.root.R[:, used]
+        left = moments.root.z - moments.root.R @ c
+        step[used] = linalg.lstsq(R, left)[0]
+        return step
+    eigen = scaled_eigen(moments.S[np.ix_(used, used)], scale=1.0)
+    # Once more with what is left, whose rounding is smaller.
+    for _ in range(2):
+        step[used] += eigen.solve((moments.xy - moments.dot(c + step))[used])
+    return step
+
+
+def _end(problem, found):
     """Go to the highest likelihood where it is explicit; adds it to the history."""
-    highest = at_highest_likelihood(moments, state, prior)
+    moments, prior = problem.moments, problem.prior
+    found = replace(found, n_iter=found.n_iter + 1)
+    highest = at_highest_likelihood(moments, found.state, prior)
     if highest is None:
-        return state
-    reached, top = (_evaluate(moments, one, prior) for one in (state, highest))
+        return found
+    reached, top = problem.evaluate(found.state), problem.evaluate(highest)
     slack = rounding_of_bound(reached.value, moments.n, reached.hidden.y_var)
     if not top.value >= reached.value - slack:
-        return state
-    history.append(max(top.value, history[-1]))  # to rounding
-    return highest
+        return found
+    best = max(top.value, found.history[-1])  # to rounding
+    return replace(found, state=highest, history=np.append(found.history, best))
+
+
+# ----------------------------------------------------------------- independent latents
 
 
 def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
     """Iterate until the bound gains less than `tol` per sample.
 
-    The plain iteration crawls along flat directions. Its step is that of a Newton
-    method with a diagonal curvature that is much too large; correcting that by what
-    past steps tell of the bound's curvature (a limited-memory quasi-Newton method)
-    takes far fewer iterations. A step is kept only if it raises the
-    bound, else the plain one is done: the bound never falls, and the fixed points are
-    those of the plain iteration. Without priors the highest bound is explicit (unless
-    the input noise is known to be large), and the last step goes there.
-
-    With ``accelerate=False`` the plain iteration is done throughout.
-
-    An iteration, in `max_iter` and `n_iter`, is one evaluation of the bound with its
-    expectations, whether or not the step that asked for it is kept. The loop holds
-    nothing of the size of the data beyond `moments`.
+    A step is kept only if it raises the bound, else the plain one is done: the bound
+    never falls, and the fixed points are those of the plain iteration. Without priors
+    the highest bound is explicit (unless the input noise is known to be large), and the
+    last step goes there. With ``accelerate=False`` the plain iteration is done
+    throughout. Nothing of the size of the data is held beyond `moments`.
     """
     if prior.psi_x_fixed is not None:
         prior = replace(
             prior, psi_x_fixed=np.maximum(prior.psi_x_fixed, VARIANCE_FLOOR)
         )
         state = replace(state, psi_x=prior.psi_x_fixed)
+    problem = IndependentProblem(moments, prior)
     # Without a prior an exact fit has no highest likelihood, and nothing to
     # extrapolate to but rounding.
-    exact = not prior.ard and exact_fit(moments, VARIANCE_FLOOR)
+    exact = not prior.ard and moments.is_exact(VARIANCE_FLOOR)
     if accelerate and not exact:
         # Along flat directions the last digits of the moments decide where within
         # `tol` a quasi-Newton method stops: they must not depend on the rows' order.
-        state, history, used, status, fall = _solve_fast(
-            moments.without_last_digits(), state, prior, max_iter, tol
-        )
-        explicit = not prior.ard and isinstance(moments, GramMoments)
-        if status == "converged" and explicit:
+        rounded = IndependentProblem(moments.without_last_digits(), prior)
+        steps = QuasiNewtonSteps(rounded, tol)
+        found = climb(steps, rounded.evaluate(state), max_iter)
+        if found.status == "converged" and not prior.ard and moments.S is not None:
             # The last step is an iteration too.
-            if used < max_iter:
-                state, used = _end(moments, state, prior, history), used + 1
+            if found.n_iter < max_iter:
+                found = _end(problem, found)
             else:
-                status = "max_iter"
+                found = replace(found, status="max_iter")
     else:
-        state, history, used, status, fall = _solve_plain(
-            moments, state, prior, max_iter, tol
-        )
+        found = climb(PlainSteps(problem, tol), problem.evaluate(state), max_iter)
+        if found.status != "bound_decreased":
+            # The expectations at the end are good for one more update.
+            end = plain_step(moments, problem.evaluate(found.state), prior)
+            found = replace(found, state=end)
+    return replace(found, at_floor=_at_floor(found.state, prior))
+
+
+def _at_floor(state, prior):
+    """Variances at their floor, by name: {name: ndarray of indices}."""
     floor = 2 * VARIANCE_FLOOR
-    fixed = prior.psi_x_fixed is not None
-    at_floor = {
-        "psi_y": np.flatnonzero(np.atleast_1d(state.psi_y) <= floor),
-        "psi_x": np.flatnonzero(state.psi_x <= floor)
-        if not fixed
-        else np.array([], dtype=int),
-    }
-    return Solution(
-        state=state,
-        history=np.array(history),
-        n_iter=used,
-        status=status,
-        fall=fall,
-        at_floor={name: where for name, where in at_floor.items() if where.size},
-    )
+    found = {"psi_y": np.flatnonzero(np.atleast_1d(state.psi_y) <= floor)}
+    if prior.psi_x_fixed is None:
+        found["psi_x"] = np.flatnonzero(state.psi_x <= floor)
+    return {name: where for name, where in found.items() if where.size}

@@ -1,4 +1,4 @@
-"""The updates of the paper, each a pure function of statistics and state.
+"""State, updates and bound of the independent-latent model, each a pure function.
 
 The dense matrices of eqs. 17 to 25 are diagonal plus rank one; with
 ``s = psi_y + 1'M1`` (Sherman-Morrison on eq. 17) every posterior mean is
@@ -7,18 +7,8 @@ The dense matrices of eqs. 17 to 25 are diagonal plus rank one; with
 
 where ``e = y - c'x`` and c is the regression coefficient for noisy inputs of the
 current state. All sample sums then follow from S_xx c, S_xy and S_yy.
-
-Parameters and expectations of the JFA models, as immutable records.
-
-Regression coefficients for noisy and for noiseless queries.
-
-The variational lower bound, with all its constants.
-
-With q(Z, T) at its optimum the terms in Z and T and their entropy add up to the
-log-normaliser of one Gaussian: x_m ~ N(0, psi_x + w_x^2 / a_m) and
-y | x ~ N(c'x, s), where a_m is the prior precision of t_m raised by the loadings'
-uncertainty (each sample then also pays -log(a_m)/2). For JFA, a_m = 1 and the bound
-is the log-likelihood itself.
+Tags such as [eq. 12] are equations of the paper, [B1] to [B4] those of the guide for
+the bound, which keeps all its constants: for JFA it is the log-likelihood itself.
 """
 
 from dataclasses import dataclass, replace
@@ -170,52 +160,6 @@ def coefficients_noiseless(state, retained):
     return beta
 
 
-_LOG_2PI = float(np.log(2 * np.pi))
-
-
-def data_bound(moments, hidden):
-    """Return the expected log-likelihood plus the entropy of q(Z, T)."""
-    n = moments.n
-    x_part = n * (_LOG_2PI + np.log(hidden.x_var) + np.log(hidden.t_precision))
-    x_part = x_part + moments.xx / hidden.x_var
-    y_part = n * (_LOG_2PI + np.log(hidden.y_var)) + hidden.S_ee / hidden.y_var
-    return -0.5 * float(x_part.sum() + y_part)
-
-
-def prior_bound(state, prior):
-    """Minus the divergence of q(w_z) q(w_x) q(alpha) from the prior, plus noise prior.
-
-    [eq. 5], whose second line is p(w_x | alpha). The inverse-gamma prior on psi_x
-    enters through its density on log(psi_x), without its constant (the weight's
-    normaliser), so that its maximum is at the documented mode.
-    """
-    total = 0.0
-    if prior.psi_x_weight and prior.psi_x_fixed is None:
-        ratio = prior.psi_x_mode / state.psi_x
-        total += 0.5 * prior.psi_x_weight * float((np.log(ratio) - ratio).sum())
-    if not prior.ard:
-        return total
-    shape, rate = state.alpha_shape, state.alpha_rate
-    E_alpha = shape / rate
-    E_log_alpha = digamma(shape) - np.log(rate)
-    E_zz = state.w_z_mean**2 + state.w_z_var
-    loadings = 0.5 * (E_log_alpha - E_alpha * E_zz + 1.0 + np.log(state.w_z_var))
-    if prior.coupled:
-        E_xx = state.w_x_mean**2 + state.w_x_var
-        loadings = loadings + 0.5 * (
-            E_log_alpha - E_alpha * E_xx + 1.0 + np.log(state.w_x_var)
-        )
-    a0, b0 = prior.ard_shape, prior.ard_rate
-    precisions = a0 * np.log(b0) - gammaln(a0) + (a0 - 1) * E_log_alpha - b0 * E_alpha
-    entropy = shape - np.log(rate) + gammaln(shape) + (1 - shape) * digamma(shape)
-    return total + float((loadings + precisions + entropy).sum())
-
-
-def bound(moments, state, hidden, prior):
-    """Return the lower bound on the log evidence (JFA: the log-likelihood)."""
-    return data_bound(moments, hidden) + prior_bound(state, prior)
-
-
 # Smallest variance, as a share of the variance of its own (standardised) column, that
 # the sums can resolve in floating point. A noise estimate that falls to it is a
 # Heywood case; the solver reports which.
@@ -360,3 +304,63 @@ def update_noise(moments, old, state, hidden, prior):
         psi_z=np.maximum(psi_z, VARIANCE_FLOOR),
         psi_x=np.maximum(psi_x, VARIANCE_FLOOR),
     )
+
+
+_LOG_2PI = float(np.log(2 * np.pi))
+
+
+def bound(moments, state, hidden, prior):
+    """Return the lower bound on the log evidence (JFA: the log-likelihood)."""
+    return data_bound(moments, hidden) + prior_bound(state, prior)
+
+
+def data_bound(moments, hidden):
+    """Return the expected log-likelihood plus the entropy of q(Z, T), [B1].
+
+    With q(Z, T) at its optimum these add up to the log-normaliser of one Gaussian,
+    x_m ~ N(0, psi_x + w_x^2 / a_m) and y | x ~ N(c'x, s), a_m being `t_precision`;
+    each sample then also pays -log(a_m) / 2.
+    """
+    n = moments.n
+    x_part = n * (_LOG_2PI + np.log(hidden.x_var) + np.log(hidden.t_precision))
+    x_part = x_part + moments.xx / hidden.x_var
+    y_part = n * (_LOG_2PI + np.log(hidden.y_var)) + hidden.S_ee / hidden.y_var
+    return -0.5 * float(x_part.sum() + y_part)  # [B1]
+
+
+def prior_bound(state, prior):
+    """Minus the divergence of q(w_z) q(w_x) q(alpha) from the prior, plus noise prior.
+
+    [eq. 5], whose second line is p(w_x | alpha). The inverse-gamma prior on psi_x
+    enters through its density on log(psi_x), without its constant (the weight's
+    normaliser), so that its maximum is at the documented mode.
+    """
+    total = 0.0
+    if prior.psi_x_weight and prior.psi_x_fixed is None:
+        ratio = prior.psi_x_mode / state.psi_x
+        total += 0.5 * prior.psi_x_weight * float((np.log(ratio) - ratio).sum())  # [B2]
+    if not prior.ard:
+        return total
+    shape, rate = state.alpha_shape, state.alpha_rate
+    E_alpha, E_log_alpha = shape / rate, digamma(shape) - np.log(rate)
+    square = state.w_z_mean**2 + state.w_z_var
+    terms = loading_bound(E_alpha, E_log_alpha, square, state.w_z_var)
+    if prior.coupled:
+        square = state.w_x_mean**2 + state.w_x_var
+        terms = terms + loading_bound(E_alpha, E_log_alpha, square, state.w_x_var)
+    terms = terms + precision_bound(shape, rate, prior.ard_shape, prior.ard_rate)
+    return total + float(terms.sum())
+
+
+def loading_bound(E_alpha, E_log_alpha, square, variance):
+    """Part (d,) of the bound that loadings of these squares and variances take."""
+    quadratic = E_log_alpha - E_alpha * square + 1.0
+    return 0.5 * (quadratic + np.log(variance))  # [B3]
+
+
+def precision_bound(shape, rate, shape0, rate0):
+    """Part (d,) of the bound of Gamma posteriors under a Gamma prior, [B4]."""
+    E_alpha, E_log = shape / rate, digamma(shape) - np.log(rate)
+    prior = shape0 * np.log(rate0) - gammaln(shape0) + (shape0 - 1) * E_log
+    entropy = shape - np.log(rate) + gammaln(shape) + (1 - shape) * digamma(shape)
+    return prior - rate0 * E_alpha + entropy  # [B4]

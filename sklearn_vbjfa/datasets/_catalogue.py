@@ -1,47 +1,37 @@
-"""How each measured set is evaluated: split, filter, mask, friction columns.
+"""The catalogue of the measured sets: what each is, who reads it, how it is evaluated.
 
-Taken from what is published about the sets and their quick fits, not tuned on the
-held-out part.
+A new set takes a reader, an entry here, its files in ``remote_files.txt`` and a public
+loader that carries its documentation.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa.datasets._fetch_benches import fetch_emps, fetch_tflex_1dof
-from sklearn_vbjfa.datasets._fetch_industrial import (
-    fetch_kuka_kr300,
-    fetch_staubli_tx40,
-    fetch_ur5,
-)
-from sklearn_vbjfa.datasets._fetch_pendulums import (
-    fetch_bam_xl330,
-    fetch_dfki_double_pendulum,
-)
-from sklearn_vbjfa.datasets._fetch_research import (
-    fetch_franka_panda,
-    fetch_kuka_lbr_med7,
-    fetch_tiago,
-)
-from sklearn_vbjfa.datasets._robots import load_demo_recording
-
-_ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
+from sklearn_vbjfa.datasets import _readers
+from sklearn_vbjfa.datasets._download import Access, DataFiles, source_address
+from sklearn_vbjfa.model._descriptions import find_description, kr300_description
+from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording._resample import Log, join, median_period
 
 
 @dataclass(frozen=True, kw_only=True)
 class Protocol:
-    """Evaluation of one recording.
+    """How one recording is evaluated.
+
+    Taken from what is published about the sets and their quick fits, not tuned on the
+    held-out part.
 
     Attributes
     ----------
-    load : callable
+    load : callable or None
         Loader; takes `data_home` (but for the demo).
     train, test : tuple of str
         Names of the recordings to fit and to test; empty for a split in time.
     share : float
-        With a split in time: this first share of every recording of `train` (all
-        without names) is fitted, the rest of those is tested.
+        With a split in time: this first share of every recording of `train` (of every
+        recording if `train` is empty) is fitted, the rest of those is tested.
     cutoff : float or "auto"
         Low-pass [Hz].
     standstill : float or "auto"
@@ -50,14 +40,13 @@ class Protocol:
         Friction columns.
     """
 
-    load: Callable
+    load: Callable | None = None
     train: tuple[str, ...] = ()
     test: tuple[str, ...] = ()
     share: float = 0.7
     cutoff: float | str = "auto"
     standstill: float | str = "auto"
-    friction: tuple[str, ...] = _ALL
-    options: dict = field(default_factory=dict)
+    friction: tuple[str, ...] = ("viscous", "coulomb", "offset", "rotor_inertia")
 
     def split(self, recording):
         """Return the row numbers of the training and of the held-out part."""
@@ -83,38 +72,262 @@ class Protocol:
         return f"first {100 * self.share:.0f} % of {names} fitted, the rest held out"
 
 
-def protocols():
-    """Return name -> `Protocol` of every set that the command line knows."""
-    return {
-        "demo": Protocol(load=load_demo_recording, friction=("viscous", "coulomb")),
-        "emps": Protocol(
-            load=fetch_emps,
+@dataclass(frozen=True, kw_only=True)
+class DataSet:
+    """One measured set.
+
+    Attributes
+    ----------
+    read : callable
+        Reader: takes the `DataFiles` and the loader's own options, returns logs.
+    joint_names : tuple of str
+        Joints, as in the description of the robot.
+    position_units, torque_units : tuple of str
+        Units of positions and torques; one entry alone holds for every joint.
+    dt : float or None
+        Sample period [s]; None is the median step of the stamps.
+    drop_repeated : bool
+        Whether the logger wrote readings twice, which are then dropped.
+    urdf : callable
+        Finds the description of the robot among or for the `DataFiles`; None where the
+        model is built without one.
+    licence, citation, description : str
+        Fields of the `Recording`.
+    protocol : Protocol
+        How the set is evaluated.
+    """
+
+    read: Callable[..., list[Log]]
+    joint_names: tuple[str, ...]
+    position_units: tuple[str, ...] = ("rad",)
+    torque_units: tuple[str, ...] = ("N m",)
+    dt: float | None = None
+    drop_repeated: bool = False
+    urdf: Callable[[DataFiles], str | None] = lambda files: None
+    licence: str
+    citation: str
+    description: str
+    protocol: Protocol
+
+
+def load(name: str, access: Access, *, resample: bool = True, **options) -> Recording:
+    """Load one set of the catalogue, with the options of its reader."""
+    entry, files = CATALOGUE[name], DataFiles(name, access)
+    logs = entry.read(files, **options)
+    nv = len(entry.joint_names)
+    return Recording(
+        name=name,
+        **join(
+            logs,
+            dt=entry.dt or median_period(logs),
+            resample=resample,
+            drop_repeated=entry.drop_repeated,
+        ),
+        joint_names=entry.joint_names,
+        position_units=_one_each(entry.position_units, nv),
+        torque_units=_one_each(entry.torque_units, nv),
+        urdf=entry.urdf(files),
+        source=source_address(name),
+        licence=entry.licence,
+        citation=entry.citation,
+        description=entry.description,
+    )
+
+
+def _one_each(units, nv):
+    """Repeat a unit that stands alone for each of the nv joints."""
+    return units if len(units) == nv else units * nv
+
+
+def _example_robot_data(files: DataFiles) -> str | None:
+    """Find the description in the folder of the set or in example-robot-data."""
+    return find_description(files.dataset, files.folder)
+
+
+_FIGAROH = (
+    "D. V. Nguyen, V. Bonnet, S. Maxime, M. Gautier, P. Fernbach, F. "
+    'Lamiraux, "FIGAROH: a Python toolbox for dynamic identification and '
+    'geometric calibration of robots and humans", Humanoids 2023.'
+)
+
+CATALOGUE = {
+    "emps": DataSet(
+        read=_readers.read_emps,
+        joint_names=("slide",),
+        position_units=("m",),
+        torque_units=("N",),
+        dt=0.001,
+        licence="Apache-2.0 (repository)",
+        citation=(
+            'A. Janot, M. Gautier, M. Brunot, "Data Set and Reference Models of '
+            'EMPS", Workshop on Nonlinear System Identification Benchmarks, 2019.'
+        ),
+        description=(
+            "Horizontal ball-screw slide with a DC motor. Force from the voltage "
+            "command of the drive, position from the motor encoder."
+        ),
+        protocol=Protocol(
             train=("DATA_EMPS",),
             cutoff=60.0,
             friction=("viscous", "coulomb", "offset"),
         ),
-        "ur5": Protocol(
-            load=fetch_ur5,
-            train=("No6", "No4"),
-            test=("No9", "No8"),
-            cutoff=8.0,
-            standstill=0.03,
+    ),
+    "ur5": DataSet(
+        read=_readers.read_ur5,
+        joint_names=(
+            "shoulder_pan_joint",
+            "shoulder_lift_joint",
+            "elbow_joint",
+            "wrist_1_joint",
+            "wrist_2_joint",
+            "wrist_3_joint",
         ),
-        "staubli_tx40": Protocol(load=fetch_staubli_tx40, share=0.72, cutoff=25.0),
-        "kuka_kr300": Protocol(
-            load=fetch_kuka_kr300,
-            train=("A",),
-            test=("B",),
-            cutoff=12.0,
-            standstill=0.02,
+        dt=_readers.UR5_PERIOD,
+        urdf=_example_robot_data,
+        licence="Apache-2.0",
+        citation=(
+            'K. Kufieta, "Force Estimation in Robotic Manipulators: Modeling, '
+            'Simulation and Experiments", MSc thesis, NTNU, 2014.'
         ),
-        "franka_panda": Protocol(load=fetch_franka_panda, cutoff=10.0),
+        description=(
+            "UR5 (CB2) in free motion. Torque is a gain times the motor current; "
+            "the gains are not verified. Strong stiction at standstill."
+        ),
+        protocol=Protocol(
+            train=("No6", "No4"), test=("No9", "No8"), cutoff=8.0, standstill=0.03
+        ),
+    ),
+    "staubli_tx40": DataSet(
+        read=_readers.read_staubli_tx40,
+        joint_names=tuple(f"joint_{i}" for i in range(1, 7)),
+        dt=_readers.TX40_PERIOD,
+        urdf=DataFiles.published_urdf,
+        licence="Apache-2.0",
+        citation=_FIGAROH,
+        description=(
+            "Staubli TX40, one exciting trajectory. Torque from the motor current, "
+            "position from the motor encoders, wrist joints 5 and 6 coupled."
+        ),
+        protocol=Protocol(share=0.72, cutoff=25.0),
+    ),
+    "kuka_kr300": DataSet(
+        read=_readers.read_kuka_kr300,
+        joint_names=tuple(f"joint_{i}" for i in range(1, 7)),
+        dt=0.004,
+        urdf=lambda files: kr300_description(),
+        licence="MIT, (c) 2021 Jonas Weigand",
+        citation=(
+            "J. Weigand, J. Ulmen, A. Janot, M. Ruskowski, robot identification "
+            "code and measurements, repository Robot_Identification, 2021."
+        ),
+        description=(
+            "KUKA KR300 R2500 ultra SE with payload. Torque from the motor current, "
+            "position from the motors; counterbalance on axis 2, elastic gears."
+        ),
+        protocol=Protocol(train=("A",), test=("B",), cutoff=12.0, standstill=0.02),
+    ),
+    "franka_panda": DataSet(
+        read=_readers.read_franka_panda,
+        joint_names=tuple(f"panda_joint{i}" for i in range(1, 8)),
+        drop_repeated=True,
+        urdf=_example_robot_data,
+        licence="GPL-3.0",
+        citation=(
+            "C. Gaz, M. Cognetti, A. Oliva, P. Robuffo Giordano, A. De Luca, "
+            '"Dynamic Identification of the Franka Emika Panda Robot With Retrieval '
+            'of Feasible Parameters Using Penalty-Based Optimization", IEEE RA-L, '
+            "2019."
+        ),
+        description=(
+            "Franka Emika Panda, exciting trajectory of 21 s. Torque of the "
+            "link-side sensors, gravity included."
+        ),
+        protocol=Protocol(cutoff=10.0),
+    ),
+    "tflex_1dof": DataSet(
+        read=_readers.read_tflex_1dof,
+        joint_names=("hinge",),
+        torque_units=("count",),
+        dt=_readers.TFLEX_PERIOD,
+        licence="MIT, (c) 2019 Wouter van Dijk",
+        citation="W. van Dijk, repository Inverse_dynamics_learning, 2019.",
+        description=(
+            "Flexure hinge with a direct-drive motor under random motion. Current "
+            "in driver counts, spring and cogging instead of dry friction."
+        ),
         # A flexure hinge: practically no dry friction.
-        "tflex_1dof": Protocol(
-            load=fetch_tflex_1dof, cutoff=40.0, friction=("viscous", "offset")
+        protocol=Protocol(cutoff=40.0, friction=("viscous", "offset")),
+    ),
+    "bam_xl330": DataSet(
+        read=_readers.read_bam_xl330,
+        joint_names=("servo",),
+        torque_units=("V",),
+        licence="Apache-2.0",
+        citation=(
+            'M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended Friction Models '
+            'for the Physics Simulation of Servo Actuators", ICRA 2025.'
         ),
-        "bam_xl330": Protocol(load=fetch_bam_xl330, cutoff=12.0, standstill=0.05),
-        "kuka_lbr_med7": Protocol(load=fetch_kuka_lbr_med7, cutoff=4.0),
-        "dfki_double_pendulum": Protocol(load=fetch_dfki_double_pendulum, cutoff=12.0),
-        "tiago": Protocol(load=fetch_tiago, cutoff=5.0),
+        description=(
+            "Servo with a pendulum. The torque stands for the motor voltage; motor "
+            "constant and resistance are unknown, back-EMF counts as friction."
+        ),
+        protocol=Protocol(cutoff=12.0, standstill=0.05),
+    ),
+    "kuka_lbr_med7": DataSet(
+        read=_readers.read_kuka_lbr_med7,
+        joint_names=tuple(f"A{i}" for i in range(1, 8)),
+        dt=_readers.LBR_PERIOD,
+        urdf=DataFiles.published_urdf,
+        licence="MIT",
+        citation="lbr-stack, repository dynamic_parameter_identification.",
+        description=(
+            "KUKA LBR Med 7 with an unmodelled tool. Torque of the joint sensors, "
+            "sign changed to that of the usual joint torque."
+        ),
+        protocol=Protocol(cutoff=4.0),
+    ),
+    "dfki_double_pendulum": DataSet(
+        read=_readers.read_dfki_double_pendulum,
+        joint_names=("shoulder", "elbow"),
+        licence="BSD-3-Clause",
+        citation=(
+            "F. Wiebe, S. Kumar, L. Shala, S. Vyas, M. Javadi, F. Kirchner, "
+            '"Open Source Dual-Purpose Acrobot and Pendubot Platform", IEEE '
+            "Robotics & Automation Magazine 31(2), 2024."
+        ),
+        description=(
+            "Double pendulum with two AK80-6 drives (ratio 6), design A.0. Torque "
+            "measured by the drives."
+        ),
+        protocol=Protocol(cutoff=12.0),
+    ),
+    "tiago": DataSet(
+        read=_readers.read_tiago,
+        joint_names=("torso_lift_joint", *(f"arm_{i}_joint" for i in range(1, 8))),
+        position_units=("m", *("rad",) * 7),
+        torque_units=("N", *("N m",) * 7),
+        urdf=_example_robot_data,
+        licence="Apache-2.0",
+        citation=_FIGAROH,
+        description=(
+            "TIAGo, torso lift and seven arm joints. Torque from motor currents, "
+            "useful for arm_1 to arm_4 only."
+        ),
+        protocol=Protocol(cutoff=5.0),
+    ),
+}
+
+
+def protocols():
+    """Return name -> `Protocol`, with its loader, of the demo and every set."""
+    # The public loaders are made of the catalogue, so they are looked up, not imported.
+    from sklearn_vbjfa import datasets
+
+    demo = Protocol(load=datasets.load_demo_recording, friction=("viscous", "coulomb"))
+    return {
+        "demo": demo,
+        **{
+            name: replace(entry.protocol, load=getattr(datasets, f"fetch_{name}"))
+            for name, entry in CATALOGUE.items()
+        },
     }

@@ -1,4 +1,9 @@
-"""Find the public files of the measured sets, or download them."""
+"""The public files of the measured sets: found on disk, or downloaded.
+
+The list ``remote_files.txt`` says where each file is and what it must hold. pooch
+downloads and checks; which failures are worth another try is decided here, since pooch
+would ask again for a file that does not exist or is not the one published.
+"""
 
 import functools
 import hashlib
@@ -68,55 +73,63 @@ def source_address(dataset: str) -> str:
     return f"https://github.com/{first.repository}/tree/{first.commit}"
 
 
-def dataset_folder(dataset: str, data_home: str | PathLike | None) -> Path:
-    """Folder of one set; by default below scikit-learn's data folder."""
-    if data_home is None:
-        return Path(get_data_home()) / "sklearn_vbjfa" / dataset
-    return Path(data_home).expanduser() / dataset
+# -- the files of a set ----------------------------------------------------------------
 
 
-def fetch_files(
-    dataset: str,
-    *,
-    data_home: str | PathLike | None,
-    download_if_missing: bool,
-    n_retries: int,
-    delay: float,
-    wanted: Callable[[str], bool] = lambda path: True,
-) -> dict[str, Path]:
-    """Find or download the files of a set whose path is wanted.
+@dataclass(frozen=True)
+class Access:
+    """Where to look for files and how to download them: the loaders' common options."""
 
-    Returns the local file of each path in the repository.
-    """
-    folder = dataset_folder(dataset, data_home)
-    found = {}
-    for remote in remote_files(dataset):
-        if not wanted(remote.path):
-            continue
-        local = find_file(remote, folder)
-        if local is None:
-            local = folder / remote.path
-            if not download_if_missing:
-                raise FileNotFoundError(
-                    f"{dataset}: no {remote.path} in {folder} and "
-                    f"download_if_missing=False; allow the download, or put the file "
-                    f"from {remote.address} at {local}."
-                )
-            download_file(remote, local, n_retries=n_retries, delay=delay)
-        found[remote.path] = local
-    return found
+    data_home: str | PathLike | None = None
+    download_if_missing: bool = True
+    n_retries: int = 3
+    delay: float = 1.0
 
 
-def fetch_description(dataset: str, **access) -> str | None:
-    """URDF published with the data; None if absent and not to be downloaded."""
-    try:
-        files = fetch_files(
-            dataset, **access, wanted=lambda path: path.endswith(".urdf")
-        )
-    except FileNotFoundError:
-        return None
-    (local,) = files.values()
-    return str(local.resolve())
+@dataclass(frozen=True)
+class DataFiles:
+    """Public files of one set, found on disk or downloaded when they are asked for."""
+
+    dataset: str
+    access: Access
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the set; by default below scikit-learn's data folder."""
+        if self.access.data_home is None:
+            return Path(get_data_home()) / "sklearn_vbjfa" / self.dataset
+        return Path(self.access.data_home).expanduser() / self.dataset
+
+    def find(
+        self, wanted: Callable[[str], bool] = lambda path: not path.endswith(".urdf")
+    ) -> dict[str, Path]:
+        """Local file of each wanted path in the repository, by default all data."""
+        found = {}
+        for remote in remote_files(self.dataset):
+            if wanted(remote.path):
+                local = find_file(remote, self.folder)
+                found[remote.path] = self._download(remote) if local is None else local
+        return found
+
+    def published_urdf(self) -> str | None:
+        """URDF published with the data; None if absent and not to be downloaded."""
+        try:
+            (local,) = self.find(lambda path: path.endswith(".urdf")).values()
+        except FileNotFoundError:
+            return None
+        return str(local.resolve())
+
+    def _download(self, remote: RemoteFile) -> Path:
+        """Download one file to its place in the folder of the set."""
+        local = self.folder / remote.path
+        if not self.access.download_if_missing:
+            raise FileNotFoundError(
+                f"{self.dataset}: no {remote.path} in {self.folder} and "
+                f"download_if_missing=False; allow the download, or put the file "
+                f"from {remote.address} at {local}."
+            )
+        download_file(remote, local, self.access)
+        return local
 
 
 def find_file(remote: RemoteFile, folder: Path) -> Path | None:
@@ -145,13 +158,15 @@ def _check_sha256(remote: RemoteFile, local: Path) -> None:
         )
 
 
-def download_file(
-    remote: RemoteFile, target: Path, *, n_retries: int, delay: float
-) -> None:
+# -- transport -------------------------------------------------------------------------
+
+
+def download_file(remote: RemoteFile, target: Path, access: Access) -> None:
     """Download one file; it appears at `target` whole and checked, or not at all."""
     # Only a download pays for the import of an HTTP client.
     import pooch
 
+    n_retries = access.n_retries
     if n_retries < 0:
         raise ValueError(f"n_retries must be 0 or more, got {n_retries}.")
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -180,8 +195,8 @@ def download_file(
                 f"{remote.size} bytes with SHA-256 {remote.sha256}; nothing was kept. "
                 f"Try again later, or put the right file at {target}. ({error})"
             ) from error
-        _LOGGER.info("Attempt %d failed, next in %g s", attempt + 1, delay)
-        time.sleep(delay)
+        _LOGGER.info("Attempt %d failed, next in %g s", attempt + 1, access.delay)
+        time.sleep(access.delay)
 
 
 def _is_final(error: OSError) -> bool:

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sklearn_vbjfa.datasets._robots import _true_inertias
+from sklearn_vbjfa.datasets._robots import (
+    joint_range,
+    rigid_torques,
+    speed_limit,
+    true_inertias,
+    with_inertias,
+)
+from sklearn_vbjfa.model._loading import nominal_parameters
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -44,9 +51,6 @@ STRIBECK_PEAK = 0.5
 # Share of a joint's range and speed that a motion uses at most.
 _RANGE_SHARE = 0.6
 _SPEED_SHARE = 0.5
-# Range [rad or m] and speed [per s] where the description gives none, or wider ones.
-_DEFAULT_RANGE = 2.5
-_DEFAULT_SPEED = 2.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,18 +71,7 @@ class SineMotion:
     phase: np.ndarray
 
     def states(self, t):
-        """Positions, velocities and accelerations at given times.
-
-        Parameters
-        ----------
-        t : ndarray of shape (n,)
-            Times [s].
-
-        Returns
-        -------
-        ndarray of shape (n, 3 * nv)
-            States [q | v | a].
-        """
+        """Return the states (n, 3 * nv), [q | v | a], at times t (n,) [s]."""
         w = 2 * np.pi * self.frequency
         angle = t[:, None, None] * w + self.phase
         s, c = np.sin(angle), np.cos(angle)
@@ -88,46 +81,21 @@ class SineMotion:
         return np.hstack([q, v, a])
 
 
-def joint_range(model):
-    """Middle and half width of each joint's range; a default where it is unlimited."""
-    low, high = model.lowerPositionLimit, model.upperPositionLimit
-    # Halved first: Pinocchio's "no limit" is the largest number there is.
-    reach, centre = 0.5 * high - 0.5 * low, 0.5 * high + 0.5 * low
-    wide = ~(reach <= _DEFAULT_RANGE)
-    return np.where(wide, 0.0, centre), np.where(wide, _DEFAULT_RANGE, reach)
-
-
 def draw_motion(model, frequency, n_harmonics, rng):
-    """Draw a motion inside the limits of a robot.
+    """Draw a motion of sines in all joints.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    frequency : float
-        Highest frequency [Hz]; the lowest is a tenth of it.
-    n_harmonics : int
-        Number of sines in each joint.
-    rng : RandomState
-        Source of frequencies, amplitudes and phases.
-
-    Returns
-    -------
-    SineMotion
-        Motion that stays within 60 % of the range and half the speed limit whenever
-        the sines meet.
+    Frequencies [Hz] go from a tenth of the highest up to it; whenever the sines meet,
+    the motion stays within 60 % of the range and half the speed limit.
     """
     shape = (model.nv, n_harmonics)
     centre, reach = joint_range(model)
-    limit = model.velocityLimit
-    speed = np.where((limit > 0) & (limit < 1e3), limit, _DEFAULT_SPEED)
     f = frequency * rng.uniform(0.1, 1.0, size=shape)
     f[:, 0] = frequency * rng.uniform(0.85, 1.0, size=model.nv)
     size = rng.uniform(0.3, 1.0, size=shape) / f
     phase = rng.uniform(0, 2 * np.pi, size=shape)
     room = np.minimum(
         _RANGE_SHARE * reach / size.sum(axis=1),
-        _SPEED_SHARE * speed / (2 * np.pi * f * size).sum(axis=1),
+        _SPEED_SHARE * speed_limit(model) / (2 * np.pi * f * size).sum(axis=1),
     )
     return SineMotion(
         centre=centre, amplitude=size * room[:, None], frequency=f, phase=phase
@@ -190,9 +158,7 @@ class Plant:
     @property
     def inertial(self):
         """True inertial parameters of each body, ndarray of shape (nv, 10)."""
-        return np.array(
-            [body.toDynamicParameters() for body in self.model.inertias[1:]]
-        )
+        return nominal_parameters(self.model)
 
     def theta(self, friction=("viscous",)):
         """Return the true parameters of the columns of a declared model.
@@ -286,40 +252,12 @@ class Plant:
         return np.vstack([command, command[-1:]])
 
 
-def rigid_torques(model, states):
-    """Inverse dynamics of a Pinocchio model for rows [q | v | a]."""
-    import pinocchio as pin
-
-    data, rnea = model.createData(), pin.rnea
-    q, v, a = np.split(states, 3, axis=1)
-    out = np.empty(q.shape)
-    for k in range(len(out)):
-        out[k] = rnea(model, data, q[k], v[k], a[k])
-    return out
-
-
 def draw_plant(nominal, *, perturbation, effects, effect_size, motion, rng):
-    """Draw a robot that differs from its nominal model.
+    """Draw a robot that differs from its nominal model by some of `EFFECTS`.
 
-    Parameters
-    ----------
-    nominal : pinocchio.Model
-        What is declared.
-    perturbation : float
-        How far the true inertias are from the nominal ones, relative.
-    effects : tuple of str
-        Which of `EFFECTS` the robot has; viscous friction it always has.
-    effect_size : float
-        Factor on all effects but the actuators' lag and viscous friction.
-    motion : SineMotion
-        What "typical" torques, speeds and accelerations are taken from.
-    rng : RandomState
-        Source of inertias and coefficients.
-
-    Returns
-    -------
-    Plant
-        The robot.
+    `perturbation` is how far inertias are from the nominal ones, relative;
+    `effect_size` a factor on all effects but the actuators' lag and viscous friction;
+    `motion` is what "typical" torques, speeds and accelerations are taken from.
     """
     import pinocchio as pin
 
@@ -334,9 +272,8 @@ def draw_plant(nominal, *, perturbation, effects, effect_size, motion, rng):
         raise ValueError(
             f"Unknown effect(s) {sorted(unknown)}; expected some of {list(EFFECTS)}."
         )
-    model, nv = nominal.copy(), nominal.nv
-    for j, body in enumerate(_true_inertias(nominal, perturbation, rng)):
-        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
+    model = with_inertias(nominal, true_inertias(nominal, perturbation, rng))
+    nv = model.nv
     # A minute of the slowest motion, densely enough for its standard deviations.
     states = motion.states(np.linspace(0.0, 60.0, 1201))
     q, v, a = np.split(states, 3, axis=1)

@@ -1,99 +1,168 @@
-"""Simulated robot recordings, with the truth beside them."""
+"""Robots to simulate: those that come with the package, and others that differ.
 
-from dataclasses import dataclass, field, replace
+The demo arm is made up; head and arm are those of Ting, D'Souza and Schaal (2011).
+"""
+
+import os
 from importlib import resources
+from typing import TYPE_CHECKING
 
 import numpy as np
-from sklearn.utils import check_random_state
 
-from sklearn_vbjfa.datasets._undeclared import undeclared_torque
-from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_model
+from sklearn_vbjfa.physical import inertial_parameters, pseudo_inertia
 
-# Fraction of a joint's range, and speed [rad/s or m/s], that the motion keeps to
-# where the robot description gives no (or a wider) limit.
-_RANGE_SHARE = 0.8
+if TYPE_CHECKING:
+    import pinocchio as pin
+
+# Rate of the controller of either robot in the paper [Hz].
+RATES = {"head": 420.0, "arm": 480.0}
+# Range [rad or m] and speed [per s] where the description gives none, or wider ones.
 _DEFAULT_RANGE = 2.5
 _DEFAULT_SPEED = 2.5
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
-class SimulatedRecording(Recording):
-    """A recording that was simulated, and what it was simulated from.
-
-    Parameters
-    ----------
-    states : ndarray of shape (n_samples, 3 * nv)
-        True states [q | v | a].
-    tau_clean : ndarray of shape (n_samples, nv)
-        Torques without noise [N m or N].
-    inertial : ndarray of shape (nv, 10)
-        True inertial parameters of each body in Pinocchio's order.
-    friction : mapping of str to ndarray of shape (nv,)
-        True coefficients of the friction columns.
-    encoder_noise : float
-        Standard deviation of the position noise [rad or m].
-    torque_noise : ndarray of shape (nv,)
-        Standard deviation of the torque noise [N m or N].
-    undeclared : mapping of str to (int, float)
-        Effects beside rigid bodies and friction: name -> joint (from zero) and size.
-    """
-
-    states: np.ndarray
-    tau_clean: np.ndarray
-    inertial: np.ndarray
-    friction: dict = field(default_factory=dict)
-    encoder_noise: float
-    torque_noise: np.ndarray
-    undeclared: dict = field(default_factory=dict)
-
-    def select(self, *names_or_labels):
-        """Keep some of the recordings, with their truth; see `Recording.select`."""
-        kept = super().select(*names_or_labels)
-        labels = [self.group_names.index(name) for name in kept.group_names]
-        rows = np.isin(self.groups, labels)
-        return replace(kept, states=self.states[rows], tau_clean=self.tau_clean[rows])
-
-    def theta(self, friction):
-        """Return the true parameter vector for a choice of friction columns.
-
-        Parameters
-        ----------
-        friction : tuple of str
-            Names of the columns; what the robot does not have is zero.
-
-        Returns
-        -------
-        ndarray of shape (nv * (10 + len(friction)),)
-            Parameters in the order of `RobotIdentifier`.
-        """
-        nv = self.inertial.shape[0]
-        extra = [self.friction.get(name, np.zeros(nv)) for name in friction]
-        return np.column_stack([self.inertial, *extra]).ravel()
+# -- robots that come with the package -------------------------------------------------
 
 
-def demo_arm_urdf():
+def packaged_urdf(name: str) -> str:
+    """Path of the URDF of "demo_arm", "head" or "arm"."""
+    folder = resources.files("sklearn_vbjfa.datasets").joinpath("robots")
+    return str(folder.joinpath(f"{name}.urdf"))
+
+
+def demo_arm_urdf() -> str:
     """Path of the URDF of a made-up six-axis arm."""
-    return str(
-        resources.files("sklearn_vbjfa.datasets").joinpath("robots", "demo_arm.urdf")
-    )
+    return packaged_urdf("demo_arm")
 
 
-def _load(model):
-    # The same reading as everywhere else in the package.
-    from sklearn_vbjfa.model._loading import load_model
+def load_head_model() -> "pin.Model":
+    """Load the nominal model of a vision head with seven joints.
 
-    return load_model(model)
+    Three joints in the neck (pitch, roll, yaw) and two in each eye (pan, tilt), so
+    that the tree forks at the skull. Made up after the description of the head in
+    section 5.2 of [1]_: sizes and masses are plausible, not those of that robot.
+
+    Returns
+    -------
+    pinocchio.Model
+        Model with ``nq == nv == 7`` and limits of position [rad], speed [rad/s] and
+        effort [N m].
+
+    Raises
+    ------
+    ImportError
+        If Pinocchio is not installed.
+
+    See Also
+    --------
+    load_arm_model : The arm of the same article.
+    make_closed_loop_recording : Recordings of a robot that differs from its model.
+
+    References
+    ----------
+    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
+       with input and output noise", Neural Networks 24(1), 2011.
+       :doi:`10.1016/j.neunet.2010.08.011`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.datasets import load_head_model
+    >>> model = load_head_model()
+    >>> model.nv, model.names[1], model.names[7]
+    (7, 'neck_pitch', 'right_eye_tilt')
+    """
+    return load_model(packaged_urdf("head"))
 
 
-def _true_inertias(model, perturbation, rng):
-    """Inertias that differ from the nominal ones, and that some body has.
+def load_arm_model() -> "pin.Model":
+    """Load the nominal model of an anthropomorphic arm with ten joints.
+
+    Three joints in the shoulder, one in the elbow, three in the wrist and three
+    fingers, which all begin at the hand. Made up after the description of the arm in
+    section 5.3 of [1]_: sizes and masses are plausible, not those of that robot.
+
+    Returns
+    -------
+    pinocchio.Model
+        Model with ``nq == nv == 10`` and limits of position [rad], speed [rad/s] and
+        effort [N m].
+
+    Raises
+    ------
+    ImportError
+        If Pinocchio is not installed.
+
+    See Also
+    --------
+    load_head_model : The head of the same article.
+    make_closed_loop_recording : Recordings of a robot that differs from its model.
+
+    References
+    ----------
+    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
+       with input and output noise", Neural Networks 24(1), 2011.
+       :doi:`10.1016/j.neunet.2010.08.011`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.datasets import load_arm_model
+    >>> model = load_arm_model()
+    >>> model.nv, model.names[1], model.names[10]
+    (10, 'shoulder_flexion', 'thumb_opposition')
+    """
+    return load_model(packaged_urdf("arm"))
+
+
+def resolve_model(model):
+    """Path (None for a model without one), nominal model and rate of the paper."""
+    urdf = model if isinstance(model, (str, os.PathLike)) else None
+    rate = RATES.get(str(urdf), RATES["arm"])
+    if urdf is not None:
+        urdf = packaged_urdf(urdf) if urdf in RATES else os.fspath(urdf)
+    return urdf, load_model(model if urdf is None else urdf), rate
+
+
+# -- what a robot can do, and what it takes --------------------------------------------
+
+
+def joint_range(model):
+    """Middle and half width of each joint's range; a default where it is unlimited."""
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    # Halved first: Pinocchio's "no limit" is the largest number there is.
+    reach, centre = 0.5 * high - 0.5 * low, 0.5 * high + 0.5 * low
+    wide = ~(reach <= _DEFAULT_RANGE)
+    return np.where(wide, 0.0, centre), np.where(wide, _DEFAULT_RANGE, reach)
+
+
+def speed_limit(model):
+    """Speed limit (nv,) of each joint; a default where the description gives none."""
+    limit = model.velocityLimit
+    return np.where((limit > 0) & (limit < 1e3), limit, _DEFAULT_SPEED)
+
+
+def rigid_torques(model, states):
+    """Inverse dynamics of a Pinocchio model for rows [q | v | a]."""
+    import pinocchio as pin
+
+    data, rnea = model.createData(), pin.rnea
+    q, v, a = np.split(states, 3, axis=1)
+    out = np.empty(q.shape)
+    for k in range(len(out)):
+        out[k] = rnea(model, data, q[k], v[k], a[k])
+    return out
+
+
+# -- robots that differ from their model -----------------------------------------------
+
+
+def true_inertias(model, perturbation, rng):
+    """Draw inertial parameters (nv, 10) near the nominal ones, that some body has.
 
     The pseudo-inertia J of each body is multiplied from both sides by the exponential
     of a random symmetric matrix: it stays positive definite whatever is drawn.
     """
     from scipy.linalg import expm
-
-    from sklearn_vbjfa.physical import inertial_parameters, pseudo_inertia
 
     bodies = []
     for inertia in model.inertias[1:]:
@@ -107,229 +176,26 @@ def _true_inertias(model, perturbation, rng):
     return np.array(bodies)
 
 
-def _motion(model, n, dt, frequency, n_harmonics, rng):
-    """Draw sums of sines in all joints, inside the limits, with exact derivatives."""
-    nv = model.nv
-    t = np.arange(n) * dt
-    q, v, a = (np.zeros((n, nv)) for _ in range(3))
-    for j in range(nv):
-        low, high = model.lowerPositionLimit[j], model.upperPositionLimit[j]
-        # Halved first: Pinocchio's "no limit" is the largest number there is.
-        reach, centre = 0.5 * high - 0.5 * low, 0.5 * high + 0.5 * low
-        if not reach <= _DEFAULT_RANGE:
-            reach, centre = _DEFAULT_RANGE, 0.0
-        speed = model.velocityLimit[j]
-        if not 0 < speed < 1e3:
-            speed = _DEFAULT_SPEED
-        # from a tenth of the highest frequency up to it
-        f = frequency * (0.1 + 0.9 * rng.uniform(size=n_harmonics))
-        f[0] = frequency * rng.uniform(0.85, 1.0)
-        w = 2 * np.pi * f
-        size = rng.uniform(0.3, 1.0, size=n_harmonics) / f
-        phase = rng.uniform(0, 2 * np.pi, size=n_harmonics)
-        s, c = np.sin(np.outer(t, w) + phase), np.cos(np.outer(t, w) + phase)
-        largest = np.abs(s @ size).max(), np.abs(c @ (size * w)).max()
-        size *= min(
-            _RANGE_SHARE * reach / largest[0], _RANGE_SHARE * speed / largest[1]
-        )
-        q[:, j] = centre + s @ size
-        v[:, j] = c @ (size * w)
-        a[:, j] = -s @ (size * w**2)
-    return t, q, v, a
-
-
-def make_robot_recording(
-    model=None,
-    *,
-    duration=30.0,
-    dt=0.005,
-    frequency=0.7,
-    n_harmonics=5,
-    n_recordings=1,
-    encoder_noise=1e-4,
-    torque_noise=0.05,
-    friction=("viscous", "coulomb"),
-    perturbation=0.3,
-    inertial=None,
-    undeclared=None,
-    random_state=None,
-) -> SimulatedRecording:
-    """Simulate the recording of a robot: a smooth motion, noisy encoders and torques.
-
-    Parameters
-    ----------
-    model : str, os.PathLike, pinocchio.Model or None, default=None
-        Robot; None is a made-up six-axis arm.
-    duration : float, default=30.0
-        Length of each recording [s].
-    dt : float, default=0.005
-        Sample period [s].
-    frequency : float, default=0.7
-        Highest frequency of the motion [Hz].
-    n_harmonics : int, default=5
-        Number of sines in each joint.
-    n_recordings : int, default=1
-        Number of recordings, each with another motion.
-    encoder_noise : float, default=1e-4
-        Standard deviation of the white position noise [rad or m].
-    torque_noise : float, default=0.05
-        Standard deviation of the white torque noise, as a share of the standard
-        deviation of each joint's torque.
-    friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"} or dict, \
-            default=("viscous", "coulomb")
-        Friction of the robot: names, with coefficients drawn at random in proportion
-        to the joint's torque; or names with coefficients, arrays of shape (nv,).
-    perturbation : float, default=0.3
-        How far the true inertias are from those of the model, relative; zero takes
-        the model's.
-    inertial : ndarray of shape (nv, 10), default=None
-        True inertial parameters, instead of drawing them.
-    undeclared : mapping of {"load_friction", "stribeck", "spring", "ripple", \
-            "offset", "presliding"} to (int, float), default=None
-        Effects that a rigid-body model with friction does not have: name -> joint
-        (from zero) and size, which is a share of the load for load_friction, a
-        stiffness [N m/rad or N/m] for spring, a torque [N m or N] for the others.
-    random_state : int, RandomState instance or None, default=None
-        Seed of everything that is drawn.
-
-    Returns
-    -------
-    SimulatedRecording
-        Recording with the truth.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.datasets import make_robot_recording
-    >>> recording = make_robot_recording(duration=2.0, random_state=0)
-    >>> recording.q.shape, recording.joint_names[:2]
-    ((400, 6), ('joint_1', 'joint_2'))
-    """
-    rng = check_random_state(random_state)
-    urdf = demo_arm_urdf() if model is None else model
-    nominal = _load(urdf)
-    if inertial is None:
-        inertial = _true_inertias(nominal, perturbation, rng)
-    n = round(duration / dt)
-    if n < 16:
-        raise ValueError(
-            f"duration={duration} s at dt={dt} s are {n} samples; expected at least 16."
-        )
-    pieces = [
-        _motion(nominal, n, dt, frequency, n_harmonics, rng)
-        for _ in range(n_recordings)
-    ]
-    t = np.concatenate([piece[0] for piece in pieces])
-    q, v, a = (np.concatenate([piece[k] for piece in pieces]) for k in (1, 2, 3))
-    rigid = _inverse_dynamics(nominal, inertial, q, v, a)
-    coefficients = _draw_friction(friction, rigid, v, a, rng)
-    clean = rigid + _friction_torque(coefficients, q, v, a)
-    undeclared = dict(undeclared or {})
-    for part in (slice(k * n, (k + 1) * n) for k in range(n_recordings)):
-        clean[part] += undeclared_torque(undeclared, q[part], v[part], rigid[part])
-    noise = torque_noise * clean.std(axis=0)
-    kinds = [joint.shortname() for joint in nominal.joints[1:]]
-    prismatic = ["P" in kind[len("JointModel") :][:1] for kind in kinds]
-    return SimulatedRecording(
-        name="simulated",
-        q=q + encoder_noise * rng.normal(size=q.shape),
-        tau=clean + noise * rng.normal(size=clean.shape),
-        t=t,
-        dt=float(dt),
-        groups=np.repeat(np.arange(n_recordings), n),
-        group_names=tuple(f"motion_{k + 1}" for k in range(n_recordings)),
-        joint_names=tuple(nominal.names)[1:],
-        position_units=tuple("m" if p else "rad" for p in prismatic),
-        torque_units=tuple("N" if p else "N m" for p in prismatic),
-        urdf=urdf if isinstance(urdf, str) else None,
-        description="Simulated by sklearn_vbjfa: rigid bodies with friction, white "
-        "encoder and torque noise.",
-        licence="BSD-3-Clause",
-        states=np.hstack([q, v, a]),
-        tau_clean=clean,
-        inertial=inertial,
-        friction=coefficients,
-        encoder_noise=float(encoder_noise),
-        torque_noise=noise,
-        undeclared=undeclared,
-    )
-
-
-def _inverse_dynamics(nominal, inertial, q, v, a):
+def with_inertias(model, inertial):
+    """Copy a model and give its bodies inertial parameters (nv, 10)."""
     import pinocchio as pin
 
-    model = nominal.copy()
-    for i, body in enumerate(inertial):
-        model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(body)
-    data = model.createData()
-    return np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+    other = model.copy()
+    for j, body in enumerate(inertial):
+        other.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
+    return other
 
 
-def _draw_friction(friction, rigid, v, a, rng):
-    """Coefficients that take some per cent of each joint's torque."""
-    known = ("viscous", "coulomb", "offset", "rotor_inertia")
-    unknown = set(friction) - set(known)
-    if unknown:
-        raise ValueError(
-            f"Unknown friction {sorted(unknown)}; expected some of {sorted(known)}."
-        )
-    if isinstance(friction, dict):
-        return {
-            name: np.broadcast_to(np.asarray(value, dtype=float), rigid.shape[1:])
-            for name, value in friction.items()
-        }
-    size = rigid.std(axis=0)
-    share = {
-        "viscous": 0.15 * size / v.std(axis=0),
-        "coulomb": 0.15 * size,
-        "offset": 0.05 * size,
-        "rotor_inertia": 0.15 * size / a.std(axis=0),
-    }
+def recording_fields(model, n, n_recordings, dt):
+    """Fields of a `Recording` that simulations share: n rows of each motion."""
+    slides = is_prismatic(model)
     return {
-        name: share[name] * rng.uniform(0.5, 1.5, size=size.shape) for name in friction
+        "t": np.tile(np.arange(n) * dt, n_recordings),
+        "dt": float(dt),
+        "groups": np.repeat(np.arange(n_recordings), n),
+        "group_names": tuple(f"motion_{k + 1}" for k in range(n_recordings)),
+        "joint_names": joint_names(model),
+        "position_units": tuple("m" if slide else "rad" for slide in slides),
+        "torque_units": tuple("N" if slide else "N m" for slide in slides),
+        "licence": "BSD-3-Clause",
     }
-
-
-def _friction_torque(coefficients, q, v, a):
-    signal = {
-        "viscous": v,
-        "coulomb": np.sign(v),
-        "offset": np.ones_like(v),
-        "rotor_inertia": a,
-    }
-    total = np.zeros_like(q)
-    for name, value in coefficients.items():
-        total += value * signal[name]
-    return total
-
-
-def load_demo_recording() -> SimulatedRecording:
-    """Simulate the recording of a made-up six-axis arm that comes with the package.
-
-    Simulated on the spot, always the same: two motions of 20 s up to 1 Hz at 200 Hz,
-    encoder noise of 1e-4 rad, torque noise of 5 %, viscous and Coulomb friction,
-    inertias that differ from those in the URDF by some 30 %. Joint 2 also has friction
-    in proportion to its load, 0.11 of it, which a model of rigid bodies with viscous
-    and Coulomb friction lacks.
-
-    Returns
-    -------
-    SimulatedRecording
-        Recording with the truth; ``recording.urdf`` is the robot description.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.datasets import load_demo_recording
-    >>> load_demo_recording()
-    Recording 'demo': 8000 samples, 6 joints, dt = 0.005 s, 2 recordings
-    """
-    recording = make_robot_recording(
-        duration=20.0,
-        dt=0.005,
-        frequency=1.0,
-        n_recordings=2,
-        encoder_noise=1e-4,
-        torque_noise=0.05,
-        undeclared={"load_friction": (1, 0.11)},
-        random_state=20110,
-    )
-    return replace(recording, name="demo")

@@ -21,8 +21,7 @@ from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.recording._recording import check_clock, check_dt
 from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._plan import check_widths
+from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
 
 @contextlib.contextmanager
@@ -287,7 +286,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             X=X,
             y=y,
             groups=np.zeros(n, int) if groups is None else np.asarray(groups),
-            weight=JointTorqueRegressor._check_weight(sample_weight, y.shape),
+            weight=check_weight(sample_weight, y.shape),
             clock=check_clock(t, n, check_dt(self.identifier.dt)),
         )
 

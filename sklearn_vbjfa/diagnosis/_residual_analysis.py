@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.base import clone
 from sklearn.utils.validation import check_array
-from tabulate import tabulate
 
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._render import text_table
 from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
 from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, Samples
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._recording_checks import check_weight
 
 # Signals that are named in the printed table.
 _SHOWN = 3
@@ -78,19 +78,11 @@ class ResidualAnalysis:
                     words.join(signals, _SHOWN) or "-",
                 ]
             )
-        heads = ["", "residual", "floor", "error %", "correlated ms", "varies with"]
-        table = tabulate(
-            rows,
-            headers=heads,
-            tablefmt="plain",
-            disable_numparse=True,
-            colalign=("left", "right", "right", "right", "right", "left"),
-        )
-        lines = [line.rstrip() for line in table.splitlines()]
-        lines.append(
+        heads = ["", "residual", "floor", "error %", "correlated\nms", "varies with"]
+        return (
+            f"{text_table(heads, rows, numbers=True)}\n"
             f"Out of sample: {self.n_blocks} blocks of time in {self.n_folds} folds."
         )
-        return "\n".join(lines)
 
 
 def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=None):
@@ -147,7 +139,7 @@ def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=No
         )
     X = check_array(X, dtype=np.float64)
     y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
-    weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
+    weight = check_weight(sample_weight, y.shape)
     if not hasattr(identifier, "theta_"):
         identifier = clone(identifier).fit(X, y, groups, weight, t=t)
     samples = Samples(X=X, y=y, groups=groups, weight=weight, clock=t)

@@ -1,42 +1,42 @@
 """Identification of a robot from recordings in many files.
 
-The passes are those of `RobotIdentifier.fit`, each of them a sum over recordings: how
-long they are; the spectra that the cut-offs come from; the speeds that tell standstill;
-the second moments of the filtered equations. Every pass reads the files again, so that
-no worker holds more than the recordings that it is working on.
+The passes are those of `RobotIdentifier.fit`, each of them a sum over recordings: their
+lengths; the spectra, for the cut-offs; the speeds, for the standstill mask; the second
+moments of the filtered equations; the noise of the torques. Every pass reads the files
+again, so that no worker holds more than the recordings that it is working on.
 """
 
 import operator
-from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._core import _lowpass, _smoothing
-from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
-from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
-from sklearn_vbjfa.robot import _torque_noise
-from sklearn_vbjfa.robot._equations import accumulate
-from sklearn_vbjfa.robot._identifier import _CHUNK_BYTES, smooth_recording
+from sklearn_vbjfa.recording._reader import read_recording
+from sklearn_vbjfa.recording._recording import check_dt
+from sklearn_vbjfa.robot._equations import accumulate, segments
+from sklearn_vbjfa.robot._identifier import conclude, declare, noise_of, tell_noise
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._plan import (
     MotionFacts,
+    make_plan,
+    n_fastest,
+    smooth,
+    takes_moments,
+)
+from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_input_noise,
     check_length,
     check_widths,
-    merge_all,
-    n_fastest,
-    resolve_cutoff,
-    resolve_standstill,
 )
-from sklearn_vbjfa.robot._states import StateEstimator, lighter
+from sklearn_vbjfa.robot._states import choose_states
 
 _SUFFIXES = (".csv", ".npz", ".parquet", ".txt")
-# Relative difference of sample periods that counts as another one.
+# Sample periods that differ by more than this share are not the same.
 _DT_TOLERANCE = 0.002
 
 
@@ -49,11 +49,11 @@ def fit_recordings(identifier, source):
     Parameters
     ----------
     identifier : RobotIdentifier
-        Identifier with `dt`; it is fitted itself.
+        Identifier with `dt`; it is fitted in place.
     source : str, os.PathLike or sequence of those
         Folder with CSV, npz or parquet files as `read_recording` reads them, or a list
-        of files, in paths that the workers can read. Each file holds one recording,
-        or several by its column `segment`.
+        of files, under paths that the workers can read. Each file holds one recording,
+        or several if it has a column `segment`.
 
     Returns
     -------
@@ -67,15 +67,15 @@ def fit_recordings(identifier, source):
     FileNotFoundError
         If the folder holds no recording.
     ValueError
-        If a file cannot be read, its sample period or number of joints is another one,
-        or settings need more than second moments (effects, `period`, `block_noise`,
+        If a file cannot be read or has another sample period or number of joints, or
+        if settings need more than second moments (effects, `period`, `block_noise`,
         other regressors).
 
     Notes
     -----
-    The computation runs where Dask says: on the cluster of the current
-    `distributed.Client`, or else in threads. A task returns its own sums and changes
-    nothing, so that one that is lost with its worker is run again and counts once.
+    The computation runs where Dask is configured to: on the cluster of the current
+    `distributed.Client`, otherwise in threads. A task returns its own sums and changes
+    nothing else, so that one lost with its worker is run again and counts once.
 
     Examples
     --------
@@ -99,52 +99,48 @@ def fit_recordings(identifier, source):
     files = _files(source)
     dt = check_dt(identifier.dt)
     check_input_noise(identifier.input_noise)
-    identifier._load_robot()
+    declare(identifier)
     _check_settings(identifier)
     urdf = identifier.model if isinstance(identifier.model, (str, PathLike)) else None
-    load = partial(
-        _load, dt=dt, urdf=urdf and fspath(urdf), names=identifier.joint_names_
-    )
+    names, nv = identifier.joint_names_, len(identifier.joint_names_)
+    load = partial(_load, dt=dt, urdf=urdf and fspath(urdf), names=names)
 
     def sums(function, merge, *arguments):
-        """Run a pass over the files; what it needs besides is sent once."""
+        """Run a pass over the files; its other arguments are sent once."""
         task = dask.delayed(function, pure=False)
         shared = [dask.delayed(x, traverse=False, pure=False) for x in arguments]
-        return merge_tree(merge, [task(load, file, *shared) for file in files])
+        (total,) = dask.compute(
+            merge_tree(merge, [task(load, file, *shared) for file in files])
+        )
+        return total
 
-    (extent,) = dask.compute(sums(_measure, _merge_extents))
+    extent = sums(_measure, _merge_extents)
     longest = max(extent["lengths"])
     n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM))
-    (power,) = dask.compute(sums(_spectra, _add_pairs, dt, n_fft))
-    identifier.n_features_in_ = identifier._nv
-    estimator = StateEstimator(dt, cutoff=identifier.state_cutoff)
-    estimator.n_features_in_ = identifier._nv
+    power = sums(_spectra, _add_pairs, dt, n_fft)
     spectra = _smoothing.spectrum(*power, n_fft, dt) if power[1] else None
-    estimator._choose(longest, extent["moving"], spectra)
-    identifier.state_estimator_ = estimator = lighter(estimator)
+    estimator = choose_states(
+        dt, identifier.state_cutoff, longest, extent["moving"], spectra
+    )
+    keep = n_fastest(sum(extent["lengths"]))
+    merge = partial(MotionFacts.merge, keep=keep)
+    motion = sums(_summarise, merge, estimator, keep)
+    plan = make_plan(identifier, (), extent["lengths"], estimator, motion)
     stops = np.cumsum(extent["lengths"]).tolist()
     parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
-    identifier.cutoff_ = resolve_cutoff(identifier.cutoff, parts, dt, estimator)
-    lowpass = _lowpass.design(dt, identifier.cutoff_)
-    check_length(parts, lowpass, identifier.cutoff_)
-    keep = n_fastest(stops[-1])
-    merge = partial(MotionFacts.merge, keep=keep)
-    (motion,) = dask.compute(sums(_summarise, merge, estimator, keep))
+    check_length(parts, plan.lowpass, plan.cutoff)
     ranges = np.stack([motion.lowest, motion.highest])
-    check_channels(identifier.joint_names_, ranges, extent["torques"])
-    identifier.standstill_ = resolve_standstill(identifier.standstill, motion.fast())
-    identifier.torque_noise_ = _torque_noise.given_noise(
-        identifier.torque_noise, identifier._nv, dt, identifier.cutoff_
-    )
-    numbering = Numbering.of([lowpass.centres(n).size for n in extent["lengths"]])
+    check_channels(names, ranges, extent["torques"])
+    numbering = Numbering.of([plan.lowpass.centres(n).size for n in extent["lengths"]])
     numbers = _first_numbers(files, extent["recordings"])
-    (stats,) = dask.compute(
-        sums(_statistics, _add, identifier, lowpass, numbering, numbers)
+    halves = identifier.input_noise is not None
+    moments = sums(
+        _moments, _add, plan, identifier.features_, halves, numbering, numbers
     )
-    identifier._fit_statistics(stats)
+    identifier.n_features_in_ = nv
+    conclude(identifier, plan, moments)
     if identifier.torque_noise is None:
-        (noise,) = dask.compute(sums(_noise, operator.add, identifier))
-        identifier._tell_noise(noise)
+        tell_noise(identifier, sums(_noise, operator.add, identifier))
     return identifier
 
 
@@ -172,7 +168,9 @@ def _check_settings(identifier):
     asked = {
         "effects": len(identifier.effects_) > 0,
         "period": identifier.period is not None,
-        "block_noise or regressor": not identifier._takes_statistics(),
+        "block_noise or regressor": not takes_moments(
+            identifier.regressor, identifier.block_noise
+        ),
     }
     refused = [name for name, is_asked in asked.items() if is_asked]
     if refused:
@@ -188,8 +186,8 @@ def _check_settings(identifier):
 
 
 def _load(file, *, dt, urdf, names):
-    """Positions and torques of each recording in a file."""
-    # A period given beside a file is taken before the file's own, which is to agree.
+    """Read the `Recording` in a file."""
+    # A period passed to the reader would override the file's own, which is to agree.
     given = None if _has_period(file) else dt
     recording = read_recording(file, dt=given, urdf=urdf)
     if abs(recording.dt / dt - 1) > _DT_TOLERANCE:
@@ -198,8 +196,7 @@ def _load(file, *, dt, urdf, names):
             f"dt={dt:.6g} s. Resample it, or leave it out."
         )
     check_widths(names, recording.q, recording.tau)
-    parts = contiguous_groups(recording.groups, recording.n_samples)
-    return [(recording.q[part], recording.tau[part]) for part in parts]
+    return recording
 
 
 def _has_period(file):
@@ -211,14 +208,13 @@ def _has_period(file):
 
 def _measure(load, file):
     """Lengths, range of torques, which joints move."""
-    recordings = load(file)
-    torques = [tau for _, tau in recordings]
-    whole = np.concatenate(torques)
+    recording = load(file)
+    parts, tau = recording.segments, recording.tau
     return {
-        "lengths": [len(tau) for tau in torques],
-        "recordings": [len(torques)],
-        "torques": np.stack([whole.min(axis=0), whole.max(axis=0)]),
-        "moving": np.any([np.ptp(q, axis=0) > 0 for q, _ in recordings], axis=0),
+        "lengths": [part.stop - part.start for part in parts],
+        "recordings": [len(parts)],
+        "torques": np.stack([tau.min(axis=0), tau.max(axis=0)]),
+        "moving": np.any([np.ptp(recording.q[p], axis=0) > 0 for p in parts], axis=0),
     }
 
 
@@ -233,7 +229,11 @@ def _merge_extents(first, second):
 
 
 def _spectra(load, file, dt, n_fft):
-    powers = [_smoothing.acceleration_power(q, dt, n_fft) for q, _ in load(file)]
+    recording = load(file)
+    powers = [
+        _smoothing.acceleration_power(recording.q[part], dt, n_fft)
+        for part in recording.segments
+    ]
     power, energy = zip(*powers)
     return sum(power), sum(energy)
 
@@ -244,49 +244,26 @@ def _add_pairs(first, second):
 
 def _summarise(load, file, estimator, keep):
     """Motion of the recordings of one file."""
-    facts = [
-        smooth_recording(q, 0, estimator, keep, halves=False)[2] for q, _ in load(file)
-    ]
-    return merge_all(facts, keep)
+    return smooth(load(file), estimator, False, keep, None)[1]
 
 
 def _noise(load, file, identifier):
     """Noise of the torques of one file's recordings, a list."""
-    found = []
-    for q, tau in load(file):
-        rows = _torque_noise.rows_looked_at(slice(0, len(q)))
-        found.append(identifier._noise_facts(q[rows], tau[rows]))
-    return found
+    recording = load(file)
+    return noise_of(identifier, recording.q, recording.tau, recording.segments)
 
 
 def _first_numbers(files, counts):
-    """Return the number of the first recording of each file, dict."""
+    """Return file -> number of its first recording."""
     return dict(zip(files, np.cumsum([0, *counts[:-1]]).tolist()))
 
 
-def _statistics(load, file, identifier, lowpass, numbering, numbers):
-    """Second moments of the filtered equations of one file, None if there are none."""
-    recordings = load(file)
-    halves = identifier.input_noise is not None
-    made = [
-        smooth_recording(q, 0, identifier.state_estimator_, 1, halves=halves)
-        for q, _ in recordings
-    ]
-    states, both, _ = map(list, zip(*made))
-    stops = np.cumsum([len(q) for q, _ in recordings]).tolist()
-    parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
-    torque = np.concatenate([tau for _, tau in recordings])
-    stretches = identifier._stretches(
-        states,
-        torque,
-        np.ones(torque.shape),
-        parts,
-        tuple(map(list, zip(*both))) if halves else None,
-    )
-    stretches = [
-        replace(stretch, number=numbers[file] + stretch.number) for stretch in stretches
-    ]
-    return accumulate(stretches, lowpass, chunk_bytes=_CHUNK_BYTES, numbering=numbering)
+def _moments(load, file, plan, features, halves, numbering, numbers):
+    """Second moments of the filtered equations of one file; None if it has none."""
+    recording = load(file)
+    states, _ = smooth(recording, plan.state_estimator, halves, 1, None)
+    made = segments(recording, states, plan, features, first=numbers[file])
+    return accumulate(made, plan.lowpass, numbering=numbering)
 
 
 def _add(first, second):

@@ -1,10 +1,7 @@
-"""Joint-torque regressors sample by sample, compiled.
+"""The loop over samples of `sklearn_vbjfa.model._regressor`, compiled by Numba.
 
-The algorithm is that of `sklearn_vbjfa.model._regressor`, whose docstring explains it.
-There NumPy spreads every step over many samples; here a loop over samples is compiled
-by Numba, which keeps all that belongs to one sample in registers and the nearest cache.
-Numba is optional, and this module the only one to import it: without it NumPy does the
-work. Vectors are tuples, which the compiler, unlike arrays, knows not to overlap.
+Numba is optional, and this module the only one to import it.  Vectors are tuples, which
+the compiler, unlike arrays, knows not to overlap.
 """
 
 import math
@@ -13,7 +10,7 @@ import numba
 import numpy as np
 
 # The machine code is kept on disk: only the first use after an installation takes the
-# seconds of the compilation. Fused multiplications and additions round once instead of
+# seconds of the compilation.  Fused multiplications and additions round once instead of
 # twice.
 _compiled = numba.njit(
     nogil=True, cache=True, error_model="numpy", fastmath={"contract"}
@@ -24,12 +21,6 @@ _compiled = numba.njit(
 def _vector(x):
     """Return three numbers as a tuple."""
     return x[0], x[1], x[2]
-
-
-@_compiled
-def _store(x, out):
-    """Write a vector to memory."""
-    out[0], out[1], out[2] = x
 
 
 @_compiled
@@ -59,195 +50,134 @@ def _combine(a, x, y, z):
 
 
 @_compiled
-def fill(
-    q,
-    v,
-    a,
-    parents,
-    about,
-    placements,
-    realign,
-    turned,
-    turns,
-    slides,
-    base,
-    base_angular,
-    blank,
-    zeros,
-    out,
-):
-    """Fill in the regressor matrices of samples.
+def _turn(axis, angle):
+    """Return the axes of a frame turned about an axis, in that frame, by rows."""
+    cosine, sine = math.cos(angle), math.sin(angle)
+    u, v, w = axis
+    x, y, z = _axpy(1.0 - cosine, axis, (0.0, 0.0, 0.0))
+    return (
+        (x * u + cosine, x * v + w * sine, x * w - v * sine),
+        (y * u - w * sine, y * v + cosine, y * w + u * sine),
+        (z * u + v * sine, z * v - u * sine, z * w + cosine),
+    )
 
-    Parameters
-    ----------
-    q, v, a : ndarray of shape (n, nv)
-        Positions, velocities, accelerations.
-    parents : ndarray of shape (nv,)
-        Number of the parent, -1 for none.
-    about : ndarray of shape (nv,)
-        Which of a joint's axes it turns about or slides along.
-    placements : ndarray of shape (nv, 4, 3)
-        Offset and axes of a joint at zero in the axes of its parent.
-    realign : ndarray of shape (nv, 3, 3)
-        Axes of the body in those of `placements`, where `turned`.
-    turned : ndarray of shape (nv,), bool
-        Whether that is not the identity.
-    turns, slides : ndarray of shape (nv,)
-        Radians and metres by unit of the joint's position.
-    base : ndarray of shape (nv, 3)
-        Acceleration that takes the place of gravity, of joints without parent.
-    base_angular : tuple of 3 float
-        Its angular part.
-    blank : ndarray of shape (n_blank, 2)
-        Pairs of a joint and a body that it does not carry.
-    zeros : ndarray of shape (n_zeros, 3)
-        Other entries of a matrix that are zero in every motion.
-    out : ndarray of shape (n, nv, nv, k), k >= 10
-        Regressor matrices.
+
+@_compiled
+def _forces_and_moments(p, x, y, z, field, w, dw):
+    """Return a body's forces by m, mc, and moments about the origin by all ten."""
+    # Acceleration of the tip of an axis relative to its tail: M e_k with
+    # M = [dw]x + w w' - |w|^2, by its columns.
+    square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    m1 = w[0] * w[0] - square, w[0] * w[1] + dw[2], w[0] * w[2] - dw[1]
+    m2 = w[0] * w[1] - dw[2], w[1] * w[1] - square, w[1] * w[2] + dw[0]
+    m3 = w[0] * w[2] + dw[1], w[1] * w[2] - dw[0], w[2] * w[2] - square
+    dx = _combine(x, m1, m2, m3)
+    dy = _combine(y, m1, m2, m3)
+    dz = _combine(z, m1, m2, m3)
+    of_m = _cross(p, field)
+    of_x = _axpy(1.0, _cross(p, dx), _cross(x, field))
+    of_y = _axpy(1.0, _cross(p, dy), _cross(y, field))
+    of_z = _axpy(1.0, _cross(p, dz), _cross(z, field))
+    # A moment of inertia sums the squares of the other two coordinates, a product of
+    # inertia is a mixed second moment times minus one.
+    xx, yy, zz = _cross(x, dx), _cross(y, dy), _cross(z, dz)
+    half = _combine((0.5, 0.5, 0.5), xx, yy, zz)
+    of_xx = _axpy(-1.0, xx, half)
+    of_yy = _axpy(-1.0, yy, half)
+    of_zz = _axpy(-1.0, zz, half)
+    of_xy = _axpy(1.0, _cross(dx, y), _cross(dy, x))
+    of_xz = _axpy(1.0, _cross(dx, z), _cross(dz, x))
+    of_yz = _axpy(1.0, _cross(dy, z), _cross(dz, y))
+    moments = of_m, of_x, of_y, of_z, of_xx, of_xy, of_yy, of_xz, of_yz, of_zz
+    return (field, dx, dy, dz), moments
+
+
+@_compiled
+def _project(screw, forces, moments, out):
+    """Write the torques of a joint by the parameters of a body that it carries."""
+    s1, s2, s3, s4, s5, s6 = screw[0], screw[1], screw[2], screw[3], screw[4], screw[5]
+    r0 = s4 * moments[0][0] + s5 * moments[0][1] + s6 * moments[0][2]
+    r1 = s4 * moments[1][0] + s5 * moments[1][1] + s6 * moments[1][2]
+    r2 = s4 * moments[2][0] + s5 * moments[2][1] + s6 * moments[2][2]
+    r3 = s4 * moments[3][0] + s5 * moments[3][1] + s6 * moments[3][2]
+    r4 = s4 * moments[4][0] + s5 * moments[4][1] + s6 * moments[4][2]
+    r5 = s4 * moments[5][0] + s5 * moments[5][1] + s6 * moments[5][2]
+    r6 = s4 * moments[6][0] + s5 * moments[6][1] + s6 * moments[6][2]
+    r7 = s4 * moments[7][0] + s5 * moments[7][1] + s6 * moments[7][2]
+    r8 = s4 * moments[8][0] + s5 * moments[8][1] + s6 * moments[8][2]
+    r9 = s4 * moments[9][0] + s5 * moments[9][1] + s6 * moments[9][2]
+    r0 += s1 * forces[0][0] + s2 * forces[0][1] + s3 * forces[0][2]
+    r1 += s1 * forces[1][0] + s2 * forces[1][1] + s3 * forces[1][2]
+    r2 += s1 * forces[2][0] + s2 * forces[2][1] + s3 * forces[2][2]
+    r3 += s1 * forces[3][0] + s2 * forces[3][1] + s3 * forces[3][2]
+    # All is read before anything is written.
+    out[0], out[1], out[2], out[3], out[4] = r0, r1, r2, r3, r4
+    out[5], out[6], out[7], out[8], out[9] = r5, r6, r7, r8, r9
+
+
+@_compiled
+def fill(q, v, a, tree, out):
+    """Fill in the regressor matrices (n, nv, nv, k >= 10) of samples.
+
+    Positions, velocities and accelerations are of shape (n, nv), the robot a `Tree`.
     """
     n, nv = q.shape
-    k_all = out.shape[3]
-    zero = (0.0, 0.0, 0.0)
     # By body: axes, origin and its acceleration, angular velocity and acceleration.
     axes = np.empty((nv, 3, 3))
-    places = np.empty((nv, 3))
-    fields = np.empty((nv, 3))
-    speeds = np.empty((nv, 3))
-    gains = np.empty((nv, 3))
+    places, fields = np.empty((nv, 3)), np.empty((nv, 3))
+    speeds, gains = np.empty((nv, 3)), np.empty((nv, 3))
     screws = np.empty((nv, 6))
     for sample in range(n):
         matrix = out[sample]
+        matrix[:] = 0.0
         for j in range(nv):
-            parent = parents[j]
-            offset = _vector(placements[j, 0])
-            x = _vector(placements[j, 1])
-            y = _vector(placements[j, 2])
-            z = _vector(placements[j, 3])
+            parent, turns, slides = tree.parents[j], tree.turns[j], tree.slides[j]
+            offset = _vector(tree.offsets[j])
             if parent < 0:
-                p, w, dw = zero, zero, base_angular
-                field = _vector(base[j])
+                e1, e2, e3 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+                p, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+                field, dw = _vector(tree.base[j]), _vector(tree.base_angular)
             else:
-                e1, e2, e3 = (
-                    _vector(axes[parent, 0]),
-                    _vector(axes[parent, 1]),
-                    _vector(axes[parent, 2]),
-                )
-                offset = _combine(offset, e1, e2, e3)
-                x = _combine(x, e1, e2, e3)
-                y = _combine(y, e1, e2, e3)
-                z = _combine(z, e1, e2, e3)
-                p, field = _vector(places[parent]), _vector(fields[parent])
-                w, dw = _vector(speeds[parent]), _vector(gains[parent])
-            cosine, sine = math.cos(q[sample, j]), math.sin(q[sample, j])
-            turn, slide = turns[j], slides[j]
-            if turn == 0.0:
-                cosine, sine = 1.0, 0.0
-            if about[j] == 0:
-                axis = x
-                y, z = (
-                    _combine((cosine, sine, 0.0), y, z, zero),
-                    _combine((-sine, cosine, 0.0), y, z, zero),
-                )
-            elif about[j] == 1:
-                axis = y
-                z, x = (
-                    _combine((cosine, sine, 0.0), z, x, zero),
-                    _combine((-sine, cosine, 0.0), z, x, zero),
-                )
-            else:
-                axis = z
-                x, y = (
-                    _combine((cosine, sine, 0.0), x, y, zero),
-                    _combine((-sine, cosine, 0.0), x, y, zero),
-                )
-            if turned[j]:
-                x, y, z = (
-                    _combine(_vector(realign[j, 0]), x, y, z),
-                    _combine(_vector(realign[j, 1]), x, y, z),
-                    _combine(_vector(realign[j, 2]), x, y, z),
-                )
-            offset = _axpy(slide * q[sample, j], axis, offset)
+                e1 = _vector(axes[parent, 0])
+                e2 = _vector(axes[parent, 1])
+                e3 = _vector(axes[parent, 2])
+                p, w = _vector(places[parent]), _vector(speeds[parent])
+                field, dw = _vector(fields[parent]), _vector(gains[parent])
+            # Axes of the joint at zero, about or along one direction of which it moves.
+            x = _combine(_vector(tree.frames[j, 0]), e1, e2, e3)
+            y = _combine(_vector(tree.frames[j, 1]), e1, e2, e3)
+            z = _combine(_vector(tree.frames[j, 2]), e1, e2, e3)
+            axis = _combine(_vector(tree.axes[j]), x, y, z)
+            turned = _turn(_vector(tree.axes[j]), turns * q[sample, j])
+            x, y, z = (
+                _combine(turned[0], x, y, z),
+                _combine(turned[1], x, y, z),
+                _combine(turned[2], x, y, z),
+            )
+            offset = _combine(offset, e1, e2, e3)
+            offset = _axpy(slides * q[sample, j], axis, offset)
             p = _axpy(1.0, p, offset)
             across = _cross(w, axis)
             field = _axpy(1.0, _cross(w, _cross(w, offset)), field)
             field = _axpy(1.0, _cross(dw, offset), field)
-            field = _axpy(2.0 * slide * v[sample, j], across, field)
-            field = _axpy(slide * a[sample, j], axis, field)
-            w = _axpy(turn * v[sample, j], axis, w)
-            dw = _axpy(turn * a[sample, j], axis, dw)
-            dw = _axpy(turn * v[sample, j], across, dw)
-            _store(x, axes[j, 0])
-            _store(y, axes[j, 1])
-            _store(z, axes[j, 2])
-            _store(p, places[j])
-            _store(field, fields[j])
-            _store(w, speeds[j])
-            _store(dw, gains[j])
+            field = _axpy(2.0 * slides * v[sample, j], across, field)
+            field = _axpy(slides * a[sample, j], axis, field)
+            w = _axpy(turns * v[sample, j], axis, w)
+            dw = _axpy(turns * a[sample, j], axis, dw)
+            dw = _axpy(turns * v[sample, j], across, dw)
             lever = _cross(p, axis)
             for c in range(3):
-                screws[j, c] = turn * lever[c] + slide * axis[c]
-                screws[j, 3 + c] = turn * axis[c]
-
-            # Acceleration of the tip of an axis relative to its tail: M e_k with
-            # M = [dw]x + w w' - |w|^2, by its columns.
-            square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
-            m1 = w[0] * w[0] - square, w[0] * w[1] + dw[2], w[0] * w[2] - dw[1]
-            m2 = w[0] * w[1] - dw[2], w[1] * w[1] - square, w[1] * w[2] + dw[0]
-            m3 = w[0] * w[2] + dw[1], w[1] * w[2] - dw[0], w[2] * w[2] - square
-            dx = _combine(x, m1, m2, m3)
-            dy = _combine(y, m1, m2, m3)
-            dz = _combine(z, m1, m2, m3)
-
-            # Moments by the mass, the first moments and the moments of inertia.
-            of_m = _cross(p, field)
-            of_x = _axpy(1.0, _cross(p, dx), _cross(x, field))
-            of_y = _axpy(1.0, _cross(p, dy), _cross(y, field))
-            of_z = _axpy(1.0, _cross(p, dz), _cross(z, field))
-            xx, yy, zz = _cross(x, dx), _cross(y, dy), _cross(z, dz)
-            half = _combine((0.5, 0.5, 0.5), xx, yy, zz)
-            of_xx = _axpy(-1.0, xx, half)
-            of_yy = _axpy(-1.0, yy, half)
-            of_zz = _axpy(-1.0, zz, half)
-            of_xy = _axpy(1.0, _cross(dx, y), _cross(dy, x))
-            of_xz = _axpy(1.0, _cross(dx, z), _cross(dz, x))
-            of_yz = _axpy(1.0, _cross(dy, z), _cross(dz, y))
-
+                axes[j, 0, c], axes[j, 1, c], axes[j, 2, c] = x[c], y[c], z[c]
+                places[j, c], fields[j, c] = p[c], field[c]
+                speeds[j, c], gains[j, c] = w[c], dw[c]
+                screws[j, c] = turns * lever[c] + slides * axis[c]
+                screws[j, 3 + c] = turns * axis[c]
+            forces, moments = _forces_and_moments(p, x, y, z, field, w, dw)
             # The joint itself and all those above it.
             i = j
             while i >= 0:
-                s0, s1, s2 = screws[i, 0], screws[i, 1], screws[i, 2]
-                s3, s4, s5 = screws[i, 3], screws[i, 4], screws[i, 5]
-                target = matrix[i, j]
-                r0 = s3 * of_m[0] + s4 * of_m[1] + s5 * of_m[2]
-                r1 = s3 * of_x[0] + s4 * of_x[1] + s5 * of_x[2]
-                r2 = s3 * of_y[0] + s4 * of_y[1] + s5 * of_y[2]
-                r3 = s3 * of_z[0] + s4 * of_z[1] + s5 * of_z[2]
-                r4 = s3 * of_xx[0] + s4 * of_xx[1] + s5 * of_xx[2]
-                r5 = s3 * of_xy[0] + s4 * of_xy[1] + s5 * of_xy[2]
-                r6 = s3 * of_yy[0] + s4 * of_yy[1] + s5 * of_yy[2]
-                r7 = s3 * of_xz[0] + s4 * of_xz[1] + s5 * of_xz[2]
-                r8 = s3 * of_yz[0] + s4 * of_yz[1] + s5 * of_yz[2]
-                r9 = s3 * of_zz[0] + s4 * of_zz[1] + s5 * of_zz[2]
-                r0 += s0 * field[0] + s1 * field[1] + s2 * field[2]
-                r1 += s0 * dx[0] + s1 * dx[1] + s2 * dx[2]
-                r2 += s0 * dy[0] + s1 * dy[1] + s2 * dy[2]
-                r3 += s0 * dz[0] + s1 * dz[1] + s2 * dz[2]
-                target[0] = r0
-                target[1] = r1
-                target[2] = r2
-                target[3] = r3
-                target[4] = r4
-                target[5] = r5
-                target[6] = r6
-                target[7] = r7
-                target[8] = r8
-                target[9] = r9
-                for k in range(10, k_all):
-                    target[k] = 0.0
-                i = parents[i]
-        for pair in range(blank.shape[0]):
-            target = matrix[blank[pair, 0], blank[pair, 1]]
-            for k in range(k_all):
-                target[k] = 0.0
-        for entry in range(zeros.shape[0]):
-            matrix[zeros[entry, 0], zeros[entry, 1], zeros[entry, 2]] = 0.0
+                _project(screws[i], forces, moments, matrix[i, j])
+                i = tree.parents[i]
+        for entry in range(tree.zeros.shape[0]):
+            i, j, k = tree.zeros[entry]
+            matrix[i, j, k] = 0.0

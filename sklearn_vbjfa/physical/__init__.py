@@ -1,7 +1,7 @@
 """Physical consistency of rigid-body parameters: what it is and how to restore it."""
 
+from sklearn_vbjfa.physical._interior_point import ProjectionError
 from sklearn_vbjfa.physical._layout import ParameterLayout, resolve_layout
-from sklearn_vbjfa.physical._programme import ProjectionError
 from sklearn_vbjfa.physical._projection import ProjectionResult, project
 from sklearn_vbjfa.physical._projector import PhysicalProjector
 from sklearn_vbjfa.physical._pseudo_inertia import (
@@ -15,12 +15,6 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     pseudo_inertia,
     spatial_inertia,
 )
-from sklearn_vbjfa.physical._virtual import (
-    inertial_from_virtual,
-    virtual_curvature,
-    virtual_from_inertial,
-    virtual_jacobian,
-)
 
 __all__ = [
     "ParameterLayout",
@@ -30,7 +24,6 @@ __all__ = [
     "body_scales",
     "constraint_matrix",
     "inertia_matrix",
-    "inertial_from_virtual",
     "inertial_parameters",
     "is_consistent",
     "min_eigenvalue",
@@ -39,7 +32,4 @@ __all__ = [
     "pseudo_inertia",
     "resolve_layout",
     "spatial_inertia",
-    "virtual_curvature",
-    "virtual_from_inertial",
-    "virtual_jacobian",
 ]

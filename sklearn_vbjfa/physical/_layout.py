@@ -122,7 +122,7 @@ def _check_width(width, n_features):
                 "parameters): there is nothing to constrain and the values pass "
                 "through unchanged.",
                 UserWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
             return n_features + 1
         plain, paper = n_features % N_INERTIAL == 0, n_features % _PAPER_WIDTH == 0
@@ -132,7 +132,7 @@ def _check_width(width, n_features):
                 "11 parameters per joint; taken as 11 (viscous friction last). Set "
                 "parameters_per_joint.",
                 UserWarning,
-                stacklevel=4,
+                stacklevel=5,
             )
         if not plain and not paper:
             raise ValueError(

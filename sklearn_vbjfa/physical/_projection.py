@@ -1,22 +1,14 @@
-"""Projection of one parameter vector on the physically consistent ones.
-
-Metric of the projection: validation, square root, and what it cannot see.
-"""
+"""Projection of parameter vectors on the physically consistent ones, in a metric."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from numbers import Integral, Real
 
 import numpy as np
 
-from sklearn_vbjfa.physical._layout import resolve_layout
-from sklearn_vbjfa.physical._programme import (
-    ProjectionError,
-    clip,
-    lift,
-    make_problem,
-    solve_conic,
-)
+from sklearn_vbjfa.physical._interior_point import ProjectionError, solve
+from sklearn_vbjfa.physical._layout import ParameterLayout, resolve_layout
+from sklearn_vbjfa.physical._programme import Programme
 from sklearn_vbjfa.physical._pseudo_inertia import (
     _check_constraint,
     body_scales,
@@ -24,7 +16,6 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     parameter_units,
 )
 from sklearn_vbjfa.physical._threads import one_blas_thread
-from sklearn_vbjfa.physical._virtual import solve_virtual
 
 # How many times longer than the visible part of a vector its hidden part may be before
 # it is taken for rounding; a plausible robot's are of one order.
@@ -52,7 +43,7 @@ class Metric:
     size: np.ndarray
     basis: np.ndarray
 
-    def without_rounding(self, theta):
+    def visible_part(self, theta):
         """Drop what the metric does not see where it dwarfs what it sees.
 
         A least-squares solve that does not cut its singular values returns 1e10 and
@@ -68,24 +59,32 @@ class Metric:
         -------
         theta : ndarray of shape (n_features,)
             The vector, or its visible part.
+        hidden, visible : float
+            Lengths of both parts in units of the metric.
         """
         standardised = theta * self.size
-        visible = self.basis @ (self.basis.T @ standardised)
-        hidden = np.linalg.norm(standardised - visible)
-        if hidden <= _HIDDEN_LIMIT * np.linalg.norm(visible):
-            return theta
-        warnings.warn(
-            f"The part of theta that the metric does not see is {hidden:.1e} long in "
-            f"units of the metric, the part it sees {np.linalg.norm(visible):.1e}: "
-            "taken for the rounding of a singular regression and replaced by the "
-            "shortest vector that predicts the same. Fit with a regressor that cuts "
-            "small singular values.",
-            UserWarning,
-            stacklevel=4,
-        )
-        return np.divide(
-            visible, self.size, out=np.zeros_like(theta), where=self.size > 0
-        )
+        part = self.basis @ (self.basis.T @ standardised)
+        hidden, visible = np.linalg.norm(standardised - part), np.linalg.norm(part)
+        if hidden > _HIDDEN_LIMIT * visible:
+            theta = np.divide(
+                part, self.size, out=np.zeros_like(theta), where=self.size > 0
+            )
+        return theta, hidden, visible
+
+    def without_rounding(self, theta):
+        """Return the `visible_part`; warn where that is not all."""
+        part, hidden, visible = self.visible_part(theta)
+        if part is not theta:
+            warnings.warn(
+                f"The part of theta that the metric does not see is {hidden:.1e} long "
+                f"in units of the metric, the part it sees {visible:.1e}: taken for "
+                "the rounding of a singular regression and replaced by the shortest "
+                "vector that predicts the same. Fit with a regressor that cuts small "
+                "singular values.",
+                UserWarning,
+                stacklevel=5,
+            )
+        return part
 
 
 @one_blas_thread()
@@ -162,14 +161,9 @@ def check_metric(metric, n_features):
     )
 
 
-SOLVERS = ("conic", "virtual")
-# The virtual solver's steps are cheaper and more numerous than the conic solver's.
-_VIRTUAL_STEPS = 10
 # Share of the anchor's weight at which it counts as gone. Some pull has to remain: the
 # least distance is often reached by no vector, only neared by masses without limit.
 _HARDLY = 1e-6
-# Excess of the squared distance up to which their answer is accepted, relative.
-_VIRTUAL_LIMIT = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,10 +195,10 @@ class ProjectionResult:
         pulled then; nan if the solve with less pull fails.
     iterations : int
         Iterations of the solver, all passes together.
-    solver : {"none", "clarabel", "trust-exact"}
+    solver : {"none", "interior-point"}
         What found the vector.
     message : str
-        The solver's own status.
+        How the solver ended.
     mass_scale : ndarray of shape (n_bodies,)
         Unit of mass of each body [kg].
     length_scale : ndarray of shape (n_bodies,)
@@ -224,16 +218,9 @@ class ProjectionResult:
     length_scale: np.ndarray
 
 
-def check_options(constraint, margin, anchor_weight, solver, max_solver_iter):
+def _check_options(constraint, margin, anchor_weight, max_solver_iter):
     """Raise ValueError when an option that needs no data is wrong."""
     _check_constraint(constraint)
-    if solver not in SOLVERS:
-        raise ValueError(f"solver must be one of {SOLVERS}, got {solver!r}")
-    if solver == "virtual" and constraint != "eq30":
-        raise ValueError(
-            'solver="virtual" works in the virtual parameters of eq. 30 and needs '
-            f'constraint="eq30", got {constraint!r}. Use solver="conic".'
-        )
     if not _is_real(margin) or not 0 < margin < 1:
         raise ValueError(
             "margin must be a number between 0 and 1, both excluded (a fraction of "
@@ -255,7 +242,7 @@ def _is_real(value):
     return isinstance(value, Real) and not isinstance(value, bool)
 
 
-def check_vector(values, name, n_features=None):
+def _check_vector(values, name, n_features=None):
     """Finite float array of shape (n_features,)."""
     values = np.asarray(values, dtype=float)
     if values.ndim != 1 or (n_features is not None and values.size != n_features):
@@ -269,27 +256,8 @@ def check_vector(values, name, n_features=None):
     return values
 
 
-def resolve_scales(rows, layout, mass_scale, length_scale, anchor):
-    """Units of every body: as given, of the anchor, or of the rows.
-
-    Parameters
-    ----------
-    rows : ndarray of shape (n_samples, n_features)
-        Parameter vectors.
-    layout : ParameterLayout
-        The columns' roles.
-    mass_scale, length_scale : float, array-like of shape (n_bodies,) or None
-        Units [kg] and [m]; None for those of the data.
-    anchor : ndarray of shape (n_features,) or None
-        Preferred source of the units, since it is usually a plausible robot.
-
-    Returns
-    -------
-    mass_scale, length_scale : ndarray of shape (n_bodies,)
-        Units [kg] and [m].
-    """
-    source = rows if anchor is None else anchor[None]
-    found = body_scales(source[:, layout.body_columns])
+def _resolve_scales(found, mass_scale, length_scale):
+    """Units (mass, length) of every body, as given or as found in the data."""
     scales = []
     for name, given, default in (
         ("mass_scale", mass_scale, found[0]),
@@ -304,10 +272,10 @@ def resolve_scales(rows, layout, mass_scale, length_scale, anchor):
         if not np.all(np.isfinite(value)) or not np.all(value > 0):
             raise ValueError(f"{name} must be positive and finite, got {given!r}")
         scales.append(np.broadcast_to(value, default.shape).copy())
-    return scales[0], scales[1]
+    return scales
 
 
-def default_metric(rows, layout, mass_scale, length_scale):
+def _default_metric(rows, layout, mass_scale, length_scale):
     """Metric that counts each parameter in its own unit.
 
     The ten of a body in units of its mass and length scale; a column outside the
@@ -317,6 +285,218 @@ def default_metric(rows, layout, mass_scale, length_scale):
     units[units == 0] = 1.0
     units[layout.body_columns] = parameter_units(mass_scale, length_scale)
     return check_metric(np.diag(units**-2.0), units.size)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Projection:
+    """Where vectors are projected and in which distance; validated, in SI units.
+
+    Attributes
+    ----------
+    layout : ParameterLayout
+        The columns' roles.
+    metric : Metric
+        Distance.
+    constraint : {"pseudo-inertia", "eq30"}
+        Set.
+    margin : float
+        Least eigenvalue of each body's matrix in its own units.
+    mass_scale, length_scale : ndarray of shape (n_bodies,)
+        Those units [kg] and [m].
+    anchor : ndarray of shape (n_features,) or None
+        Where directions that the metric does not see are pulled; None for the vector.
+    anchor_weight : float
+        Strength of that pull.
+    max_solver_iter : int
+        Iterations of one solve.
+    """
+
+    layout: ParameterLayout
+    metric: Metric
+    constraint: str
+    margin: float
+    mass_scale: np.ndarray
+    length_scale: np.ndarray
+    anchor: np.ndarray | None
+    anchor_weight: float
+    max_solver_iter: int
+
+    @classmethod
+    def of(
+        cls,
+        rows,
+        *,
+        constraint,
+        metric,
+        parameters_per_joint,
+        body_starts,
+        nonnegative,
+        margin,
+        mass_scale,
+        length_scale,
+        anchor,
+        anchor_weight,
+        max_solver_iter,
+    ):
+        """Validate the options of :func:`project` for rows (n_samples, n_features)."""
+        _check_options(constraint, margin, anchor_weight, max_solver_iter)
+        n_features = rows.shape[1]
+        layout = resolve_layout(
+            n_features,
+            parameters_per_joint=parameters_per_joint,
+            body_starts=body_starts,
+            nonnegative=nonnegative,
+        )
+        if anchor is not None:
+            anchor = _check_vector(anchor, "anchor", n_features)
+        if metric is not None:
+            metric = check_metric(metric, n_features)
+            rows = np.array([metric.visible_part(row)[0] for row in rows])
+        # The anchor is usually a plausible robot.
+        source = rows if anchor is None else anchor[None]
+        mass_scale, length_scale = _resolve_scales(
+            body_scales(source[:, layout.body_columns]), mass_scale, length_scale
+        )
+        if metric is None:
+            metric = _default_metric(rows, layout, mass_scale, length_scale)
+        return cls(
+            layout=layout,
+            metric=metric,
+            constraint=constraint,
+            margin=margin,
+            mass_scale=mass_scale,
+            length_scale=length_scale,
+            anchor=anchor,
+            anchor_weight=anchor_weight,
+            max_solver_iter=max_solver_iter,
+        )
+
+    @one_blas_thread()
+    def __call__(self, theta, *, price_anchor=True):
+        """Project one vector; return a :class:`ProjectionResult`.
+
+        What the anchor costs takes one more solve where the metric is singular, and is
+        nan without `price_anchor`.
+        """
+        theta = self.metric.without_rounding(theta)
+        bodies, kept = self.layout.body_columns, self.layout.nonnegative
+        if np.all(self._eigenvalues(theta) >= self.margin) and np.all(theta[kept] >= 0):
+            return self._outcome(
+                theta,
+                theta.copy(),
+                status="unchanged",
+                relative_gap=0.0,
+                anchor_cost=0.0,
+                iterations=0,
+                solver="none",
+                message="already consistent",
+            )
+        units, scaled_root = self._scale(theta)
+        # One common factor brings bodies far from their scales back near one.
+        common = np.abs((theta / units)[bodies]).max(initial=0.0)
+        common = common if common > 0 else 1.0
+        units = units * common
+
+        def programme(weight):
+            return Programme.pulled(
+                theta / units,
+                constraint=self.constraint,
+                body_columns=bodies,
+                nonnegative=kept,
+                margin=self.margin / common,
+                metric_root=scaled_root,
+                anchor=(theta if self.anchor is None else self.anchor) / units,
+                anchor_weight=weight,
+            )
+
+        nearest = programme(self.anchor_weight)
+        solution = solve(nearest, max_steps=self.max_solver_iter)
+        cost = 0.0 if nearest.n_hidden == 0 else np.nan
+        if nearest.n_hidden and price_anchor:
+            freer = programme(_HARDLY * self.anchor_weight)
+            cost = _anchor_cost(
+                solution.vector, freer, scaled_root, self.max_solver_iter
+            )
+        return self._outcome(
+            theta,
+            self._settle(solution.vector * units, units, nearest),
+            status="projected",
+            relative_gap=solution.gap,
+            anchor_cost=cost,
+            iterations=solution.n_iter,
+            solver="interior-point",
+            message=solution.status,
+        )
+
+    def _eigenvalues(self, vector):
+        """Smallest eigenvalue of each body's matrix, shape (n_bodies,)."""
+        return min_eigenvalue(
+            vector[self.layout.body_columns],
+            self.constraint,
+            mass_scale=self.mass_scale,
+            length_scale=self.length_scale,
+        )
+
+    def _outcome(self, theta, vector, **details):
+        displacement = self.metric.root @ (vector - theta)
+        return ProjectionResult(
+            theta=vector,
+            objective=float(displacement @ displacement),
+            min_eigenvalues=self._eigenvalues(vector),
+            mass_scale=self.mass_scale,
+            length_scale=self.length_scale,
+            **details,
+        )
+
+    def _scale(self, theta):
+        """Units of the columns, and the metric's root in them, columns up to one."""
+        bodies, diagonal = self.layout.body_columns, self.metric.size**2
+        units = np.ones(theta.size)
+        units[bodies] = parameter_units(self.mass_scale, self.length_scale)
+        outside = np.ones(theta.size, dtype=bool)
+        outside[bodies] = False
+        # Columns outside the bodies have no unit of their own: take the one in which
+        # their metric equals the largest of the bodies.
+        largest = (diagonal * units**2)[~outside].max(initial=0.0)
+        seen = outside & (diagonal > 0)
+        units[seen] = np.sqrt((largest if largest > 0 else 1.0) / diagonal[seen])
+        root = self.metric.root * units
+        size = np.linalg.norm(root, axis=0).max(initial=0.0)
+        return units, root / size if size > 0 else root
+
+    def _settle(self, vector, units, programme):
+        """Make a vector consistent to the last bit in the user's own units.
+
+        Division by the units rounds, so an eigenvalue may come out a few rounding
+        errors below the margin; the least lift that restores it is added.
+        """
+        bodies, kept = self.layout.body_columns, self.layout.nonnegative
+        vector[kept] = np.maximum(vector[kept], 0.0)
+        excess = np.finfo(float).eps
+        for _ in range(60):
+            lacking = self._eigenvalues(vector) < self.margin
+            if not lacking.any():
+                return vector
+            lifted = programme.lift(vector / units, programme.margin + excess)
+            changed = bodies[lacking]
+            vector[changed] = lifted[changed] * units[changed]
+            excess *= 2
+        raise ProjectionError(
+            "The projection failed: rounding keeps a body's smallest eigenvalue below "
+            f"the margin of {self.margin:.1e}. Raise margin."
+        )
+
+
+def _anchor_cost(vector, freer, root, max_steps):
+    """Share of a solution's squared distance that a programme with less pull saves."""
+    try:
+        other = solve(freer, max_steps=max_steps).vector
+    except ProjectionError:
+        return np.nan
+    squared, least = (
+        float(np.sum((root @ (x - freer.point)) ** 2)) for x in (vector, other)
+    )
+    return max(1.0 - least / squared, 0.0) if squared > 0 else 0.0
 
 
 def project(
@@ -332,7 +512,6 @@ def project(
     length_scale=None,
     anchor=None,
     anchor_weight=1e-8,
-    solver="conic",
     max_solver_iter=200,
 ):
     r"""Find the physically consistent parameter vector nearest to a given one.
@@ -369,8 +548,6 @@ def project(
         Where directions that the metric does not see are pulled.
     anchor_weight : float, default=1e-8
         Strength of that pull; see `anchor_cost` of the result.
-    solver : {"conic", "virtual"}, default="conic"
-        How the minimum is found.
     max_solver_iter : int, default=200
         Iterations of one solve.
 
@@ -404,214 +581,19 @@ def project(
     >>> (result.theta[[4, 6, 9]] * 9).round(5)
     array([13., 13., 26.])
     """
-    check_options(constraint, margin, anchor_weight, solver, max_solver_iter)
-    theta = check_vector(theta, "theta")
-    layout = resolve_layout(
-        theta.size,
+    theta = _check_vector(theta, "theta")
+    projection = Projection.of(
+        theta[None],
+        constraint=constraint,
+        metric=metric,
         parameters_per_joint=parameters_per_joint,
         body_starts=body_starts,
         nonnegative=nonnegative,
-    )
-    if anchor is not None:
-        anchor = check_vector(anchor, "anchor", theta.size)
-    rows = theta[None]
-    if metric is not None:
-        metric = check_metric(metric, theta.size)
-        theta = metric.without_rounding(theta)
-        rows = theta[None]
-    mass_scale, length_scale = resolve_scales(
-        rows, layout, mass_scale, length_scale, anchor
-    )
-    if metric is None:
-        metric = default_metric(rows, layout, mass_scale, length_scale)
-    return project_vector(
-        theta,
-        metric=metric,
-        layout=layout,
-        constraint=constraint,
         margin=margin,
         mass_scale=mass_scale,
         length_scale=length_scale,
         anchor=anchor,
         anchor_weight=anchor_weight,
-        solver=solver,
         max_solver_iter=max_solver_iter,
     )
-
-
-@one_blas_thread()
-def project_vector(
-    theta,
-    *,
-    metric,
-    layout,
-    constraint,
-    margin,
-    mass_scale,
-    length_scale,
-    anchor,
-    anchor_weight,
-    solver,
-    max_solver_iter,
-    price_anchor=True,
-):
-    """Project one validated vector; see :func:`project`.
-
-    Parameters are those of :func:`project` after validation, with `metric` a Metric
-    and `layout` a ParameterLayout. What the anchor costs takes one more solve where the
-    metric is singular, and is nan without `price_anchor`.
-    """
-    root = metric.root
-    bodies, kept = layout.body_columns, layout.nonnegative
-    body_units = parameter_units(mass_scale, length_scale)
-
-    def eigenvalues(vector):
-        return min_eigenvalue(
-            vector[bodies],
-            constraint,
-            mass_scale=mass_scale,
-            length_scale=length_scale,
-        )
-
-    def outcome(vector, **details):
-        displacement = root @ (vector - theta)
-        return ProjectionResult(
-            theta=vector,
-            objective=float(displacement @ displacement),
-            min_eigenvalues=eigenvalues(vector),
-            mass_scale=mass_scale,
-            length_scale=length_scale,
-            **details,
-        )
-
-    if np.all(eigenvalues(theta) >= margin) and np.all(theta[kept] >= 0):
-        return outcome(
-            theta.copy(),
-            status="unchanged",
-            relative_gap=0.0,
-            anchor_cost=0.0,
-            iterations=0,
-            solver="none",
-            message="already consistent",
-        )
-
-    diagonal = metric.size**2
-    units = np.ones(theta.size)
-    units[bodies] = body_units
-    weight = diagonal * units**2
-    outside = np.ones(theta.size, dtype=bool)
-    outside[bodies] = False
-    # Columns outside the bodies have no unit of their own: take the one in which their
-    # metric equals the largest of the bodies.
-    largest = weight[~outside].max(initial=0.0)
-    seen = outside & (diagonal > 0)
-    units[seen] = np.sqrt((largest if largest > 0 else 1.0) / diagonal[seen])
-    column_norm = np.linalg.norm(root * units, axis=0).max(initial=0.0)
-    # One common factor brings bodies far from their scales back near one.
-    common = np.abs((theta / units)[bodies]).max(initial=0.0)
-    common = common if common > 0 else 1.0
-    units = units * common
-    scale = column_norm * common
-    scaled_root = root * units / scale if scale > 0 else root
-
-    def pulled(weight):
-        return make_problem(
-            theta / units,
-            constraint=constraint,
-            body_columns=bodies,
-            nonnegative=kept,
-            margin=margin / common,
-            metric_root=scaled_root,
-            anchor=(theta if anchor is None else anchor) / units,
-            anchor_weight=weight,
-        )
-
-    problem = pulled(anchor_weight)
-    if solver == "conic":
-        vector, gap, iterations, message = solve_conic(
-            problem, max_solver_iter=max_solver_iter
-        )
-        name = "clarabel"
-    else:
-        vector, gap, iterations, message = _solve_virtual(problem, max_solver_iter)
-        name = "trust-exact"
-    cost = 0.0 if problem.n_hidden == 0 else np.nan
-    if problem.n_hidden and price_anchor:
-        freer = pulled(_HARDLY * anchor_weight)
-        cost = _anchor_cost(problem, vector, freer, scaled_root, max_solver_iter)
-    vector = _settle(vector * units, problem, units, eigenvalues, margin)
-    return outcome(
-        vector,
-        status="projected",
-        relative_gap=gap,
-        anchor_cost=cost,
-        iterations=iterations,
-        solver=name,
-        message=message,
-    )
-
-
-def _anchor_cost(problem, vector, freer, root, max_solver_iter):
-    """Share of a solution's squared distance that a programme with less pull saves."""
-    try:
-        other, *_ = solve_conic(freer, max_solver_iter=max_solver_iter)
-    except ProjectionError:
-        return np.nan
-    squared, least = (
-        float(np.sum((root @ (x - problem.point)) ** 2)) for x in (vector, other)
-    )
-    return max(1.0 - least / squared, 0.0) if squared > 0 else 0.0
-
-
-def _solve_virtual(problem, max_solver_iter):
-    """Start the virtual solver from two consistent vectors and check its end."""
-    # Away from the boundary: a factor that is exactly zero has a zero derivative and
-    # would stay zero.
-    floor = problem.margin + 1e-4
-    stricter, _, used, _ = solve_conic(
-        replace(problem, constraint="pseudo-inertia"), max_solver_iter=max_solver_iter
-    )
-    starts = [
-        lift(problem, stricter, floor)[0],
-        clip(problem, problem.point, floor),
-    ]
-    vector, steps, message = solve_virtual(
-        problem, starts, max_solver_iter=_VIRTUAL_STEPS * max_solver_iter
-    )
-    # A stationary point of a problem that is not convex proves nothing.  The convex
-    # programme has the same minimum, and its certificate bounds it from below.
-    nearest, gap, checked, _ = solve_conic(problem, max_solver_iter=max_solver_iter)
-    least = problem.distance(nearest) ** 2 * (1.0 - gap)
-    excess = problem.distance(vector) ** 2 / max(least, np.finfo(float).tiny) - 1.0
-    if not excess <= _VIRTUAL_LIMIT:
-        raise ProjectionError(
-            "The projection in the virtual parameters of eq. 30 failed: after "
-            f"{steps} steps the optimiser reports {message!r}, {excess:.1e} above the "
-            "least squared distance (relative). Raise max_solver_iter, or use "
-            'solver="conic".'
-        )
-    return vector, max(excess, 0.0), used + steps + checked, message
-
-
-def _settle(vector, problem, units, eigenvalues, margin):
-    """Make a vector consistent to the last bit in the user's own units.
-
-    Division by the units rounds, so an eigenvalue may come out a few rounding errors
-    below the margin; the least lift that restores it is added.
-    """
-    bodies, kept = problem.body_columns, problem.nonnegative
-    vector[kept] = np.maximum(vector[kept], 0.0)
-    excess = np.finfo(float).eps
-    for _ in range(60):
-        lacking = eigenvalues(vector) < margin
-        if not lacking.any():
-            return vector
-        scaled = vector / units
-        lifted, _ = lift(problem, scaled, problem.margin + excess)
-        changed = bodies[lacking]
-        vector[changed] = lifted[changed] * units[changed]
-        excess *= 2
-    raise ProjectionError(
-        "The projection failed: rounding keeps a body's smallest eigenvalue below the "
-        f"margin of {margin:.1e}. Raise margin."
-    )
+    return projection(theta)

@@ -4,15 +4,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, OneToOneFeatureMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa.physical._layout import resolve_layout
-from sklearn_vbjfa.physical._projection import (
-    check_metric,
-    check_options,
-    check_vector,
-    default_metric,
-    project_vector,
-    resolve_scales,
-)
+from sklearn_vbjfa.physical._projection import Projection
 
 
 class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
@@ -90,15 +82,8 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         .. versionchanged:: 0.2
            The pull acted in all directions, also on what the metric saw little of.
 
-    solver : {"conic", "virtual"}, default="conic"
-        "conic": the equivalent convex programme, by an interior-point method with a
-        certificate.  "virtual": the paper's way, for `constraint="eq30"` alone:
-        minimise in the virtual parameters of eq. 30, which is not convex; the answer
-        is checked against the convex programme, and takes a hundred times longer.
-
     max_solver_iter : int, default=200
-        Largest number of interior-point iterations of one solve; the virtual solver
-        may take ten times as many trust-region steps.
+        Largest number of interior-point iterations of one solve.
 
     Attributes
     ----------
@@ -131,8 +116,8 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     Notes
     -----
     Both sets are convex: the pseudo-inertia and the spatial inertia matrix are linear
-    in the parameters, so the projection is a second-order cone programme with one
-    linear matrix inequality per body, and its minimum is unique thanks to the anchor.
+    in the parameters, so the projection is a convex quadratic programme with one linear
+    matrix inequality per body, and its minimum is unique thanks to the anchor.
     Eq. 30 states the second set through a nonlinear map, in which the paper's
     remark that the minimisation is convex does not hold.
 
@@ -180,7 +165,6 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         length_scale=None,
         anchor=None,
         anchor_weight=1e-8,
-        solver="conic",
         max_solver_iter=200,
     ):
         self.constraint = constraint
@@ -193,7 +177,6 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         self.length_scale = length_scale
         self.anchor = anchor
         self.anchor_weight = anchor_weight
-        self.solver = solver
         self.max_solver_iter = max_solver_iter
 
     def fit(self, X, y=None):
@@ -216,38 +199,13 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         ValueError
             If an option is wrong or does not match the number of columns.
         """
-        check_options(
-            self.constraint,
-            self.margin,
-            self.anchor_weight,
-            self.solver,
-            self.max_solver_iter,
-        )
         X = validate_data(self, X, dtype=np.float64)
-        layout = resolve_layout(
-            X.shape[1],
-            parameters_per_joint=self.parameters_per_joint,
-            body_starts=self.body_starts,
-            nonnegative=self.nonnegative,
-        )
-        metric = None
-        if self.metric is not None:
-            metric = check_metric(self.metric, X.shape[1])
-            X = np.array([metric.without_rounding(row) for row in X])
-        self.mass_scale_, self.length_scale_ = resolve_scales(
-            X,
-            layout,
-            self.mass_scale,
-            self.length_scale,
-            self._anchor(X.shape[1]),
-        )
-        if metric is None:
-            metric = default_metric(X, layout, self.mass_scale_, self.length_scale_)
-        self.metric_ = metric.matrix
-        self._metric = metric
-        self.body_starts_ = layout.body_starts
-        self.nonnegative_ = layout.nonnegative
-        self._layout = layout
+        self._projection = Projection.of(X, **self.get_params(deep=False))
+        self.metric_ = self._projection.metric.matrix
+        self.mass_scale_ = self._projection.mass_scale
+        self.length_scale_ = self._projection.length_scale
+        self.body_starts_ = self._projection.layout.body_starts
+        self.nonnegative_ = self._projection.layout.nonnegative
         return self
 
     def projections(self, X):
@@ -273,23 +231,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     def _project(self, X, *, price_anchor):
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        return tuple(
-            project_vector(
-                self._metric.without_rounding(row),
-                metric=self._metric,
-                layout=self._layout,
-                constraint=self.constraint,
-                margin=self.margin,
-                mass_scale=self.mass_scale_,
-                length_scale=self.length_scale_,
-                anchor=self._anchor(X.shape[1]),
-                anchor_weight=self.anchor_weight,
-                solver=self.solver,
-                max_solver_iter=self.max_solver_iter,
-                price_anchor=price_anchor,
-            )
-            for row in X
-        )
+        return tuple(self._projection(row, price_anchor=price_anchor) for row in X)
 
     def transform(self, X):
         """Project every row on the nearest consistent vector.
@@ -312,9 +254,3 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         """
         results = self._project(X, price_anchor=False)
         return np.array([result.theta for result in results])
-
-    def _anchor(self, n_features):
-        """Return the validated anchor, or None."""
-        if self.anchor is None:
-            return None
-        return check_vector(self.anchor, "anchor", n_features)

@@ -6,64 +6,33 @@ _NUMBERED = re.compile(r"([a-z]+?)_?(\d+)")
 
 
 def positions_in_order(X, names):
-    """Put the columns of a data frame of positions or states into the model's order.
+    """Put a data frame of positions or states into the model's order of joints.
 
-    Parameters
-    ----------
-    X : array-like or data frame of shape (n_samples, nv) or (n_samples, 3 * nv)
-        Columns ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0 if there is a
-        ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``.
-    names : sequence of str
-        Joints in the model's order.
-
-    Returns
-    -------
-    array-like or data frame
-        What came in, if it has no names; else its columns in order.
-
-    Raises
-    ------
-    ValueError
-        If there are as many columns as there should be, and some name is not one of
-        these.
+    Columns are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0 if there is a
+    ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``. What has
+    no names comes back as it is; a name that is none of these is refused.
     """
     return _in_order(X, names, "X", (("q", ""), ("v",), ("a",)))
 
 
 def torques_in_order(y, names):
-    """Put the columns of a data frame of torques into the model's order.
+    """Put a data frame of torques into the model's order of joints.
 
-    Parameters
-    ----------
-    y : array-like or data frame of shape (n_samples, nv)
-        Columns ``tau_<joint>``, ``<joint>``, or ``tau1, tau2, ...`` (from 0 if there
-        is a ``tau0``).
-    names : sequence of str
-        Joints in the model's order.
-
-    Returns
-    -------
-    array-like or data frame
-        What came in, if it has no names; else its columns in order.
-
-    Raises
-    ------
-    ValueError
-        If there are as many columns as there should be, and some name is not one of
-        these.
+    Columns are ``tau_<joint>``, ``<joint>``, or ``tau1, tau2, ...`` (from 0 if there is
+    a ``tau0``); likewise.
     """
     return _in_order(y, names, "y", (("tau", ""),))
 
 
 def _in_order(frame, names, what, kinds):
-    """Order columns; `kinds` are the prefixes of each quantity in a row."""
+    """Order columns; `kinds` are the prefixes of each quantity in turn."""
     columns = getattr(frame, "columns", None)
     if columns is None:
         return frame
     columns = list(columns)
     count, rest = divmod(len(columns), len(names))
-    # Numbers of columns are told of elsewhere, as for arrays; as in scikit-learn only
-    # text is a name.
+    # A wrong number of columns is refused elsewhere, as for arrays; as in scikit-learn
+    # only text is a name.
     if rest or count not in {1, len(kinds)}:
         return frame
     if not all(isinstance(column, str) for column in columns):

@@ -1,10 +1,8 @@
-"""Faults of single channels that their samples show: no robot model is asked.
+"""Faults that the samples of a recording show by themselves: no robot model is asked.
 
-What checks of a recording have to say.
-
-Faults of whole rows: what loggers, clocks and conversions of angles do.
-
-No robot model is asked, but for which joints turn.
+Whole rows may be in the wrong order, wrapped, or written twice, which loggers, clocks
+and conversions of angles do; single channels may be held at a lower rate, clipped,
+coarse, frozen or hit by outliers. `inspect_samples` looks for all of them.
 """
 
 from dataclasses import dataclass
@@ -13,6 +11,65 @@ import numpy as np
 
 # From worst to least.
 SEVERITIES = ("error", "doubt", "warning")
+# Rows in the order of time resemble the row before; of shuffled ones the mean squared
+# step is twice the variance. Seven tenths of that is a correlation of 0.3.
+_SHUFFLED = 0.7
+# ... of a joint that moves at all [rad or m]: noise at rest has no order either.
+_LEAST_MOTION = 0.01
+# Shuffled rows: at least this many runs of equal labels per label, each this short.
+_RUNS_PER_LABEL = 4
+_SHORT_RUN = 16
+# A jump is a whole turn if this share of a turn is left at most.
+_TURN_LEFT = 0.15
+# Rows written twice that are worth a word; more are doubtful.
+_FEWEST_REPEATED = 3
+_REPEATED_SHARE = 0.002
+_MANY_REPEATED = 0.1
+# The logger was frozen if this many rows are equal while a joint moves at this share
+# of its speed over this many samples right before and right after them.
+_FROZEN_ROWS = 5
+_HELD_SPEED = 0.1
+_FROZEN_BESIDE = 3
+# Steps of this multiple of the channel's resolution are not rounding; the rate of a
+# channel takes at least this many of them, and this share of all, ...
+_STEP = 4.0
+_FEWEST_STEPS = 20
+_STEP_SHARE = 0.3
+# ... most of which must come equally often.
+_SAME_RATE = 0.8
+# A joint whose travel is below this many standard deviations of its own noise rests.
+_STILL_TRAVEL = 12.0
+# A torque is coarse if rounding makes errors of this share of its spread.
+_COARSE = 0.05
+# Clipping: samples within this share of the channel's range of an extreme value, ...
+_PLATEAU = 1e-3
+# ... in runs of at least this length, in at least this many places, ...
+_PLATEAU_RUN = 5
+_PLATEAU_RUNS = 3
+# (or one run of this length, in a channel that does not repeat itself)
+_LONG_PLATEAU = 12
+# ... and denser by this factor than the torques next to the extreme value. Of a sine
+# without noise, whose extremes are flat, 3.4 times as many lie there.
+_PLATEAU_DENSITY = 8.0
+# Repeated positions are a dropout if the motion around them covers this many standard
+# deviations of the noise and the step after them is this many times the others (an
+# encoder's quantum at low speed is as large as the steps around it), ...
+_FROZEN_TRAVEL = 6.0
+_FROZEN_STEP = 2.5
+# ... in runs of at least this length, of a joint that moves at this share of its speed.
+_FROZEN_RUN = 3
+_FROZEN_SPEED = 0.02
+# Steps and spikes, in robust standard deviations of what the neighbours leave open.
+_OUTLIER = 25.0
+# ... in recordings of at least this many samples, ...
+_FEWEST_AROUND = 16
+# ... and at least this share of the channel's range.
+_LEAST_JUMP = 0.003
+# A larger share of outliers than this is noise, not a fault of single samples.
+_MOST_OUTLIERS = 0.01
+
+
+# -- findings --------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -52,54 +109,82 @@ def listed(names, joints):
     return ", ".join(names[j] for j in joints)
 
 
-# Rows in the order of time resemble the row before; of shuffled ones the mean squared
-# step is twice the variance. Seven tenths of that is a correlation of 0.3.
-_SHUFFLED = 0.7
-# ... of a joint that moves at all [rad or m]: noise at rest has no order either.
-_LEAST_MOTION = 0.01
-# Runs of equal labels in shuffled rows: so many more than labels, and so short.
-_RUNS_PER_LABEL = 4
-_SHORT_RUN = 16
-# A jump is a whole turn if this share of a turn is left at most.
-_TURN_LEFT = 0.15
-# Rows written twice that are worth a word; more are doubtful.
-_FEWEST_REPEATED = 3
-_REPEATED_SHARE = 0.002
-_MANY_REPEATED = 0.1
-# The logger is frozen if so many rows are equal, while a joint moves at this share of
-# its speed in the samples right before and right behind.
-_FROZEN_ROWS = 5
-_HELD_SPEED = 0.1
-_FROZEN_BESIDE = 3
-# Steps that are this multiple of the channel's resolution are no rounding; at least so
-# many of them, and this share of all, tell the rate of a channel.
-_STEP = 4.0
-_FEWEST_STEPS = 20
-_STEP_SHARE = 0.3
-_SAME_RATE = 0.8
+# -- all of them -----------------------------------------------------------------------
+
+
+def inspect_samples(names, q, tau, dt, parts, rows, revolute):
+    """Look at every channel by itself, without a robot model.
+
+    Positions [rad or m] and torques [N m or N] are (n, nv), `parts` the slices of the
+    recordings, `rows` (n,) their numbers for messages, `revolute` (nv,) tells which
+    joints turn. Returns findings, the samples (n, nv) of each joint that no fault
+    concerns, and the positions, unwrapped.
+    """
+    usable = np.ones(q.shape, dtype=bool)
+    findings, q = wrapped_positions(names, q, revolute, parts, rows)
+    still = _still(q, parts)
+    for j in np.flatnonzero(still):
+        usable[:, j] = False
+        findings.append(_still_joint(names[j], j, q[:, j]))
+    moving = _moving(q, parts)
+    lost, finding = repeated_rows(names, q, tau, dt, moving, parts, rows)
+    findings += finding
+    finding, held = held_channels(names, q, tau, dt, lost, parts, still)
+    findings += finding
+    for j in np.flatnonzero(~still):
+        if np.ptp(tau[:, j]) == 0:
+            usable[:, j] = False
+            findings.append(_constant(names[j], j, tau[:, j]))
+            continue
+        finding, bad = _clipped(names[j], j, tau[:, j], moving, parts)
+        coarse = _coarse(names[j], j, tau[:, j], moving, parts, held[1, j])
+        findings += finding + coarse
+        usable[:, j] &= ~bad & (not coarse)
+    for j in np.flatnonzero(~still):
+        known = lost
+        if not held[0, j]:
+            finding, bad = _frozen(names[j], j, q[:, j], dt, parts, lost, rows)
+            findings += finding
+            usable[bad] = False  # a wrong position spoils every torque
+            # Where samples were lost there is a jump behind them, which is known.
+            known = lost | bad
+        finding, jumps = _outliers(names[j], j, "position", q[:, j], parts, known, rows)
+        findings += finding
+        usable[jumps] = False
+        finding, bad = _outliers(names[j], j, "torque", tau[:, j], parts, lost, rows)
+        findings += finding
+        usable[:, j] &= ~bad
+    usable[lost] = False
+    return findings, usable, q
+
+
+def _moving(q, parts):
+    """Return at which samples any joint moves, ndarray of shape (n,) of bool."""
+    moving = np.zeros(q.shape[0], dtype=bool)
+    for part in parts:
+        x = q[part]
+        width = max(2, min(20, x.shape[0] // 8))
+        travel = np.zeros(x.shape)
+        travel[width:-width] = np.abs(x[2 * width :] - x[: -2 * width])
+        high = np.maximum(np.quantile(travel, 0.99, axis=0), 1e-300)
+        moving[part] = (travel > 0.02 * high).any(axis=1)
+    return moving
+
+
+def runs(flags):
+    """Return first and last index of every run of True, two ndarrays of int."""
+    edges = np.diff(np.r_[0, np.asarray(flags, dtype=np.int8), 0])
+    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
 
 
 # -- rows that are not in the order of time --------------------------------------------
 
 
 def shuffled_rows(names, q, parts, labels=None):
-    """Find rows that are not in the order of time.
+    """Find rows of positions (n, nv) that are not in the order of time.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    q : ndarray of shape (n, nv)
-        Positions.
-    parts : list of slice
-        Recordings.
-    labels : array-like of shape (n,), default=None
-        Labels of the recordings.
-
-    Returns
-    -------
-    list of ChannelFinding
-        One error, or none.
+    One error or none; `parts` are the slices of the recordings, `labels` (n,) their
+    names, where there are any.
     """
     if labels is not None:
         runs_ = len(parts)
@@ -150,27 +235,11 @@ def _shuffled(names, evidence):
 
 
 def wrapped_positions(names, q, revolute, parts, rows):
-    """Find angles that jump by a whole turn, and put them together again.
+    """Find angles (n, nv) that jump by a whole turn, and put them together again.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    q : ndarray of shape (n, nv)
-        Positions [rad], perhaps in degrees.
-    revolute : ndarray of shape (nv,) of bool
-        Which joints turn.
-    parts : list of slice
-        Recordings.
-    rows : ndarray of shape (n,) of int
-        Numbers of the rows, for messages.
-
-    Returns
-    -------
-    findings : list of ChannelFinding
-        Errors: a derivative across a jump is a wrong speed of hundreds of rad/s.
-    unwrapped : ndarray of shape (n, nv)
-        Positions without the jumps.
+    Returns errors (a derivative across a jump is a wrong speed of hundreds of rad/s)
+    and the positions without the jumps; `revolute` (nv,) tells which joints turn,
+    `rows` (n,) are the numbers for messages.
     """
     findings = []
     unwrapped = q
@@ -226,36 +295,11 @@ def _turns(x, turn, parts):
 # -- rows written again ----------------------------------------------------------------
 
 
-def runs(flags):
-    """Return first and last index of every run of True, two ndarrays of int."""
-    edges = np.diff(np.r_[0, np.asarray(flags, dtype=np.int8), 0])
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
-
-
 def repeated_rows(names, q, tau, dt, moving, parts, rows):
     """Find rows that the logger wrote again while the robot moved.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    q, tau : ndarray of shape (n, nv)
-        Positions and torques.
-    dt : float
-        Sample period [s].
-    moving : ndarray of shape (n,) of bool
-        Samples at which some joint moves.
-    parts : list of slice
-        Recordings.
-    rows : ndarray of shape (n,) of int
-        Numbers of the rows, for messages.
-
-    Returns
-    -------
-    lost : ndarray of shape (n,) of bool
-        Rows written again.
-    findings : list of ChannelFinding
-        Stretches in which the logger stood still, and other repeated rows.
+    Returns which rows (n,) are lost, and findings: stretches in which the logger stood
+    still, and other repeated rows; `moving` (n,) tells where some joint moves.
     """
     same = np.zeros(q.shape[0], dtype=bool)
     for part in parts:
@@ -271,7 +315,7 @@ def repeated_rows(names, q, tau, dt, moving, parts, rows):
         ChannelFinding(
             "repeated_rows",
             tuple(range(q.shape[1])),
-            # Some are told from the motion around them; many make its speed and the
+            # Some can be told from the motion around them; many make its speed and the
             # sample period wrong.
             "doubt" if share > _MANY_REPEATED else "warning",
             f"{count} rows ({100 * share:.2g} %) equal the row before them in "
@@ -333,29 +377,10 @@ def _frozen_rows(names, q, dt, same, parts, rows):
 def held_channels(names, q, tau, dt, lost, parts, skip):
     """Find positions or torques that were written at a lower rate than the rows.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    q, tau : ndarray of shape (n, nv)
-        Positions and torques.
-    dt : float
-        Sample period [s].
-    lost : ndarray of shape (n,) of bool
-        Rows written again as a whole, which do not count.
-    parts : list of slice
-        Recordings.
-    skip : ndarray of shape (nv,) of bool
-        Joints that do not move.
-
-    Returns
-    -------
-    findings : list of ChannelFinding
-        Doubts: a held channel is late by half of its period and goes in steps, which
-        passes for delay, elasticity and friction at reversals. It is still the motion
-        that was recorded, so the rest of a fit is not wrong.
-    held : ndarray of shape (2, nv) of bool
-        Which positions, and which torques, are held.
+    Returns doubts (a held channel is late by half of its period and goes in steps,
+    which passes for delay, elasticity and friction at reversals, but it is still the
+    motion that was recorded) and which positions and torques, (2, nv), are held; rows
+    `lost` (n,) do not count, joints to `skip` (nv,) do not move.
     """
     findings = []
     held = np.zeros((2, q.shape[1]), dtype=bool)
@@ -406,146 +431,9 @@ def _period(y):
     if fast.sum() < max(_FEWEST_STEPS, _STEP_SHARE * steps.size):
         return None
     k = np.median(gaps[fast])
-    # Where the rate is no whole multiple, some gaps are longer or shorter by a row.
+    # If the rate is not a whole multiple, some gaps are longer or shorter by a row.
     regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
     return float(k) if np.mean(regular) >= _SAME_RATE else None
-
-
-# A joint whose travel is below this many standard deviations of its own noise rests.
-_STILL_TRAVEL = 12.0
-# A torque is coarse if rounding makes errors of this share of its spread.
-_COARSE = 0.05
-# Clipping: samples within this share of the channel's range of an extreme value, ...
-_PLATEAU = 1e-3
-# ... in runs of at least so many, in at least so many places, ...
-_PLATEAU_RUN = 5
-_PLATEAU_RUNS = 3
-# (or one of so many equal samples, in a channel that does not repeat itself)
-_LONG_PLATEAU = 12
-# ... and denser by this factor than the torques next to the extreme value. Of a sine
-# without noise, whose extremes are flat, 3.4 times as many lie there.
-_PLATEAU_DENSITY = 8.0
-# Repeated positions are a dropout if the motion around them covers so many standard
-# deviations of the noise and the step after them is so many times the others (an
-# encoder's quantum at low speed is as large as the steps around it).
-_FROZEN_TRAVEL = 6.0
-_FROZEN_STEP = 2.5
-_FROZEN_RUN = 3
-# ... share of the joint's speed that counts as moving.
-_FROZEN_SPEED = 0.02
-# Steps and spikes, in robust standard deviations of what the neighbours leave open.
-_OUTLIER = 25.0
-# ... of so many samples together at least.
-_FEWEST_AROUND = 16
-# ... and of the channel's range.
-_LEAST_JUMP = 0.003
-# More than this share of outliers is no fault of single samples, but noise.
-_MOST_OUTLIERS = 0.01
-
-
-def inspect_samples(names, q, tau, dt, parts, rows, revolute):
-    """Look at every channel by itself.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    q, tau : ndarray of shape (n, nv)
-        Positions [rad or m] and torques [N m or N].
-    dt : float
-        Sample period [s].
-    parts : list of slice
-        Recordings, which together cover all rows.
-    rows : ndarray of shape (n,) of int
-        Numbers of the rows, for messages.
-    revolute : ndarray of shape (nv,) of bool
-        Which joints turn.
-
-    Returns
-    -------
-    findings : list of ChannelFinding
-        Faults.
-    usable : ndarray of shape (n, nv), bool
-        Samples of each joint that no fault concerns.
-    q : ndarray of shape (n, nv)
-        Positions, unwrapped.
-    """
-    usable = np.ones(q.shape, dtype=bool)
-    findings, q = wrapped_positions(names, q, revolute, parts, rows)
-    still = _still(q, parts)
-    for j in np.flatnonzero(still):
-        usable[:, j] = False
-        findings.append(_still_joint(names[j], j, q[:, j]))
-    moving = _moving(q, parts)
-    lost, finding = repeated_rows(names, q, tau, dt, moving, parts, rows)
-    findings += finding
-    finding, held = held_channels(names, q, tau, dt, lost, parts, still)
-    findings += finding
-    for j in np.flatnonzero(~still):
-        if np.ptp(tau[:, j]) == 0:
-            usable[:, j] = False
-            findings.append(_constant(names[j], j, tau[:, j]))
-            continue
-        finding, bad = _clipped(names[j], j, tau[:, j], moving, parts)
-        coarse = _coarse(names[j], j, tau[:, j], moving, parts, held[1, j])
-        findings += finding + coarse
-        usable[:, j] &= ~bad & (not coarse)
-    for j in np.flatnonzero(~still):
-        known = lost
-        if not held[0, j]:
-            finding, bad = _frozen(names[j], j, q[:, j], dt, parts, lost, rows)
-            findings += finding
-            usable[bad] = False  # a wrong position spoils every torque
-            # Where samples were lost there is a jump behind them, which is known.
-            known = lost | bad
-        finding, jumps = _outliers(names[j], j, "position", q[:, j], parts, known, rows)
-        findings += finding
-        usable[jumps] = False
-        finding, bad = _outliers(names[j], j, "torque", tau[:, j], parts, lost, rows)
-        findings += finding
-        usable[:, j] &= ~bad
-    usable[lost] = False
-    return findings, usable, q
-
-
-def position_jumps(names, q, parts, rows):
-    """Find steps of positions that are no motion, as where recordings meet.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    q : ndarray of shape (n, nv)
-        Positions.
-    parts : list of slice
-        Recordings.
-    rows : ndarray of shape (n,) of int
-        Numbers of the rows, for messages.
-
-    Returns
-    -------
-    list of ChannelFinding
-        Those findings of `inspect_samples` of the kind "position_jumps".
-    """
-    nothing = np.zeros(q.shape[0], dtype=bool)
-    found = []
-    for j in range(q.shape[1]):
-        if _steps_off(q[:, j], parts):
-            found += _outliers(names[j], j, "position", q[:, j], parts, nothing, rows)[
-                0
-            ]
-    return [finding for finding in found if finding.kind == "position_jumps"]
-
-
-def _steps_off(x, parts):
-    """Whether a step is large enough to be a jump; far quicker than to look closer."""
-    # Interpolated, a jump takes two steps.
-    least = 0.4 * _LEAST_JUMP * np.ptp(x)
-    for part in parts:
-        step = np.diff(x[part])
-        if step.size > 2 and (np.abs(np.diff(step)) > least).any():
-            return True
-    return False
 
 
 # -- nothing in the channel ------------------------------------------------------------
@@ -617,19 +505,6 @@ def _coarse(name, j, x, moving, parts, held):
 
 
 # -- clipping --------------------------------------------------------------------------
-
-
-def _moving(q, parts):
-    """Return at which samples any joint moves, ndarray of shape (n,) of bool."""
-    moving = np.zeros(q.shape[0], dtype=bool)
-    for part in parts:
-        x = q[part]
-        width = max(2, min(20, x.shape[0] // 8))
-        travel = np.zeros(x.shape)
-        travel[width:-width] = np.abs(x[2 * width :] - x[: -2 * width])
-        high = np.maximum(np.quantile(travel, 0.99, axis=0), 1e-300)
-        moving[part] = (travel > 0.02 * high).any(axis=1)
-    return moving
 
 
 def _clipped(name, j, x, moving, parts):
@@ -729,6 +604,35 @@ def _frozen(name, j, x, dt, parts, lost, rows):
         "the recording there (groups).",
     )
     return [finding], bad
+
+
+# -- spikes and jumps ------------------------------------------------------------------
+
+
+def position_jumps(names, q, parts, rows):
+    """Find steps of positions (n, nv) that are no motion, as where recordings meet.
+
+    These are the findings of `inspect_samples` of the kind "position_jumps".
+    """
+    nothing = np.zeros(q.shape[0], dtype=bool)
+    found = []
+    for j in range(q.shape[1]):
+        if _steps_off(q[:, j], parts):
+            found += _outliers(names[j], j, "position", q[:, j], parts, nothing, rows)[
+                0
+            ]
+    return [finding for finding in found if finding.kind == "position_jumps"]
+
+
+def _steps_off(x, parts):
+    """Whether a step is large enough to be a jump; far quicker than to look closer."""
+    # Interpolated, a jump takes two steps.
+    least = 0.4 * _LEAST_JUMP * np.ptp(x)
+    for part in parts:
+        step = np.diff(x[part])
+        if step.size > 2 and (np.abs(np.diff(step)) > least).any():
+            return True
+    return False
 
 
 def _outliers(name, j, what, x, parts, known, rows):

@@ -7,10 +7,10 @@ from os import PathLike, fspath
 import numpy as np
 
 from sklearn_vbjfa.recording._recording import Recording, _check_dt
+from sklearn_vbjfa.recording._resample import on_grid
 from sklearn_vbjfa.recording._table import Table, read_table
-from sklearn_vbjfa.recording._uniform import on_grid
 
-# Positions [rad or m], speeds and torques [N m or N] beyond this are no robot's.
+# No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
 
 
@@ -22,18 +22,18 @@ def read_recording(
     joint_names: tuple[str, ...] | None = None,
     name: str | None = None,
 ) -> Recording:
-    r"""Read a recording of one's own robot from CSV, npz or parquet.
+    r"""Read a recording of your own robot from CSV, npz or parquet.
 
     Parameters
     ----------
     path : str or os.PathLike
         File with one row per sample. Columns: positions q1 ... qn [rad or m] and
-        torques tau1 ... taun [N m or N]; where they exist v1 ... vn [rad/s or m/s],
+        torques tau1 ... taun [N m or N]; optionally v1 ... vn [rad/s or m/s],
         a1 ... an [rad/s^2 or m/s^2], t [s] and segment, the label of separate
-        recordings (contiguous rows). Also q_1, q[1], counted from 0, or with the
-        joint's name, such as q_shoulder. In an npz file also matrices q, tau, ... and
-        a number dt. Text is separated by comma, semicolon, tab or blanks, # begins a
-        comment.
+        recordings (contiguous rows). Names may also be q_1 or q[1], count from 0, or
+        use the joint's name, such as q_shoulder. An npz file may hold matrices q, tau,
+        ... and a number dt. Text is separated by comma, semicolon, tab or blanks; #
+        begins a comment.
     dt : float, default=None
         Sample period [s]; needed if there is no column t.
     urdf : str or os.PathLike, default=None
@@ -49,9 +49,9 @@ def read_recording(
     Returns
     -------
     recording : Recording
-        On a uniform time grid. Other numeric columns are in its `signals`, as are the
-        accelerations ("a"). Where rows were interpolated, its `torque_noise` is the
-        white noise that the torques had before.
+        On a uniform time grid. Other numeric columns are in its `signals`, as are
+        accelerations ("a"). Where rows were interpolated, `torque_noise` is the white
+        noise that the torques had before.
 
     Raises
     ------
@@ -60,21 +60,21 @@ def read_recording(
     ImportError
         If a parquet file is to be read without pyarrow, or `urdf` without Pinocchio.
     ValueError
-        If the file is damaged or not what its ending says, columns are missing or of
-        the wrong number, two of them could be meant, a value is no finite number or
-        beyond 1e12, time runs backwards, is not in seconds or says nothing of the
-        period, or there is neither t nor `dt`. The message names the file, what was
-        expected and what to do.
+        If the file is damaged or not what its ending says, the number of columns is
+        wrong, two columns could be meant, a value is not finite or beyond 1e12, time
+        runs backwards, is not in seconds or does not reveal the period, or there is
+        neither t nor `dt`. The message names the file, what was expected and what to
+        do.
 
     Warns
     -----
     UserWarning
         If time stamps are irregular: where positions follow the stamps, samples are
-        interpolated on a uniform grid, from the neighbouring ones only; else the rows
-        are taken as equidistant. If up to five rows in succession are missing: they
-        are interpolated, and the others kept. If stamps leave out more: the recording
-        is split there, and pieces of fewer than ten rows are left out. If rows are
-        there twice, or stamps repeat.
+        interpolated on a uniform grid from their neighbours; otherwise the rows are
+        taken as equidistant. If up to five consecutive rows are missing: they are
+        interpolated and the others kept. If more are missing: the recording is split
+        there, and pieces of fewer than ten rows are dropped. If rows occur twice, or
+        stamps repeat.
 
     Examples
     --------
@@ -168,7 +168,7 @@ def _channel(table: Table, kind: str, names):
         if suffix in names:
             found, key = by_joint, names.index(suffix)
         elif suffix.isdecimal() and suffix.isascii():
-            # Not int() of thousands of digits.
+            # int() would choke on thousands of digits.
             found, key = by_number, suffix.lstrip("0").rjust(1, "0")
         elif not suffix and column.lower() == kind:
             found, key = by_number, "1"

@@ -1,10 +1,8 @@
-"""The value that every loader and generator of robot recordings returns.
-
-Recordings and their borders.
-"""
+"""A recording: what readers, loaders and simulators return, and fits work on."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from numbers import Real
 from typing import TYPE_CHECKING, Any
 
@@ -107,11 +105,12 @@ class Recording:
         zero and sign of `robot_model`.
     tau : ndarray of shape (n_samples, nv)
         Joint torques or forces [see `torque_units`], same order and sign.
-    t : ndarray of shape (n_samples,)
+    t : ndarray of shape (n_samples,) or None
         Time since the start of each recording [s]; as stamped by the logger
-        if a loader was asked not to resample.
-    dt : float
-        Sample period [s]; the median one where `t` is not uniform.
+        if a loader was asked not to resample. None counts `dt` from the first row.
+    dt : float or None
+        Sample period [s]; the median one where `t` is not uniform. None only with
+        `states`, whose rows need not be equidistant.
     groups : ndarray of shape (n_samples,)
         Labels of the recordings: 0, 1, 2, ... in order of the rows.
     group_names : tuple of str
@@ -125,6 +124,11 @@ class Recording:
         quantity that is proportional to the torque by an unknown factor.
     v : ndarray of shape (n_samples, nv) or None, default=None
         The robot's own velocities [rad/s or m/s], if recorded.
+    states : ndarray of shape (n_samples, 3 * nv) or None, default=None
+        States [q | v | a] where they are given; None where positions were measured,
+        which states are still to be estimated from.
+    weight : ndarray of shape (n_samples, nv) or None, default=None
+        Weights of each joint's samples, zero to leave one out; None weighs all alike.
     torque_noise : ndarray of shape (nv,) or None, default=None
         Standard deviation of the white noise of a torque sample [see `torque_units`],
         measured before rows were interpolated, which takes some of it away; None if
@@ -162,14 +166,16 @@ class Recording:
     name: str
     q: np.ndarray
     tau: np.ndarray
-    t: np.ndarray
-    dt: float
+    t: np.ndarray | None
+    dt: float | None
     groups: np.ndarray
     group_names: tuple[str, ...]
     joint_names: tuple[str, ...]
     position_units: tuple[str, ...]
     torque_units: tuple[str, ...]
     v: np.ndarray | None = None
+    states: np.ndarray | None = None
+    weight: np.ndarray | None = None
     torque_noise: np.ndarray | None = None
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
     urdf: str | None = None
@@ -179,7 +185,8 @@ class Recording:
     description: str = ""
 
     def __post_init__(self):
-        _check_dt(self.dt)
+        if self.dt is not None or self.states is None:
+            _check_dt(self.dt)
         q = _finite_array("q", self.q)
         if q.ndim != 2 or q.size == 0:
             raise ValueError(
@@ -188,9 +195,12 @@ class Recording:
             )
         n_samples, nv = q.shape
         _check_shape("tau", _finite_array("tau", self.tau), (n_samples, nv))
-        if self.v is not None:
-            _check_shape("v", _finite_array("v", self.v), (n_samples, nv))
-        _check_shape("t", _finite_array("t", self.t), (n_samples,))
+        for key, width in (("v", nv), ("states", 3 * nv), ("weight", nv)):
+            values = getattr(self, key)
+            if values is not None:
+                _check_shape(key, _finite_array(key, values), (n_samples, width))
+        if self.t is not None:
+            _check_shape("t", _finite_array("t", self.t), (n_samples,))
         for key, values in self.signals.items():
             if len(_finite_array(f"signals[{key!r}]", values)) != n_samples:
                 raise ValueError(
@@ -204,6 +214,8 @@ class Recording:
                     f"got {len(getattr(self, key))}: {getattr(self, key)}."
                 )
         _check_groups(np.asarray(self.groups), n_samples, self.group_names)
+        if self.t is None:
+            return
         back = (np.diff(self.t) < 0) & (np.diff(self.groups) == 0)
         if back.any():
             raise ValueError(
@@ -221,13 +233,38 @@ class Recording:
         """Number of joints."""
         return self.q.shape[1]
 
+    @cached_property
+    def segments(self) -> tuple[slice, ...]:
+        """Rows of each recording: nothing is filtered across their borders."""
+        return tuple(contiguous_groups(self.groups, self.n_samples))
+
+    def clock(self, *, stamped: bool = False) -> np.ndarray | None:
+        """Return the time of each row [s], rising over all recordings.
+
+        Parameters
+        ----------
+        stamped : bool, default=False
+            Whether to take the stamps, where there are any, and not the count of `dt`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples,) or None
+            None if neither stamps nor a period are known.
+
+        Raises
+        ------
+        ValueError
+            If the stamps do not rise over all recordings.
+        """
+        return check_clock(self.t if stamped else None, self.n_samples, self.dt)
+
     def __repr__(self) -> str:
         joints = "joint" if self.nv == 1 else "joints"
         n_groups = len(self.group_names)
         recordings = "recording" if n_groups == 1 else "recordings"
         return (
             f"Recording {self.name!r}: {self.n_samples} samples, {self.nv} {joints}, "
-            f"dt = {self.dt:.6g} s, {n_groups} {recordings}"
+            f"dt = {_period(self.dt)}, {n_groups} {recordings}"
         )
 
     def select(self, *names_or_labels: str | int) -> "Recording":
@@ -254,12 +291,12 @@ class Recording:
                 f"Name at least one recording to keep, out of {self.group_names}."
             )
         rows = np.isin(self.groups, labels)
+        optional = {key: getattr(self, key) for key in ("t", "v", "states", "weight")}
         return replace(
             self,
             q=self.q[rows],
             tau=self.tau[rows],
-            v=None if self.v is None else self.v[rows],
-            t=self.t[rows],
+            **{k: None if x is None else x[rows] for k, x in optional.items()},
             groups=np.searchsorted(labels, self.groups[rows]),
             group_names=tuple(self.group_names[label] for label in labels),
             signals={key: values[rows] for key, values in self.signals.items()},
@@ -301,6 +338,45 @@ class Recording:
         from sklearn_vbjfa.model._descriptions import build_model
 
         return build_model(self.name, self.urdf, self.joint_names)
+
+
+def take_arrays(X, y, groups=None, weight=None, t=None, *, dt, joint_names):
+    """Make a recording of the validated arguments of a fit.
+
+    Parameters
+    ----------
+    X : ndarray of shape (n_samples, nv) or (n_samples, 3 * nv)
+        Positions, or states [q | v | a].
+    y : ndarray of shape (n_samples, nv)
+        Torques.
+    groups, weight, t : array-like or None
+        Labels in any form, weights (n_samples, nv), time stamps.
+    dt : float or None
+        Sample period [s].
+    joint_names : tuple of str
+        Names of the nv joints.
+    """
+    nv = len(joint_names)
+    segments = contiguous_groups(groups, X.shape[0])
+    lengths = [rows.stop - rows.start for rows in segments]
+    return Recording(
+        name="",
+        q=X[:, :nv],
+        tau=y,
+        t=None if t is None else np.asarray(t, dtype=float),
+        dt=dt,
+        groups=np.repeat(np.arange(len(segments)), lengths),
+        group_names=tuple(str(k) for k in range(len(segments))),
+        joint_names=tuple(joint_names),
+        position_units=nv * ("",),
+        torque_units=nv * ("",),
+        states=X if X.shape[1] == 3 * nv else None,
+        weight=weight,
+    )
+
+
+def _period(dt: float | None) -> str:
+    return "unknown" if dt is None else f"{dt:.6g} s"
 
 
 def _check_dt(dt: Any) -> None:

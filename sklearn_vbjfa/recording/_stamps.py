@@ -7,14 +7,16 @@ at irregular times: all is interpolated. Positions tell the first from the last,
 are smooth functions of the time at which they were sampled, and of no other.
 """
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+
+from sklearn_vbjfa.recording._recording import check_dt
 
 # Stamps within this share of a period of equidistant times are a steady clock that was
 # written with few digits: the samples are taken as they are.
-_STEADY = 0.02
+STEADY = 0.02
 # A step longer than this many periods is a gap, not bridged by interpolation.
 GAP_PERIODS = 5.0
 # A slower clock [s] records no motion: stamps in ms or ns come out like that.
@@ -31,6 +33,10 @@ _SOME_TICKS, _FINE_TICKS = 0.3, 0.02
 # Positions must fit the stamps better by this much, in the sum over the joints of the
 # logarithms of their roughness, than they fit a steady sampling.
 _CLEARLY = 0.2
+# Beside a given period: beyond the first many of them a sample is missing, beyond the
+# second share of one a step is worth a warning. Accelerations go with the square of a
+# wrong period: this share of it, and no less than a row over a recording, is refused.
+_MISSING, _JITTER, _WRONG_PERIOD = 1.5, 0.1, 0.002
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,30 +80,12 @@ class TimeStamps:
 
 
 def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
-    """Check the time stamps of one recording.
+    """Return what the stamps t (n_samples,) [s] of one recording tell.
 
-    Parameters
-    ----------
-    t : array-like of shape (n_samples,)
-        Time stamps [s].
-    dt : float, default=None
-        Sample period [s], if it is known; None estimates it.
-    where : callable, default=None
-        Turns a row (from 0) into words, for messages; None counts from 0.
-    positions : ndarray of shape (n_samples, nv), default=None
-        Positions, which tell whether irregular stamps are the time of sampling; None
-        takes a steady sampling.
-
-    Returns
-    -------
-    TimeStamps
-        Period and regularity.
-
-    Raises
-    ------
-    ValueError
-        If time stands still or runs backwards, is not in seconds, contradicts `dt`, or
-        says nothing of the period.
+    dt [s] is the period if it is known; `where` turns a row (from 0) into words;
+    positions (n_samples, nv) tell whether irregular stamps are the time of sampling,
+    without them a steady sampling is taken. Refuses time that stands still or runs
+    backwards, is not in seconds, contradicts dt, or says nothing of the period.
     """
     t = np.asarray(t, dtype=float)
     where = where or (lambda row: f"row {row}")
@@ -127,7 +115,7 @@ def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
         dt=float(f"{own:.7g}") if dt is None else float(dt),
         uniform=steady and not missing.any(),
         sampled=sampled,
-        late=not steady and not sampled and max(off) > 2 * _STEADY * own,
+        late=not steady and not sampled and max(off) > 2 * STEADY * own,
         slots=slots,
         jitter=float(np.sqrt(np.mean((inside - own) ** 2))) if inside.size else 0.0,
         shortest=float(inside.min(initial=np.inf)),
@@ -214,7 +202,7 @@ def _steady(t, step, pieces, period):
     own = sum(t[x.stop - 1] - t[x.start] for x in pieces) / rows
     if own <= 0:
         return False, period
-    steady = max(2 * _STEADY * own, 1.01 * _resolution(t, own))
+    steady = max(2 * STEADY * own, 1.01 * _resolution(t, own))
     if np.mean(step == 0) > 1 - _NEARLY_ALL:
         # A clock that ticks more slowly than the robot is sampled.
         steady = max(steady, 1.01 * float(np.median(step[step > 0])))
@@ -232,7 +220,7 @@ def _resolution(t, dt):
         if step < 0.5 * dt:
             if np.abs(t - np.round(t, digits)).max() < 1e-6 * step:
                 return step
-            if step < _STEADY * dt:
+            if step < STEADY * dt:
                 break
     return 0.0
 
@@ -330,16 +318,10 @@ def _check_rate(t, pieces, dt, slots, where):
 
 
 def _roughness(times, pieces, positions):
-    """Compare the smoothness of positions under several times of their rows.
+    """Compare the smoothness of positions (n, nv) under several times of their rows.
 
-    Each position is predicted by the cubic through two rows on either side of it, as
-    white noise would let it.
-
-    Returns
-    -------
-    ndarray
-        For each of `times` the sum over the joints of the logarithm of the mean squared
-        difference; zeros if no joint moves.
+    Returns for each of `times` the sum over the joints of the logarithm of the squared
+    prediction errors; zeros if no joint moves.
     """
     squares = np.zeros((len(times), positions.shape[1]))
     for piece in pieces:
@@ -350,19 +332,10 @@ def _roughness(times, pieces, positions):
 
 
 def prediction_errors(t, values):
-    """Differences from the cubic through the neighbours, as large as white noise.
+    """Return how far values (n, k) are from the cubic through their neighbours, (m, k).
 
-    Parameters
-    ----------
-    t : ndarray of shape (n,)
-        Times, which must not fall [s]; rows beside equal ones are left out.
-    values : ndarray of shape (n, k)
-        Values.
-
-    Returns
-    -------
-    ndarray of shape (m, k)
-        Differences, divided by their standard deviation for unit white noise.
+    In units of their standard deviation for unit white noise; rows beside equal times t
+    (n,) [s], which must not fall, are left out.
     """
     near = (-2, -1, 1, 2)
     n = t.size - 4
@@ -384,69 +357,78 @@ def prediction_errors(t, values):
     return (values[2:-2][good] - predicted) / np.sqrt(gain)[:, None]
 
 
-# -- a grid ----------------------------------------------------------------------------
+# -- stamps beside a period that is taken ----------------------------------------------
 
 
-def merge_doubled(t, channels):
-    """Average rows of one stamp.
+def check_time_stamps(t, dt, parts):
+    """Refuse stamps t (n,) [s] that contradict dt [s], warn of irregular ones.
 
-    Parameters
-    ----------
-    t : ndarray of shape (n_samples,)
-        Stamps that do not fall [s].
-    channels : mapping of str to ndarray of shape (n_samples, ...)
-        Values.
-
-    Returns
-    -------
-    t : ndarray of shape (n_merged,)
-        Stamps that rise.
-    channels : dict
-        Values.
+    Nothing is asked of the step from one of the slices `parts` to the next; without t
+    nothing at all, without dt (rows need not be equidistant) only that the stamps rise.
     """
-    starts = np.flatnonzero(np.r_[True, np.diff(t) > 0])
-    if starts.size == t.size:
-        return t, dict(channels)
-    count = np.diff(starts, append=t.size)
-    return t[starts], {
-        key: np.add.reduceat(values.astype(float), starts, axis=0)
-        / count.reshape(-1, *[1] * (values.ndim - 1))
-        for key, values in channels.items()
-    }
+    if t is None:
+        return
+    time = np.asarray(t, dtype=float)
+    n = parts[-1].stop
+    if time.shape != (n,):
+        raise ValueError(
+            f"t must hold one time per row, shape ({n},); got {time.shape}."
+        )
+    if not np.isfinite(time).all():
+        raise ValueError(
+            f"t must be finite; row {np.flatnonzero(~np.isfinite(time))[0]} is not."
+        )
+    inside = np.ones(n - 1, dtype=bool)
+    inside[[part.stop - 1 for part in parts[:-1]]] = False
+    rows = np.flatnonzero(inside)
+    step = np.diff(time)[rows]
+    back = rows[step <= 0]
+    if back.size:
+        raise ValueError(
+            f"t must rise within a recording; it does not after {_first(back)} "
+            f"({time[back[0]]:.6g} s, then {time[back[0] + 1]:.6g} s). Drop repeated "
+            "rows, or begin another recording there (groups)."
+        )
+    if dt is None:
+        return
+    dt = check_dt(dt)
+    for part in parts:
+        count = part.stop - part.start - 1
+        took = time[part.stop - 1] - time[part.start]
+        # One gap does not make another sample period.
+        usual = np.median(np.diff(time[part])) if count else dt
+        if abs(usual - dt) > _MISSING * dt or (
+            abs(usual - dt) > _WRONG_PERIOD * dt
+            and abs(took - count * dt) > max(_WRONG_PERIOD * count, 1.0) * dt
+        ):
+            raise ValueError(
+                f"The time stamps of the recording from row {part.start} advance by "
+                f"{took / count:.6g} s a row ({usual:.6g} s in the median), but "
+                f"dt={dt:.6g} s. Correct dt, or resample onto equidistant times."
+            )
+    gap = rows[step > _MISSING * dt]
+    if gap.size:
+        raise ValueError(
+            f"Samples are missing: the time stamps step by up to {step.max():.6g} s, "
+            f"with dt={dt:.6g} s, {gap.size} times by more than {_MISSING} dt (after "
+            f"{_first(gap)}). Resample onto equidistant times, or begin another "
+            "recording after each gap (groups)."
+        )
+    off = np.abs(step / dt - 1)
+    irregular = rows[off > _JITTER]
+    if irregular.size:
+        warnings.warn(
+            f"{irregular.size} of {step.size} steps between time stamps differ from "
+            f"dt={dt:.6g} s by more than {100 * _JITTER:.0f} %, at most by "
+            f"{100 * off.max():.0f} % (after {_first(irregular)}); rows count as "
+            "equidistant. "
+            "Resample, unless only the stamps are irregular and not the sampling.",
+            UserWarning,
+            stacklevel=3,
+        )
 
 
-def interpolate(t, channels, dt):
-    """Interpolate from the neighbouring samples, positions with a smooth slope.
-
-    Parameters
-    ----------
-    t : ndarray of shape (n_samples,)
-        Time stamps from 0 on [s], increasing.
-    channels : mapping of str to ndarray of shape (n_samples, ...)
-        Values at the stamps; the one called "q" is interpolated by cubics, the others
-        (noisier) by straight lines.
-    dt : float
-        Period of the grid [s].
-
-    Returns
-    -------
-    grid : ndarray of shape (n_grid,)
-        Multiples of `dt` [s].
-    resampled : dict
-        Values on the grid.
-    """
-    # Rounding of t must not cost the last point.
-    grid = dt * np.arange(int(np.floor(t[-1] / dt + _STEADY)) + 1)
-    query = np.minimum(grid, t[-1])
-    resampled = {}
-    for key, values in channels.items():
-        rows = values.reshape(t.size, -1).astype(float)
-        if key == "q" and t.size > 2:
-            # Slopes of the parabolas through three samples: cubics, of third order,
-            # that no far-off sample can disturb.
-            slope = np.gradient(rows, t, axis=0, edge_order=2)
-            rows = CubicHermiteSpline(t, rows, slope, axis=0)(query)
-        else:
-            rows = np.column_stack([np.interp(query, t, x) for x in rows.T])
-        resampled[key] = rows.reshape(query.size, *values.shape[1:])
-    return grid, resampled
+def _first(rows):
+    """Name the first few of some rows."""
+    more = ", ..." if rows.size > 5 else ""
+    return f"row {', '.join(str(row) for row in rows[:5])}{more}"

@@ -1,4 +1,10 @@
-"""Columns with names out of CSV, npz and parquet files."""
+"""Columns with names out of CSV, npz and parquet files.
+
+Text goes through numpy, or line by line where a cell is not a plain number, so that a
+refusal names the line and the column. A reader of data frames would be no shorter: it
+takes most damaged tables for good ones (short rows, names that come twice, decimal
+commas between commas) and does not know the line that a row came from.
+"""
 
 import array
 import csv
@@ -16,7 +22,7 @@ import numpy as np
 
 # Endings that are read as text with separators.
 _TEXT = (".csv", ".tsv", ".txt", ".dat")
-# What numpy lets through of a file that is no whole zip archive of arrays.
+# What numpy raises on a file that is not a whole zip archive of arrays.
 _BROKEN_ARCHIVE = (
     EOFError,
     OSError,
@@ -37,18 +43,11 @@ _OTHER_MARKS = ("|", ":", "/")
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Named columns of equal length.
+    """Named columns of equal length, numbers or text, out of a file.
 
-    Attributes
-    ----------
-    path : Path
-        Where they are from.
-    columns : dict of str to ndarray of shape (n_rows,)
-        Numbers, or text.
-    scalars : dict of str to ndarray
-        Arrays of one entry, or of none per row, that stand beside the columns.
-    where : callable
-        Turns a row (from 0) into words: a line of the file where it has lines.
+    `scalars` are arrays of one entry, or of none per row, that stand beside the
+    columns; `where` turns a row (from 0) into words: a line of the file where it has
+    lines.
     """
 
     path: Path
@@ -63,27 +62,7 @@ class Table:
 
 
 def read_table(path) -> Table:
-    """Read the columns of a file; its ending tells the format.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        CSV (also .tsv, .txt, .dat), npz or parquet.
-
-    Returns
-    -------
-    Table
-        At least one column and one row.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ImportError
-        If a parquet file is to be read without pyarrow.
-    ValueError
-        If the file is not what its ending says, or holds no table.
-    """
+    """Read a file's columns, at least one and one row; its ending tells the format."""
     path = Path(path)
     if path.is_dir():
         raise ValueError(f"{path} is a folder; give a CSV, npz or parquet file.")
@@ -119,11 +98,9 @@ def _row(row: int) -> str:
 
 # -- text ------------------------------------------------------------------------------
 
-# Rows that are split by hand at once: text takes ten times the memory of numbers.
-_CHUNK_ROWS = 20_000
-# Longer lines are no rows of a table.
+# A longer line is not a row of a table.
 _LONGEST_LINE = 1 << 25
-# What float() takes beyond it (1_000, digits of other scripts) is no number of a log.
+# float() takes more (1_000, digits of other scripts), which no logger writes.
 _NUMBER = re.compile(
     r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
 )
@@ -288,9 +265,9 @@ def _is_number(cell: str) -> bool:
 
 
 def _cells(lines, names, separator):
-    """Split every line by hand, a chunk of rows at a time."""
-    columns = [_Column(lines, name) for name in names]
-    chunk = []
+    """Split every line by hand; a column is text if its first filled cell is."""
+    columns = [array.array("d") for _ in names]
+    known = [False] * len(names)
     for line in lines:
         cells = _split(line, separator)
         while len(cells) > len(names) and not cells[-1]:
@@ -301,20 +278,23 @@ def _cells(lines, names, separator):
                 f"names {len(names)} columns; "
                 f"{_remedy(line, cells, names, separator)}."
             )
-        chunk.append(cells)
-        if len(chunk) == _CHUNK_ROWS:
-            _add(columns, chunk, separator)
-            chunk = []
-    if chunk:
-        _add(columns, chunk, separator)
-    return {column.name: column.joined() for column in columns}
-
-
-def _add(columns, chunk, separator):
-    for column, cells in zip(columns, zip(*chunk)):
-        if separator != ",":
-            cells = [cell.replace(",", ".", 1) for cell in cells]
-        column.add(cells)
+        for k, cell in enumerate(cells):
+            if separator != ",":
+                cell = cell.replace(",", ".", 1)
+            if cell and not known[k]:
+                known[k] = True
+                if not _is_number(cell):
+                    columns[k] = [""] * len(columns[k])
+            if isinstance(columns[k], list):
+                columns[k].append(cell)
+            elif not cell or _is_number(cell):
+                columns[k].append(float(cell or "nan"))
+            else:
+                raise ValueError(
+                    f"{lines.path}: {_short(cell)} in {lines.where(-1)}, column "
+                    f"{_short(names[k])} is no number; correct or remove that line."
+                )
+    return {name: np.array(column) for name, column in zip(names, columns)}
 
 
 def _remedy(line, cells, names, separator):
@@ -324,48 +304,6 @@ def _remedy(line, cells, names, separator):
     if separator == "," and len(cells) > len(names):
         return "numbers with decimal commas need ; as separator"
     return "correct or remove that line"
-
-
-class _Column:
-    """Cells of a column: numbers if the first that is filled is one, else text."""
-
-    def __init__(self, lines, name):
-        self.name = name
-        self._lines = lines
-        self._is_text = None
-        self._n = 0
-        self._parts = []
-
-    def add(self, cells):
-        """Add the cells of a chunk."""
-        if self._is_text is None:
-            filled = next((cell for cell in cells if cell), None)
-            self._is_text = None if filled is None else not _is_number(filled)
-        if self._is_text:
-            self._parts.append(np.array(cells))
-        else:
-            values = np.full(len(cells), np.nan)
-            for row, cell in enumerate(cells):
-                if cell:
-                    if not _is_number(cell):
-                        raise ValueError(
-                            f"{self._lines.path}: {_short(cell)} in "
-                            f"{self._lines.where(self._n + row)}, column "
-                            f"{_short(self.name)} is no number; correct or remove that "
-                            "line."
-                        )
-                    values[row] = float(cell)
-            self._parts.append(values)
-        self._n += len(cells)
-
-    def joined(self):
-        """Return all cells, (n_rows,)."""
-        if self._is_text:
-            # Before the first text there were empty cells only.
-            self._parts = [
-                x if x.dtype.kind == "U" else np.full(x.size, "") for x in self._parts
-            ]
-        return np.concatenate(self._parts)
 
 
 # -- binary ----------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _moments, _solver, _updates
-from sklearn_vbjfa._core._moments import DataMoments
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa._core._updates import VARIANCE_FLOOR, LinearModel, expect_hidden
 from sklearn_vbjfa.regression._sklearn_compat import check_sample_weight
 
@@ -70,12 +70,13 @@ def _coefficient_covariance(data, hidden, precision):
     private z of each input, would be far too small.
     """
     moments, s = data.moments, hidden.y_var
-    if isinstance(moments, DataMoments):
+    if moments.S is None:
         # Woodbury with n < d; inputs without a prior have no finite variance.
         if not np.all(precision > 0):
             return np.full((moments.xx.size, moments.xx.size), np.inf)
-        scaled = moments.X / precision
-        inner = scaled @ moments.X.T
+        rows = moments.root.R
+        scaled = rows / precision
+        inner = scaled @ rows.T
         inner[np.diag_indices_from(inner)] += s
         return np.diag(1.0 / precision) - scaled.T @ linalg.solve(
             inner, scaled, assume_a="pos"
@@ -89,11 +90,8 @@ def _coefficient_covariance(data, hidden, precision):
         return half.T @ half
     # Without a prior the null space of S_xx has no finite variance: the span's
     # covariance is reported and the affected inputs are marked infinite.
-    values, vectors = linalg.eigh(moments.S / s)
-    keep = values > values[-1] * values.size * 4 * np.finfo(float).eps
-    span = vectors[:, keep] / np.sqrt(values[keep])
-    cov = span @ span.T
-    lost = (vectors[:, ~keep] ** 2).sum(axis=1) > 1e-8
+    eigen = scaled_eigen(moments.S / s, scale=1.0)
+    cov, lost = eigen.inverse(), eigen.lost(1e-8)
     cov[lost, lost] = np.inf
     return cov
 
@@ -303,11 +301,12 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
             age = self.forgetting ** np.arange(n - 1.0, -1.0, -1.0)
             weight = age if weight is None else age * weight
         old = None if first else self.statistics_
-        new = _moments.add(old, X, y, weight, centred=self.fit_intercept)
-        total = None if first else _moments.fade(self.statistics_, self.forgetting**n)
+        centred = self.fit_intercept
+        new = _moments.accumulate(X, y, weight, centred=centred, before=old)
+        total = None if first else old.faded(self.forgetting**n)
         if new is not None:
-            total = _moments.merge(total, new)
-            if _moments.loses_digits(total, X, y, weight, centred=self.fit_intercept):
+            total = new if first else total + new
+            if _moments.loses_digits(total, X, y, weight, centred=centred):
                 _warn_lost_digits(type(self).__name__)
         return self._fit_statistics(total)
 
@@ -327,7 +326,7 @@ class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
 
     def _fit_independent(self, data, prior, initial_noise):
         """Fit the independent-latent model and set what it determines."""
-        if data.x_scale.size == 0 or data.y_scale == 0.0:
+        if data.is_degenerate:
             return self._fit_constant(data)
         result = fit_independent(
             data,

@@ -9,8 +9,11 @@ from sklearn.utils.validation import (
     validate_data,
 )
 
-from sklearn_vbjfa._core._linear_systems import orthonormal_basis, scaled_lstsq
-from sklearn_vbjfa._core._moments import standardize
+from sklearn_vbjfa._core._linear_systems import (
+    orthonormal_basis,
+    scaled_lstsq,
+    unit_columns,
+)
 from sklearn_vbjfa.regression._sklearn_compat import _fit_context, check_sample_weight
 
 __all__ = ["InstrumentalVariables"]
@@ -153,7 +156,7 @@ class InstrumentalVariables(RegressorMixin, BaseEstimator):
                 )
             blocks.append(instruments)
         used = weight > 0
-        columns = standardize(
+        columns = unit_columns(
             np.column_stack(blocks)[used], weight[used], center=self.fit_intercept
         )
         factor = np.linalg.qr(columns.values, mode="r")

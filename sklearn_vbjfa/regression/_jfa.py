@@ -85,7 +85,7 @@ class JFARegressor(BaseJointFactorRegressor):
     converged_ : bool
         Whether the gain of an iteration fell below `tol`; see Notes for what is left
         then.
-    statistics_ : SufficientStatistics or None
+    statistics_ : Moments or None
         Count, means and scatter; None when there were fewer samples than features.
     n_features_in_ : int
         Number of features seen during fit.

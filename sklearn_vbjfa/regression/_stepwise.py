@@ -14,7 +14,7 @@ from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core._moments import standardize
+from sklearn_vbjfa._core._linear_systems import unit_columns
 from sklearn_vbjfa.regression._sklearn_compat import (
     Interval,
     _fit_context,
@@ -408,7 +408,7 @@ class StepwiseRegressor(RegressorMixin, BaseEstimator):
         data = np.column_stack([X, y])[used]
         weight = weight[used]
 
-        columns = standardize(data, weight, center=self.fit_intercept)
+        columns = unit_columns(data, weight, center=self.fit_intercept)
         correlation = columns.values.T @ columns.values
         selection = select_features(
             correlation,

@@ -6,8 +6,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
-from sklearn_vbjfa._core._linear_systems import mixed_tls
-from sklearn_vbjfa._core._moments import standardize
+from sklearn_vbjfa._core._linear_systems import mixed_tls, unit_columns
 from sklearn_vbjfa.regression._sklearn_compat import (
     Interval,
     _fit_context,
@@ -164,7 +163,7 @@ class TotalLeastSquares(RegressorMixin, BaseEstimator):
         weight = check_sample_weight(sample_weight, X)
         whiten, exact, output_std = self._noise_coordinates(X.shape[1])
         used = weight > 0
-        columns = standardize(
+        columns = unit_columns(
             np.column_stack([X, y])[used], weight[used], center=self.fit_intercept
         )
         # Column scales commute with the orthogonal factor; with them taken out the

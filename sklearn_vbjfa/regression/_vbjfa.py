@@ -12,7 +12,7 @@ from scipy import linalg
 
 from sklearn_vbjfa._core import _correlated
 from sklearn_vbjfa._core._dependencies import find_dependencies
-from sklearn_vbjfa._core._moments import GramMoments
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa._core._updates import LinearModel, Prior
 from sklearn_vbjfa.regression._base import (
     BaseJointFactorRegressor,
@@ -57,7 +57,7 @@ def largest_noise_fraction(R, r):
     """
     given_output = R - np.outer(r, r)
     smallest = linalg.eigvalsh(given_output, subset_by_index=[0, 0])[0]
-    return float(min(LARGEST_FRACTION, max(smallest, 0.0)))
+    return float(min(LARGEST_FRACTION, max(smallest, 0.0)))  # [C18]
 
 
 def fit_correlated(data, noise, labels, *, select, settings, dof=np.inf):
@@ -128,9 +128,7 @@ def fit_correlated(data, noise, labels, *, select, settings, dof=np.inf):
 
 def _solve(m, psi, settings):
     """Fit all inputs of the moments with a known noise covariance (d, d)."""
-    return _correlated.solve_correlated(
-        m.S, m.xy, m.yy, m.n, psi, root=m.root, **settings
-    )
+    return _correlated.solve_correlated(m, psi, **settings)
 
 
 def _fit_all(m, psi, settings, dof=np.inf):
@@ -143,9 +141,7 @@ def _fit_all(m, psi, settings, dof=np.inf):
     noisy = noiseless
     if not latent.exact:
         noisy = _noisy_model(m, solution, settings)
-    variance = np.diagonal(
-        _correlated.posterior_covariance(m.S, m.n, psi, solution, dof)
-    )
+    variance = np.diagonal(_correlated.posterior_covariance(m.n, psi, solution, dof))
     return CorrelatedFit(
         noisy=noisy,
         noiseless=noiseless,
@@ -173,7 +169,7 @@ def _uncertainty(m, psi, coef, in_common, dof=np.inf):
     precision, known from all coefficients together, does not. What both disagree in
     belongs to what is not known.
     """
-    cov = _correlated.posterior_covariance(m.S, m.n, psi, in_common, dof)
+    cov = _correlated.posterior_covariance(m.n, psi, in_common, dof)
     return cov + _square(in_common.state.beta_mean - coef)
 
 
@@ -184,12 +180,13 @@ def _noisy_model(m, solution, settings):
     leaves open, see `_uncertainty`.
     """
     beta, latent = solution.state.beta_mean, solution.latent
-    coef, exact = latent.H.T @ beta, np.zeros_like(m.S)
+    coef = latent.H.T @ beta  # [C5]
+    exact = np.zeros_like(m.S)
     in_common = _solve(m, exact, {**settings, "common": True})
     return LinearModel(
         coef=coef,
         cov=_uncertainty(m, exact, coef, in_common),
-        noise=solution.state.psi_y + beta @ latent.P @ beta,
+        noise=solution.state.psi_y + beta @ latent.P @ beta,  # [C5]
     )
 
 
@@ -203,7 +200,8 @@ def _fraction_covariance(solution, largest):
     From (R - f I) beta_f = R beta_0, the same for all f, follows the slope
     (R - f I)^-1 beta_f; the variance of f is largest^2 / 12.
     """
-    slope = linalg.pinvh(solution.latent.Sigma_t) @ solution.state.beta_mean
+    beta = solution.state.beta_mean
+    slope = scaled_eigen(solution.latent.Sigma_t).solve(beta)  # [C19]
     return _square(slope) * largest**2 / 12
 
 
@@ -418,7 +416,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         The parts of `output_noise_` (eqs. 14, 15); independent latents only. The
         variational posterior moves all noise from psi_y to psi_z little by little:
         only their sum means something.
-    statistics_ : SufficientStatistics or None
+    statistics_ : Moments or None
         Count, means and scatter; None when there were fewer samples than features.
     n_features_in_ : int
         Number of features seen during fit.
@@ -568,7 +566,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
             return self.latent
         if self.prior == "paper":
             return "independent"
-        gram = isinstance(data.moments, GramMoments)
+        gram = data.moments.S is not None
         more = data.moments.n > data.x_scale.size
         return "correlated" if more and gram else "independent"
 
@@ -588,7 +586,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
 
     def _fit_correlated(self, data, noise):
         d = data.active.shape[0]
-        if data.x_scale.size == 0 or data.y_scale == 0.0:
+        if data.is_degenerate:
             self._fit_constant(data)
             self.input_noise_ = np.zeros((d, d))
             return self

@@ -8,14 +8,15 @@ from sklearn.cross_decomposition import PLSRegression
 from sklearn.linear_model import LassoCV, LinearRegression, RidgeCV
 from sklearn.model_selection import GridSearchCV, KFold
 
-from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.recording._recording import contiguous_groups
 from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
 from sklearn_vbjfa.regression._jfa import JFARegressor
 from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
 from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._estimate import min_eigenvalues
+from sklearn_vbjfa.robot._identifier import estimate_of, pieces_of
+from sklearn_vbjfa.robot._plan import corrects_noise
+from sklearn_vbjfa.robot._residuals import collect_residuals
 
 OURS = "VB + projection"
 # Rows are in the order of time: unshuffled folds are blocks of time.
@@ -122,9 +123,9 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
             f"period=None; got {identifier.period!r}."
         )
     base = clone(identifier).fit(train[0], train[1], groups=train[2])
-    train_pieces = _pieces(base, *train)
-    measured_pieces = _pieces(base, *train, measure_noise=True)
-    test_pieces = _pieces(base, *test)
+    train_pieces = pieces_of(base, *train)
+    measured_pieces = pieces_of(base, *train, halves="noise")
+    test_pieces = pieces_of(base, *test)
     chosen = methods(len(base.parameter_names_))
     if names is not None:
         chosen = {name: chosen[name] for name in names}
@@ -133,15 +134,15 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
         if on_progress is not None:
             on_progress(name)
         model = clone(identifier).set_params(**settings)
-        for attribute in _PREPARED:
-            setattr(model, attribute, getattr(base, attribute))
-        pieces = measured_pieces if model._corrects_noise() else train_pieces
+        pieces = train_pieces
+        if corrects_noise(model.regressor):
+            pieces = measured_pieces
         if name == "IV":
-            pieces = _split_pieces(base, *train)
+            pieces = pieces_of(base, *train, halves="instruments")
         try:
-            model._fit_equations(pieces)
+            found = estimate_of(base, pieces, model)
         except ValueError as error:
-            nothing = np.full(base._nv, np.nan)
+            nothing = np.full(len(base.joint_names_), np.nan)
             results.append(
                 MethodResult(
                     name=name,
@@ -153,58 +154,19 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
                 )
             )
             continue
+        rigid = found.theta[: base.features_.n_parameters_]
+        eigenvalues = min_eigenvalues(rigid.reshape(len(base.joint_names_), -1))
+        error, train_error = (
+            collect_residuals(parts, found.theta).normalised_error()
+            for parts in (test_pieces, train_pieces)
+        )
         results.append(
             MethodResult(
                 name=name,
-                error=model._residuals_of(test_pieces).normalised_error(),
-                train_error=model._residuals_of(train_pieces).normalised_error(),
-                min_eigenvalue=float(model.min_eigenvalues_.min()),
-                n_inconsistent=int((model.min_eigenvalues_ <= 0).sum()),
+                error=error,
+                train_error=train_error,
+                min_eigenvalue=float(eigenvalues.min()),
+                n_inconsistent=int((eigenvalues <= 0).sum()),
             )
         )
     return results, base
-
-
-# What the preparation of a fit leaves behind, apart from the estimation itself.
-_PREPARED = (
-    "features_",
-    "effects_",
-    "_active_effects",
-    "_load_theta",
-    "_nv",
-    "joint_names_",
-    "parameter_names_",
-    "parameter_units_",
-    "n_features_in_",
-    "state_estimator_",
-    "cutoff_",
-    "standstill_",
-    "torque_noise_",
-)
-
-
-def _prepare(base, X, y, groups):
-    parts = contiguous_groups(groups, X.shape[0])
-    weight = JointTorqueRegressor._check_weight(None, y.shape)
-    lowpass = _lowpass.design(base.dt or 1.0, base.cutoff_)
-    return parts, weight, lowpass
-
-
-def _pieces(base, X, y, groups, *, measure_noise=False):
-    parts, weight, lowpass = _prepare(base, X, y, groups)
-    states = base._states(X, groups)
-    halves = base._halves(X, groups) if measure_noise else None
-    return list(base._filtered(states, y, weight, parts, lowpass, halves))
-
-
-def _split_pieces(base, X, y, groups):
-    """Equations from the even samples, with those from the odd ones as instruments."""
-    parts, weight, lowpass = _prepare(base, X, y, groups)
-    even, odd = base.state_estimator_.split_transform(X, groups)
-    first = base._filtered(even, y, weight, parts, lowpass)
-    second = base._filtered(odd, y, weight, parts, lowpass)
-    # An equation counts only where both halves say that the joint moves.
-    return [
-        (index, Phi, tau, np.minimum(w, other_w), other)
-        for (index, Phi, tau, w), (_, other, _, other_w) in zip(first, second)
-    ]

@@ -1,82 +1,95 @@
-"""Equations of motion behind the low-pass, piece by piece and in parallel.
+"""Equations of motion of a recording behind the low-pass, piece by piece.
 
-A piece is a run of filtered rows of one recording. It is made from the states of the
+A piece is a run of filtered rows of one segment. It is made from the states of the
 rows that its filters see and reduced to second moments where it is made, so that the
 regressor matrices are never there as a whole, and pieces can be made at the same time.
 The division into pieces depends on neither the number of jobs nor the order in which
 they finish, and their sum is taken in the order of the recording: the result is the
 same to the last bit on one processor and on many.
-
-Regressor rows of a robot with effects beside its rigid bodies.
 """
 
 import functools
-import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_vbjfa._core._lowpass import BlockFilter, block_length, decimate
-from sklearn_vbjfa.effects import Effect, Motion, resolve
+from sklearn_vbjfa._core._lowpass import (
+    BlockFilter,
+    block_length,
+    decimate,
+    filter_weight,
+)
+from sklearn_vbjfa.effects import Motion
 from sklearn_vbjfa.effects import _declared as _friction
-from sklearn_vbjfa.model._loading import is_prismatic, joint_names
+from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.physical._threads import one_blas_thread
-from sklearn_vbjfa.robot._features import rounding_entries
-from sklearn_vbjfa.robot._joint_moments import Numbering, joint_statistics
-from sklearn_vbjfa.robot._joint_torque import filter_weight
-from sklearn_vbjfa.robot._states import SplineStates
+from sklearn_vbjfa.robot._joint_moments import Numbering, joint_moments
+from sklearn_vbjfa.robot._parallel import run
 
+# Periods of the state cut-off at both ends in which the smoother sees one side only.
+_EDGE_PERIODS = 1.0
+# Rows whose states are evaluated together; a block of regressor matrices has fewer.
+_SPAN_ROWS = 4096
+# Filtered rows of the feature matrix that are in memory at once.
+CHUNK_BYTES = 32 << 20
 # Rows of the feature matrix that are in memory at once while loads are computed.
 _LOAD_BYTES = 64 << 20
-# Fits until the load in the effects' columns agrees with the parameters: the load is
-# mostly gravity and inertia, which a first fit without those effects knows well.
-_LOAD_PASSES = 3
 
 
-def check_effects(effects, nv):
-    """Return the effects as a tuple of instances, refusing what cannot be."""
-    if isinstance(effects, (str, Effect)):
-        effects = (effects,)
-    found = tuple(resolve([effect])[0] for effect in effects)
-    for effect in found:
-        effect.check()
-        if not 0 <= effect.joint < nv:
-            raise ValueError(
-                f"effects names joint {effect.joint} for {effect.name}; expected 0 to "
-                f"{nv - 1}, for {nv} joint(s)."
-            )
-    keys = [(effect.key(), tuple(sorted(effect.shape().items()))) for effect in found]
-    for key in keys:
-        if keys.count(key) > 1:
-            raise ValueError(f"effects holds {key[0][0]} on joint {key[0][1]} twice.")
-    return found
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Equations:
+    """Equations of motion, tau = Phi theta, of all joints at some instants.
+
+    Attributes
+    ----------
+    Phi : ndarray of shape (n, nv, p)
+        Regressor matrices.
+    tau : ndarray of shape (n, nv)
+        Torques [N m or N].
+    weight : ndarray of shape (n, nv)
+        What each joint's equation counts; zero leaves it out.
+    index : ndarray of shape (n,) or None
+        Rows of the recording that the filtered ones stand at.
+    instruments : ndarray of shape (n, nv, p) or None
+        Second, independent measurement of `Phi`.
+    difference : ndarray of shape (n, nv, p) or None
+        Regressor matrices from the even samples minus those from the odd ones.
+    blocks : tuple of ndarray or None
+        Blocks of time that the rows belong to, see `Numbering.parts`.
+    """
+
+    Phi: np.ndarray
+    tau: np.ndarray
+    weight: np.ndarray
+    index: np.ndarray | None = None
+    instruments: np.ndarray | None = None
+    difference: np.ndarray | None = None
+    blocks: tuple | None = None
+
+    def moments(self):
+        """Return the second moments, `JointMoments`."""
+        return joint_moments(
+            self.Phi, self.tau, self.weight, self.difference, self.blocks
+        )
+
+    def reweighted(self, factor):
+        """Return the same equations with weights times (n, nv)."""
+        return replace(self, weight=self.weight * factor)
+
+    def zeroed(self, entries):
+        """Return the same equations with entries (nv, p), bool, set to zero."""
+        return replace(self, Phi=np.where(entries, 0.0, self.Phi))
 
 
-def needs_load(effects):
-    """Whether the columns depend on the parameters, through the load."""
-    return any("load" in effect.needs for effect in effects)
+def joined(pieces):
+    """Join pieces of a recording's equations, without noise and blocks."""
+    names = ("Phi", "tau", "weight", "index")
+    columns = zip(*[[getattr(one, name) for name in names] for one in pieces])
+    return Equations(**dict(zip(names, map(np.concatenate, columns))))
 
 
-def fit_passes(effects):
-    """Effects of each fit: what asks for the load comes after a fit without."""
-    if not needs_load(effects):
-        return [effects]
-    plain = tuple(e for e in effects if "load" not in e.needs)
-    return [plain] + (_LOAD_PASSES - 1) * [effects]
-
-
-def effect_names(effects, model):
-    """Names and units of the effects' coefficients, two tuples of str."""
-    joints, kinds = joint_names(model), is_prismatic(model)
-    names, units = [], []
-    for effect in effects:
-        kind = int(kinds[effect.joint])
-        names += [
-            f"{joints[effect.joint]}:{effect.name}:{c}" for c in effect.coefficients
-        ]
-        units += [unit[kind] for unit in effect.units]
-    return tuple(names), tuple(units)
+# -- regressor matrices ----------------------------------------------------------------
 
 
 def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=None):
@@ -90,8 +103,8 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=N
         States.
     t : ndarray of shape (n,) or None
         Time [s].
-    parts : list of slice
-        Recordings.
+    parts : sequence of slice
+        Segments.
     theta : ndarray of shape (p,) or None
         Parameters of the features, for the load; None for none.
     bandwidth : float
@@ -104,21 +117,22 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=N
     if theta is not None:
         parameters = theta.reshape(nv, -1)
         inertial = np.ascontiguousarray(parameters[:, :10])
-        tree = features._regressor
         q, v, a = np.split(states, 3, axis=1)
-        load = tree.torques(q, v, a, inertial)
-        friction = _friction.columns(features._friction, v, a, rest)
+        load = features.torques(q, v, a, inertial)
+        friction = _friction.columns(features.friction_, v, a, rest)
         torque = load + np.einsum("njk,jk->nj", friction, parameters[:, 10:])
 
         def rigid(q, v, a):
-            return tree.torques(q, v, a, inertial)
+            return features.torques(q, v, a, inertial)
 
     @functools.cache
     def last_body():
         out = np.empty((states.shape[0], nv, 10))
-        for piece in _pieces(features, states.shape[0]):
-            Phi = features._compute(states[piece]).reshape(-1, nv, nv, _width(features))
-            out[piece] = Phi[:, :, -1, :10]
+        rows = max(1, _LOAD_BYTES // (8 * nv * features.n_parameters_))
+        for i in range(0, states.shape[0], rows):
+            piece = slice(i, i + rows)
+            Phi = features.matrices(states[piece])
+            out[piece] = Phi.reshape(*Phi.shape[:2], nv, -1)[:, :, -1, :10]
         return out
 
     return Motion(
@@ -129,30 +143,12 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=N
         load=load,
         torque=torque,
         parts=tuple(parts),
-        prismatic=np.asarray(is_prismatic(features._model), dtype=bool),
+        prismatic=np.asarray(is_prismatic(features.model_), dtype=bool),
         rigid=rigid,
         last_body=last_body,
         bandwidth=float(bandwidth),
         rest=rest,
     )
-
-
-def _width(features):
-    return features.n_parameters_ // features.n_joints_
-
-
-def _pieces(features, n):
-    rows = max(1, _LOAD_BYTES // (8 * features.n_joints_ * features.n_parameters_))
-    return [slice(i, min(i + rows, n)) for i in range(0, n, rows)]
-
-
-def _rigid_support(features):
-    """Entries of the features that some motion makes, (nv, p), bool."""
-    nv = features.n_joints_
-    entries = np.zeros((nv, nv, _width(features)), dtype=bool)
-    entries[:, :, :10] = features._regressor.carried[:, :, None] & ~features._zeros
-    entries[np.arange(nv), np.arange(nv), 10:] = True
-    return entries.reshape(nv, -1)
 
 
 class RegressorRows:
@@ -167,10 +163,8 @@ class RegressorRows:
         Loaded features.
     states : ndarray of shape (n, 3 * nv) or SplineStates
         States.
-    effects : tuple of Effect
-        Effects.
-    motion : Motion or None
-        Their signals; None without effects.
+    columns : sequence of (Effect, ndarray)
+        Effects and their columns for these rows.
     rest : Rest or None
         What to take for the sign of velocities, see `Motion`.
 
@@ -182,44 +176,41 @@ class RegressorRows:
         Entries that are not zero in every motion.
     """
 
-    def __init__(self, features, states, effects=(), motion=None, rest=None):
-        self._features = features
-        self._states = states
-        self._rest = rest
+    def __init__(self, features, states, columns=(), rest=None):
+        self._features, self._states, self._rest = features, states, rest
+        self._columns = list(columns)
+        extra = sum(values.shape[-1] for _, values in self._columns)
+        self.n_joints = features.n_joints_
+        self.n_parameters = features.n_parameters_ + extra
+        self.support = np.zeros((self.n_joints, self.n_parameters), dtype=bool)
+        self.support[:, : features.n_parameters_] = features.support_
+        at = features.n_parameters_
+        for effect, values in self._columns:
+            stop = at + values.shape[-1]
+            joints = slice(None) if effect.whole_robot else effect.joint
+            self.support[joints, at:stop] = True
+            at = stop
+
+    @classmethod
+    def with_effects(cls, features, states, effects, motion, rest=None):
+        """Make the columns of effects (n rows) from their signals."""
         for effect in effects:
             reason = effect.applies(motion)
             if reason:
                 raise ValueError(
                     f"effects holds {effect.name} on joint {effect.joint}: {reason}."
                 )
-        self._set_columns([(effect, effect.columns(motion)) for effect in effects])
-
-    def _set_columns(self, columns):
-        self._columns = columns
-        features = self._features
-        extra = sum(len(effect.coefficients) for effect, _ in columns)
-        self.n_joints = features.n_joints_
-        self.n_parameters = features.n_parameters_ + extra
-        self.support = np.zeros((self.n_joints, self.n_parameters), dtype=bool)
-        self.support[:, : features.n_parameters_] = _rigid_support(features)
-        at = features.n_parameters_
-        for effect, values in columns:
-            stop = at + values.shape[-1]
-            joints = slice(None) if effect.whole_robot else effect.joint
-            self.support[joints, at:stop] = True
-            at = stop
+        columns = [(effect, effect.columns(motion)) for effect in effects]
+        return cls(features, states, columns, rest)
 
     def part(self, rows):
-        """Regressor matrices of one recording alone, numbered from zero."""
-        other = object.__new__(RegressorRows)
-        other._features, other._states = self._features, self._states[rows]
-        other._rest = self._rest
-        other._set_columns([(effect, values[rows]) for effect, values in self._columns])
-        return other
+        """Regressor matrices of a slice of rows alone, numbered from zero."""
+        columns = [(effect, values[rows]) for effect, values in self._columns]
+        return RegressorRows(self._features, self._states[rows], columns, self._rest)
 
     def __call__(self, piece):
         """Regressor matrices (n, nv, p) of a slice of rows."""
-        Phi = self._features._compute(self._states[piece], self._rest)
+        Phi = self._features.matrices(self._states[piece], self._rest)
         if not self._columns:
             return Phi
         out = np.zeros((*Phi.shape[:2], self.n_parameters))
@@ -234,18 +225,53 @@ class RegressorRows:
             at = stop
         return out
 
+    def predict(self, theta):
+        """Torques (n, nv) of parameters, matrix by matrix."""
+        count = max(1, CHUNK_BYTES // (8 * self.n_joints * self.n_parameters))
+        n = self._states.shape[0]
+        pieces = [self(slice(i, i + count)) @ theta for i in range(0, n, count)]
+        return np.concatenate(pieces)
 
-# Periods of the state cut-off at both ends in which the smoother sees one side only.
-_EDGE_PERIODS = 1.0
-# Rows whose states are evaluated together; a block of regressor matrices has fewer.
-_SPAN_ROWS = 4096
-# Tasks that are handed out at a time: their results are in memory together.
-_BATCH = 32
+
+def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
+    """Regressor matrices of each segment, with the columns of the plan's effects.
+
+    Parameters
+    ----------
+    recording : Recording
+        For its segments and time.
+    states : list of ndarray or SplineStates
+        States of each segment.
+    plan : Plan
+        For its effects.
+    features : RigidBodyFeatures
+        Loaded features.
+    theta : ndarray of shape (p,) or None
+        Parameters of the features, for the load.
+    rest : Rest or None
+        What to take for the sign of velocities, see `Motion`.
+
+    Returns
+    -------
+    list of RegressorRows
+        One a segment.
+    """
+    if not plan.effects:
+        return [RegressorRows(features, own, rest=rest) for own in states]
+    # Effects look at all recordings together (time, largest speeds).
+    whole = np.concatenate([own[:] for own in states])
+    parts, clock = recording.segments, plan.clock(recording)
+    motion = make_motion(features, whole, clock, parts, theta, plan.cutoff, rest)
+    rows = RegressorRows.with_effects(features, whole, plan.effects, motion, rest)
+    return [rows.part(part) for part in parts]
+
+
+# -- segments --------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stretch:
-    """One recording before the low-pass.
+class Segment:
+    """One contiguous piece of a recording before the low-pass.
 
     Attributes
     ----------
@@ -266,11 +292,11 @@ class Stretch:
     edge : int
         Rows at both ends that do not count.
     number : int
-        Number of the recording.
+        Number of the segment.
     """
 
     first: int
-    states: np.ndarray | SplineStates
+    states: object
     rows: RegressorRows | None
     halves: tuple | None
     torque: np.ndarray
@@ -292,72 +318,51 @@ class Stretch:
         inside = (row >= self.edge) & (row < self.n_rows - self.edge)
         return self.weight[rows] * moves * inside[:, None]
 
+    def pieces(self, lowpass):
+        """Divide into slices of filtered rows of at most `CHUNK_BYTES`.
+
+        Pieces overlap by the filter's length in the rows that they are made from, so
+        that their size does not matter; none is shorter than twice the filter.
+        """
+        one = self.rows if self.rows is not None else self.halves[0]
+        kinds = (self.rows is not None) + 2 * (self.halves is not None)
+        per_output = 8 * kinds * one.n_joints * one.n_parameters
+        count = max(CHUNK_BYTES // per_output, 4 * lowpass.half // lowpass.step, 1)
+        total = lowpass.centres(self.n_rows).size
+        return [slice(i, min(i + count, total)) for i in range(0, total, count)]
+
+    def equations(self, lowpass, outputs, numbering=None):
+        """Return the equations of a slice of filtered rows.
+
+        With halves their difference, and with a `Numbering` their blocks of time.
+        """
+        chosen = lowpass.centres(self.n_rows)[outputs]
+        seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
+        made = () if self.rows is None else (self.rows,)
+        made += self.halves or ()
+        filtered = _filter_rows(made, seen, lowpass, chosen.size)
+        Phi, difference = filtered[0], None
+        if self.halves is not None:
+            even, odd = filtered[-2:]
+            if self.rows is None:
+                Phi = 0.5 * (even + odd)
+            difference = np.subtract(even, odd, out=even)
+        return Equations(
+            Phi=Phi,
+            tau=decimate(lowpass, self.torque[seen]),
+            weight=filter_weight(lowpass, self.counts(seen)),
+            index=self.first + chosen,
+            difference=difference,
+            blocks=numbering and numbering.parts(self.number, outputs),
+        )
+
 
 def velocities(states, rows):
     """Velocities (n, nv) of a slice of rows."""
-    if isinstance(states, SplineStates):
+    if not isinstance(states, np.ndarray):
         return states.derivative(rows, 1)
     nv = states.shape[1] // 3
     return states[rows, nv : 2 * nv]
-
-
-def edge_rows(n, state_estimator):
-    """Return how many rows at each end of n rest on samples on one side only.
-
-    Parameters
-    ----------
-    n : int
-        Length of a recording.
-    state_estimator : StateEstimator or None
-        What made the states; None if they were given.
-    """
-    if state_estimator is None:
-        return 0
-    slowest = state_estimator.cutoff_.min()
-    if not np.isfinite(slowest):
-        return 0
-    # At most a tenth of a short recording.
-    return min(int(_EDGE_PERIODS / (slowest * state_estimator.dt)), n // 20)
-
-
-def pieces(stretch, lowpass, chunk_bytes):
-    """Divide a recording: slices of its filtered rows of at most so many bytes.
-
-    Pieces overlap by the filter's length in the rows that they are made from, so that
-    their size does not matter; none is shorter than twice the filter.
-    """
-    one = stretch.rows if stretch.rows is not None else stretch.halves[0]
-    kinds = (stretch.rows is not None) + 2 * (stretch.halves is not None)
-    per_output = 8 * kinds * one.n_joints * one.n_parameters
-    count = max(chunk_bytes // per_output, 4 * lowpass.half // lowpass.step, 1)
-    total = lowpass.centres(stretch.n_rows).size
-    return [slice(i, min(i + count, total)) for i in range(0, total, count)]
-
-
-def piece_equations(stretch, lowpass, outputs):
-    """Return (index, Phi, tau, weight) of some filtered rows.
-
-    With halves None (instruments) and the difference of the two are returned as well.
-    """
-    chosen = lowpass.centres(stretch.n_rows)[outputs]
-    seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
-    made = () if stretch.rows is None else (stretch.rows,)
-    made += stretch.halves or ()
-    filtered = _filter_rows(made, seen, lowpass, chosen.size)
-    Phi = filtered[0]
-    if stretch.halves is not None:
-        even, odd = filtered[-2:]
-        if stretch.rows is None:
-            Phi = 0.5 * (even + odd)
-    equations = (
-        stretch.first + chosen,
-        Phi,
-        decimate(lowpass, stretch.torque[seen]),
-        filter_weight(lowpass, stretch.counts(seen)),
-    )
-    if stretch.halves is not None:
-        equations += (None, np.subtract(even, odd, out=even))
-    return equations
 
 
 def _filter_rows(made, seen, lowpass, count):
@@ -376,90 +381,126 @@ def _filter_rows(made, seen, lowpass, count):
     return [into.outputs for into in filters]
 
 
-def filtered_equations(stretches, lowpass, *, chunk_bytes):
-    """Yield the `piece_equations` of recordings, one after the other.
+def edge_rows(n, state_estimator):
+    """Return how many rows at each end of n rest on samples on one side only.
 
-    Parameters
-    ----------
-    stretches : iterable of Stretch
-        Recordings.
-    lowpass : Lowpass
-        What regressors and torques pass.
-    chunk_bytes : int
-        Size of a piece.
+    None for states that were given.
     """
-    for stretch in stretches:
-        for outputs in pieces(stretch, lowpass, chunk_bytes):
-            yield piece_equations(stretch, lowpass, outputs)
+    if state_estimator is None:
+        return 0
+    slowest = state_estimator.cutoff_.min()
+    if not np.isfinite(slowest):
+        return 0
+    # At most a tenth of a short recording.
+    return min(int(_EDGE_PERIODS / (slowest * state_estimator.dt)), n // 20)
 
 
-def numbered(stretches, lowpass):
-    """Divide recordings into blocks of time, see `Numbering`."""
-    return Numbering.of([lowpass.centres(s.n_rows).size for s in stretches])
-
-
-def numbered_parts(stretches, lowpass, *, chunk_bytes):
-    """Yield the `Numbering.parts` of each piece of `filtered_equations`."""
-    numbering = numbered(stretches, lowpass)
-    for stretch in stretches:
-        for outputs in pieces(stretch, lowpass, chunk_bytes):
-            yield numbering.parts(stretch.number, outputs)
-
-
-def _piece_statistics(stretch, lowpass, outputs, parts):
-    with one_blas_thread():
-        _, Phi, tau, weight, *others = piece_equations(stretch, lowpass, outputs)
-        difference = others[1] if others else None
-        return joint_statistics(Phi, tau, weight, difference, parts)
-
-
-def accumulate(stretches, lowpass, *, chunk_bytes, n_jobs=None, numbering=None):
-    """Second moments of the filtered equations of recordings.
+def segments(recording, states, plan, features, *, theta=None, rest=None, first=0):
+    """Join what a recording holds with its regressor matrices, segment by segment.
 
     Parameters
     ----------
-    stretches : list of Stretch
-        Recordings.
-    lowpass : Lowpass
-        What regressors and torques pass.
-    chunk_bytes : int
-        Size of a piece.
-    n_jobs : int or None
-        Number of pieces at a time, as in scikit-learn.
-    numbering : Numbering, default=None
-        Division into blocks of time, where these are not all the recordings.
+    recording : Recording
+        Torques, weights, segments.
+    states : RecordingStates
+        Its states, with halves where the noise of the regressors is to be measured.
+    plan : Plan
+        Standstill, effects, and whether a mean of the halves will do.
+    features : RigidBodyFeatures
+        Loaded features.
+    theta : ndarray of shape (p,) or None
+        Parameters of the features, for the load in effects' columns.
+    rest : Rest or None
+        For comparing: mean signs of velocities. What is fitted is masked at rest.
+    first : int
+        Number of the first segment.
 
     Returns
     -------
-    JointStatistics or None
-        None if all recordings are shorter than the filter.
+    list of Segment
     """
-    numbering = numbering or numbered(stretches, lowpass)
+
+    def rows_of(own):
+        return regressor_rows(recording, own, plan, features, theta=theta, rest=rest)
+
+    parts = recording.segments
+    average = states.halves is not None and plan.corrects_noise
+    rows = len(parts) * [None] if average else rows_of(states.own)
+    halves = len(parts) * [None]
+    if states.halves is not None:
+        halves = list(zip(*[rows_of(half) for half in states.halves]))
+    weight = recording.weight
+    if weight is None:
+        weight = np.ones(recording.tau.shape)
+    return [
+        Segment(
+            first=part.start,
+            states=states.own[i],
+            rows=rows[i],
+            halves=halves[i],
+            torque=recording.tau[part],
+            weight=weight[part],
+            standstill=plan.standstill,
+            edge=edge_rows(part.stop - part.start, plan.smoother),
+            number=first + i,
+        )
+        for i, part in enumerate(parts)
+    ]
+
+
+# -- passes over segments --------------------------------------------------------------
+
+
+def numbered(made, lowpass):
+    """Divide segments into blocks of time, see `Numbering`."""
+    return Numbering.of([lowpass.centres(one.n_rows).size for one in made])
+
+
+def equations(made, lowpass):
+    """Yield the equations of segments, piece by piece, with their blocks of time."""
+    numbering = numbered(made, lowpass)
+    for segment in made:
+        for outputs in segment.pieces(lowpass):
+            yield segment.equations(lowpass, outputs, numbering)
+
+
+def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
+    """Second moments of the filtered equations of segments.
+
+    Parameters
+    ----------
+    made : list of Segment
+        Segments.
+    lowpass : Lowpass
+        What regressors and torques pass.
+    n_jobs : int or None
+        Number of pieces at a time, as in scikit-learn.
+    numbering : Numbering, default=None
+        Division into blocks of time, where these are not all the segments.
+
+    Returns
+    -------
+    JointMoments or None
+        None if all segments are shorter than the filter.
+    """
+    numbering = numbering or numbered(made, lowpass)
     tasks = [
-        (stretch, lowpass, outputs, numbering.parts(stretch.number, outputs))
-        for stretch in stretches
-        for outputs in pieces(stretch, lowpass, chunk_bytes)
+        (segment, lowpass, outputs, numbering)
+        for segment in made
+        for outputs in segment.pieces(lowpass)
     ]
     total = None
-    for stats in run(_piece_statistics, tasks, n_jobs):
-        total = stats if total is None else total + stats
+    for moments in run(_piece_moments, tasks, n_jobs):
+        total = moments if total is None else total + moments
     return total
 
 
-def run(function, tasks, n_jobs):
-    """Yield ``function(*task)`` of tasks, in their order.
-
-    Threads, unless a `joblib.parallel_config` says otherwise: nearly all of the time
-    is spent in compiled code, and nothing has to be copied. On one BLAS thread each,
-    since the matrices are small and sums must not depend on how many there are.
-    """
-    tasks = iter(tasks)
-    with one_blas_thread(), Parallel(n_jobs=n_jobs, prefer="threads") as parallel:
-        while batch := list(itertools.islice(tasks, _BATCH)):
-            yield from parallel(delayed(function)(*task) for task in batch)
+def _piece_moments(segment, lowpass, outputs, numbering):
+    with one_blas_thread():
+        return segment.equations(lowpass, outputs, numbering).moments()
 
 
-def unexcited_entries(stats, n_rigid):
+def unexcited_entries(moments, n_rigid):
     """Find what in the regressor matrices is zero but for rounding.
 
     The features leave out what is zero in every motion; where a joint does not move
@@ -467,7 +508,7 @@ def unexcited_entries(stats, n_rigid):
 
     Parameters
     ----------
-    stats : JointStatistics
+    moments : JointMoments
         Second moments of nv joints and p parameters.
     n_rigid : int
         Number of parameters of the features; others are never left out.
@@ -477,8 +518,8 @@ def unexcited_entries(stats, n_rigid):
     ndarray of shape (nv, p), bool
         Entries to be taken as zero.
     """
-    nv, n_all = stats.g.shape
-    power = np.diagonal(stats.G, axis1=1, axis2=2)[:, :n_rigid]
+    nv, n_all = moments.g.shape
+    power = np.diagonal(moments.G, axis1=1, axis2=2)[:, :n_rigid]
     rounding = np.zeros((nv, n_all), dtype=bool)
     rigid = rounding_entries(power.reshape(nv, nv, -1))
     rounding[:, :n_rigid] = rigid.reshape(nv, -1)

@@ -1,7 +1,6 @@
-"""From estimated parameters to a robot: projection, and what the data determine.
+"""From second moments to parameters: regression, projection, what is identifiable."""
 
-Physically consistent bodies that complete what the data cannot tell.
-"""
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -10,6 +9,303 @@ from sklearn.base import clone
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
+from sklearn_vbjfa.regression._base import BaseJointFactorRegressor
+from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
+from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
+from sklearn_vbjfa.robot._weights import block_precisions, noise_weights
+
+# Directions of parameter space that the data determine less than this, relative to
+# the best determined one in scaled columns, count as not identifiable.
+_IDENTIFIABLE = 1e-9
+# Rows of a block of constant noise: 2.5 periods of the cut-off.
+_BLOCK_ROWS = 10
+# Student's t has a deviation from three degrees of freedom on.
+_LEAST_FREEDOM = 3.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Estimate:
+    """Parameters that all joints share, and how well they are known.
+
+    Attributes
+    ----------
+    theta, theta_unconstrained : ndarray of shape (p,)
+        Parameters after and before a projection.
+    std : ndarray of shape (p,)
+        Posterior standard deviations of the latter, for residuals as correlated as
+        the blocks of time say; nan where the regressor does not tell.
+    joint_weights : ndarray of shape (nv,)
+        Weights of the joints' equations [1 / torque squared].
+    metric : ndarray of shape (p, p)
+        Weighted Gram matrix without the input noise's share, X_t' X_t of eq. 35.
+    input_noise : ndarray of shape (p, p) or None
+        Covariance of the input noise in a weighted equation, where it was measured.
+    moments : JointMoments
+        What was fitted, without blocks of time.
+    regressor : estimator
+        The fitted regressor.
+    projector : PhysicalProjector or None
+        The fitted projector.
+    block_factors : list of ndarray of shape (n, nv) or None
+        Relative precision of each row's noise, piece by piece.
+    """
+
+    theta: np.ndarray
+    theta_unconstrained: np.ndarray
+    std: np.ndarray
+    joint_weights: np.ndarray
+    metric: np.ndarray
+    input_noise: np.ndarray | None
+    moments: JointMoments
+    regressor: object
+    projector: object = None
+    block_factors: list | None = None
+
+    @property
+    def identifiable(self):
+        """Parameters that the data determine on their own, (p,), bool."""
+        return identifiable(self.metric)
+
+    def noise(self):
+        """Deviations (nv,) that input noise makes, and of what it leaves [N m or N]."""
+        return self.moments.split_residual(self.theta)
+
+
+def default_regressor():
+    """Bayesian regression with automatic relevance detection, for noiseless queries."""
+    return VBJFARegressor(latent="correlated", query="noiseless")
+
+
+def from_moments(regressor):
+    """Whether second moments are all that a regressor (None: the default) needs."""
+    return regressor is None or isinstance(regressor, BaseJointFactorRegressor)
+
+
+def estimate(
+    moments,
+    regressor=None,
+    *,
+    joint_weights="auto",
+    rows=(),
+    block_noise=False,
+    forward=None,
+):
+    """Estimate one parameter vector from the equations of all joints.
+
+    Parameters
+    ----------
+    moments : JointMoments
+        Second moments of all equations.
+    regressor : estimator or None
+        Linear regressor, which is cloned.
+    joint_weights : "auto", None or array-like of shape (nv,)
+        Weights of the joints' equations.
+    rows : sequence of Equations
+        The equations themselves, where the regressor or `block_noise` needs them.
+    block_noise : bool
+        Whether the noise of each joint may differ between blocks of time.
+    forward : callable, default=None
+        (regressor, rows, weights of the equations) -> keyword arguments of its `fit`.
+
+    Returns
+    -------
+    Estimate
+        Not projected.
+    """
+    regressor = default_regressor() if regressor is None else clone(regressor)
+    factors = None
+    if block_noise:
+        factors, rows, moments = _weigh_blocks(rows)
+    weight = resolve_weights(joint_weights, moments)
+    total, noise = moments.total(weight), moments.total_noise(weight)
+    if from_moments(regressor):
+        theta, std = _fit_moments(regressor, total, noise)
+    else:
+        theta, std = _fit_rows(regressor, rows, weight, total, forward)
+    return Estimate(
+        theta=theta,
+        theta_unconstrained=theta,
+        std=std * _correlation(moments, weight, theta),
+        joint_weights=weight,
+        metric=total.S_xx.copy() if noise is None else _denoised(total, noise),
+        input_noise=noise,
+        moments=replace(moments, blocks=None),
+        regressor=regressor,
+        block_factors=factors,
+    )
+
+
+def _weigh_blocks(rows):
+    """Weight rows by the precision of their blocks: factors, equations, moments."""
+    blocks, first = [], 0
+    for one in rows:
+        block = first + np.arange(one.tau.shape[0]) // _BLOCK_ROWS
+        first = int(block[-1]) + 1
+        blocks.append(block)
+    factors = block_precisions(rows, blocks)
+    weighed = [one.reweighted(factor) for one, factor in zip(rows, factors)]
+    total = None
+    for one, plain in zip(weighed, rows):
+        # The factors re-weight the samples; their number stays what it is.
+        moments = replace(one.moments(), n=plain.weight.sum(axis=0))
+        total = moments if total is None else total + moments
+    return factors, weighed, total
+
+
+def resolve_weights(joint_weights, moments):
+    """Return the weights (nv,) of the joints' equations; zero without equations."""
+    nv = moments.n.size
+    if joint_weights is None:
+        return np.where(moments.n > 0, 1.0, 0.0)
+    if isinstance(joint_weights, str):
+        if joint_weights != "auto":
+            raise ValueError(
+                "joint_weights must be 'auto', None or an array of shape "
+                f"({nv},); got {joint_weights!r}."
+            )
+        return noise_weights(moments)
+    weight = np.asarray(joint_weights, dtype=float)
+    if weight.shape != (nv,) or not np.isfinite(weight).all() or weight.min() < 0:
+        raise ValueError(
+            f"joint_weights must hold {nv} finite, non-negative numbers; got "
+            f"{joint_weights!r}."
+        )
+    return np.where(moments.n > 0, weight, 0.0)
+
+
+def _correlation(moments, weight, theta):
+    """Return what residuals correlated in time do to the deviations, factors (p,).
+
+    Of the distribution of the estimate, Student's t with the freedom that the blocks
+    leave: its deviation is a little larger than that of a normal one.
+    """
+    if moments.blocks is None or not np.isfinite(theta).all():
+        return np.ones(theta.size)
+    found = block_scatter(moments, weight, theta)
+    freedom = np.maximum(found.freedom, _LEAST_FREEDOM)
+    factor = np.sqrt(found.factor * freedom / (freedom - 2.0))
+    # What no equation determines stays as it is.
+    return np.where(np.isfinite(factor), factor, 1.0)
+
+
+def _fit_moments(regressor, total, noise):
+    """Fit a regressor to second moments; coefficients (p,) and their deviations."""
+    regressor.set_params(fit_intercept=False)
+    takes_covariance = getattr(regressor, "latent", None) == "correlated"
+    if takes_covariance and regressor.input_noise is None:
+        # What was measured, or else nothing: rigid-body regressors are far too
+        # correlated for an assumed noise. The parameters are those of the motion
+        # without its noise.
+        measured = 0.0 if noise is None else noise
+        regressor.set_params(input_noise=measured, query="noiseless")
+    regressor._validate_params()
+    regressor._fit_statistics(total)
+    return regressor.coef_.copy(), regressor.coef_std_.copy()
+
+
+def _fit_rows(regressor, rows, joint_weights, total, forward):
+    """Fit any scikit-learn regressor to the stacked, scaled equations."""
+    n = total.n_samples
+    scale = np.sqrt(np.diagonal(total.S_xx) / n)
+    scale = np.where(scale > 0, scale, 1.0)
+    y_scale = np.sqrt(total.S_yy / n) or 1.0
+    root = np.sqrt(joint_weights)[:, None]
+
+    def stacked(name):
+        return np.concatenate(
+            [(getattr(one, name) * root)[one.weight > 0] / scale for one in rows]
+        )
+
+    A = stacked("Phi")
+    b = np.concatenate([(one.tau * root[:, 0])[one.weight > 0] for one in rows])
+    b = b / y_scale
+    weight = np.concatenate([one.weight[one.weight > 0] for one in rows])
+    forwarded = forward(regressor, rows, weight) if forward is not None else {}
+    if "sample_weight" not in forwarded and not np.all(weight == weight[0]):
+        # Weights go into the rows: not every regressor takes sample_weight.
+        own = np.sqrt(weight / weight.mean())
+        A, b = A * own[:, None], b * own
+    fit_params = {}
+    if rows[0].instruments is not None:
+        fit_params["instruments"] = stacked("instruments")
+    parameters = regressor.get_params(deep=True)
+    names = {name.split("__")[-1] for name in parameters}
+    intercepts = [n for n in parameters if n.split("__")[-1] == "fit_intercept"]
+    regressor.set_params(**dict.fromkeys(intercepts, False))
+    if not intercepts or "steps" in names:
+        # What always centres (PLS, a scaler in a pipeline) sees each equation with
+        # its mirror image: the means are zero and nothing is lost.
+        A, b = _mirror(A), _mirror(b)
+        fit_params = {k: _mirror(v) for k, v in fit_params.items()}
+        forwarded = {k: np.repeat(v, 2) for k, v in forwarded.items()}
+    regressor.fit(A, b, **fit_params, **forwarded)
+    theta = _read_coefficients(regressor, A[:50])
+    std = getattr(regressor, "coef_std_", None)
+    unit = y_scale / scale
+    std = np.full(theta.shape, np.nan) if std is None else np.ravel(std) * unit
+    return theta * unit, std
+
+
+def _read_coefficients(regressor, sample):
+    """Coefficients by asking for predictions: right for pipelines as well."""
+    p = sample.shape[1]
+    probe = np.vstack([np.zeros((1, p)), np.eye(p)])
+    answer = np.ravel(regressor.predict(probe))
+    coef = answer[1:] - answer[0]
+    direct = np.ravel(regressor.predict(sample)) - answer[0]
+    size = np.abs(sample) @ np.abs(coef) + np.abs(answer[0])
+    if np.any(np.abs(direct - sample @ coef) > 1e-6 * size + 1e-300):
+        raise ValueError(
+            "regressor must be linear in its inputs, since its coefficients are "
+            f"the parameters; got {type(regressor).__name__}."
+        )
+    return coef
+
+
+def _denoised(total, noise):
+    """Gram matrix without the input noise's share (X_t' X_t of eq. 35), projected.
+
+    Directions in which the noise exceeds the signal keep nothing.
+    """
+    scale = np.sqrt(np.diagonal(total.S_xx))
+    unit = np.where(scale > 0, scale, 1.0)
+    signal = (total.S_xx - total.n_samples * noise) / np.outer(unit, unit)
+    values, vectors = np.linalg.eigh(0.5 * (signal + signal.T))
+    clean = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    # by the scale and not the unit: a column of zeros stays one to the last bit
+    return clean * np.outer(scale, scale)
+
+
+def _mirror(rows):
+    """Each row followed by its negative: pairs stay together in any block split."""
+    return np.stack([rows, -rows], axis=1).reshape(-1, *rows.shape[1:])
+
+
+# -- projection ------------------------------------------------------------------------
+
+
+def project(found, projector, features):
+    """Project an estimate on the physically consistent parameters of a robot.
+
+    Parameters
+    ----------
+    found : Estimate
+        Estimate.
+    projector : "default", PhysicalProjector or None
+        The user's choice; None leaves the estimate as it is.
+    features : RigidBodyFeatures
+        Loaded features.
+    """
+    if projector is None:
+        return found
+    fitted, theta = project_beside(
+        projector,
+        features.model_,
+        found.theta_unconstrained,
+        found.metric,
+        features.friction_,
+    )
+    return replace(found, theta=theta, projector=fitted)
 
 
 def consistent_anchor(model, theta, metric, per_joint):

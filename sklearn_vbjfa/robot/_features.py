@@ -7,42 +7,11 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import (
     INERTIAL_NAMES,
-    import_pinocchio,
     is_prismatic,
     joint_names,
     load_model,
 )
 from sklearn_vbjfa.model._regressor import TreeRegressor
-
-# Root mean square below which an entry of the regressor matrix is the rounding of a
-# zero, relative to the largest of its unit in the same torque.
-_ROUNDING = 1e-12
-# Random states that tell which entries are zero whatever the motion.
-_N_PROBES = 32
-
-
-def rounding_entries(power):
-    """Return which entries of the regressor matrices are the rounding of a zero.
-
-    Where a torque does not depend on a parameter the recursive algorithm leaves some
-    1e-16, which a regression in standardised columns would take for information. In
-    one torque all masses (first moments, inertias) have one unit and can be compared.
-
-    Parameters
-    ----------
-    power : ndarray of shape (nv, nv, k)
-        Mean or summed squares: torque, body, parameter (k >= 10).
-
-    Returns
-    -------
-    ndarray of shape (nv, nv, k), bool
-        Rounding; never a friction column.
-    """
-    rounding = np.zeros(power.shape, dtype=bool)
-    for kind in (slice(0, 1), slice(1, 4), slice(4, 10)):
-        largest = power[:, :, kind].max(axis=(1, 2), keepdims=True)
-        rounding[:, :, kind] = power[:, :, kind] <= _ROUNDING**2 * largest
-    return rounding
 
 
 class RigidBodyFeatures(TransformerMixin, BaseEstimator):
@@ -72,6 +41,12 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         Names of the entries of theta, such as "joint_1:m" or "joint_2:viscous".
     parameter_units_ : tuple of str
         Their units.
+    model_ : pinocchio.Model
+        The loaded model.
+    friction_ : tuple of str
+        Names of the friction columns.
+    support_ : ndarray of shape (nv, p), bool
+        Entries of a regressor matrix that some motion makes.
     n_features_in_ : int
         3 nv.
 
@@ -124,47 +99,35 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self : object
             Fitted transformer.
         """
-        self._load()
+        self.load()
         X = validate_data(self, X, dtype=np.float64)
         self._check_width(X)
         return self
 
-    def _load(self):
-        self._model = load_model(self.model)
-        self._friction = _friction.check_names(self.friction)
-        self.n_joints_ = self._model.nv
-        per_joint = len(INERTIAL_NAMES) + len(self._friction)
+    def load(self):
+        """Load the model alone, without states to check.
+
+        Returns
+        -------
+        self : object
+            Fitted transformer.
+        """
+        self.model_ = load_model(self.model)
+        self.friction_ = _friction.check_names(self.friction)
+        self.n_joints_ = self.model_.nv
+        per_joint = len(INERTIAL_NAMES) + len(self.friction_)
         self.n_parameters_ = self.n_joints_ * per_joint
         names, units = [], []
-        kinds = is_prismatic(self._model)
-        for name, prismatic in zip(joint_names(self._model), kinds):
-            columns = INERTIAL_NAMES + self._friction
+        kinds = is_prismatic(self.model_)
+        for name, prismatic in zip(joint_names(self.model_), kinds):
+            columns = INERTIAL_NAMES + self.friction_
             names += [f"{name}:{column}" for column in columns]
             units += ["kg"] + 3 * ["kg m"] + 6 * ["kg m^2"]
-            units += [_friction.unit(column, prismatic) for column in self._friction]
+            units += [_friction.unit(column, prismatic) for column in self.friction_]
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
-        self._regressor = TreeRegressor(self._model)
-        self._zeros = self._find_zeros()
+        self._regressor = TreeRegressor(self.model_)
         return self
-
-    def _find_zeros(self):
-        """Entries that are zero in every motion, ndarray of shape (nv, nv, 10)."""
-        nv = self.n_joints_
-        states = np.random.default_rng(0).normal(size=(_N_PROBES, 3 * nv))
-        # Pinocchio's recursion in body frames leaves exact zeros where the torque does
-        # not depend on a parameter; in world axes they are the rounding of
-        # differences, which have no scale to be told by.
-        pin = import_pinocchio()
-        data = self._model.createData()
-        probes = np.array(
-            [
-                pin.computeJointTorqueRegressor(self._model, data, *np.split(row, 3))
-                for row in states
-            ]
-        )
-        power = np.mean(probes.reshape(_N_PROBES, nv, nv, 10) ** 2, axis=0)
-        return rounding_entries(power)
 
     def _check_width(self, X):
         nv = self.n_joints_
@@ -175,7 +138,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
                 + (
                     "These look like positions alone: use StateEstimator first."
                     if X.shape[1] == nv
-                    else f"Joints in order: {', '.join(joint_names(self._model))}."
+                    else f"Joints in order: {', '.join(joint_names(self.model_))}."
                 )
             )
 
@@ -194,20 +157,50 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         """
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
-        return self._compute(X).reshape(X.shape[0], -1)
+        return self.matrices(X).reshape(X.shape[0], -1)
 
-    def _compute(self, X, rest=None):
-        """Return the regressor matrices as (n_samples, nv, p).
+    def matrices(self, X, rest=None):
+        """Compute the regressor matrices of states that were checked.
 
-        With a `Rest` the sign of a velocity is its mean.
+        Parameters
+        ----------
+        X : ndarray of shape (n_samples, 3 * nv)
+            States [q | v | a].
+        rest : Rest or None, default=None
+            Signs of velocities are their means with it.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, nv, p)
+            Regressor matrices.
         """
         nv, n = self.n_joints_, X.shape[0]
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
-        Phi = np.empty((n, nv, nv, 10 + len(self._friction)))
-        self._regressor(q, v, a, out=Phi, zeros=self._zeros)
+        Phi = np.empty((n, nv, nv, 10 + len(self.friction_)))
+        self._regressor(q, v, a, out=Phi)
         diagonal = np.arange(nv)
-        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self._friction, v, a, rest)
+        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self.friction_, v, a, rest)
         return Phi.reshape(n, nv, self.n_parameters_)
+
+    def one_by_one(self):
+        """Return a function of one state (q, v, a), for control loops.
+
+        It makes the bodies' regressor matrix (nv, nv, 10); see `TreeRegressor`.
+        """
+        return self._regressor.one_by_one()
+
+    def torques(self, q, v, a, inertial):
+        """Rigid-body torques (n, nv) of bodies (nv, 10), without friction."""
+        return self._regressor.torques(q, v, a, inertial)
+
+    @property
+    def support_(self):
+        """Entries of a regressor matrix that some motion makes, (nv, p), bool."""
+        nv = self.n_joints_
+        entries = np.zeros((nv, nv, self.n_parameters_ // nv), dtype=bool)
+        entries[:, :, :10] = self._regressor.support
+        entries[np.arange(nv), np.arange(nv), 10:] = True
+        return entries.reshape(nv, -1)
 
     def get_feature_names_out(self, input_features=None):
         """Names of the columns, such as "tau_joint_1/joint_2:m".
@@ -226,7 +219,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         return np.array(
             [
                 f"tau_{joint}/{parameter}"
-                for joint in joint_names(self._model)
+                for joint in joint_names(self.model_)
                 for parameter in self.parameter_names_
             ],
             dtype=object,

@@ -1,16 +1,6 @@
-"""From positions and torques to a physically consistent rigid-body model.
+"""From positions and torques to a physically consistent rigid-body model."""
 
-Tags and score of the estimators that take whole recordings.
-
-The steps of an identification, without the public estimator around them.
-
-`RobotIdentifier` checks its arguments and runs these steps on recordings in memory; on
-a running robot (`partial_fit`) and on recordings on several machines other parts bring
-the statistics, and the steps from there on are the same. They are a class since all of
-them read the estimator's parameters and set its attributes.
-"""
-
-import itertools
+from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
@@ -18,55 +8,62 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects import _declared as _friction
-from sklearn_vbjfa.effects._rest import Rest
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.model._urdf import write_identified
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
-from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
-from sklearn_vbjfa.regression._base import BaseJointFactorRegressor
-from sklearn_vbjfa.robot import _online, _torque_noise
+from sklearn_vbjfa.recording._recording import (
+    check_clock,
+    check_cutoff,
+    check_dt,
+    contiguous_groups,
+    take_arrays,
+)
+from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot._equations import (
-    RegressorRows,
-    Stretch,
     accumulate,
-    check_effects,
-    edge_rows,
-    effect_names,
-    filtered_equations,
-    fit_passes,
-    make_motion,
-    needs_load,
-    numbered_parts,
-    run,
+    equations,
+    joined,
+    regressor_rows,
+    segments,
     unexcited_entries,
 )
-from sklearn_vbjfa.robot._estimate import identifiable, min_eigenvalues, project_beside
+from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._joint_moments import split_residual
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
-    CUTOFF_PER_BANDWIDTH,
     MotionFacts,
+    Plan,
+    check_effects,
+    effect_names,
+    fastest_period,
+    make_plan,
+    n_fastest,
+    needs_load,
+    resolve_standstill,
+    smooth,
+    takes_moments,
+)
+from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_count,
     check_input_noise,
     check_length,
     check_speed,
-    check_time_stamps,
+    check_weight,
     check_widths,
-    fastest_period,
-    merge_all,
-    n_fastest,
-    resolve_clock,
-    resolve_cutoff,
-    resolve_standstill,
     warn_of_disorder,
 )
 from sklearn_vbjfa.robot._residuals import collect_residuals
-from sklearn_vbjfa.robot._states import SplineStates, fit_states, smooth_to
-from sklearn_vbjfa.robot._torque_noise import given_noise, rows_looked_at
+from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
+from sklearn_vbjfa.robot._torque_noise import (
+    filtered_noise,
+    given_noise,
+    noise_facts,
+    rows_looked_at,
+    seen,
+)
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -106,311 +103,7 @@ class RecordingRegressorMixin(RegressorMixin):
         return r2_score(y, predicted, sample_weight=sample_weight)
 
 
-# Filtered rows of the feature matrix that are in memory at once.
-_CHUNK_BYTES = 32 << 20
-
-
-def smooth_recording(x, start, estimator, keep, *, halves):
-    """States of one recording by splines, and what all have to know of it.
-
-    Parameters
-    ----------
-    x : ndarray of shape (n, nv)
-        Positions.
-    start : int
-        Number of its first row, for messages.
-    estimator : StateEstimator
-        Fitted estimator.
-    keep : int
-        `n_fastest` of all recordings.
-    halves : bool
-        Whether to make states from the even and from the odd samples as well.
-
-    Returns
-    -------
-    states : SplineStates
-        States.
-    halves : tuple of SplineStates or None
-        States from the even and from the odd samples.
-    facts : MotionFacts
-        Range and speeds.
-    """
-    n = x.shape[0]
-    states = SplineStates(estimator._splines(x, start), n)
-    both = None
-    if halves:
-        both = tuple(SplineStates(s, n) for s in estimator._half_splines(x, start))
-    rows = slice(None)
-    positions, speeds = states.derivative(rows, 0), states.derivative(rows, 1)
-    return states, both, MotionFacts.of(positions, speeds, keep)
-
-
-class IdentificationSteps:
-    """What `RobotIdentifier` does between its arguments and its attributes."""
-
-    def _load_robot(self):
-        """Load the model and name what will be identified."""
-        self.features_ = RigidBodyFeatures(self.model, friction=self.friction)._load()
-        self._nv = self.features_.n_joints_
-        self.joint_names_ = joint_names(self.features_._model)
-        self.effects_ = check_effects(self.effects, self._nv)
-        names, units = effect_names(self.effects_, self.features_._model)
-        self.parameter_names_ = self.features_.parameter_names_ + names
-        self.parameter_units_ = self.features_.parameter_units_ + units
-        self._load_theta = None
-        self._active_effects = ()
-
-    # -- states ----------------------------------------------------------------
-
-    def _fit_states(self, X, groups, parts, periods):
-        """States and halves of all recordings, and what is known of the motion.
-
-        Where positions are given both are lists of `SplineStates`, one a recording;
-        where states are given, or a mean period is, arrays of all rows. The halves are
-        None where the noise is not asked for.
-        """
-        self.state_estimator_ = None
-        if X.shape[1] == self._nv:
-            source = (X, groups) if periods is None else periods.both_starts()
-            self.state_estimator_ = self._new_state_estimator(*source)
-        if periods is not None:
-            even, odd = periods.states(self.state_estimator_)
-            # smoothing is linear: these are the states of the mean
-            halves = None if self.input_noise is None else (even, odd)
-            states = 0.5 * (even + odd)
-        elif self.state_estimator_ is None:
-            states, halves = X, None
-        else:
-            return self._smooth(X, parts)
-        v = states[:, self._nv : 2 * self._nv]
-        keep = n_fastest(states.shape[0])
-        return states, halves, MotionFacts.of(states[:, : self._nv], v, keep)
-
-    def _smooth(self, X, parts):
-        keep, halves = n_fastest(X.shape[0]), self.input_noise is not None
-        tasks = [
-            (X[part], part.start, self.state_estimator_, keep, halves) for part in parts
-        ]
-        made = list(run(_smooth_task, tasks, self.n_jobs))
-        states, halves, facts = zip(*made)
-        halves = None if halves[0] is None else tuple(map(list, zip(*halves)))
-        return list(states), halves, merge_all(facts, keep)
-
-    def _halves(self, X, groups):
-        """States from the even and from the odd samples, where the noise is asked."""
-        if self.input_noise is None or self.state_estimator_ is None:
-            return None
-        return self.state_estimator_.split_transform(X, groups=groups)
-
-    def _new_state_estimator(self, X, groups):
-        return fit_states(check_dt(self.dt), self.state_cutoff, X, groups)
-
-    def _states(self, X, groups, *, in_band=False):
-        """States of a query; `in_band` smooths to the band that was identified."""
-        return self._states_and_rest(X, groups, in_band=in_band)[0]
-
-    def _states_and_rest(self, X, groups, *, in_band=False):
-        """States of a query, and the `Rest` that tells the signs of their speeds."""
-        if X.shape[1] == 3 * self._nv:
-            return X, self._rest(np.zeros(self._nv))
-        estimator = self.state_estimator_
-        if estimator is None:
-            estimator = self._new_state_estimator(X, groups)
-        if in_band:
-            estimator = smooth_to(estimator, self.cutoff_)
-        states = estimator.transform(X, groups=groups)
-        return states, self._rest(estimator._velocity_noise())
-
-    def _rest(self, noise):
-        """Return what tells the signs of velocities with this noise (nv,)."""
-        time = np.full(self._nv, CUTOFF_PER_BANDWIDTH / self.cutoff_)
-        if not np.isfinite(self.cutoff_):
-            # rows of a running robot do not tell it either
-            time = getattr(self, "_fastest_period", time)
-        # What masks nothing is negative.
-        return Rest(speed=np.maximum(self.standstill_, 0.0), time=time, noise=noise)
-
-    # -- equations -------------------------------------------------------------
-
-    def _corrects_noise(self):
-        """Whether the regressor takes a measured covariance of the input noise."""
-        return self.regressor is None or (
-            getattr(self.regressor, "latent", None) == "correlated"
-            and self.regressor.input_noise is None
-        )
-
-    def _filtered(self, states, y, weight, parts, lowpass, halves=None, t=None, **kw):
-        """Yield the equations of what moves, see `filtered_equations`."""
-        stretches = self._stretches(states, y, weight, parts, halves, t, **kw)
-        return filtered_equations(stretches, lowpass, chunk_bytes=_CHUNK_BYTES)
-
-    def _stretches(
-        self, states, y, weight, parts, halves=None, t=None, *, ends=True, rest=None
-    ):
-        """Join recordings and their regressor matrices, ready for the low-pass.
-
-        States are arrays of all rows, or lists of one entry a recording. A `Rest` is
-        for comparing; what is fitted is masked at rest.
-        """
-        average = halves is not None and self._corrects_noise()
-        rows = [None] * len(parts)
-        if not average:
-            rows = self._rows_by_part(states, parts, t, rest)
-        both = [None] * len(parts)
-        if halves is not None:
-            both = list(zip(*[self._rows_by_part(half, parts, t) for half in halves]))
-        smoother = self.state_estimator_ if ends else None
-        return [
-            Stretch(
-                first=part.start,
-                states=own,
-                rows=row,
-                halves=pair,
-                torque=y[part],
-                weight=weight[part],
-                standstill=self.standstill_,
-                edge=edge_rows(part.stop - part.start, smoother),
-                number=number,
-            )
-            for number, (part, own, row, pair) in enumerate(
-                zip(parts, _each(states, parts), rows, both)
-            )
-        ]
-
-    def _rows_by_part(self, states, parts, t, rest=None):
-        if self._active_effects:
-            # Effects look at all recordings together (time, largest speeds).
-            whole = states
-            if isinstance(states, list):
-                whole = np.concatenate([own[:] for own in states])
-            rows = self._rows(whole, parts, t, rest)
-            return [rows.part(part) for part in parts]
-        return [
-            RegressorRows(self.features_, own, rest=rest)
-            for own in _each(states, parts)
-        ]
-
-    def _rows(self, states, parts, t, rest=None):
-        """Regressor matrices of states, with the effects' columns."""
-        motion, effects = None, self._active_effects
-        if effects:
-            signals = states, t, parts, self._load_theta, self.cutoff_
-            motion = make_motion(self.features_, *signals, rest)
-        return RegressorRows(self.features_, states, effects, motion, rest)
-
-    # -- estimation ------------------------------------------------------------
-
-    def _takes_statistics(self):
-        """Whether second moments are all that the regressor needs."""
-        known = self.regressor is None or isinstance(
-            self.regressor, BaseJointFactorRegressor
-        )
-        return known and not self.block_noise
-
-    def _new_estimator(self):
-        self.estimator_ = JointTorqueRegressor(
-            None if self.regressor is None else clone(self.regressor),
-            joint_weights=self.joint_weights,
-            block_noise=self.block_noise,
-            dt=self.dt,
-            cutoff=self.cutoff_ if np.isfinite(self.cutoff_) else None,
-        )
-        self.estimator_._begin()
-
-    def _fit_stretches(self, stretches, lowpass):
-        """Estimate from recordings, in parallel where statistics are all it takes."""
-        if not self._takes_statistics():
-            return self._fit_equations(
-                filtered_equations(stretches, lowpass, chunk_bytes=_CHUNK_BYTES),
-                numbered_parts(stretches, lowpass, chunk_bytes=_CHUNK_BYTES),
-            )
-        stats = accumulate(
-            stretches, lowpass, chunk_bytes=_CHUNK_BYTES, n_jobs=self.n_jobs
-        )
-        return self._fit_statistics(stats)
-
-    def _fit_equations(self, pieces, parts=None):
-        """Estimate from filtered (index, Phi, tau, weight), which may be a stream.
-
-        Without `numbered_parts` the equations count as independent.
-        """
-        self._new_estimator()
-        for (_, *equations), own in zip(pieces, parts or itertools.repeat(None)):
-            self.estimator_._accumulate(*equations, parts=own)
-        return self._estimate()
-
-    def _fit_statistics(self, stats):
-        """Estimate from the second moments of all equations."""
-        self._new_estimator()
-        self.estimator_._stats = stats
-        return self._estimate()
-
-    def _estimate(self):
-        stats = self.estimator_._stats
-        check_count(stats, self.standstill_, len(self.parameter_names_))
-        self.estimator_._forget(unexcited_entries(stats, self.features_.n_parameters_))
-        self.estimator_._finish()
-        self._constrain()
-        return self
-
-    def _constrain(self):
-        """Project, and derive what the data determine."""
-        self.theta_unconstrained_ = self.estimator_.theta_unconstrained_
-        self.theta_std_ = self.estimator_.theta_std_
-        metric = self.estimator_.metric_
-        self.identifiable_ = identifiable(metric)
-        self.theta_ = self.theta_unconstrained_
-        self.projector_ = None
-        if self.projector is not None:
-            self.projector_, self.theta_ = project_beside(
-                self.projector,
-                self.features_._model,
-                self.theta_unconstrained_,
-                metric,
-                _friction.check_names(self.friction),
-            )
-        self.min_eigenvalues_ = min_eigenvalues(self._bodies())
-        noise = split_residual(self.estimator_.statistics_, self.theta_)
-        self.input_noise_torque_, self.output_noise_ = noise
-        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
-
-    # -- noise of the torques --------------------------------------------------
-
-    def _noise_facts(self, X, y, t=None):
-        """Return what one recording says of the noise of its torques, or None."""
-        if not _torque_noise.seen(self.dt, self.cutoff_):
-            return None
-        states = self._states(X, None, in_band=True)
-        residual = y - self.predict(states, t=t)
-        return _torque_noise.noise_facts(residual, y, states, self.dt, self.cutoff_)
-
-    def _tell_noise(self, facts):
-        """Set the floor from the `_noise_facts` of all recordings."""
-        facts = [found for found in facts if found is not None]
-        if facts:
-            self.torque_noise_ = _torque_noise.filtered_noise(
-                facts, self.dt, self.cutoff_
-            )
-        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
-
-    def _bodies(self):
-        """Parameters of the features, (nv, 10 + number of friction columns)."""
-        return self.theta_[: self.features_.n_parameters_].reshape(self._nv, -1)
-
-    def _residuals_of(self, pieces):
-        return collect_residuals(pieces, self.theta_)
-
-
-def _smooth_task(x, start, estimator, keep, halves):
-    return smooth_recording(x, start, estimator, keep, halves=halves)
-
-
-def _each(states, parts):
-    """States of each recording, out of an array of all rows unless they are that."""
-    return states if isinstance(states, list) else [states[part] for part in parts]
-
-
-class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimator):
+class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     """Identify a robot: joint positions and torques in, rigid-body model out.
 
     The whole chain: states from positions, regressor matrices, parallel low-pass of
@@ -615,51 +308,174 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
             Fitted estimator.
         """
         self._online = None
-        self._load_robot()
-        X, y = self._validate(X, y)
-        check_input_noise(self.input_noise)
-        parts = contiguous_groups(groups, X.shape[0])
-        warn_of_disorder(self.joint_names_, X[:, : self._nv], parts, groups)
-        check_time_stamps(t, self.dt, parts)
-        clock = resolve_clock(t, self.dt, parts, self.effects_)
-        weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
-        periods = measure_periods(self, X, y, groups, weight)
-        states, halves, facts = self._fit_states(X, groups, parts, periods)
-        if self.state_estimator_ is not None:
-            travel = facts.highest - facts.lowest
-            check_speed(self.dt, facts.fast(), travel, self.features_._model)
-        check_channels(self.joint_names_, np.stack([facts.lowest, facts.highest]), y)
-        self.cutoff_ = resolve_cutoff(
-            self.cutoff, parts, self.dt, self.state_estimator_
-        )
-        self.standstill_ = resolve_standstill(self.standstill, facts.fast())
-        if not isinstance(states, list):
-            self._fastest_period = fastest_period(states)
-        lowpass = _lowpass.design(self.dt or 1.0, self.cutoff_)
+        self._declare()
+        recording = self._take(X, y, groups, sample_weight, t)
+        periods = measure_periods(self, recording, self.effects_)
+        plan, recording, states = self._prepare(recording, periods)
+        self._adopt(plan)
         if periods is None:
-            check_length(parts, lowpass, self.cutoff_)
             self.torque_noise_ = given_noise(
-                self.torque_noise, self._nv, self.dt, self.cutoff_
+                self.torque_noise, self.features_.n_joints_, self.dt, plan.cutoff
             )
-            recordings = states, y, weight, parts, halves, clock
         else:
-            self.torque_noise_ = periods.filtered_torque_noise(lowpass)
-            recordings = periods.equations(states, lowpass, halves)
-        for effects in fit_passes(self.effects_):
-            if needs_load(effects):
-                self._load_theta = self.theta_[: self.features_.n_parameters_]
-            self._active_effects = effects
-            stretches = self._stretches(*recordings, ends=periods is None)
-            self._fit_stretches(stretches, lowpass)
+            self.torque_noise_ = periods.filtered_torque_noise(plan.lowpass)
+        for one in plan.passes():
+            if needs_load(one.effects):
+                self._load = self.theta_[: self.features_.n_parameters_]
+            made = segments(recording, states, one, self.features_, theta=self._load)
+            self._set(self._estimate(made))
         if periods is None and self.torque_noise is None:
-            facts = (
-                self._noise_facts(
-                    X[rows], y[rows], None if clock is None else clock[rows]
-                )
-                for rows in map(rows_looked_at, parts)
-            )
-            self._tell_noise(facts)
+            X = recording.q if recording.states is None else recording.states
+            clock = plan.clock(recording)
+            facts = noise_of(self, X, recording.tau, recording.segments, clock)
+            tell_noise(self, facts)
         return self
+
+    # -- from the arguments to a plan --------------------------------------------------
+
+    def _declare(self):
+        """Load the model and name what will be identified."""
+        self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
+        self.joint_names_ = joint_names(self.features_.model_)
+        self.effects_ = check_effects(self.effects, self.features_.n_joints_)
+        names, units = effect_names(self.effects_, self.features_.model_)
+        self.parameter_names_ = self.features_.parameter_names_ + names
+        self.parameter_units_ = self.features_.parameter_units_ + units
+        self._load = None
+
+    def _take(self, X, y, groups, sample_weight, t):
+        """Make a `Recording` of the arguments of a fit, refusing what cannot be."""
+        X, y = validate_data(
+            self,
+            positions_in_order(X, self.joint_names_),
+            torques_in_order(y, self.joint_names_),
+            dtype=np.float64,
+            multi_output=True,
+            y_numeric=True,
+        )
+        y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
+        check_widths(self.joint_names_, X, y)
+        check_input_noise(self.input_noise)
+        nv = self.features_.n_joints_
+        parts = contiguous_groups(groups, X.shape[0])
+        warn_of_disorder(self.joint_names_, X[:, :nv], parts, groups)
+        check_time_stamps(t, self.dt, parts)
+        return self._recording(X, y, groups, check_weight(sample_weight, y.shape), t)
+
+    def _recording(self, X, y=None, groups=None, weight=None, t=None):
+        """Make a `Recording` of checked arrays; zero torques where none are given."""
+        nv = self.features_.n_joints_
+        positions = X.shape[1] == nv
+        dt = check_dt(self.dt) if positions or self.dt is not None else None
+        return take_arrays(
+            X,
+            np.zeros((X.shape[0], nv)) if y is None else y,
+            groups,
+            weight,
+            t,
+            dt=dt,
+            joint_names=self.joint_names_,
+        )
+
+    def _prepare(self, recording, periods):
+        """Plan the fit; return the plan, what it is of, and the states of that."""
+        lengths = [rows.stop - rows.start for rows in recording.segments]
+        estimator, nv = None, recording.nv
+        if recording.states is None:
+            source = recording.q, recording.groups
+            if periods is not None:
+                source = periods.both_starts()
+            estimator = fit_states(check_dt(self.dt), self.state_cutoff, *source)
+        halves = self.input_noise is not None
+        keep, fastest = n_fastest(recording.n_samples), None
+        if periods is None and estimator is not None:
+            states, facts = smooth(recording, estimator, halves, keep, self.n_jobs)
+        else:
+            both = None
+            whole = recording.states
+            if periods is not None:
+                both = periods.states(estimator)
+                # smoothing is linear: these are the states of the mean
+                whole = 0.5 * (both[0] + both[1])
+                keep = n_fastest(whole.shape[0])
+            facts = MotionFacts.of(whole[:, :nv], whole[:, nv : 2 * nv], keep)
+            fastest = fastest_period(whole)
+        if estimator is not None:
+            travel = facts.highest - facts.lowest
+            check_speed(self.dt, facts.fast(), travel, self.features_.model_)
+        ranges = np.stack([facts.lowest, facts.highest])
+        check_channels(self.joint_names_, ranges, recording.tau)
+        plan = make_plan(self, self.effects_, lengths, estimator, facts)
+        plan.clock(recording)  # refuses stamps that effects cannot do with
+        plan = replace(plan, fastest_period=fastest, repeats=periods is not None)
+        if periods is None:
+            check_length(recording.segments, plan.lowpass, plan.cutoff)
+            if estimator is None:
+                states = RecordingStates.of_rows(recording.segments, whole)
+            return plan, recording, states
+        both = both if halves else None
+        return plan, *periods.extended(recording, whole, both, plan.lowpass.half)
+
+    def _adopt(self, plan):
+        self._plan = plan
+        self.state_estimator_ = plan.state_estimator
+        self.cutoff_, self.standstill_ = plan.cutoff, plan.standstill
+
+    # -- from equations to attributes --------------------------------------------------
+
+    def _estimate(self, made):
+        """Estimate from segments, in parallel where second moments are all it takes."""
+        lowpass = self._plan.lowpass
+        if takes_moments(self.regressor, self.block_noise):
+            return self._estimate_moments(accumulate(made, lowpass, n_jobs=self.n_jobs))
+        return self._estimate_rows(equations(made, lowpass))
+
+    def _estimate_rows(self, pieces):
+        """Estimate from equations, which may be a stream."""
+        rows, total = [], None
+        keep = not takes_moments(self.regressor, self.block_noise)
+        for one in pieces:
+            moments = one.moments()
+            total = moments if total is None else total + moments
+            if keep:
+                rows.append(one)
+        return self._estimate_moments(total, rows)
+
+    def _estimate_moments(self, moments, rows=()):
+        """Estimate from the second moments of all equations."""
+        check_count(moments, self.standstill_, len(self.parameter_names_))
+        zeros = unexcited_entries(moments, self.features_.n_parameters_)
+        found = estimate(
+            moments.zeroed(zeros),
+            self.regressor,
+            joint_weights=self.joint_weights,
+            rows=[one.zeroed(zeros) for one in rows],
+            block_noise=self.block_noise,
+        )
+        return project(found, self.projector, self.features_)
+
+    def _set(self, found):
+        """Set what an estimate determines."""
+        self.estimator_ = JointTorqueRegressor.of_estimate(
+            found,
+            self._plan.lowpass,
+            regressor=None if self.regressor is None else clone(self.regressor),
+            joint_weights=self.joint_weights,
+            block_noise=self.block_noise,
+            dt=self.dt,
+            cutoff=self.cutoff_ if np.isfinite(self.cutoff_) else None,
+        )
+        self.theta_, self.theta_unconstrained_ = found.theta, found.theta_unconstrained
+        self.theta_std_, self.projector_ = found.std, found.projector
+        self.identifiable_ = found.identifiable
+        self.min_eigenvalues_ = min_eigenvalues(self._bodies())
+        self.input_noise_torque_, self.output_noise_ = found.noise()
+        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
+
+    def _bodies(self):
+        """Parameters of the features, (nv, 10 + number of friction columns)."""
+        rigid = self.theta_[: self.features_.n_parameters_]
+        return rigid.reshape(self.features_.n_joints_, -1)
 
     def partial_fit(self, X, y, sample_weight=None, *, refit=True):
         """Take in rows of a robot that is running, forgetting older ones.
@@ -698,26 +514,45 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
             than parameters.
         """
         if getattr(self, "_online", None) is None:
-            self._online = _online.begin(self)
-            self.n_features_in_ = 3 * self._nv
+            self._begin_online()
         self._online.forgetting = float(self.forgetting)
         X = positions_in_order(X, self.joint_names_)
         y = torques_in_order(y, self.joint_names_)
-        self._online.add(*_online.check_rows(self, X, y, sample_weight))
-        return self._fit_statistics(self._online.statistics()) if refit else self
+        rows = check_rows(self.joint_names_, X, y, sample_weight)
+        self._online.add(*rows, self.standstill_)
+        if refit:
+            self._set(self._estimate_moments(self._online.moments()))
+        return self
 
-    def _validate(self, X, y):
-        X, y = validate_data(
-            self,
-            positions_in_order(X, self.joint_names_),
-            torques_in_order(y, self.joint_names_),
-            dtype=np.float64,
-            multi_output=True,
-            y_numeric=True,
+    def _begin_online(self):
+        """Prepare for rows of a running robot."""
+        known = getattr(self, "standstill_", None)
+        fastest = getattr(getattr(self, "_plan", None), "fastest_period", None)
+        self._declare()
+        check_online(self, self.effects_)
+        nv = self.features_.n_joints_
+        automatic = isinstance(self.standstill, str)
+        if not automatic or known is None:
+            if automatic and self.standstill == "auto":
+                raise ValueError(
+                    "standstill='auto' needs the speeds of a whole recording, which "
+                    "partial_fit does not have: fit a recording first, or give "
+                    "standstill as speeds [rad/s or m/s], or as None."
+                )
+            known = resolve_standstill(self.standstill, np.zeros(nv))
+        self._adopt(
+            Plan(
+                dt=self.dt,
+                state_estimator=None,
+                cutoff=np.inf,
+                lowpass=_lowpass.design(1.0, np.inf),
+                standstill=known,
+                fastest_period=fastest,
+            )
         )
-        y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
-        check_widths(self.joint_names_, X, y)
-        return X, y
+        self.torque_noise_ = np.full(nv, np.nan)
+        self._online = OnlineMoments(self.features_, float(self.forgetting))
+        self.n_features_in_ = 3 * nv
 
     def predict(self, X, groups=None, t=None):
         r"""Predict the joint torques.
@@ -761,17 +596,34 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         """
         check_is_fitted(self)
         X = self._validate_query(X)
-        states, rest = self._states_and_rest(X, groups, in_band=True)
-        parts = contiguous_groups(groups, X.shape[0])
-        clock = resolve_clock(t, self.dt, parts, self.effects_)
-        rows = self._rows(states, parts, clock, rest)
-        count = max(1, _CHUNK_BYTES // (8 * self._nv * self.theta_.size))
-        return np.concatenate(
-            [
-                rows(slice(i, i + count)) @ self.theta_
-                for i in range(0, states.shape[0], count)
-            ]
+        recording = self._recording(X, groups=groups, t=self._clock(t, X.shape[0]))
+        states, rest = self._query(X, groups, in_band=True)
+        own = [states[rows] for rows in recording.segments]
+        rows = regressor_rows(
+            recording, own, self._plan, self.features_, theta=self._load, rest=rest
         )
+        return np.concatenate([one.predict(self.theta_) for one in rows])
+
+    def _clock(self, t, n_samples):
+        """Return the time of each row of a query [s], of stamps where effects ask."""
+        timed = any("time" in effect.needs for effect in self.effects_)
+        return check_clock(t if timed else None, n_samples, self.dt)
+
+    def _query(self, X, groups, *, in_band=False):
+        """States (n, 3 nv) of a query, and the `Rest` that tells their signs of speed.
+
+        With `in_band` they are smoothed to the band that was identified.
+        """
+        nv = self.features_.n_joints_
+        if X.shape[1] == 3 * nv:
+            return X, self._plan.rest(np.zeros(nv))
+        estimator = self._plan.state_estimator
+        if estimator is None:
+            estimator = fit_states(check_dt(self.dt), self.state_cutoff, X, groups)
+        if in_band:
+            estimator = smooth_to(estimator, self.cutoff_)
+        states = estimator.transform(X, groups=groups)
+        return states, self._plan.rest(estimator.velocity_noise())
 
     def _validate_query(self, X):
         # Positions and states are both welcome, whichever the fit got.
@@ -814,8 +666,7 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         y = torques_in_order(y, self.joint_names_)
         y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
-        parts = contiguous_groups(groups, X.shape[0])
-        weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
+        weight = check_weight(sample_weight, y.shape)
         if isinstance(cutoff, str) and cutoff == "fit":
             cutoff = self.cutoff_
         elif cutoff is None:
@@ -823,15 +674,27 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         else:
             cutoff = check_cutoff(cutoff, check_dt(self.dt), "cutoff")
         lowpass = _lowpass.design(self.dt or 1.0, cutoff)
-        check_length(parts, lowpass, cutoff)
-        clock = resolve_clock(t, self.dt, parts, self.effects_)
-        states, rest = self._states_and_rest(X, groups)
-        signals = states, y, weight, parts, lowpass
-        found = self._residuals_of(self._filtered(*signals, t=clock))
+        check_length(contiguous_groups(groups, X.shape[0]), lowpass, cutoff)
+        clock = self._clock(t, X.shape[0])
+        recording = self._recording(X, y, groups, weight, clock)
+        states, rest = self._query(X, groups)
+        states = RecordingStates.of_rows(recording.segments, states)
+
+        def compared(rest):
+            made = segments(
+                recording,
+                states,
+                replace(self._plan, repeats=False),
+                self.features_,
+                theta=self._load,
+                rest=rest,
+            )
+            return collect_residuals(equations(made, lowpass), self.theta_)
+
+        found = compared(None)
         if not (found.weight > 0).all():
             # What counts has the columns of the fit; what stands is predicted.
-            stands = self._residuals_of(self._filtered(*signals, t=clock, rest=rest))
-            found = found.filled(stands)
+            found = found.filled(compared(rest))
         return found
 
     def to_urdf(self, path):
@@ -852,8 +715,148 @@ class RobotIdentifier(IdentificationSteps, RecordingRegressorMixin, BaseEstimato
         write_identified(
             self.model,
             path,
-            self.features_._model,
+            self.features_.model_,
             self._bodies(),
-            _friction.check_names(self.friction),
+            self.features_.friction_,
             self.min_eigenvalues_,
         )
+
+
+# -- what other rooms do with an identifier ------------------------------------------
+
+
+def declare(identifier):
+    """Load an identifier's model; names of joints and parameters are set."""
+    identifier._online = None
+    identifier._declare()
+
+
+def conclude(identifier, plan, moments):
+    """Fit an identifier to second moments that were made by a plan elsewhere."""
+    identifier._adopt(plan)
+    identifier.torque_noise_ = given_noise(
+        identifier.torque_noise, plan.standstill.size, plan.dt, plan.cutoff
+    )
+    identifier._set(identifier._estimate_moments(moments))
+
+
+def noise_of(identifier, X, y, segments, clock=None):
+    """Return what recordings say of the noise of their torques, a list of facts.
+
+    Parameters
+    ----------
+    identifier : RobotIdentifier
+        Fitted identifier.
+    X, y : ndarray
+        Positions or states, torques.
+    segments : sequence of slice
+        Recordings.
+    clock : ndarray or None
+        Time of each row [s].
+    """
+    if not seen(identifier.dt, identifier.cutoff_):
+        return []
+    found = []
+    for rows in map(rows_looked_at, segments):
+        states, _ = identifier._query(X[rows], None, in_band=True)
+        t = None if clock is None else clock[rows]
+        residual = y[rows] - identifier.predict(states, t=t)
+        band = identifier.dt, identifier.cutoff_
+        found.append(noise_facts(residual, y[rows], states, *band))
+    return found
+
+
+def tell_noise(identifier, facts):
+    """Set the floor from what all recordings say of the noise of their torques."""
+    if facts:
+        identifier.torque_noise_ = filtered_noise(
+            facts, identifier.dt, identifier.cutoff_
+        )
+    identifier.noise_floor_ = np.hypot(
+        identifier.torque_noise_, identifier.input_noise_torque_
+    )
+
+
+def states_of(identifier, X, groups=None):
+    """States (n, 3 nv) of a recording, smoothed as a fitted identifier does."""
+    return identifier._query(X, groups)[0]
+
+
+def equations_of(identifier, X, y, groups, weight, t=None):
+    """Make the filtered equations of a recording as a fitted identifier does.
+
+    Returns
+    -------
+    Equations
+        With `index`, the rows that they stand at.
+    """
+    recording = identifier._recording(X, y, groups, weight, t)
+    states = states_of(identifier, X, groups)
+    plan = replace(identifier._plan, repeats=False)
+    made = segments(
+        recording,
+        RecordingStates.of_rows(recording.segments, states),
+        plan,
+        identifier.features_,
+        theta=identifier._load,
+    )
+    return joined(equations(made, plan.lowpass))
+
+
+def pieces_of(identifier, X, y, groups, *, halves=None):
+    """Make the equations of a recording for other estimators than the identifier's.
+
+    Parameters
+    ----------
+    identifier : RobotIdentifier
+        Fitted identifier.
+    X, y, groups : array-like
+        Recording.
+    halves : {"noise", "instruments"}, default=None
+        What the states of the even and of the odd samples are for: the difference of
+        their regressor matrices, or the odd ones as instruments of the even ones.
+
+    Returns
+    -------
+    list of Equations
+    """
+    weight = np.ones(y.shape)
+    recording = identifier._recording(X, y, groups, weight)
+    plan, features = identifier._plan, identifier.features_
+
+    def pieces(states):
+        made = segments(recording, states, plan, features, theta=identifier._load)
+        return list(equations(made, plan.lowpass))
+
+    def of_rows(states, both=None):
+        return RecordingStates.of_rows(recording.segments, states, both)
+
+    known = plan.state_estimator is not None and identifier.input_noise is not None
+    if halves == "instruments":
+        even, odd = plan.state_estimator.split_transform(X, groups)
+        # An equation counts only where both halves say that the joint moves.
+        return [
+            replace(
+                one,
+                weight=np.minimum(one.weight, other.weight),
+                instruments=other.Phi,
+            )
+            for one, other in zip(pieces(of_rows(even)), pieces(of_rows(odd)))
+        ]
+    both = None
+    if halves == "noise" and known:
+        both = plan.state_estimator.split_transform(X, groups=groups)
+    return pieces(of_rows(states_of(identifier, X, groups), both))
+
+
+def estimate_of(identifier, pieces, settings):
+    """Estimate from a fitted identifier's equations with another one's settings."""
+    other = clone(settings)
+    other._declare()
+    other._adopt(identifier._plan)
+    return other._estimate_rows(pieces)
+
+
+def load_parameters(identifier):
+    """Parameters of the bodies that a fit made the effects' load of; None without."""
+    return identifier._load

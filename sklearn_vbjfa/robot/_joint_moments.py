@@ -1,18 +1,15 @@
-"""Second moments of joint-torque regressors, joint by joint.
+"""Second moments of the equations of joints that share one parameter vector.
 
-Second moments of blocks of time: what tells how residuals are correlated.
-
-They are made together with the moments of all rows, which are their sum, and merged
-like those, so that recordings may come in pieces, in any order and from several
-machines.
+Sums over rows, so that recordings may come in pieces, in any order and from several
+machines. Beside those of all rows stand the moments of blocks of time, which tell how
+residuals are correlated.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
 
-from sklearn_vbjfa._core._moments import SufficientStatistics
+from sklearn_vbjfa._core._moments import Moments
 from sklearn_vbjfa._core._sandwich import block_variance
 
 # Blocks that the recordings of a fit are divided into, all together, and the fewest
@@ -97,7 +94,7 @@ class BlockMoments:
     g: tuple
 
 
-def merge(first, second):
+def _merge_blocks(first, second):
     """Merge the blocks of disjoint rows, tuples of BlockMoments; None if one is."""
     if first is None or second is None:
         return None
@@ -139,12 +136,12 @@ def _join(several):
     return out
 
 
-def variance(stats, weight, theta):
+def block_scatter(stats, weight, theta):
     """Compare the scatter of an estimate between blocks with that of white residuals.
 
     Parameters
     ----------
-    stats : JointStatistics
+    stats : JointMoments
         Moments of all rows and of the blocks; entries of the former that are zero
         count as such in the latter.
     weight : ndarray of shape (nv,)
@@ -159,7 +156,9 @@ def variance(stats, weight, theta):
     """
     keys = np.concatenate([moments.keys for moments in stats.blocks])
     if np.unique(keys, axis=0).shape[0] < keys.shape[0]:
-        return variance(replace(stats, blocks=(_join(stats.blocks),)), weight, theta)
+        return block_scatter(
+            replace(stats, blocks=(_join(stats.blocks),)), weight, theta
+        )
     p = theta.size
     grams, scores = np.zeros((keys.shape[0], p, p)), np.zeros((keys.shape[0], p))
     # What the scores add up to is the input noise's part, or a prior's: every row's.
@@ -187,7 +186,7 @@ def variance(stats, weight, theta):
 
 
 @dataclass(frozen=True, kw_only=True)
-class JointStatistics:
+class JointMoments:
     """What a fit of one shared parameter vector needs of each joint's equations.
 
     Attributes
@@ -214,22 +213,83 @@ class JointStatistics:
     g: np.ndarray
     yy: np.ndarray
     noise: np.ndarray | None = None
-    blocks: dict | None = None
+    blocks: tuple | None = None
 
     def __add__(self, other):
-        """Merge the statistics of disjoint rows."""
-        return JointStatistics(
+        """Merge the moments of disjoint rows."""
+        return JointMoments(
             n=self.n + other.n,
             n_rows=self.n_rows + other.n_rows,
             G=self.G + other.G,
             g=self.g + other.g,
             yy=self.yy + other.yy,
             noise=None if self.noise is None else self.noise + other.noise,
-            blocks=merge(self.blocks, other.blocks),
+            blocks=_merge_blocks(self.blocks, other.blocks),
         )
 
+    def zeroed(self, entries):
+        """Return the moments with entries (nv, p), bool, of all rows set to zero."""
+        keep = ~entries
+        both = keep[:, :, None] * keep[:, None, :]
+        noise = None if self.noise is None else self.noise * both
+        return replace(self, G=self.G * both, g=self.g * keep, noise=noise)
 
-def joint_statistics(Phi, tau, weight, difference=None, parts=None):
+    def columns(self, chosen):
+        """Return the moments of some of the columns, without blocks of time."""
+        both = np.ix_(range(self.n.size), chosen, chosen)
+        noise = None if self.noise is None else self.noise[both]
+        return replace(
+            self, G=self.G[both], g=self.g[:, chosen], noise=noise, blocks=None
+        )
+
+    def residual_squares(self, theta):
+        """Weighted sum of squared residuals of each joint, ndarray of shape (nv,)."""
+        squares = self.yy - 2 * self.g @ theta
+        squares += np.einsum("i,jik,k->j", theta, self.G, theta)
+        # A difference of sums: below this share of yy it is rounding.
+        return np.maximum(squares, 1e-13 * self.yy)
+
+    def split_residual(self, theta):
+        """Split each joint's residual into what input noise explains and the rest.
+
+        Returns
+        -------
+        through, rest : ndarray of shape (nv,)
+            Standard deviations of the input noise through the parameters, and of what
+            it leaves; nan for the rest of a joint without rows.
+        """
+        n = np.where(self.n > 0, self.n, np.nan)
+        through = np.zeros(n.size)
+        if self.noise is not None:
+            through = np.einsum("i,jik,k->j", theta, self.noise, theta) / n
+            through = np.maximum(through, 0.0)  # rounding
+        rest = self.residual_squares(theta) / n - through
+        return np.sqrt(through), np.sqrt(np.maximum(rest, 0.0))
+
+    def total(self, weight):
+        """Return the moments about zero of all joints' rows, weighted by (nv,)."""
+        p = self.g.shape[1]
+        used = weight > 0
+        scatter = np.empty((p + 1, p + 1))
+        scatter[:-1, :-1] = np.einsum("j,jik->ik", weight, self.G)
+        scatter[-1, :-1] = scatter[:-1, -1] = weight @ self.g
+        scatter[-1, -1] = weight @ self.yy
+        return Moments(
+            n_rows=int(self.n_rows[used].sum()),
+            n_samples=float(self.n[used].sum()),
+            mean=np.zeros(p + 1),
+            scatter=scatter,
+        )
+
+    def total_noise(self, weight):
+        """Input-noise covariance (p, p) of a weighted row of all joints, or None."""
+        if self.noise is None:
+            return None
+        total = self.n[weight > 0].sum()
+        return np.einsum("j,jik->ik", weight, self.noise) / total
+
+
+def joint_moments(Phi, tau, weight, difference=None, parts=None):
     """Accumulate rows.
 
     Parameters
@@ -259,7 +319,7 @@ def joint_statistics(Phi, tau, weight, difference=None, parts=None):
         columns, Gs, gs = zip(*made)
         n = np.add.reduceat(weight, starts, axis=0)
         blocks = (BlockMoments(keys=keys, n=n, columns=columns, G=Gs, g=gs),)
-    return JointStatistics(
+    return JointMoments(
         n=weight.sum(axis=0),
         n_rows=(weight > 0).sum(axis=0),
         G=G,
@@ -306,155 +366,3 @@ def _gram(Phi, root):
         rows = Phi[:, j, used] * root[:, j, None]
         G[j, used, used] = rows.T @ rows
     return G
-
-
-def _least_squares(G, g):
-    """Minimum-norm solution in columns scaled to unit diagonal."""
-    scale = np.sqrt(np.diagonal(G))
-    unit = np.where(scale > 0, scale, 1.0)
-    values, vectors = linalg.eigh(G / np.outer(unit, unit))
-    keep = values > max(values[-1], 0.0) * values.size * np.finfo(float).eps * 8
-    V = vectors[:, keep]
-    return V @ ((V.T @ (g / unit)) / values[keep]) / unit
-
-
-def residual_squares(stats, theta):
-    """Weighted sum of squared residuals of each joint, ndarray of shape (nv,)."""
-    squares = stats.yy - 2 * stats.g @ theta
-    squares += np.einsum("i,jik,k->j", theta, stats.G, theta)
-    # A difference of sums: below this share of yy it is rounding.
-    return np.maximum(squares, 1e-13 * stats.yy)
-
-
-def split_residual(stats, theta):
-    """Split each joint's residual into what input noise explains and the rest.
-
-    Returns
-    -------
-    through, rest : ndarray of shape (nv,)
-        Standard deviations of the input noise through the parameters, and of what it
-        leaves; nan for the rest of a joint without rows.
-    """
-    n = np.where(stats.n > 0, stats.n, np.nan)
-    through = np.zeros(n.size)
-    if stats.noise is not None:
-        through = np.einsum("i,jik,k->j", theta, stats.noise, theta) / n
-        through = np.maximum(through, 0.0)  # rounding
-    rest = residual_squares(stats, theta) / n - through
-    return np.sqrt(through), np.sqrt(np.maximum(rest, 0.0))
-
-
-def noise_weights(stats, max_iter=30, tol=1e-6):
-    """Inverse residual variance of each joint by iterated weighted least squares.
-
-    Starts from the torques' own mean squares, so that the unit of a joint's torque
-    never matters; a joint without rows gets the weight zero.
-    """
-    used = stats.n > 0
-    n = np.where(used, stats.n, 1.0)
-    variance = np.where(used & (stats.yy > 0), stats.yy / n, np.inf)
-    for _ in range(max_iter):
-        weight = 1.0 / variance
-        theta = _least_squares(
-            np.einsum("j,jik->ik", weight, stats.G), weight @ stats.g
-        )
-        new = residual_squares(stats, theta) / n
-        new = np.where(np.isfinite(variance), new, np.inf)
-        # A joint that is fitted exactly would get an infinite weight.
-        new = np.maximum(new, 1e-12 * np.where(used, stats.yy / n, np.inf))
-        new = np.where(new > 0, new, np.inf)
-        finite = np.isfinite(new)
-        change = np.abs(new[finite] / variance[finite] - 1)
-        variance = new
-        if change.size == 0 or change.max() < tol:
-            break
-    return 1.0 / variance
-
-
-# Degrees of freedom of Student's t; the customary value for robust regression without
-# tuning (Lange, Little and Taylor, 1989).
-_STUDENT_FREEDOM = 4.0
-
-
-def block_precisions(pieces, blocks, max_iter=20, tol=1e-3):
-    """Relative precision of each joint's noise in each block of time.
-
-    The residual of a joint is Gaussian with a precision of its own in every block,
-    Gamma(nu/2, nu/2) times the joint's: a multivariate Student t. What the model lacks
-    (stiction, transients) comes in stretches of time, which then count less. The
-    parameters in between are weighted least squares; EM to convergence.
-
-    Parameters
-    ----------
-    pieces : list of (Phi, tau, weight)
-        Equations (n, nv, p), (n, nv), (n, nv).
-    blocks : list of ndarray of shape (n,)
-        Number of the block of each row, over all pieces.
-
-    Returns
-    -------
-    list of ndarray of shape (n, nv)
-        Factors of the weights, near one.
-    """
-    n_blocks = 1 + max(int(block.max()) for block in blocks)
-    nv = pieces[0][1].shape[1]
-    nu = _STUDENT_FREEDOM
-    factor = np.ones((n_blocks, nv))
-    count = sum(_by_block(w, b, n_blocks) for (_, _, w), b in zip(pieces, blocks))
-    for _ in range(max_iter):
-        stats = _sum_statistics(pieces, blocks, factor)
-        weight = noise_weights(stats)
-        theta = _least_squares(
-            np.einsum("j,jik->ik", weight, stats.G), weight @ stats.g
-        )
-        squares = sum(
-            _by_block(w * (tau - Phi @ theta) ** 2, b, n_blocks)
-            for (Phi, tau, w), b in zip(pieces, blocks)
-        )
-        scaled = squares * weight
-        new = (nu + count) / (nu + scaled)
-        new = np.where(count > 0, new, 1.0)
-        change = np.abs(new / factor - 1).max()
-        factor = new
-        if change < tol:
-            break
-    return [factor[b] for b in blocks]
-
-
-def _by_block(values, block, n_blocks):
-    out = np.zeros((n_blocks, values.shape[1]))
-    np.add.at(out, block, values)
-    return out
-
-
-def _sum_statistics(pieces, blocks, factor):
-    total = None
-    for (Phi, tau, weight), block in zip(pieces, blocks):
-        stats = joint_statistics(Phi, tau, weight * factor[block])
-        # The factors re-weight the samples; their number stays what it is.
-        stats = replace(stats, n=weight.sum(axis=0))
-        total = stats if total is None else total + stats
-    return total
-
-
-def combined_noise(stats, weight):
-    """Input-noise covariance per weighted row of all joints together, or None."""
-    if stats.noise is None:
-        return None
-    total = stats.n[weight > 0].sum()
-    return np.einsum("j,jik->ik", weight, stats.noise) / total
-
-
-def combine(stats, weight):
-    """Statistics of all joints' rows together, weighted, about zero."""
-    p = stats.g.shape[1]
-    used = weight > 0
-    return SufficientStatistics(
-        n_rows=int(stats.n_rows[used].sum()),
-        n_samples=float(stats.n[used].sum()),
-        x_mean=np.zeros(p),
-        y_mean=0.0,
-        S_xx=np.einsum("j,jik->ik", weight, stats.G),
-        S_xy=weight @ stats.g,
-        S_yy=float(weight @ stats.yy),
-    )

@@ -1,9 +1,4 @@
-"""One parameter vector from the torques of all joints, as a scikit-learn regressor.
-
-Metadata routing from a fit to the regressor of its equations.
-"""
-
-from dataclasses import replace
+"""One parameter vector from the torques of all joints, as a scikit-learn regressor."""
 
 import numpy as np
 from sklearn import get_config
@@ -16,18 +11,11 @@ from sklearn.utils.metadata_routing import (
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._lowpass import averaging, decimate
+from sklearn_vbjfa._core._lowpass import decimate, filter_weight
 from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
-from sklearn_vbjfa.regression._base import BaseJointFactorRegressor
-from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
-from sklearn_vbjfa.robot import _joint_moments
-from sklearn_vbjfa.robot._joint_moments import (
-    block_precisions,
-    combine,
-    combined_noise,
-    joint_statistics,
-    noise_weights,
-)
+from sklearn_vbjfa.robot._equations import Equations
+from sklearn_vbjfa.robot._estimate import default_regressor, estimate
+from sklearn_vbjfa.robot._recording_checks import check_weight
 
 # What the rows of the equations have, too; their instruments go along without asking.
 _FORWARDED = ("groups", "sample_weight")
@@ -52,21 +40,23 @@ class ForwardingMixin:
             router.add(regressor=self.regressor, method_mapping=_fit_to_fit())
         return router
 
-    def _forwarded(self, values):
+    def _forwarded(self, regressor, values):
         """Return what the regressor's `fit` requests, as keyword arguments.
 
         Parameters
         ----------
+        regressor : estimator
+            Clone of `regressor`.
         values : dict of str to ndarray of shape (n_equations,)
             Groups and weights of the equations, as far as there are any.
         """
         if not get_config()["enable_metadata_routing"]:
             return {}
-        requested = _requested(self.regressor_) & set(values)
+        requested = _requested(regressor) & set(values)
         if not requested:
             return {}
         router = MetadataRouter(owner=self)
-        router.add(regressor=self.regressor_, method_mapping=_fit_to_fit())
+        router.add(regressor=regressor, method_mapping=_fit_to_fit())
         params = {name: values[name] for name in requested}
         return dict(router.route_params(caller="fit", params=params)["regressor"].fit)
 
@@ -96,14 +86,6 @@ def _fit_to_fit():
 def _requested(regressor):
     routing = get_routing_for_object(regressor)
     return set(routing.consumes("fit", _FORWARDED))
-
-
-# Rows of a block of constant noise: 2.5 periods of the cut-off.
-_BLOCK_ROWS = 10
-# Student's t has a deviation from three degrees of freedom on.
-_LEAST_FREEDOM = 3.0
-# A filtered row counts when at least this share of the filter's neighbourhood counts.
-_MASK_SHARE = 0.5
 
 
 class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
@@ -138,7 +120,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         reversal that looks like friction). None filters nothing. The filter's length
         is lost at both ends of each recording.
     decimation : int, default=None
-        Keep every so-manieth filtered sample; None keeps four per period of the
+        Keep one filtered sample in this many; None keeps four per period of the
         cut-off.
     block_noise : bool, default=False
         Whether the noise of each joint may differ between blocks of time (ten
@@ -266,7 +248,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
                 f"y has {nv} joints, so that the number of columns of X must be a "
                 f"multiple of {nv}; got {X.shape[1]}."
             )
-        weight = self._check_weight(sample_weight, tau.shape)
+        weight = check_weight(sample_weight, tau.shape)
         if instruments is not None:
             instruments = np.asarray(instruments, dtype=float)
             if instruments.shape != X.shape:
@@ -274,53 +256,39 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
                     f"instruments must have the shape of X, {X.shape}; got "
                     f"{instruments.shape}."
                 )
-        lowpass = self._begin()
-        labels = None if groups is None else np.asarray(groups)
+        lowpass = self._design()
+        pieces, labels = [], []
         for part in contiguous_groups(groups, X.shape[0]):
-            Phi = X[part].reshape(-1, nv, X.shape[1] // nv)
-            Z = None if instruments is None else instruments[part].reshape(Phi.shape)
-            self._accumulate(
-                decimate(lowpass, Phi),
-                decimate(lowpass, tau[part]),
-                filter_weight(lowpass, weight[part]),
-                None if Z is None else decimate(lowpass, Z),
+            matrices = (len(tau[part]), nv, X.shape[1] // nv)
+            Z = None if instruments is None else instruments[part].reshape(matrices)
+            one = Equations(
+                Phi=decimate(lowpass, X[part].reshape(matrices)),
+                tau=decimate(lowpass, tau[part]),
+                weight=filter_weight(lowpass, weight[part]),
+                instruments=None if Z is None else decimate(lowpass, Z),
             )
-            if labels is not None:
-                # one for each piece that was kept, which a short one is not
-                new = len(self._rows) - len(self._labels)
-                self._labels += [labels[part.start]] * new
-        return self._finish()
-
-    @staticmethod
-    def _check_weight(sample_weight, shape):
-        if sample_weight is None:
-            return np.ones(shape)
-        weight = np.asarray(sample_weight, dtype=float)
-        if weight.shape not in {shape, shape[:1]}:
+            if one.tau.shape[0]:
+                pieces.append(one)
+                labels.append(None if groups is None else np.asarray(groups)[part][0])
+        total = None
+        for one in pieces:
+            moments = one.moments()
+            total = moments if total is None else total + moments
+        if total is None or not total.n.any():
             raise ValueError(
-                f"sample_weight must have the shape {shape[:1]} or {shape}; got "
-                f"{weight.shape}."
+                "No equation is left to fit: every sample was masked, or the "
+                "recordings are shorter than the low-pass filter "
+                f"({2 * lowpass.half + 1} samples). Raise the cut-off or give "
+                "longer recordings."
             )
-        if not np.isfinite(weight).all() or weight.min() < 0:
-            raise ValueError("sample_weight must be finite and not negative.")
-        if not weight.any():
-            raise ValueError(
-                "Sample weights must contain at least one non-zero number."
-            )
-        return weight if weight.ndim == 2 else np.repeat(weight[:, None], shape[1], 1)
+        if groups is None:
+            labels = None
+        self._set(self._estimate(total, pieces, labels))
+        self.theta_ = self._project(self.theta_unconstrained_)
+        return self
 
-    # The three stages are apart so that a recording can come in pieces.
-
-    def _begin(self):
-        """Design the filter and forget what was accumulated."""
-        self._stats = None
-        self._rows = []
-        self._labels = []
-        regressor = self.regressor
-        if regressor is None:
-            regressor = VBJFARegressor(latent="correlated", query="noiseless")
-        self.regressor_ = clone(regressor)
-        self._from_statistics = isinstance(self.regressor_, BaseJointFactorRegressor)
+    def _design(self):
+        """Design the filter."""
         if self.cutoff is None:
             self.lowpass_ = _lowpass.design(1.0, np.inf, self.decimation)
         else:
@@ -329,195 +297,52 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             self.lowpass_ = _lowpass.design(dt, cutoff, self.decimation)
         return self.lowpass_
 
-    def _accumulate(
-        self, Phi, tau, weight, instruments=None, difference=None, *, parts=None
-    ):
-        """Take in filtered rows (n, nv, p), (n, nv), (n, nv), and keys of blocks."""
-        if Phi.shape[0] == 0:
-            return
-        stats = joint_statistics(Phi, tau, weight, difference, parts)
-        self._stats = stats if self._stats is None else self._stats + stats
-        if self.block_noise or not self._from_statistics:
-            self._rows.append((Phi, tau, weight, instruments, difference, parts))
+    def _estimate(self, moments, pieces, labels):
+        regressor = default_regressor() if self.regressor is None else self.regressor
 
-    def _forget(self, entries):
-        """Set entries (nv, p) of all regressor matrices to zero."""
-        for rows in self._rows:
-            rows[0][:, entries] = 0.0
-        keep = ~entries
-        both = keep[:, :, None] * keep[:, None, :]
-        noise = self._stats.noise
-        self._stats = replace(
-            self._stats,
-            G=self._stats.G * both,
-            g=self._stats.g * keep,
-            noise=None if noise is None else noise * both,
+        def forward(regressor, rows, weight):
+            values = {"sample_weight": weight / weight.mean()}
+            if labels is not None:
+                counted = [one.weight > 0 for one in rows]
+                values["groups"] = labels_of_equations(labels, counted)
+            return self._forwarded(regressor, values)
+
+        return estimate(
+            moments,
+            regressor,
+            joint_weights=self.joint_weights,
+            rows=pieces,
+            block_noise=self.block_noise,
+            forward=forward,
         )
 
-    def _finish(self):
-        """Weight the joints, fit, project."""
-        stats = self._stats
-        if stats is None or not stats.n.any():
-            raise ValueError(
-                "No equation is left to fit: every sample was masked, or the "
-                "recordings are shorter than the low-pass filter "
-                f"({2 * self.lowpass_.half + 1} samples). Raise the cut-off or give "
-                "longer recordings."
-            )
-        self.block_factors_ = None
-        if self.block_noise:
-            stats = self._weight_blocks()
-        self.joint_weights_ = self._resolve_weights(stats)
-        self.n_rows_ = stats.n_rows
-        total = combine(stats, self.joint_weights_)
-        self.input_noise_ = combined_noise(stats, self.joint_weights_)
-        self.metric_ = total.S_xx
-        if self.input_noise_ is not None:
-            self.metric_ = _denoised(total, self.input_noise_)
-        if self._from_statistics:
-            theta, std = self._fit_from_statistics(total)
-        else:
-            theta, std = self._fit_rows(total)
-        self.theta_unconstrained_ = theta
-        self.theta_std_ = std * self._correlation(stats, theta)
-        self.statistics_ = replace(stats, blocks=None)
-        self.theta_ = self._project(theta)
-        del self._stats, self._rows, self._labels
-        return self
+    @classmethod
+    def of_estimate(cls, found, lowpass, **settings):
+        """Make a fitted estimator of an `Estimate` that these settings gave.
 
-    def _correlation(self, stats, theta):
-        """Return what residuals correlated in time do to the deviations, factors (p,).
-
-        Of the distribution of the estimate, Student's t with the freedom that the
-        blocks leave: its deviation is a little larger than that of a normal one.
+        Parameters
+        ----------
+        found : Estimate
+            Estimate, whose projection is left aside.
+        lowpass : Lowpass
+            What its equations passed.
+        **settings
+            Parameters of the estimator.
         """
-        if stats.blocks is None or not np.isfinite(theta).all():
-            return np.ones(theta.size)
-        found = _joint_moments.variance(stats, self.joint_weights_, theta)
-        freedom = np.maximum(found.freedom, _LEAST_FREEDOM)
-        factor = np.sqrt(found.factor * freedom / (freedom - 2.0))
-        # What no equation determines stays as it is.
-        return np.where(np.isfinite(factor), factor, 1.0)
+        made = cls(**settings)
+        made.lowpass_, made.projector_ = lowpass, None
+        made._set(found)
+        return made
 
-    def _weight_blocks(self):
-        """Weight the rows by the precision of their blocks; return statistics."""
-        blocks, first = [], 0
-        for Phi, *_ in self._rows:
-            block = first + np.arange(Phi.shape[0]) // _BLOCK_ROWS
-            first = int(block[-1]) + 1
-            blocks.append(block)
-        pieces = [row[:3] for row in self._rows]
-        self.block_factors_ = block_precisions(pieces, blocks)
-        self._rows = [
-            (Phi, tau, w * factor, *others)
-            for (Phi, tau, w, *others), factor in zip(self._rows, self.block_factors_)
-        ]
-        total = None
-        for (Phi, tau, weight, _, *others), (_, _, plain) in zip(self._rows, pieces):
-            stats = joint_statistics(Phi, tau, weight, *others)
-            # The factors re-weight the samples; their number stays what it is.
-            stats = replace(stats, n=plain.sum(axis=0))
-            total = stats if total is None else total + stats
-        return total
-
-    def _resolve_weights(self, stats):
-        nv = stats.n.size
-        if self.joint_weights is None:
-            return np.where(stats.n > 0, 1.0, 0.0)
-        if isinstance(self.joint_weights, str):
-            if self.joint_weights != "auto":
-                raise ValueError(
-                    "joint_weights must be 'auto', None or an array of shape "
-                    f"({nv},); got {self.joint_weights!r}."
-                )
-            return noise_weights(stats)
-        weight = np.asarray(self.joint_weights, dtype=float)
-        if weight.shape != (nv,) or not np.isfinite(weight).all() or weight.min() < 0:
-            raise ValueError(
-                f"joint_weights must hold {nv} finite, non-negative numbers; got "
-                f"{self.joint_weights!r}."
-            )
-        return np.where(stats.n > 0, weight, 0.0)
-
-    def _fit_from_statistics(self, total):
-        self.regressor_.set_params(fit_intercept=False)
-        measured = self.input_noise_
-        takes_covariance = getattr(self.regressor_, "latent", None) == "correlated"
-        if takes_covariance and self.regressor_.input_noise is None:
-            # What was measured, or else nothing: rigid-body regressors are far too
-            # correlated for an assumed noise.
-            noise = 0.0 if measured is None else measured
-            # The parameters are those of the motion without its noise.
-            self.regressor_.set_params(input_noise=noise, query="noiseless")
-        self.regressor_._validate_params()
-        self.regressor_._fit_statistics(total)
-        return self.regressor_.coef_.copy(), self.regressor_.coef_std_.copy()
-
-    def _stacked(self, which, scale):
-        """All joints' equations as one matrix (which=0) or vector (which=1)."""
-        out = []
-        root = np.sqrt(self.joint_weights_)
-        for rows in self._rows:
-            values, keep = rows[which], rows[2] > 0
-            if which == 1:
-                out.append((values * root)[keep])
-            else:
-                out.append((values * root[:, None])[keep] / scale)
-        return np.concatenate(out)
-
-    def _fit_rows(self, total):
-        """Fit any scikit-learn regressor to the stacked, scaled equations."""
-        n = total.n_samples
-        scale = np.sqrt(np.diagonal(total.S_xx) / n)
-        scale = np.where(scale > 0, scale, 1.0)
-        y_scale = np.sqrt(total.S_yy / n) or 1.0
-        A = self._stacked(0, scale)
-        b = self._stacked(1, None) / y_scale
-        weight = np.concatenate([rows[2][rows[2] > 0] for rows in self._rows])
-        fit_params = {}
-        forwarded = {"sample_weight": weight / weight.mean()}
-        if self._labels:
-            counted = [rows[2] > 0 for rows in self._rows]
-            forwarded["groups"] = labels_of_equations(self._labels, counted)
-        forwarded = self._forwarded(forwarded)
-        if "sample_weight" not in forwarded and not np.all(weight == weight[0]):
-            # Weights go into the rows: not every regressor takes sample_weight.
-            root = np.sqrt(weight / weight.mean())
-            A, b = A * root[:, None], b * root
-        if self._rows[0][3] is not None:
-            Z = self._stacked(3, scale)
-            fit_params["instruments"] = Z
-        parameters = self.regressor_.get_params(deep=True)
-        names = {name.split("__")[-1] for name in parameters}
-        intercepts = [n for n in parameters if n.split("__")[-1] == "fit_intercept"]
-        self.regressor_.set_params(**dict.fromkeys(intercepts, False))
-        if not intercepts or "steps" in names:
-            # What always centres (PLS, a scaler in a pipeline) sees each equation
-            # with its mirror image: the means are zero and nothing is lost.
-            A, b = _mirror(A), _mirror(b)
-            fit_params = {k: _mirror(v) for k, v in fit_params.items()}
-            forwarded = {k: np.repeat(v, 2) for k, v in forwarded.items()}
-        self.regressor_.fit(A, b, **fit_params, **forwarded)
-        theta = self._read_coefficients(A[:50])
-        std = getattr(self.regressor_, "coef_std_", None)
-        unit = y_scale / scale
-        std = np.full(theta.shape, np.nan) if std is None else np.ravel(std) * unit
-        return theta * unit, std
-
-    def _read_coefficients(self, sample):
-        """Coefficients by asking for predictions: right for pipelines as well."""
-        p = sample.shape[1]
-        probe = np.vstack([np.zeros((1, p)), np.eye(p)])
-        answer = np.ravel(self.regressor_.predict(probe))
-        coef = answer[1:] - answer[0]
-        direct = np.ravel(self.regressor_.predict(sample)) - answer[0]
-        size = np.abs(sample) @ np.abs(coef) + np.abs(answer[0])
-        if np.any(np.abs(direct - sample @ coef) > 1e-6 * size + 1e-300):
-            raise ValueError(
-                "regressor must be linear in its inputs, since its coefficients are "
-                f"the parameters; got {type(self.regressor_).__name__}."
-            )
-        return coef
+    def _set(self, found):
+        self.theta_unconstrained_ = found.theta_unconstrained
+        self.theta_ = found.theta_unconstrained.copy()
+        self.theta_std_ = found.std
+        self.joint_weights_ = found.joint_weights
+        self.n_rows_ = found.moments.n_rows
+        self.metric_, self.input_noise_ = found.metric, found.input_noise
+        self.statistics_ = found.moments
+        self.regressor_, self.block_factors_ = found.regressor, found.block_factors
 
     def _project(self, theta):
         self.projector_ = None
@@ -545,32 +370,3 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         X = validate_data(self, X, dtype=np.float64, reset=False)
         tau = X.reshape(X.shape[0], -1, self.theta_.size) @ self.theta_
         return tau[:, 0] if self._one_output else tau
-
-
-def _denoised(total, noise):
-    """Gram matrix without the input noise's share (X_t' X_t of eq. 35), projected.
-
-    Directions in which the noise exceeds the signal keep nothing.
-    """
-    scale = np.sqrt(np.diagonal(total.S_xx))
-    unit = np.where(scale > 0, scale, 1.0)
-    signal = (total.S_xx - total.n_samples * noise) / np.outer(unit, unit)
-    values, vectors = np.linalg.eigh(0.5 * (signal + signal.T))
-    clean = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    # by the scale and not the unit: a column of zeros stays one to the last bit
-    return clean * np.outer(scale, scale)
-
-
-def _mirror(rows):
-    """Each row followed by its negative: pairs stay together in any block split."""
-    return np.stack([rows, -rows], axis=1).reshape(-1, *rows.shape[1:])
-
-
-def filter_weight(lowpass, weight):
-    """Count filtered rows as independent samples; zero where too little counts."""
-    smoother = averaging(lowpass)
-    average = decimate(smoother, weight)
-    full = decimate(smoother, (weight > 0).astype(float))
-    # A tie must not depend on the order in which the taps were summed.
-    counts = full > _MASK_SHARE - 1e-9
-    return np.where(counts, lowpass.efficiency * average, 0.0)

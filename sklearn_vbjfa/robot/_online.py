@@ -9,11 +9,10 @@ import numpy as np
 from scipy.linalg import blas
 
 from sklearn_vbjfa.effects import _declared as _friction
-from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.robot._equations import RegressorRows
-from sklearn_vbjfa.robot._joint_moments import JointStatistics, joint_statistics
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._plan import check_widths, resolve_standstill
+from sklearn_vbjfa.robot._joint_moments import JointMoments, joint_moments
+from sklearn_vbjfa.robot._plan import takes_moments
+from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
 # Up to this many rows are taken in one by one, more of them together.
 _FEW = 8
@@ -21,7 +20,7 @@ _FEW = 8
 _FADED = 1e-100
 
 
-class OnlineStatistics:
+class OnlineMoments:
     """Second moments of a robot's equations, in which a row counts by its age.
 
     Parameters
@@ -44,8 +43,7 @@ class OnlineStatistics:
         self._prepare()
 
     def _prepare(self):
-        self._data = self._features._model.createData()
-        self._compute = import_pinocchio().computeJointTorqueRegressor
+        self._one = self._features.one_by_one()
         nv, p = self._g.shape
         # From the first column that a joint's torque depends on to the last.
         used = [np.flatnonzero(~row) for row in self._zero]
@@ -61,7 +59,7 @@ class OnlineStatistics:
     def __getstate__(self):
         """Leave out what Pinocchio keeps for itself."""
         state = {**self.__dict__, "_G": self._full()}
-        for name in ("_data", "_compute", "_triangles", "_used", "_Phi", "_bodies"):
+        for name in ("_one", "_triangles", "_used", "_Phi", "_bodies"):
             del state[name]
         return state
 
@@ -70,7 +68,7 @@ class OnlineStatistics:
         self.__dict__.update(state)
         self._prepare()
 
-    def add(self, X, y, weight):
+    def add(self, X, y, weight, standstill):
         """Take in rows.
 
         Parameters
@@ -81,7 +79,11 @@ class OnlineStatistics:
             Torques.
         weight : ndarray of shape (n, nv)
             Weights besides those of age.
+        standstill : ndarray of shape (nv,)
+            Speeds at or below which a joint's rows do not count.
         """
+        nv = y.shape[1]
+        weight = weight * (np.abs(X[:, nv : 2 * nv]) > standstill)
         if X.shape[0] > _FEW:
             self._add_many(X, y, weight)
             return
@@ -105,13 +107,12 @@ class OnlineStatistics:
     def _regressor(self, x):
         """Regressor matrix (nv, p) of one row, in memory that is used again.
 
-        For one row Pinocchio is faster than what spreads its work over many.
+        By Pinocchio itself: for one row a call of the compiled loop is no faster.
         """
         nv = self._n.size
         q, v, a = x[:nv], x[nv : 2 * nv], x[2 * nv :]
-        bodies = self._compute(self._features._model, self._data, q, v, a)
-        self._bodies[:] = bodies.reshape(nv, nv, 10)
-        columns = _friction.columns(self._features._friction, v[None], a[None])
+        self._bodies[:] = self._one(q, v, a)
+        columns = _friction.columns(self._features.friction_, v[None], a[None])
         diagonal = np.arange(nv)
         self._Phi.reshape(nv, nv, -1)[diagonal, diagonal, 10:] = columns[0]
         self._Phi[self._zero] = 0.0
@@ -121,8 +122,8 @@ class OnlineStatistics:
         n = X.shape[0]
         age = self.forgetting ** np.arange(n - 1.0, -1.0, -1.0)
         self._fade(self.forgetting**n)
-        Phi = self._features._compute(X)
-        new = joint_statistics(Phi, y, weight * age[:, None])
+        Phi = self._features.matrices(X)
+        new = joint_moments(Phi, y, weight * age[:, None])
         self._n += new.n / self._weight
         self._n_rows += (weight > 0).sum(axis=0)
         self._yy += new.yy / self._weight
@@ -145,9 +146,9 @@ class OnlineStatistics:
             full[k, k] = lower + np.tril(triangle, -1).T
         return G
 
-    def statistics(self):
+    def moments(self):
         """Return the moments of all rows so far."""
-        return JointStatistics(
+        return JointMoments(
             n=self._weight * self._n,
             n_rows=self._n_rows.copy(),
             G=self._weight * self._full(),
@@ -156,27 +157,8 @@ class OnlineStatistics:
         )
 
 
-def begin(identifier):
-    """Prepare an identifier for rows of a running robot; return the statistics."""
-    known = getattr(identifier, "standstill_", None)
-    identifier._load_robot()
-    _check(identifier)
-    automatic = isinstance(identifier.standstill, str)
-    if not automatic or known is None:
-        if automatic and identifier.standstill == "auto":
-            raise ValueError(
-                "standstill='auto' needs the speeds of a whole recording, which "
-                "partial_fit does not have: fit a recording first, or give standstill "
-                "as speeds [rad/s or m/s], or as None."
-            )
-        known = resolve_standstill(identifier.standstill, np.zeros(identifier._nv))
-    identifier.standstill_ = known
-    identifier.cutoff_, identifier.state_estimator_ = np.inf, None
-    identifier.torque_noise_ = np.full(identifier._nv, np.nan)
-    return OnlineStatistics(identifier.features_, float(identifier.forgetting))
-
-
-def _check(identifier):
+def check_online(identifier, effects):
+    """Refuse settings of an identifier that rows of a running robot cannot do with."""
     forgetting = identifier.forgetting
     if not (np.ndim(forgetting) == 0 and 0 < forgetting <= 1):
         raise ValueError(
@@ -184,10 +166,10 @@ def _check(identifier):
             f"each further one; got {forgetting!r}."
         )
     asked = {
-        "effects": len(identifier.effects_) > 0,
+        "effects": len(effects) > 0,
         "period": identifier.period is not None,
         "block_noise": bool(identifier.block_noise),
-        "regressor": not identifier._takes_statistics(),
+        "regressor": not takes_moments(identifier.regressor, identifier.block_noise),
     }
     refused = [name for name, is_asked in asked.items() if is_asked]
     if refused:
@@ -198,10 +180,10 @@ def _check(identifier):
         )
 
 
-def check_rows(identifier, X, y, sample_weight):
+def check_rows(names, X, y, sample_weight):
     """Validate rows as fast as a control loop needs it; return X, y, weight."""
     X, y = np.atleast_2d(np.asarray(X, dtype=float), np.asarray(y, dtype=float))
-    nv = identifier._nv
+    nv = len(names)
     if y.shape[0] != X.shape[0] and y.size == X.shape[0] * nv:
         y = y.reshape(X.shape[0], nv)
     if X.ndim != 2 or X.shape[1] != 3 * nv:
@@ -211,7 +193,7 @@ def check_rows(identifier, X, y, sample_weight):
             f"array of shape {X.shape}."
         )
     if y.shape != (X.shape[0], nv):
-        check_widths(identifier.joint_names_, X, y)
+        check_widths(names, X, y)
         raise ValueError(
             f"y must hold torques of shape {(X.shape[0], nv)}; got {y.shape}."
         )
@@ -222,6 +204,5 @@ def check_rows(identifier, X, y, sample_weight):
     if sample_weight is None:
         weight = np.ones(y.shape)
     else:
-        weight = JointTorqueRegressor._check_weight(sample_weight, y.shape)
-    moves = np.abs(X[:, nv : 2 * nv]) > identifier.standstill_
-    return X, y, weight * moves
+        weight = check_weight(sample_weight, y.shape)
+    return X, y, weight

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
+from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups, take_arrays
+from sklearn_vbjfa.robot._states import RecordingStates
 
 # Shortest period that states can be estimated from.
 _MIN_PERIOD = 16
@@ -146,35 +147,42 @@ class PeriodAverages:
             for positions in (self.even, self.odd)
         )
 
-    def equations(self, states, lowpass, halves):
-        """Extend all that is filtered by half the filter on either side.
+    def extended(self, recording, states, halves, margin):
+        """Extend the mean period by itself on either side, for what is filtered.
 
         The filter's outputs then stand on each sample of the period once.
 
         Parameters
         ----------
+        recording : Recording
+            What the periods are of.
         states : ndarray of shape (n_recordings * n_period, 3 * nv)
             States of the mean.
-        lowpass : Lowpass
-            Filter of torques and regressors.
         halves : tuple of ndarray or None
             States of `even` and `odd`.
+        margin : int
+            Samples on either side: half the filter.
 
         Returns
         -------
-        states, torque, weight, parts, halves
-            Arguments of `RobotIdentifier._stretches`.
+        recording : Recording
+            One extended period of each recording, by its states.
+        states : RecordingStates
+            The same states, and those of the halves.
         """
-        rows, parts = self.repeated(lowpass.half)
+        rows, parts = self.repeated(margin)
         if halves is not None:
             halves = tuple(half[rows] for half in halves)
-        return (
+        groups = np.repeat(np.arange(len(parts)), parts[0].stop)
+        mean = take_arrays(
             states[rows],
             self.torque[rows],
+            groups,
             self.weight[rows],
-            parts,
-            halves,
+            dt=recording.dt,
+            joint_names=recording.joint_names,
         )
+        return mean, RecordingStates.of_rows(parts, states[rows], halves)
 
     def filtered_torque_noise(self, lowpass):
         """Measure the noise of the filtered torques: standard deviations [N m or N].
@@ -326,24 +334,20 @@ def _weighted(values, weight, total):
     return (weight * values).sum(axis=0) / np.where(total > 0, total, 1.0)
 
 
-def check_periodic(names, positions, n_period, counts, parts, dt):
+def check_periodic(recording, n_period, counts):
     """Warn of joints whose periods differ by far more than noise can explain.
 
     Parameters
     ----------
-    names : sequence of str
-        Joints.
-    positions : ndarray of shape (n_samples, nv)
-        Positions [rad or m].
+    recording : Recording
+        Positions.
     n_period : int
         Samples of a period.
     counts : ndarray of shape (n_recordings,)
         Whole periods of each recording.
-    parts : list of slice
-        Recordings.
-    dt : float
-        Sample period [s].
     """
+    positions, parts = recording.q, recording.segments
+    names, dt = recording.joint_names, recording.dt
     between, within = np.zeros((2, positions.shape[1]))
     for part, count in zip(parts, counts):
         x = positions[part][: count * n_period].reshape(count, n_period, -1)
@@ -371,34 +375,35 @@ def check_periodic(names, positions, n_period, counts, parts, dt):
         )
 
 
-def measure_periods(identifier, X, y, groups, weight):
+def measure_periods(settings, recording, effects):
     """Average the periods of a recording as an identifier asks for it.
 
     Parameters
     ----------
-    identifier : RobotIdentifier
-        Its `period`, `dt`, names of joints and effects.
-    X, y, groups, weight
-        Validated arguments of its fit.
+    settings : RobotIdentifier
+        Its `period`.
+    recording : Recording
+        What is fitted.
+    effects : tuple of Effect
+        Effects beside the bodies.
 
     Returns
     -------
     PeriodAverages or None
         None without a period.
     """
-    if identifier.period is None:
+    if settings.period is None:
         return None
-    timed = [effect.name for effect in identifier.effects_ if "time" in effect.needs]
+    timed = [effect.name for effect in effects if "time" in effect.needs]
     if timed:
         raise ValueError(
             f"{', '.join(timed)} change(s) with time, which a mean over periods does "
             "not know; identify with period=None."
         )
-    n_period = period_samples(identifier.period, identifier.dt)
-    periods = average_periods(X, y, n_period, groups, weight)
-    parts = contiguous_groups(groups, X.shape[0])
-    names, nv = identifier.joint_names_, y.shape[1]
-    check_periodic(
-        names, X[:, :nv], periods.n_period, periods.counts, parts, identifier.dt
+    n_period = period_samples(settings.period, recording.dt)
+    X = recording.q if recording.states is None else recording.states
+    periods = average_periods(
+        X, recording.tau, n_period, recording.groups, recording.weight
     )
+    check_periodic(recording, periods.n_period, periods.counts)
     return periods

@@ -1,21 +1,191 @@
-"""What a recording must hold, and what is read off it before a fit.
+"""What a fit chooses before it looks at an equation: filter, standstill, effects.
 
-What has to be known of all recordings before any of their equations counts.
-
-Each recording tells its part alone and the parts merge, so that recordings can be
-looked at one after the other, at the same time, or on several machines.
+A plan follows from what each recording tells alone (`MotionFacts`, spectra), and those
+merge: recordings can be looked at one after the other, at the same time, or on several
+machines.
 """
 
-import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa.recording._faults import position_jumps, shuffled_rows
-from sklearn_vbjfa.recording._recording import check_clock, check_cutoff, check_dt
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.effects import Effect, resolve
+from sklearn_vbjfa.effects._rest import Rest
+from sklearn_vbjfa.model._loading import is_prismatic, joint_names
+from sklearn_vbjfa.recording._recording import check_cutoff, check_dt
+from sklearn_vbjfa.robot._estimate import from_moments
+from sklearn_vbjfa.robot._parallel import run
+from sklearn_vbjfa.robot._states import RecordingStates, smooth_segment
 
 # The speed of a joint is this quantile of its speeds: its fastest, without outliers.
 _FAST = 0.995
+# Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of
+# the motion, high enough for the friction at reversals, low enough for what shakes.
+CUTOFF_PER_BANDWIDTH = 5.0
+# ... but its length must stay a small part of the longest recording.
+SHORTEST_CUTOFF_PERIODS = 36.0
+# Below this share of a joint's (99.5th percentile of) speed it counts as standing
+# still: its friction may then take any value inside the band of stiction.
+STANDSTILL_SHARE = 0.02
+# Fits until the load in the effects' columns agrees with the parameters: the load is
+# mostly gravity and inertia, which a first fit without those effects knows well.
+_LOAD_PASSES = 3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """How a recording becomes equations.
+
+    Attributes
+    ----------
+    dt : float or None
+        Sample period [s].
+    state_estimator : StateEstimator or None
+        What makes states of positions; None where states are given.
+    cutoff : float
+        Cut-off of the low-pass that regressors and torques pass [Hz].
+    lowpass : Lowpass
+        That filter.
+    standstill : ndarray of shape (nv,)
+        Speeds at or below which a joint's equations do not count; negative ones mask
+        nothing.
+    effects : tuple of Effect
+        Effects whose columns the regressor matrices get.
+    corrects_noise : bool
+        Whether the regressor takes a measured covariance of the input noise.
+    repeats : bool
+        Whether the rows are periods that go on at both ends, so that no end counts
+        less.
+    fastest_period : ndarray of shape (nv,) or None
+        Period [s] of a motion as fast as the recorded one, where nothing is filtered.
+    """
+
+    dt: float | None
+    state_estimator: object
+    cutoff: float
+    lowpass: _lowpass.Lowpass
+    standstill: np.ndarray
+    effects: tuple = ()
+    corrects_noise: bool = False
+    repeats: bool = False
+    fastest_period: np.ndarray | None = None
+
+    @property
+    def smoother(self):
+        """State estimator whose ends are one-sided, None if there are no such."""
+        return None if self.repeats else self.state_estimator
+
+    def clock(self, recording):
+        """Return the time of each row [s]; stamps only for effects that ask for it."""
+        timed = any("time" in effect.needs for effect in self.effects)
+        return recording.clock(stamped=timed)
+
+    def passes(self):
+        """Plans of each fit: effects that ask for the load come after a fit without."""
+        if not needs_load(self.effects):
+            return [self]
+        plain = tuple(e for e in self.effects if "load" not in e.needs)
+        return [replace(self, effects=plain)] + (_LOAD_PASSES - 1) * [self]
+
+    def rest(self, noise):
+        """Return what tells the signs of velocities with this noise (nv,)."""
+        time = np.full(self.standstill.size, CUTOFF_PER_BANDWIDTH / self.cutoff)
+        if not np.isfinite(self.cutoff) and self.fastest_period is not None:
+            # rows of a running robot do not tell it
+            time = self.fastest_period
+        # What masks nothing is negative.
+        return Rest(speed=np.maximum(self.standstill, 0.0), time=time, noise=noise)
+
+
+def make_plan(settings, effects, lengths, estimator, facts):
+    """Resolve the settings of a fit.
+
+    Parameters
+    ----------
+    settings : RobotIdentifier
+        Its `dt`, `cutoff`, `standstill` and `regressor`.
+    effects : tuple of Effect
+        Checked effects.
+    lengths : sequence of int
+        Rows of each recording.
+    estimator : StateEstimator or None
+        Fitted estimator.
+    facts : MotionFacts
+        Range and speeds of all recordings.
+
+    Returns
+    -------
+    Plan
+    """
+    dt = settings.dt
+    cutoff = resolve_cutoff(settings.cutoff, max(lengths), dt, estimator)
+    lowpass = _lowpass.design(dt or 1.0, cutoff)
+    return Plan(
+        dt=dt,
+        state_estimator=estimator,
+        cutoff=cutoff,
+        lowpass=lowpass,
+        standstill=resolve_standstill(settings.standstill, facts.fast()),
+        effects=effects,
+        corrects_noise=corrects_noise(settings.regressor),
+    )
+
+
+def corrects_noise(regressor):
+    """Whether a regressor takes a measured covariance of the input noise."""
+    return regressor is None or (
+        getattr(regressor, "latent", None) == "correlated"
+        and regressor.input_noise is None
+    )
+
+
+def takes_moments(regressor, block_noise):
+    """Whether second moments are all that a fit needs."""
+    return from_moments(regressor) and not block_noise
+
+
+# -- effects ---------------------------------------------------------------------------
+
+
+def check_effects(effects, nv):
+    """Return the effects as a tuple of instances, refusing what cannot be."""
+    if isinstance(effects, (str, Effect)):
+        effects = (effects,)
+    found = tuple(resolve([effect])[0] for effect in effects)
+    for effect in found:
+        effect.check()
+        if not 0 <= effect.joint < nv:
+            raise ValueError(
+                f"effects names joint {effect.joint} for {effect.name}; expected 0 to "
+                f"{nv - 1}, for {nv} joint(s)."
+            )
+    keys = [(effect.key(), tuple(sorted(effect.shape().items()))) for effect in found]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise ValueError(f"effects holds {key[0][0]} on joint {key[0][1]} twice.")
+    return found
+
+
+def needs_load(effects):
+    """Whether the columns depend on the parameters, through the load."""
+    return any("load" in effect.needs for effect in effects)
+
+
+def effect_names(effects, model):
+    """Names and units of the effects' coefficients, two tuples of str."""
+    joints, kinds = joint_names(model), is_prismatic(model)
+    names, units = [], []
+    for effect in effects:
+        kind = int(kinds[effect.joint])
+        names += [
+            f"{joints[effect.joint]}:{effect.name}:{c}" for c in effect.coefficients
+        ]
+        units += [unit[kind] for unit in effect.units]
+    return tuple(names), tuple(units)
+
+
+# -- what recordings tell --------------------------------------------------------------
 
 
 def n_fastest(n):
@@ -100,6 +270,48 @@ def fastest_period(states):
     return np.divide(2 * np.pi * fast, strong, out=out, where=strong > 0)
 
 
+def smooth(recording, estimator, halves, keep, n_jobs):
+    """Smooth the positions of a recording, segment by segment.
+
+    Parameters
+    ----------
+    recording : Recording
+        Positions.
+    estimator : StateEstimator
+        Fitted estimator.
+    halves : bool
+        Whether to make states of the even and of the odd samples as well.
+    keep : int
+        `n_fastest` of all samples.
+    n_jobs : int or None
+        Number of segments at a time.
+
+    Returns
+    -------
+    states : RecordingStates
+        States.
+    facts : MotionFacts
+        Range and speeds.
+    """
+    tasks = [
+        (recording.q[part], part.start, estimator, halves, keep)
+        for part in recording.segments
+    ]
+    own, both, facts = zip(*run(smooth_with_facts, tasks, n_jobs))
+    states = RecordingStates(
+        own=list(own), halves=tuple(map(list, zip(*both))) if halves else None
+    )
+    return states, merge_all(facts, keep)
+
+
+def smooth_with_facts(x, start, estimator, halves, keep):
+    """`smooth_segment`, and the `MotionFacts` of its result."""
+    states, both = smooth_segment(x, start, estimator, halves=halves)
+    rows = slice(None)
+    positions, speeds = states.derivative(rows, 0), states.derivative(rows, 1)
+    return states, both, MotionFacts.of(positions, speeds, keep)
+
+
 def _largest(values, keep):
     n = values.shape[0]
     if n <= keep:
@@ -107,171 +319,7 @@ def _largest(values, keep):
     return np.partition(values, n - keep, axis=0)[n - keep :]
 
 
-# Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of
-# the motion, high enough for the friction at reversals, low enough for what shakes.
-CUTOFF_PER_BANDWIDTH = 5.0
-# ... but its length must stay a small part of the longest recording.
-SHORTEST_CUTOFF_PERIODS = 36.0
-# Below this share of a joint's (99.5th percentile of) speed it counts as standing
-# still: its friction may then take any value inside the band of stiction.
-STANDSTILL_SHARE = 0.02
-# Steps between time stamps, in sample periods: beyond the first a sample is missing,
-# beyond the second it is told of. Accelerations go with the square of a wrong period:
-# this much of it, and no less than a sample over a recording, is refused.
-_MISSING, _JITTER, _WRONG_PERIOD = 1.5, 0.1, 0.002
-
-# A period [s] that is no robot's; and one that is none if the fastest joint is as slow
-# as this [rad/s or m/s], which a unit of time that is no second makes of every motion.
-_SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02
-# Speeds beyond the robot's by this factor: degrees for radians make 57, and are told
-# of elsewhere. Where the robot has no limit [rad/s or m/s].
-_TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
-# A joint that stays within a turn moves to and fro, and does so more slowly still; in
-# degrees it would have moved by hundreds.
-_TURN, _TOO_FAST_NEAR, _LARGEST_NEAR_SPEED = 2 * np.pi, 3.0, 50.0
-
-
-def check_widths(names, X, y=None):
-    """Refuse positions, states or torques of another number of joints."""
-    nv = len(names)
-    robot = f"The robot has {nv} joint(s) ({', '.join(names)}), so "
-    if X.shape[1] not in {nv, 3 * nv}:
-        raise ValueError(
-            f"{robot}X must have {nv} columns of positions or {3 * nv} of states "
-            f"[q | v | a]; got {X.shape[1]}. Leave out channels of locked joints, or "
-            "lock joints that were not recorded with pinocchio.buildReducedModel."
-        )
-    if y is not None and y.shape[1] != nv:
-        raise ValueError(
-            f"{robot}y must have {nv} column(s) of torques; got {y.shape[1]}."
-        )
-
-
-def check_speed(dt, fast, travel, model):
-    """Refuse a sample period with which no robot moves like that.
-
-    Periods are given in seconds; a thousandth of it, or its inverse, makes speeds that
-    are a thousandth of, or a thousand times, those of robots.
-
-    Parameters
-    ----------
-    dt : float
-        Sample period [s].
-    fast : ndarray of shape (nv,)
-        99.5th percentiles of the joints' speeds with it [rad/s or m/s].
-    travel : ndarray of shape (nv,)
-        Ranges of the joints' positions [rad or m].
-    model : pinocchio.Model
-        Robot, for the limits of its speeds.
-    """
-    if dt is None or not np.max(fast, initial=0.0) > 0:
-        return
-    limit = np.asarray(model.velocityLimit, dtype=float)
-    known = (limit > 0) & (limit < _NO_LIMIT)
-    limit = np.where(known, limit, _LARGEST_SPEED)
-    share = float(np.max(fast / limit))
-    top = float(np.max(fast))
-    if dt >= _SLOWEST_PERIOD or (dt >= _SLOW_PERIOD and top < _SLOW_SPEED):
-        raise ValueError(
-            f"dt={dt:.6g} s is too slow for a motion: the fastest joint would move at "
-            f"{top:.2g} rad/s or m/s. dt is in seconds{_other_units(dt, share, top)}."
-        )
-    reaching = known & (travel <= _TURN)
-    near = float(np.max(fast[reaching] / limit[reaching], initial=0.0))
-    if share > _TOO_FAST or (
-        near > _TOO_FAST_NEAR
-        and np.max(fast[reaching], initial=0.0) > _LARGEST_NEAR_SPEED
-    ):
-        raise ValueError(
-            f"dt={dt:.6g} s is too short for this motion: the fastest joint would "
-            f"move at {top:.2g} rad/s or m/s, far more than the robot allows. Give "
-            "times in seconds (not minutes)."
-        )
-
-
-def _other_units(dt, share, top):
-    """Say which period it is if it was given in another unit."""
-    meant = []
-    for name, period in (
-        ("milliseconds", dt / 1e3),
-        ("microseconds", dt / 1e6),
-        ("nanoseconds", dt / 1e9),
-        ("Hz", 1 / dt),
-    ):
-        times = dt / period
-        if period < _SLOW_PERIOD and share * times <= 2.0 and top * times > _SLOW_SPEED:
-            meant.append(f"in {name} it would be {period:.4g} s")
-    return f"; {', '.join(meant)}" if meant else ""
-
-
-def check_input_noise(input_noise):
-    """Refuse what says neither to measure nor to leave the input noise."""
-    if input_noise not in ("auto", None):
-        raise ValueError(
-            "input_noise must be 'auto' (measured from the recording) or None "
-            f"(taken as zero); got {input_noise!r}."
-        )
-
-
-def check_channels(names, positions, torques):
-    """Refuse dead torque channels, name joints that do not move.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    positions, torques : ndarray of shape (n, nv)
-        Recording.
-    """
-    moves = np.ptp(positions, axis=0) > 0
-    if not moves.any():
-        raise ValueError(
-            "No joint moves in this recording; expected a motion that excites the "
-            "joints to be identified. Check the position columns."
-        )
-    flat = ~(np.ptp(torques, axis=0) > 0)
-    dead = [name for name, bad in zip(names, flat & moves) if bad]
-    if dead:
-        raise ValueError(
-            f"The torque of {', '.join(dead)} is constant while the joint moves: "
-            "a channel without information cannot be fitted. Check the recording, "
-            "or lock the joint in the model with pinocchio.buildReducedModel."
-        )
-    still = [name for name, moving in zip(names, moves) if not moving]
-    if still:
-        warnings.warn(
-            f"{', '.join(still)} never move(s) in this recording: the torque there "
-            "is left out (stiction may have any value), friction is not "
-            "identifiable, and inertial parameters only as far as other joints "
-            "feel them.",
-            UserWarning,
-            stacklevel=3,
-        )
-
-
-def warn_of_disorder(names, positions, parts, groups):
-    """Warn of rows that are not in the order of time, and of borders without labels.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    positions : ndarray of shape (n, nv)
-        Joint positions.
-    parts : list of slice
-        Recordings.
-    groups : array-like of shape (n,) or None
-        Labels of the recordings.
-    """
-    found = shuffled_rows(names, positions, parts, groups)
-    if not found:
-        rows = np.arange(positions.shape[0])
-        found = position_jumps(names, positions, parts, rows)
-    for finding in found:
-        warnings.warn(finding.message, UserWarning, stacklevel=3)
-
-
-def resolve_cutoff(cutoff, parts, dt, state_estimator):
+def resolve_cutoff(cutoff, longest, dt, state_estimator):
     """Return the cut-off of the low-pass [Hz], infinity for none."""
     if not isinstance(cutoff, str):
         if cutoff is None:
@@ -283,7 +331,7 @@ def resolve_cutoff(cutoff, parts, dt, state_estimator):
         )
     if state_estimator is None:
         return np.inf
-    length = max(part.stop - part.start for part in parts) * dt
+    length = longest * dt
     frequency = max(
         CUTOFF_PER_BANDWIDTH * state_estimator.bandwidth_.max(),
         SHORTEST_CUTOFF_PERIODS / length,
@@ -312,132 +360,3 @@ def resolve_standstill(standstill, fast):
             f"{standstill!r}."
         )
     return np.broadcast_to(value, (nv,)).copy()
-
-
-def check_length(parts, lowpass, cutoff):
-    """Refuse recordings that are all shorter than the filter, name some that are."""
-    need = 2 * lowpass.half + 1
-    short = [p for p in parts if p.stop - p.start < need]
-    if len(short) == len(parts):
-        longest = max(p.stop - p.start for p in parts)
-        raise ValueError(
-            f"The low-pass at {cutoff:.4g} Hz is {need} samples long and "
-            f"the longest recording has {longest}; give a longer recording or a "
-            "higher cutoff (None for no low-pass)."
-        )
-    if short:
-        rows = ", ".join(str(p.start) for p in short[:5])
-        warnings.warn(
-            f"{len(short)} of {len(parts)} recordings (from row {rows}) are "
-            f"shorter than the low-pass filter ({need} samples) and are left out.",
-            UserWarning,
-            stacklevel=3,
-        )
-
-
-def check_count(stats, standstill, n_parameters):
-    """Refuse to fit when everything is masked, or less is left than parameters."""
-    if stats is None or not stats.n.any():
-        raise ValueError(
-            "Every sample is masked as standstill; lower `standstill` (now "
-            f"{np.array2string(standstill, precision=3)}) or pass None."
-        )
-    count = int(stats.n_rows.sum())
-    if count < n_parameters:
-        raise ValueError(
-            f"{count} equations (joints times filtered, moving samples) are fewer "
-            f"than the {n_parameters} parameters; record for longer, or raise "
-            "`cutoff`."
-        )
-
-
-def check_time_stamps(t, dt, parts):
-    """Refuse time stamps that contradict the sample period, tell of irregular ones.
-
-    Nothing is asked of the step from one recording to the next.
-
-    Parameters
-    ----------
-    t : array-like of shape (n,) or None
-        Time stamps [s]; None checks nothing.
-    dt : float or None
-        Sample period [s]; None, where rows need not be equidistant, checks nothing
-        but that the stamps rise.
-    parts : list of slice
-        Recordings.
-    """
-    if t is None:
-        return
-    time = np.asarray(t, dtype=float)
-    n = parts[-1].stop
-    if time.shape != (n,):
-        raise ValueError(
-            f"t must hold one time per row, shape ({n},); got {time.shape}."
-        )
-    if not np.isfinite(time).all():
-        raise ValueError(
-            f"t must be finite; row {np.flatnonzero(~np.isfinite(time))[0]} is not."
-        )
-    inside = np.ones(n - 1, dtype=bool)
-    inside[[part.stop - 1 for part in parts[:-1]]] = False
-    rows = np.flatnonzero(inside)
-    step = np.diff(time)[rows]
-    back = rows[step <= 0]
-    if back.size:
-        raise ValueError(
-            f"t must rise within a recording; it does not after {_first(back)} "
-            f"({time[back[0]]:.6g} s, then {time[back[0] + 1]:.6g} s). Drop repeated "
-            "rows, or begin another recording there (groups)."
-        )
-    if dt is None:
-        return
-    dt = check_dt(dt)
-    for part in parts:
-        count = part.stop - part.start - 1
-        took = time[part.stop - 1] - time[part.start]
-        # One gap is no other sample period.
-        usual = np.median(np.diff(time[part])) if count else dt
-        if abs(usual - dt) > _MISSING * dt or (
-            abs(usual - dt) > _WRONG_PERIOD * dt
-            and abs(took - count * dt) > max(_WRONG_PERIOD * count, 1.0) * dt
-        ):
-            raise ValueError(
-                f"The time stamps of the recording from row {part.start} advance by "
-                f"{took / count:.6g} s a row ({usual:.6g} s in the median), but "
-                f"dt={dt:.6g} s. Correct dt, or resample onto equidistant times."
-            )
-    gap = rows[step > _MISSING * dt]
-    if gap.size:
-        raise ValueError(
-            f"Samples are missing: the time stamps step by up to {step.max():.6g} s, "
-            f"with dt={dt:.6g} s, {gap.size} times by more than {_MISSING} dt (after "
-            f"{_first(gap)}). Resample onto equidistant times, or begin another "
-            "recording after each gap (groups)."
-        )
-    off = np.abs(step / dt - 1)
-    irregular = rows[off > _JITTER]
-    if irregular.size:
-        warnings.warn(
-            f"{irregular.size} of {step.size} steps between time stamps differ from "
-            f"dt={dt:.6g} s by more than {100 * _JITTER:.0f} %, at most by "
-            f"{100 * off.max():.0f} % (after {_first(irregular)}); rows count as "
-            "equidistant. "
-            "Resample, unless only the stamps are irregular and not the sampling.",
-            UserWarning,
-            stacklevel=3,
-        )
-
-
-def _first(rows):
-    """Name the first few of some rows."""
-    more = ", ..." if rows.size > 5 else ""
-    return f"row {', '.join(str(row) for row in rows[:5])}{more}"
-
-
-def resolve_clock(t, dt, parts, effects):
-    """Return the time of each row [s] for effects, None if neither t nor dt is known.
-
-    Only where an effect changes with time must it rise over all recordings.
-    """
-    timed = any("time" in effect.needs for effect in effects)
-    return check_clock(t if timed else None, parts[-1].stop, dt)

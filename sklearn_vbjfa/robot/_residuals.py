@@ -74,8 +74,8 @@ def torque_spread(*parts):
 
 
 def collect_residuals(pieces, theta):
-    """Residuals of filtered (index, Phi, tau, weight, ...), which may be a stream."""
-    found = [(i, tau, Phi @ theta, w) for i, Phi, tau, w, *_ in pieces]
+    """Residuals of pieces of `Equations`, which may be a stream."""
+    found = [(one.index, one.tau, one.Phi @ theta, one.weight) for one in pieces]
     index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
     return TorqueResiduals(
         index=index, torque=torque, predicted=predicted, weight=weight

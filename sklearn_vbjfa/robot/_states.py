@@ -1,5 +1,7 @@
 """From joint positions to states: smoothed positions, velocities, accelerations."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
@@ -212,7 +214,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 halves[k, part] = _evaluate(splines, part.stop - part.start)
         return halves[0].reshape(n, -1), halves[1].reshape(n, -1)
 
-    def _velocity_noise(self):
+    def velocity_noise(self):
         """Deviation of the noise of the velocities [rad/s or m/s], ndarray (nv,).
 
         That of white encoder noise behind the smoother; zero where it is not known.
@@ -349,9 +351,66 @@ class SplineStates:
         return columns.T
 
 
+@dataclass(frozen=True, kw_only=True)
+class RecordingStates:
+    """States of a recording's segments, and those of half of its samples each.
+
+    Attributes
+    ----------
+    own : list of ndarray of shape (n, 3 * nv) or SplineStates
+        One a segment.
+    halves : tuple of two such lists, or None
+        From the even and from the odd samples, whose noise is independent.
+    """
+
+    own: list
+    halves: tuple | None = None
+
+    @classmethod
+    def of_rows(cls, segments, states, halves=None):
+        """Divide states (n, 3 * nv) of all rows among the segments."""
+        both = None
+        if halves is not None:
+            both = tuple([half[part] for part in segments] for half in halves)
+        return cls(own=[states[part] for part in segments], halves=both)
+
+
+def smooth_segment(x, start, estimator, *, halves):
+    """Fit splines to the positions (n, nv) of a segment that begins at row `start`.
+
+    Returns its `SplineStates`, and with `halves` those of the even and of the odd
+    samples, or else None.
+    """
+    n = x.shape[0]
+    both = None
+    if halves:
+        splines = estimator._half_splines(x, start)
+        both = tuple(SplineStates(half, n) for half in splines)
+    return SplineStates(estimator._splines(x, start), n), both
+
+
 def fit_states(dt, cutoff, X, groups):
     """Fit a state estimator for identification; its own choice is raised a little."""
     return lighter(StateEstimator(dt, cutoff=cutoff).fit(X, groups=groups))
+
+
+def choose_states(dt, cutoff, longest, moving, spectra):
+    """`fit_states` from what `acceleration_spectra` says of all recordings.
+
+    Parameters
+    ----------
+    dt, cutoff
+        Parameters of `StateEstimator`.
+    longest : int
+        Rows of the longest recording.
+    moving : ndarray of shape (nv,), bool
+        Joints that move.
+    spectra : tuple or None
+        None where all recordings are too short.
+    """
+    estimator = StateEstimator(dt, cutoff=cutoff)
+    estimator.n_features_in_ = moving.size
+    return lighter(estimator._choose(longest, moving, spectra))
 
 
 def lighter(estimator):

@@ -10,12 +10,10 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.recording._recording import contiguous_groups
-from sklearn_vbjfa.robot._joint_moments import (
-    _least_squares,
-    joint_statistics,
-    noise_weights,
-)
+from sklearn_vbjfa.robot._identifier import equations_of, states_of
+from sklearn_vbjfa.robot._joint_moments import joint_moments
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
+from sklearn_vbjfa.robot._weights import least_squares, noise_weights
 
 FIFTH, SIXTH = 4, 5
 
@@ -39,7 +37,7 @@ class Equations:
 def equations(identifier, part):
     """Build the equations of a part, filtered and masked as in the fit."""
     X, y, groups = part
-    states = identifier._states(X, groups)
+    states = states_of(identifier, X, groups)
     nv = y.shape[1]
     v, a = states[:, nv : 2 * nv], states[:, 2 * nv :]
     columns = np.zeros((X.shape[0], nv, 6))
@@ -48,18 +46,23 @@ def equations(identifier, part):
     columns[:, SIXTH, 3:] = np.column_stack([a[:, FIFTH], v[:, FIFTH], both])
     lowpass = _lowpass.design(identifier.dt, identifier.cutoff_)
     parts = contiguous_groups(groups, X.shape[0])
-    pieces = identifier._filtered(states, y, np.ones(y.shape), parts, lowpass)
-    _, Phi, tau, weight = (np.concatenate(x) for x in zip(*pieces))
+    made = equations_of(identifier, X, y, groups, np.ones(y.shape))
     coupling = np.concatenate([lowpass(columns[rows]) for rows in parts])
-    return Equations(Phi=Phi, tau=tau, weight=weight, coupling=coupling, states=states)
+    return Equations(
+        Phi=made.Phi,
+        tau=made.tau,
+        weight=made.weight,
+        coupling=coupling,
+        states=states,
+    )
 
 
 def weighted_least_squares(Phi, tau, weight):
     """Parameters by weighted least squares, joints weighted by their residuals."""
-    stats = joint_statistics(Phi, tau, weight)
+    stats = joint_moments(Phi, tau, weight)
     joint_weight = noise_weights(stats)
     gram = np.einsum("j,jik->ik", joint_weight, stats.G)
-    return _least_squares(gram, joint_weight @ stats.g)
+    return least_squares(gram, joint_weight @ stats.g)
 
 
 def errors(Phi, theta, part):

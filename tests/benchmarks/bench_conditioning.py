@@ -142,11 +142,8 @@ def robot_errors(noise, n, seed=0):
     """Relative errors of new torques: scatter, QR; their difference; rank and size."""
     from sklearn_vbjfa.datasets import load_arm_model
     from sklearn_vbjfa.model._loading import nominal_parameters
-    from sklearn_vbjfa.robot._joint_moments import (
-        _least_squares,
-        combine,
-        joint_statistics,
-    )
+    from sklearn_vbjfa.robot._joint_moments import joint_moments
+    from sklearn_vbjfa.robot._weights import least_squares
 
     model = load_arm_model()
     theta = np.append(np.ravel(nominal_parameters(model)), np.full(model.nv, 0.5))
@@ -158,12 +155,12 @@ def robot_errors(noise, n, seed=0):
             scale = noise * tau.std(axis=0)
             weight = 1.0 / tau.std(axis=0) ** 2
         tau = tau + scale * rng.normal(size=tau.shape)
-        block = joint_statistics(Phi, tau, np.ones(tau.shape))
+        block = joint_moments(Phi, tau, np.ones(tau.shape))
         stats = block if stats is None else stats + block
         rows = np.concatenate([Phi, tau[:, :, None]], axis=2) * np.sqrt(weight)[:, None]
         factor = _moments.triangular(factor, rows.reshape(-1, theta.size + 1))
-    total = combine(stats, weight)
-    by_scatter = _least_squares(total.S_xx, total.S_xy)
+    total = stats.total(weight)
+    by_scatter = least_squares(total.S_xx, total.S_xy)
     by_factor = least_squares_of_factor(factor)
     squares = np.zeros(4)
     for Phi in robot_regressors(model, 5000, seed + 1):

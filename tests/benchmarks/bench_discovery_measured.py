@@ -27,7 +27,7 @@ LENGTHS = {"tflex_1dof": 80.0}
 def load(name, data_home):
     """Return the recording, its rows in use, and the declared model."""
     protocol = protocols()[name]
-    recording = protocol.load(data_home=data_home, **protocol.options)
+    recording = protocol.load(data_home=data_home)
     if name in RECORDINGS:
         recording = recording.select(*RECORDINGS[name])
     rows = np.flatnonzero(recording.t < LENGTHS.get(name, np.inf))

@@ -24,7 +24,8 @@ from sklearn_vbjfa import (
     VBJFARegressor,
 )
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot._comparison import _PREPARED, _pieces, _split_pieces
+from sklearn_vbjfa.robot._identifier import estimate_of, pieces_of
+from sklearn_vbjfa.robot._plan import corrects_noise
 
 FRICTION = ("viscous", "coulomb")
 CONDITIONS = [(1e-4, 15.0), (1e-3, 10.0), (1e-3, 20.0), (3e-3, 10.0)]
@@ -115,26 +116,23 @@ def run_condition(encoder_noise, cutoff, *, duration=50.0, names=None):
     )
     part = (recording.q, recording.tau, recording.groups)
     base = shared.fit(*part)
-    pieces = _pieces(base, *part)
-    measured = _pieces(base, *part, measure_noise=True)
+    pieces = pieces_of(base, *part)
+    measured = pieces_of(base, *part, halves="noise")
     results = {}
     for name, settings in methods().items():
         if names is not None and name not in names:
             continue
         model = RobotIdentifier(**{**shared.get_params(), **settings})
-        for attribute in _PREPARED:
-            setattr(model, attribute, getattr(base, attribute))
-        rows = measured if model._corrects_noise() else pieces
+        rows = measured if corrects_noise(model.regressor) else pieces
         if name.startswith("IV"):
-            rows = _split_pieces(base, *part)
+            rows = pieces_of(base, *part, halves="instruments")
         start = time.perf_counter()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            model._fit_equations(rows)
+            found = estimate_of(base, rows, model)
         seconds = time.perf_counter() - start
         # These states are true: a joint that moves slowly does not stand.
-        model.standstill_ = np.zeros_like(model.standstill_)
-        error = model.predict(new.states) - new.tau
+        error = base.features_.matrices(new.states) @ found.theta - new.tau
         nmse = np.mean(np.mean(error**2, axis=0) / new.tau.var(axis=0))
         results[name] = (float(nmse), seconds)
     return results

@@ -2,16 +2,20 @@
 
 Run as ``python tests/benchmarks/bench_features.py``. Both see the same motion of the
 same robot in the same process, on one core, in turns; ratios are taken within a round,
-so that a busy machine slows both sides.
+so that a busy machine slows both sides. Then a robot of ten joints is identified from
+half a million samples, and the embedded recording in processes of their own.
 """
 
+import subprocess
+import sys
 import time
+import warnings
 
 import numpy as np
 from _report import parser, publish, rst_table
 from threadpoolctl import threadpool_limits
 
-from sklearn_vbjfa import RigidBodyFeatures
+from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
 from sklearn_vbjfa.model._regressor import TreeRegressor
 
 _SEED = 0
@@ -20,19 +24,30 @@ _JOINTS = (1, 6, 7, 10, 20, 50)
 _OUTPUT = 4_000_000
 _MAX_SAMPLES = 10_000
 # Which task is compared with which.
-RIVALS = ((0, 1), (0, 2), (3, 4))
+RIVALS = ((0, 1), (2, 3))
 HEADERS = [
     "joints",
     "samples",
     "regressor, loop [us]",
-    "NumPy [us]",
-    "ratio",
     "compiled [us]",
     "ratio",
     "torques, loop [us]",
-    "NumPy [us]",
+    "compiled [us]",
     "ratio",
 ]
+FIT_HEADERS = ["", "time [s]", "by sample [us]", "over the bare loop"]
+_FIT_JOINTS, _FIT_SAMPLES = 10, 500_000
+# One fit of the embedded recording; without Numba where it is told so.
+_DEMO = """
+import sys, warnings
+if {hidden}:
+    sys.modules["numba"] = None
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import load_demo_recording
+warnings.simplefilter("ignore")
+recording = load_demo_recording()
+RobotIdentifier(recording.urdf, dt=recording.dt).fit(recording.q, recording.tau)
+"""
 
 
 def chain(n_joints, rng):
@@ -78,20 +93,16 @@ def loop_torques(model, X):
 
 
 def measure(n_joints, n_samples, rounds):
-    """Seconds (rounds, 5) of regressors (loop, NumPy, compiled), torques (two)."""
+    """Seconds (rounds, 4) of regressors (loop, compiled) and torques (the same)."""
     rng = np.random.default_rng(_SEED)
     model = chain(n_joints, rng)
     X = rng.normal(size=(n_samples, 3 * n_joints))
     states = np.split(X, 3, axis=1)
-    plain = RigidBodyFeatures(model, friction=()).fit(X)
     features = RigidBodyFeatures(model, friction=()).fit(X)
-    plain._regressor = TreeRegressor(model, compiled=False)
-    features._regressor = TreeRegressor(model, compiled=True)
     tree = TreeRegressor(model)
     inertial = np.array([body.toDynamicParameters() for body in model.inertias[1:]])
     tasks = (
-        lambda: loop_regressor(model, features._zeros, X),
-        lambda: plain.transform(X),
+        lambda: loop_regressor(model, ~tree.support, X),
         lambda: features.transform(X),
         lambda: loop_torques(model, X),
         lambda: tree.torques(*states, inertial),
@@ -101,6 +112,11 @@ def measure(n_joints, n_samples, rounds):
         size = np.abs(expected).max()
         np.testing.assert_allclose(actual, expected, rtol=0, atol=1e-10 * size)
         del expected, actual
+    return timed(tasks, rounds)
+
+
+def timed(tasks, rounds):
+    """Seconds (rounds, n_tasks) of tasks that take turns."""
     seconds = np.empty((rounds, len(tasks)))
     for k in range(rounds):
         for i, task in enumerate(tasks):
@@ -121,17 +137,82 @@ def report(joints=_JOINTS, max_samples=_MAX_SAMPLES, rounds=9):
         row = [n_joints, n_samples]
         for reference, k in RIVALS:
             ratio = np.median(seconds[:, reference] / seconds[:, k])
-            row += [f"{each[reference]:.2f}"] if k == reference + 1 else []
-            row += [f"{each[k]:.2f}", f"{ratio:.1f}"]
+            row += [f"{each[reference]:.2f}", f"{each[k]:.2f}", f"{ratio:.1f}"]
         rows.append(row)
     return (
         f"{rst_table(rows, HEADERS)}\n\nMicroseconds for each sample on one core; arms "
         f"of revolute joints, seed {_SEED}. The loops call Pinocchio once for each "
         "sample: ``computeJointTorqueRegressor``, with what ``RigidBodyFeatures`` adds "
         "to it, and ``rnea``. The compiled loop needs Numba and is used where that is "
-        "installed; its first use after an installation takes some seconds more. Times "
-        f"and ratios are medians of {rounds} rounds in one process; both include the "
-        "memory of the result."
+        "installed, else Pinocchio's; its first use after an installation takes some "
+        f"seconds more. Times and ratios are medians of {rounds} rounds in one "
+        "process; both include the memory of the result."
+    )
+
+
+def report_fit(n_joints=_FIT_JOINTS, n_samples=_FIT_SAMPLES, rounds=3):
+    """Table of a whole fit beside the bare loop over its samples."""
+    import pinocchio as pin
+
+    rng = np.random.default_rng(_SEED)
+    model = chain(n_joints, rng)
+    X = rng.normal(size=(n_samples, 3 * n_joints))
+    q, v, a = np.split(X, 3, axis=1)
+    data = model.createData()
+    matrices = TreeRegressor(model)
+    inertial = np.array([body.toDynamicParameters() for body in model.inertias[1:]])
+    torque = matrices.torques(q, v, a, inertial)
+    torque += 0.1 * v + 0.1 * rng.normal(size=q.shape)
+    # As many rows at a time as a fit makes.
+    count = max(1, (4 << 20) // (80 * n_joints**2))
+
+    def loop():
+        for row in zip(q, v, a):
+            pin.computeJointTorqueRegressor(model, data, *row)
+
+    def regressor():
+        for i in range(0, n_samples, count):
+            matrices(*(x[i : i + count] for x in (q, v, a)))
+
+    def fit():
+        with warnings.catch_warnings():
+            # The rows are no motion.
+            warnings.simplefilter("ignore", UserWarning)
+            RobotIdentifier(model, dt=1e-3).fit(X, torque)
+
+    with threadpool_limits(1):
+        seconds = timed((loop, regressor, fit), rounds)
+    names = ("bare loop", "regressor matrices", "RobotIdentifier.fit")
+    rows = []
+    for k, name in enumerate(names):
+        time_taken = np.median(seconds[:, k])
+        ratio = np.median(seconds[:, k] / seconds[:, 0])
+        each = 1e6 * time_taken / n_samples
+        rows.append([name, f"{time_taken:.2f}", f"{each:.2f}", f"{ratio:.2f}"])
+    return (
+        f"{rst_table(rows, FIT_HEADERS)}\n\n{n_samples} samples of {n_joints} joints, "
+        "given as states; the bare loop only calls Pinocchio's "
+        "``computeJointTorqueRegressor``. "
+        f"Medians of {rounds} rounds in one process, on one core."
+    )
+
+
+def report_demo(rounds=5):
+    """Sentence on processes that identify the embedded recording, start to end."""
+    seconds = timed(
+        [
+            lambda hidden=hidden: subprocess.run(
+                [sys.executable, "-c", _DEMO.format(hidden=hidden)], check=True
+            )
+            for hidden in (False, True)
+        ],
+        rounds,
+    )
+    fast, slow = np.median(seconds, axis=0)
+    return (
+        f"A process that identifies the embedded recording of 8000 samples of 6 joints "
+        f"takes {fast:.1f} s from start to end with Numba and {slow:.1f} s without, "
+        f"medians of {rounds}."
     )
 
 
@@ -140,7 +221,8 @@ def main(argv=None):
     arguments = parser(__doc__.splitlines()[0])
     arguments.add_argument("--rounds", type=int, default=9)
     arguments = arguments.parse_args(argv)
-    publish("features", report(rounds=arguments.rounds), write=arguments.write)
+    parts = report(rounds=arguments.rounds), report_fit(), report_demo()
+    publish("features", "\n\n".join(parts), write=arguments.write)
 
 
 if __name__ == "__main__":

@@ -17,7 +17,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets._catalogue import protocols
-from sklearn_vbjfa.datasets._plant import rigid_torques
+from sklearn_vbjfa.datasets._robots import rigid_torques
 from sklearn_vbjfa.physical import ProjectionError
 
 ROBOTS = ("ur5", "staubli_tx40", "kuka_kr300")
@@ -45,7 +45,7 @@ def load(name, data_home):
     """Return the recording, the declared model, and rows to fit and to test."""
     protocol = protocols()[name]
     access = {} if name == "demo" else {"data_home": data_home}
-    recording = protocol.load(**access, **protocol.options)
+    recording = protocol.load(**access)
     identifier = RobotIdentifier(
         recording.robot_model(),
         dt=recording.dt,

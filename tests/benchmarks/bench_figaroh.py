@@ -38,7 +38,7 @@ STANDSTILL = {"ur5": 0.03, "staubli_tx40": 0.02}
 # is that of the computation.
 MODULES = {
     "figaroh": "figaroh,pinocchio,scipy.signal,pandas,picos,cvxopt",
-    "vbjfa": "sklearn_vbjfa,pinocchio,scipy.signal,clarabel,sklearn.linear_model",
+    "vbjfa": "sklearn_vbjfa,pinocchio,scipy.signal,sklearn.linear_model",
 }
 _START = """
 import importlib, json, runpy, sys, time
@@ -235,7 +235,7 @@ def held_out_error(predicted, part, fitted, cutoff, standstill):
 def load(name, data_home):
     """Return protocol, recording and the fitted and held-out part of one set."""
     protocol = protocols()[name]
-    recording = protocol.load(data_home=data_home, **protocol.options)
+    recording = protocol.load(data_home=data_home)
     parts = [
         {
             "q": recording.q[rows],

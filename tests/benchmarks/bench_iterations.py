@@ -39,14 +39,14 @@ def first_at(evaluations, history, target):
 def compare_independent(moments, state, prior, **options):
     """(plain, accelerated) evaluations to the common bound, and those until the end."""
     used = []
-    evaluate = _solver._evaluate
+    evaluate = _solver.evaluate
 
     def counted(*args):
         point = evaluate(*args)
         used.append(point.value)
         return point
 
-    with mock.patch.object(_solver, "_evaluate", counted):
+    with mock.patch.object(_solver, "evaluate", counted):
         fast = _solver.solve(moments, state, prior, **options)
     # The evaluation at which each kept bound was found.
     values = np.array(used)
@@ -54,11 +54,12 @@ def compare_independent(moments, state, prior, **options):
     goal = fast.history[-1] - CLOSE * moments.n
     plain = []
     while len(plain) < PLAIN_MOST:
-        state, value = _solver.iterate(moments, state, prior)
-        gain = value - plain[-1] if plain else np.inf
-        plain.append(value)
-        if value >= goal or gain <= PLAIN_GAIN * moments.n:
+        point = _solver.evaluate(moments, state, prior)
+        gain = point.value - plain[-1] if plain else np.inf
+        plain.append(point.value)
+        if point.value >= goal or gain <= PLAIN_GAIN * moments.n:
             break
+        state = _solver.plain_step(moments, point, prior)
     plain = np.array(plain)
     target = min(goal, plain[-1] - CLOSE * moments.n)
     assert np.diff(fast.history).min() >= 0
@@ -73,7 +74,7 @@ def compare_independent(moments, state, prior, **options):
 
 def compare_correlated(*args, solver, **options):
     """Compare like `compare_independent`, for one fit of the correlated model."""
-    n = args[3]
+    n = args[0].n
     fast = solver(*args, **options)
     options |= {"tol": PLAIN_GAIN, "max_iter": PLAIN_MOST, "accelerate": False}
     plain = solver(*args, **options)

@@ -36,7 +36,7 @@ def load(name, data_home):
     if name == "demo":
         recording = protocol.load()
     else:
-        recording = protocol.load(data_home=data_home, **protocol.options)
+        recording = protocol.load(data_home=data_home)
     identifier = RobotIdentifier(
         recording.robot_model(),
         dt=recording.dt,

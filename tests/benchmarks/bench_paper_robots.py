@@ -25,13 +25,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from _report import parser, publish, rst_table, rst_title
+from _report import add_root_to_path, parser, publish, rst_table, rst_title
 from sklearn.linear_model import LassoCV, RidgeCV
 from sklearn.model_selection import KFold
 
 from sklearn_vbjfa import (
     EffectDiscovery,
-    JointTorqueRegressor,
     PhysicalProjector,
     RigidBodyFeatures,
     RobotIdentifier,
@@ -41,9 +40,11 @@ from sklearn_vbjfa import (
 )
 from sklearn_vbjfa._core._lowpass import BlockFilter, Lowpass
 from sklearn_vbjfa.datasets import make_closed_loop_recording, simulate_tracking
-from sklearn_vbjfa.datasets._plant import draw_motion, rigid_torques
+from sklearn_vbjfa.datasets._plant import draw_motion
+from sklearn_vbjfa.datasets._robots import rigid_torques
 from sklearn_vbjfa.physical import ProjectionError
 from sklearn_vbjfa.robot import _identifier
+from sklearn_vbjfa.robot._joint_moments import JointMoments
 from sklearn_vbjfa.robot._states import SplineStates
 
 FRICTION = ("viscous",)
@@ -57,12 +58,12 @@ STAGES = ("states", "features", "statistics", "fit", "projection", "other")
 CALLS = (
     ("states", StateEstimator, ("fit", "transform", "split_transform")),
     ("states", SplineStates, ("__getitem__", "derivative")),
-    ("features", RigidBodyFeatures, ("_compute",)),
+    ("features", RigidBodyFeatures, ("matrices",)),
     ("statistics", Lowpass, ("__call__",)),
     ("statistics", BlockFilter, ("add",)),
     ("statistics", _identifier, ("accumulate",)),
-    ("statistics", JointTorqueRegressor, ("_accumulate",)),
-    ("fit", JointTorqueRegressor, ("_finish",)),
+    ("statistics", JointMoments, ("__add__",)),
+    ("fit", _identifier, ("estimate",)),
     ("projection", PhysicalProjector, ("fit", "transform")),
 )
 
@@ -76,7 +77,10 @@ def methods():
     blocks = KFold(5)
     ridge = RidgeCV(alphas=np.geomspace(1e-4, 1e4, 17), cv=blocks)
     lasso = LassoCV(cv=blocks, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
-    descent = PhysicalProjector(constraint="eq30", solver="virtual")
+    add_root_to_path()
+    from tests.reference.descent_projector import DescentProjector
+
+    descent = DescentProjector(constraint="eq30")
     plain = {
         "input_noise": None,
         "projector": PhysicalProjector(constraint="eq30"),

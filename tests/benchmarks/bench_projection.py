@@ -2,7 +2,8 @@
 
 Run as ``python tests/benchmarks/bench_projection.py``. Robots are made of point
 masses and then spoiled by noise of the order of their parameters; the optimum comes
-from cvxopt's cone solver, which shares nothing with the package.
+from cvxopt's cone solver, which shares nothing with the package. Then the certified gap
+that a conic solver reaches, whatever the form that the programme is given in.
 """
 
 import time
@@ -25,6 +26,18 @@ def _problem(n_bodies, seed, condition):
     theta = robot(rng, n_bodies)
     theta = theta + 0.5 * rng.normal(size=theta.size) * (np.abs(theta) + 0.2)
     return theta, metric(rng, theta.size, condition)
+
+
+def _rods(seed, noise):
+    """Bodies of two point masses each, hardly spoiled, and a metric."""
+    add_root_to_path()
+    from tests.physical._problems import metric, parameters_of, point_masses
+
+    rng = np.random.default_rng(seed)
+    bodies = [parameters_of(*point_masses(rng, 2)) for _ in range(3)]
+    theta = np.concatenate([np.r_[phi, 0.1] for phi in bodies])
+    theta = theta + noise * rng.normal(size=theta.size) * (np.abs(theta) + 0.2)
+    return theta, metric(rng, theta.size, 1e4)
 
 
 def measure(n_bodies, *, n_problems, condition=1e4):
@@ -99,10 +112,52 @@ def report(sizes=(1, 6, 10), conditions=(1e4, 1e8, 1e11), n_problems=20):
     )
 
 
+def report_forms(sizes=(1, 6, 10), condition=1e8, noise=1e-5, n_problems=6):
+    """Table of certified gaps by form and settings of a conic solver."""
+    from _conic_forms import FORMS, SETTINGS, programme, smallest_gap
+
+    seeds = range(_SEED, _SEED + n_problems)
+    groups = {
+        f"{n} bodies": [_problem(n, seed, condition) for seed in seeds] for n in sizes
+    }
+    groups["3 rods"] = [_rods(seed, noise) for seed in seeds]
+    options = {"parameters_per_joint": 11}
+    stated = [
+        [one for theta, A in group if (one := programme(theta, A, **options))]
+        for group in groups.values()
+    ]
+    rows = []
+    for form in FORMS:
+        for settings in SETTINGS:
+            gaps = [
+                np.max([smallest_gap(one, form, settings) for one in group])
+                for group in stated
+            ]
+            rows.append([form, settings, *(f"{gap:.0e}" for gap in gaps)])
+    own = [
+        max(project(theta, A, **options).relative_gap for theta, A in group)
+        for group in groups.values()
+    ]
+    rows.append(["package", "", *(f"{gap:.0e}" for gap in own)])
+    table = rst_table(rows, ["form", "settings", *groups], n_labels=2)
+    return (
+        f"{table}\n\nLargest certified gap, relative to the squared distance, of "
+        f"{n_problems} problems; metrics of condition {condition:.0e}, that of the "
+        f"rods 1e+04 with noise of {noise:.0e}. clarabel solves each problem twice, "
+        "the second time in units of the distance found. Forms of the distance "
+        "|T x - c|: the quadratic form T'T, the residual as unknowns of its own, a "
+        "second-order cone, a rotated one, and the unknowns T x - c. The settings: its "
+        "tolerances of 1e-8; 1e-13; with its iterative refinement to 1e-15 besides; "
+        "without equilibration; with a regularisation of 1e-12 instead of 1e-8. nan is "
+        "no answer."
+    )
+
+
 def main(argv=None):
     """Print the table."""
     arguments = parser(__doc__.splitlines()[0]).parse_args(argv)
-    publish("projection", report(), write=arguments.write)
+    text = f"{report()}\n\n{report_forms()}"
+    publish("projection", text, write=arguments.write)
 
 
 if __name__ == "__main__":

@@ -43,16 +43,16 @@ def _model(robot):
     """Model of a robot by name."""
     from importlib import resources
 
-    from sklearn_vbjfa.datasets._robots import _load
+    from sklearn_vbjfa.model._loading import load_model
 
     files = {"demo_arm": "demo_arm.urdf", "head": "head.urdf"}
     name = files.get(robot, "kr300_nominal.urdf")
-    return _load(str(resources.files("sklearn_vbjfa.datasets") / "robots" / name))
+    return load_model(str(resources.files("sklearn_vbjfa.datasets") / "robots" / name))
 
 
 def _moves(kind, model, rng):
     """Positions, velocities, accelerations of moves from pose to pose with rests."""
-    from sklearn_vbjfa.datasets._plant import joint_range
+    from sklearn_vbjfa.datasets._robots import joint_range
 
     middle, reach = joint_range(model)
     pieces, here, nv = [], middle.copy(), model.nv
@@ -102,7 +102,7 @@ def simulate(robot, encoder, friction, seed):
     `friction` (nv,) is the size of the dry friction; `moves` (n, nv) says when.
     """
     from sklearn_vbjfa.datasets import make_robot_recording
-    from sklearn_vbjfa.datasets._robots import _inverse_dynamics
+    from sklearn_vbjfa.datasets._robots import rigid_torques, with_inertias
 
     model, rng = _model(robot), np.random.default_rng(seed)
     settings = {"dt": DT, "encoder_noise": 0.0, "torque_noise": 0.0}
@@ -125,9 +125,9 @@ def simulate(robot, encoder, friction, seed):
         return step * np.round(q / step + noise * rng.normal(size=q.shape))
 
     def torque(states):
-        q, v, a = np.split(states, 3, axis=1)
+        q, v, _ = np.split(states, 3, axis=1)
         dry = [_dry_friction(q[:, j], v[:, j], friction, rng) for j in range(nv)]
-        rigid = _inverse_dynamics(model, fitted.inertial, q, v, a)
+        rigid = rigid_torques(with_inertias(model, fitted.inertial), states)
         return rigid + fitted.friction["viscous"] * v + size * np.column_stack(dry)
 
     clean = torque(fitted.states)

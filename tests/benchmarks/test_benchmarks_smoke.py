@@ -158,11 +158,15 @@ def test_coupling_columns_find_a_coupled_friction():
 
 def test_projection_at_small_size():
     pytest.importorskip("cvxopt")
+    pytest.importorskip("clarabel")
     import bench_projection as bench
 
     row = bench.measure(1, n_problems=2)
     assert abs(row[4]) < 1e-6
     assert "cvxopt" in bench.report(sizes=(1,), n_problems=1)
+    text = bench.report_forms(sizes=(2,), n_problems=1)
+    assert "rotated cone" in text
+    assert "package" in text
 
 
 def test_speed_at_small_size():

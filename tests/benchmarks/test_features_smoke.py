@@ -31,3 +31,12 @@ def test_regressor_at_small_size():
         assert name in text
     # The loop is compared with before it is timed.
     assert "40" in text
+
+
+def test_fit_and_demo_at_small_size():
+    import bench_features as bench
+
+    text = bench.report_fit(n_joints=2, n_samples=3000, rounds=1)
+    for name in bench.FIT_HEADERS:
+        assert name in text
+    assert "start to end" in bench.report_demo(rounds=1)

@@ -61,7 +61,8 @@ def test_without_arguments_the_loop_is_closed_on_the_demo(closed):
     assert code == 0
     assert err == ""  # no terminal, no progress
     lines = out.splitlines()
-    assert len(lines) <= 27
+    assert len(lines) <= 40
+    assert max(map(len, lines)) <= 80
     assert lines[0] == (
         "Recording 'demo': 8000 samples, 6 joints, dt = 0.005 s, 2 recordings"
     )

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from sklearn_vbjfa._core._moments import DataMoments, GramMoments
+from sklearn_vbjfa._core._moments import SecondMoments, SquareRoot
+from sklearn_vbjfa._core._solver import evaluate, plain_step
 from sklearn_vbjfa._core._updates import Prior, State
 from tests.reference import paper_jfa as ref
 
@@ -23,15 +24,20 @@ def make_data(seed, n_features, n_samples=25, noise=0.4):
 def as_gram(X, y):
     """Take moments of the rows as they are, neither centred nor scaled."""
     S = X.T @ X
-    return GramMoments(
+    return SecondMoments(
         n=float(len(y)), S=S, xy=X.T @ y, yy=float(y @ y), xx=np.diagonal(S).copy()
     )
 
 
 def as_rows(X, y):
     """Hold the same moments as the rows."""
-    return DataMoments(
-        n=float(len(y)), X=X, xy=X.T @ y, yy=float(y @ y), xx=(X**2).sum(axis=0)
+    return SecondMoments(
+        n=float(len(y)),
+        S=None,
+        xy=X.T @ y,
+        yy=float(y @ y),
+        xx=(X**2).sum(axis=0),
+        root=SquareRoot(R=X, z=y, rest=0.0),
     )
 
 
@@ -66,6 +72,12 @@ def make_prior(model, n_samples, n_features):
         psi_x_weight=0.1 * n_samples,
         psi_x_mode=np.full(n_features, 0.2),
     )
+
+
+def iterate(moments, state, prior):
+    """Do one whole iteration; return the new state and the bound of the old one."""
+    point = evaluate(moments, state, prior)
+    return plain_step(moments, point, prior), point.value
 
 
 def as_jfa_params(state):

@@ -94,7 +94,7 @@ def test_bound_never_falls(model, n_features, n_samples, seed, known):
         state = replace(state, psi_x=prior.psi_x_fixed)
     values = []
     for _ in range(60):
-        state, value = _solver.iterate(moments, state, prior)
+        state, value = _problems.iterate(moments, state, prior)
         values.append(value)
     # Rounding of a sum of n terms of the size of the bound, nothing of the algorithm.
     slack = 1e-12 * np.abs(values).max()

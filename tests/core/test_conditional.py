@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 from scipy import optimize
 
 from sklearn_vbjfa._core import _correlated
+from sklearn_vbjfa._core._moments import SecondMoments
 
 
 @pytest.mark.parametrize(("shape0", "rate0"), [(1e-6, 1e-6), (0.3, 0.7)])
@@ -56,8 +57,10 @@ def test_mean_and_noise_are_the_maximum():
     xy, alpha = S @ np.array([1.0, -0.5, 0.2]), np.array([0.1, 1.0, 3.0])
     yy = float(xy @ np.linalg.solve(S, xy)) + 30.0
     shape = np.linalg.inv(S)
+    moments = SecondMoments(n=n, S=S, xx=np.diagonal(S), xy=xy, yy=yy)
+    latent = _correlated.Latent(H=H, P=P, Sigma_t=S / n, exact=False, clipped=())
     mean, s2 = _correlated.mean_and_noise(
-        (S, xy, yy, n), H, P, shape, (np.zeros(d), 1.0), alpha
+        moments, latent, shape, (np.zeros(d), 1.0), alpha
     )
     inflate = np.linalg.inv(np.eye(d) + P @ shape)
     gain, spread = inflate @ H, inflate @ P

@@ -1,6 +1,6 @@
 """Correlated latent inputs against a literal version with loops over samples."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from scipy.special import digamma, gammaln
 from scipy.stats import multivariate_normal
 
 from sklearn_vbjfa._core import _correlated
-from sklearn_vbjfa._core._moments import SquareRoot
+from sklearn_vbjfa._core._moments import SecondMoments, SquareRoot
 from tests.core._problems import ARD_RATE, ARD_SHAPE
 
 LOG_2PI = np.log(2 * np.pi)
@@ -33,7 +33,13 @@ def make_problem(seed, n_features, n_samples=60, noise=0.3):
     return X, y, psi * min(1.0, 0.7 / largest), coef
 
 
-def solve(X, y, psi, **options):
+def moments_of(S, xy, yy, n, root=None):
+    return SecondMoments(
+        n=float(n), S=S, xx=np.diagonal(S), xy=xy, yy=float(yy), root=root
+    )
+
+
+def solve(X, y, psi, root=None, **options):
     options = {
         "ard_shape": ARD_SHAPE,
         "ard_rate": ARD_RATE,
@@ -41,9 +47,8 @@ def solve(X, y, psi, **options):
         "tol": 1e-9,
         **options,
     }
-    return _correlated.solve_correlated(
-        X.T @ X, X.T @ y, float(y @ y), float(len(y)), psi, **options
-    )
+    moments = moments_of(X.T @ X, X.T @ y, y @ y, len(y), root)
+    return _correlated.solve_correlated(moments, psi, **options)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,10 +216,7 @@ def test_known_noise_gives_corrected_least_squares():
     # variances, in which the variational estimate differs, fade as 1 / n.
     for repeat in (1e2, 1e3):
         solution = _correlated.solve_correlated(
-            repeat * S,
-            repeat * xy,
-            repeat * yy,
-            repeat * 400,
+            moments_of(repeat * S, repeat * xy, repeat * yy, repeat * 400),
             psi,
             ard_shape=1e-6,
             ard_rate=1e-6,
@@ -236,10 +238,12 @@ def test_population_moments_give_the_truth():
     Sigma_t, psi = root @ root.T + np.eye(4), 0.05 * noise @ noise.T
     coef, psi_y, n = rng.normal(size=4), 1.0, 1e8
     solution = _correlated.solve_correlated(
-        n * (Sigma_t + psi),
-        n * Sigma_t @ coef,
-        n * (coef @ Sigma_t @ coef + psi_y),
-        n,
+        moments_of(
+            n * (Sigma_t + psi),
+            n * Sigma_t @ coef,
+            n * (coef @ Sigma_t @ coef + psi_y),
+            n,
+        ),
         psi,
         ard_shape=1e-6,
         ard_rate=1e-6,
@@ -296,24 +300,24 @@ def test_both_forms_of_the_posterior_agree(monkeypatch, n_samples):
     X, y, _, _ = make_problem(12, 4, n_samples)
     S, alpha, s2 = X.T @ X, np.array([0.1, 1.0, 10.0, 1e3]), 0.1
     args = S, X.T @ y, float(y @ y), s2, alpha
-    square_root = _correlated._square_root(S, X.T @ y, float(y @ y))
+    square_root = _correlated.square_root(S, X.T @ y, float(y @ y))
     root = square_root.R
     assert root.shape[0] == min(n_samples, 4)
     assert_allclose(root.T @ root, S, atol=1e-13 * np.abs(S).max())
     assert_allclose(root.T @ square_root.z, X.T @ y, rtol=1e-10)
-    safe = _correlated._posterior_beta(*args, None)
+    safe = _correlated.posterior_beta(*args, None)
     monkeypatch.setattr(_correlated, "_SAFE_ROUNDING", 0.0)
-    rooted = _correlated._posterior_beta(*args, lambda: square_root)
+    rooted = _correlated.posterior_beta(*args, lambda: square_root)
     # S has a condition of 1e3, or no inverse; the prior is what keeps to 1e-9.
     cov = np.linalg.inv(S / s2 + np.diag(alpha))
     mean = cov @ X.T @ y / s2
     logdet = np.linalg.slogdet(cov)[1]
     residual = np.sum((y - X @ mean) ** 2) + np.trace(S @ cov)
     for result in (safe, rooted):
-        assert_allclose(result[0], mean, atol=1e-9)
-        assert_allclose(result[1], cov, atol=1e-9 * np.abs(cov).max())
-        assert_allclose(result[2], logdet, rtol=1e-9)
-        assert_allclose(result[3], residual, rtol=1e-9)
+        assert_allclose(result.mean, mean, atol=1e-9)
+        assert_allclose(result.cov, cov, atol=1e-9 * np.abs(cov).max())
+        assert_allclose(result.logdet, logdet, rtol=1e-9)
+        assert_allclose(result.squares, residual, rtol=1e-9)
 
 
 @pytest.mark.parametrize("d", [1, 3])
@@ -334,7 +338,7 @@ def test_posterior_covariance_of_exact_inputs_is_the_bayesian_one():
     X, y, _, _ = make_problem(14, 3)
     zero = np.zeros((3, 3))
     solution = solve(X, y, zero)
-    cov = _correlated.posterior_covariance(X.T @ X, 60.0, zero, solution)
+    cov = _correlated.posterior_covariance(60.0, zero, solution)
     assert_array_equal(cov, solution.state.beta_cov)
 
 
@@ -351,7 +355,7 @@ def test_posterior_covariance_is_the_scatter_of_the_estimate():
         y = t @ coef + s * rng.normal(size=n)
         estimates[i] = np.linalg.solve(X.T @ X - n * psi, X.T @ y)
     solution = solve(X, y, psi, ard_shape=1e-6, ard_rate=1e-6, tol=1e-11)
-    ours = _correlated.posterior_covariance(X.T @ X, float(n), psi, solution)
+    ours = _correlated.posterior_covariance(float(n), psi, solution)
     scatter = np.cov(estimates, rowvar=False)
     # 2000 runs give a deviation to 1.6 %, one data set of 500 its own to some 10 %.
     ratio = np.sqrt(np.diagonal(ours) / np.diagonal(scatter))
@@ -365,15 +369,15 @@ def test_a_fall_of_the_bound_keeps_the_state_before(monkeypatch):
     X, y, psi, _ = make_problem(16, 3)
     options = {"tol": 0.0, "accelerate": False}
     good = solve(X, y, psi, max_iter=4, **options)
-    right = _correlated._posterior_beta
+    right = _correlated.posterior_beta
     calls = []
 
     def wrong(*args, **settings):
-        mean, cov, logdet, residual = right(*args, **settings)
+        found = right(*args, **settings)
         calls.append(args)
-        return (10 * mean if len(calls) == 5 else mean), cov, logdet, residual
+        return replace(found, mean=10 * found.mean) if len(calls) == 5 else found
 
-    monkeypatch.setattr(_correlated, "_posterior_beta", wrong)
+    monkeypatch.setattr(_correlated, "posterior_beta", wrong)
     solution = solve(X, y, psi, max_iter=100, **options)
     assert solution.status == "bound_decreased"
     assert solution.fall > 1.0
@@ -412,11 +416,14 @@ def test_the_end_is_the_fixed_point_whatever_the_tolerance(seed, exact, common):
     assert_allclose(rough.state.beta_mean, fine.state.beta_mean, rtol=1e-7, atol=1e-9)
     assert_allclose(rough.state.psi_y, fine.state.psi_y, rtol=1e-8)
     # One more literal step moves nothing.
-    S, xy, yy = X.T @ X, X.T @ y, y @ y
-    problem = _correlated._Problem(
-        S, xy, yy, 80, psi, ARD_SHAPE, ARD_RATE, common, None
+    problem = _correlated.CorrelatedProblem(
+        moments_of(X.T @ X, X.T @ y, y @ y, 80),
+        psi,
+        ard_shape=ARD_SHAPE,
+        ard_rate=ARD_RATE,
+        common=common,
     )
-    point = problem._evaluate(fine.state, 0.0, fine.state.E_alpha, 0.0)
+    point = problem.evaluate(fine.state, 0.0, fine.state.E_alpha, 0.0)
     after = problem.step(point, fast=False).state
     assert_allclose(after.beta_mean, fine.state.beta_mean, rtol=1e-8, atol=1e-10)
     assert_allclose(after.E_alpha, fine.state.E_alpha, rtol=1e-7)
@@ -435,11 +442,11 @@ def test_rounding_of_the_moments_does_not_move_the_end(seed, exact):
     S, xy, yy = (X / scale).T @ (X / scale), (X / scale).T @ y, y @ y
     psi = np.zeros((9, 9)) if exact else 1e-5 * np.eye(9)
     options = {"ard_shape": 1e-6, "ard_rate": 1e-6, "max_iter": 20_000, "tol": 1e-7}
-    first = _correlated.solve_correlated(S, xy, yy, 300.0, psi, **options)
+    first = _correlated.solve_correlated(moments_of(S, xy, yy, 300), psi, **options)
     shaken = 1 + 4 * np.finfo(float).eps * rng.choice([-1.0, 0.0, 1.0], size=(9, 9))
     shaken = np.triu(shaken) + np.triu(shaken, 1).T
     second = _correlated.solve_correlated(
-        S * shaken, xy * shaken[0], yy, 300.0, psi, **options
+        moments_of(S * shaken, xy * shaken[0], yy, 300), psi, **options
     )
     moved = X / scale @ (first.state.beta_mean - second.state.beta_mean)
     assert np.abs(moved).max() < 1e-9 * y.std()

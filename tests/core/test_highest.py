@@ -21,7 +21,7 @@ def moments_of(seed, d, n=200, correlation=0.0):
 
 
 def value(moments, state, prior):
-    return _solver.iterate(moments, state, prior)[1]
+    return _problems.iterate(moments, state, prior)[1]
 
 
 @pytest.mark.parametrize("correlation", [0.0, 1.0, 30.0])
@@ -41,7 +41,7 @@ def test_em_cannot_leave_it_and_stays_below(seed, noise, correlation):
     top = value(moments, state, prior)
     new = state
     for _ in range(20):
-        new, reached = _solver.iterate(moments, new, prior)
+        new, reached = _problems.iterate(moments, new, prior)
     assert reached == pytest.approx(top, rel=0, abs=1e-9 * abs(top))
     # EM's own way up, from the same start and for long, does not get above it.
     long = _solver.solve(

@@ -126,12 +126,12 @@ def test_factor_of_any_chunks(monkeypatch, splits, centred):
     for rows in np.array_split(np.arange(900), splits):
         part = _moments.from_data(X[rows], y[rows], weight[rows])
         part = _moments.with_factor(part, X[rows], y[rows], weight[rows])
-        total = _moments.merge(total, part)
+        total = part if total is None else total + part
     R = total.factor_about(centred=centred)
     assert_array_equal(R, np.triu(R))
     rows = joint_rows(X, y, weight, centred)
     assert_allclose(R.T @ R, rows.T @ rows, rtol=1e-11, atol=1e-9)
-    faded = _moments.fade(total, 0.25).factor_about(centred=centred)
+    faded = total.faded(0.25).factor_about(centred=centred)
     assert_allclose(faded.T @ faded, 0.25 * rows.T @ rows, rtol=1e-11, atol=1e-9)
     # Standardised, the moments are those of the factor.
     data = _moments.standardise(total, centred=centred).moments
@@ -147,7 +147,7 @@ def test_factor_of_any_chunks(monkeypatch, splits, centred):
 def test_merging_with_rows_without_factor_has_none():
     X, y, _ = make_problem(50, 1e2, 0.1)
     plain = _moments.from_data(X, y)
-    assert _moments.merge(_moments.with_factor(plain, X, y), plain).factor is None
+    assert (_moments.with_factor(plain, X, y) + plain).factor is None
 
 
 def test_a_large_offset_does_not_round_the_scatter(monkeypatch):
@@ -166,7 +166,7 @@ def test_a_large_offset_does_not_round_the_scatter(monkeypatch):
     total = None
     for rows in np.array_split(np.arange(2000), 9):
         part = _moments.from_data(X[rows] + 1e12, y[rows] - 1e12)
-        total = _moments.merge(total, part)
+        total = part if total is None else total + part
     difference = (total.S_xx - near.S_xx) / np.outer(unit, unit)
     assert_allclose(difference, 0.0, atol=1e-14)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa._core import _solver, _updates
+from sklearn_vbjfa._core import _updates
 from sklearn_vbjfa._core._updates import (
     Prior,
     expect_hidden,
@@ -42,7 +42,7 @@ def assert_same_posterior(state, params, rtol):
 def test_jfa_iteration(as_moments, n_features, n_samples, seed):
     X, y, _ = _problems.make_data(seed, n_features, n_samples)
     state = _problems.make_state(seed, n_features, ard=False)
-    new, value = _solver.iterate(as_moments(X, y), state, Prior())
+    new, value = _problems.iterate(as_moments(X, y), state, Prior())
     params = _problems.as_jfa_params(state)
     assert_same_posterior(new, ref.jfa_em_step(params, X, y), ONE_STEP)
     assert_allclose(value, ref.jfa_loglik(params, X, y), rtol=ONE_STEP)
@@ -54,7 +54,7 @@ def test_vb_iteration(as_moments, n_features, n_samples, seed):
     X, y, _ = _problems.make_data(seed, n_features, n_samples)
     state = _problems.make_state(seed, n_features)
     prior = _problems.make_prior("paper", n_samples, n_features)
-    new, value = _solver.iterate(as_moments(X, y), state, prior)
+    new, value = _problems.iterate(as_moments(X, y), state, prior)
     params = _problems.as_vb_params(state)
     expected = ref.vb_step(params, X, y, ARD_SHAPE, ARD_RATE)
     assert_same_posterior(new, expected, ONE_STEP)
@@ -73,7 +73,7 @@ def test_two_hundred_iterations(model, n_features):
     else:
         params = _problems.as_vb_params(state)
     for _ in range(200):
-        state, _ = _solver.iterate(moments, state, prior)
+        state, _ = _problems.iterate(moments, state, prior)
         if model == "jfa":
             params = ref.jfa_em_step(params, X, y)
         else:
@@ -87,8 +87,8 @@ def test_known_input_noise_replaces_its_update():
     state = _problems.make_state(0, 3, ard=False)
     known = np.array([0.1, 0.2, 0.3])
     moments = _problems.as_gram(X, y)
-    free, _ = _solver.iterate(moments, state, Prior())
-    fixed, _ = _solver.iterate(moments, state, Prior(psi_x_fixed=known))
+    free, _ = _problems.iterate(moments, state, Prior())
+    fixed, _ = _problems.iterate(moments, state, Prior(psi_x_fixed=known))
     assert_array_equal(fixed.psi_x, known)
     for name in ("w_z_mean", "w_x_mean", "psi_z", "psi_y"):
         assert_array_equal(getattr(fixed, name), getattr(free, name))
@@ -131,7 +131,7 @@ def test_input_noise_maximises_the_bound_under_its_prior(weight):
     X, y, _ = _problems.make_data(3, 3)
     state = _problems.make_state(3, 3, coupled=False)
     prior = replace(_problems.make_prior("noise", 25, 3), psi_x_weight=weight)
-    new, _ = _solver.iterate(_problems.as_gram(X, y), state, prior)
+    new, _ = _problems.iterate(_problems.as_gram(X, y), state, prior)
     posterior = ref.posterior_zt(X, y, **_problems.as_vb_params(state).moments())
     best = expected_log_joint(new.psi_x, new, posterior, prior, X, y)
     step = 1e-4
@@ -152,7 +152,7 @@ def test_heavy_prior_holds_the_input_noise_at_its_mode():
     mode = np.array([0.2, 0.5])
     prior = _problems.make_prior("noise", 25, 2)
     prior = replace(prior, psi_x_weight=1e12, psi_x_mode=mode)
-    new, _ = _solver.iterate(_problems.as_gram(X, y), state, prior)
+    new, _ = _problems.iterate(_problems.as_gram(X, y), state, prior)
     # 25 samples against 1e12
     assert_allclose(new.psi_x, mode, rtol=1e-9)
 
@@ -198,7 +198,7 @@ def test_negligible_loadings_become_exact_zeros():
     X, y, _ = _problems.make_data(6, 2)
     state = _problems.make_state(6, 2)
     state = replace(state, alpha_rate=np.array([1e-300, 1.0]))
-    new, _ = _solver.iterate(
+    new, _ = _problems.iterate(
         _problems.as_gram(X, y), state, _problems.make_prior("paper", 25, 2)
     )
     assert new.w_z_mean[0] == new.w_x_mean[0] == 0.0

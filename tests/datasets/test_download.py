@@ -32,10 +32,9 @@ def declare(monkeypatch):
 @pytest.fixture
 def fetch(tmp_path):
     def call(**options):
-        defaults = {"download_if_missing": True, "n_retries": 0, "delay": 0.0}
-        return _download.fetch_files(
-            "bench", data_home=tmp_path, **{**defaults, **options}
-        )
+        options = {"n_retries": 0, "delay": 0.0, **options}
+        access = _download.Access(data_home=tmp_path, **options)
+        return _download.DataFiles("bench", access).find()
 
     return call
 
@@ -153,7 +152,8 @@ def test_changed_local_file_is_refused(declare, fetch, tmp_path):
 
 def test_default_home_is_that_of_scikit_learn(monkeypatch, tmp_path):
     monkeypatch.setenv("SCIKIT_LEARN_DATA", str(tmp_path))
-    assert _download.dataset_folder("emps", None) == tmp_path / "sklearn_vbjfa" / "emps"
+    files = _download.DataFiles("emps", _download.Access())
+    assert files.folder == tmp_path / "sklearn_vbjfa" / "emps"
 
 
 def test_list_of_public_files_is_well_formed():

@@ -11,12 +11,8 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from sklearn_vbjfa import datasets
-from sklearn_vbjfa.datasets import (
-    _fetch_benches,
-    _fetch_industrial,
-    _fetch_pendulums,
-    _fetch_research,
-)
+from sklearn_vbjfa.datasets import _readers
+from sklearn_vbjfa.datasets._catalogue import CATALOGUE
 from sklearn_vbjfa.datasets._download import find_file, remote_files
 from sklearn_vbjfa.model import _descriptions
 
@@ -143,11 +139,11 @@ def test_originals_equal_conversion_of_one_joint_benches(
     original, converted, measured_data_home
 ):
     (local,) = original("tflex_1dof").values()
-    raw = _fetch_benches.read_tflex(local)
+    raw = _readers.tflex_arrays(local)
     _assert_same_arrays(raw, converted("tflex_1dof", "TFlexADRC_RN20"))
 
     for local in original("bam_xl330").values():
-        raw = _fetch_pendulums.read_xl330(local)
+        raw = _readers.xl330_arrays(local)
         name = f"xl330_kp{raw['kp']}_{raw['trajectory']}"
         _assert_same_arrays(raw, converted("bam_xl330", name))
 
@@ -156,7 +152,7 @@ def test_originals_equal_conversion_of_the_double_pendulum(original, converted):
     for path, local in original("dfki_double_pendulum").items():
         name = path.removeprefix("data/experiment_records/").removesuffix(".csv")
         expected = converted("dfki_double_pendulum", name.replace("/", "__"))
-        raw = _fetch_pendulums.read_dfki(local)
+        raw = _readers.dfki_arrays(local)
         assert list(raw) == expected["columns"].tolist()
         np.testing.assert_array_equal(
             np.column_stack(list(raw.values())), expected["data"]
@@ -171,28 +167,28 @@ def test_originals_equal_conversion_of_the_arms(original, converted):
         parts = {
             Path(p).stem: x for p, x in files.items() if p.startswith(f"{folder}/")
         }
-        raw = _fetch_industrial.read_ur5(parts)
+        raw = _readers.ur5_arrays(parts)
         _assert_same_arrays(raw, converted("ur5", Path(folder).parent.name))
 
-    raw = _fetch_industrial.read_tx40(original("staubli_tx40", ".csv"))
+    raw = _readers.tx40_arrays(original("staubli_tx40", ".csv"))
     expected = converted("staubli_tx40", "tx40")
-    assert expected.pop("dt") == _fetch_industrial._TX40_PERIOD
+    assert expected.pop("dt") == CATALOGUE["staubli_tx40"].dt
     _assert_same_arrays(raw, expected)
 
     for path, local in original("kuka_kr300").items():
-        raw = _fetch_industrial.read_kr300(local)
+        raw = _readers.kr300_arrays(local)
         _assert_same_arrays(raw, converted("kuka_kr300", f"traj_{path.split()[3]}"))
 
-    raw = _fetch_research.read_franka(original("franka_panda"))
+    raw = _readers.franka_arrays(original("franka_panda"))
     _assert_same_arrays(raw, converted("franka_panda", "exciting_traj_1"))
 
     (local,) = original("kuka_lbr_med7", ".csv").values()
-    raw = _fetch_research.read_lbr(local)
+    raw = _readers.lbr_arrays(local)
     _assert_same_arrays(raw, converted("kuka_lbr_med7", "measurements"))
 
-    raw = _fetch_research.read_tiago(original("tiago"))
+    raw = _readers.tiago_arrays(original("tiago"))
     expected = converted("tiago", "tiago_dynamic")
-    assert tuple(expected.pop("joint_names")) == _fetch_research._TIAGO_JOINTS
+    assert tuple(expected.pop("joint_names")) == CATALOGUE["tiago"].joint_names
     _assert_same_arrays(raw, expected)
 
 

@@ -1,217 +1,49 @@
-"""Simulated recordings: the torques are those of the robot that comes with them."""
+"""The head and the arm of the paper: trees with plausible bodies."""
 
 import numpy as np
 import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.datasets import (  # noqa: E402
-    Recording,
-    load_demo_recording,
-    make_robot_recording,
+from sklearn_vbjfa.datasets import load_arm_model, load_head_model  # noqa: E402
+from sklearn_vbjfa.physical import (  # noqa: E402
+    body_scales,
+    is_consistent,
+    min_eigenvalue,
 )
-from sklearn_vbjfa.datasets._catalogue import Protocol, protocols  # noqa: E402
-from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
-from sklearn_vbjfa.physical import is_consistent  # noqa: E402
 
-ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
+ROBOTS = [(load_head_model, 7, (0, 1, 2, 3, 4, 3, 6))]
+ROBOTS += [(load_arm_model, 10, (0, 1, 2, 3, 4, 5, 6, 7, 7, 7))]
 
 
-def test_torques_are_inverse_dynamics_plus_friction():
-    recording = make_robot_recording(
-        duration=2.0, dt=0.01, friction=ALL, n_recordings=2, random_state=0
-    )
-    model = pin.buildModelFromUrdf(demo_arm_urdf())
-    for j, body in enumerate(recording.inertial):
-        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
+@pytest.mark.parametrize(("load", "nv", "parents"), ROBOTS)
+def test_robots_are_trees_of_the_size_said(load, nv, parents):
+    model = load()
+    assert (model.nq, model.nv) == (nv, nv)
+    assert tuple(model.parents)[1:] == parents
+    assert load() is not load()
+
+
+@pytest.mark.parametrize(("load", "nv", "parents"), ROBOTS)
+def test_bodies_are_consistent_and_not_on_the_edge(load, nv, parents):
+    bodies = np.array([body.toDynamicParameters() for body in load().inertias[1:]])
+    assert is_consistent(bodies).all()
+    mass, length = body_scales(bodies)
+    # a rod of 9 cm by 2 cm, the thinnest finger, has 8e-3
+    assert min_eigenvalue(bodies, mass_scale=mass, length_scale=length).min() > 5e-3
+    assert bodies[:, 0].min() > 0.05
+    assert bodies[:, 0].max() < 5.0
+
+
+@pytest.mark.parametrize(("load", "nv", "parents"), ROBOTS)
+def test_limits_contain_the_zero_and_the_load(load, nv, parents):
+    model = load()
+    assert (model.lowerPositionLimit < 0).all()
+    assert (model.upperPositionLimit > 0).all()
+    assert (model.velocityLimit > 0).all()
     data = model.createData()
-    for row, torque in zip(recording.states, recording.tau_clean):
-        q, v, a = row.reshape(3, 6)
-        expected = pin.rnea(model, data, q, v, a)
-        for name, signal in zip(ALL, (v, np.sign(v), np.ones(6), a)):
-            expected = expected + recording.friction[name] * signal
-        np.testing.assert_allclose(torque, expected, rtol=1e-10, atol=1e-10)
-
-
-def test_states_are_derivatives_of_one_another():
-    recording = make_robot_recording(duration=4.0, dt=0.001, random_state=1)
-    q, v, a = np.split(recording.states, 3, axis=1)
-    h = recording.dt
-    # central differences of motions up to 0.7 Hz: h^2 w^2 / 6 = 3e-6 relative
-    for x, rate in ((q, v), (v, a)):
-        slope = (x[2:] - x[:-2]) / (2 * h)
-        np.testing.assert_allclose(slope, rate[1:-1], atol=1e-5 * np.abs(rate).max())
-
-
-def test_noise_is_as_large_as_said():
-    recording = make_robot_recording(
-        duration=60.0, encoder_noise=3e-4, torque_noise=0.1, random_state=2
-    )
-    error = recording.q - recording.states[:, :6]
-    # 12000 samples: a deviation is known to 0.65 %
-    np.testing.assert_allclose(error.std(axis=0), 3e-4, rtol=0.03)
-    error = recording.tau - recording.tau_clean
-    np.testing.assert_allclose(error.std(axis=0), recording.torque_noise, rtol=0.03)
-    np.testing.assert_allclose(
-        recording.torque_noise, 0.1 * recording.tau_clean.std(axis=0), rtol=1e-12
-    )
-    lag = np.mean(error[1:] * error[:-1], axis=0) / error.var(axis=0)
-    assert np.all(np.abs(lag) < 4.5 / np.sqrt(12_000))  # white
-    clean = make_robot_recording(
-        duration=2.0, encoder_noise=0.0, torque_noise=0.0, random_state=2
-    )
-    np.testing.assert_array_equal(clean.q, clean.states[:, :6])
-    np.testing.assert_array_equal(clean.tau, clean.tau_clean)
-
-
-def test_the_motion_keeps_the_limits():
-    recording = make_robot_recording(duration=40.0, dt=0.01, random_state=3)
-    model = pin.buildModelFromUrdf(demo_arm_urdf())
-    q, v, _ = np.split(recording.states, 3, axis=1)
-    assert np.all(q >= model.lowerPositionLimit)
-    assert np.all(q <= model.upperPositionLimit)
-    assert np.all(np.abs(v) <= model.velocityLimit)
-    # and uses them: range or speed, whichever binds, to the share that is kept free
-    reach = 0.5 * (model.upperPositionLimit - model.lowerPositionLimit)
-    centre = 0.5 * (model.upperPositionLimit + model.lowerPositionLimit)
-    used = np.abs(q - centre).max(axis=0) / np.minimum(reach, 2.5)
-    fast = np.abs(v).max(axis=0) / model.velocityLimit
-    np.testing.assert_allclose(np.maximum(used, fast), 0.8, rtol=0.05)
-
-
-def test_bodies_are_possible_and_not_those_of_the_model():
-    model = pin.buildModelFromUrdf(demo_arm_urdf())
-    nominal = np.array([b.toDynamicParameters() for b in model.inertias[1:]])
-    for seed in range(5):
-        recording = make_robot_recording(
-            duration=1.0, perturbation=1.0, random_state=seed
-        )
-        assert all(is_consistent(body) for body in recording.inertial)
-        change = recording.inertial[:, 0] / nominal[:, 0] - 1
-        assert np.abs(change).max() > 0.1
-    exact = make_robot_recording(duration=1.0, perturbation=0.0, random_state=0)
-    np.testing.assert_allclose(exact.inertial, nominal, rtol=1e-9, atol=1e-12)
-
-
-def test_theta_is_laid_out_as_the_identifier_does():
-    recording = make_robot_recording(
-        duration=1.0, friction={"viscous": 2.0, "offset": np.arange(6.0)}
-    )
-    theta = recording.theta(("offset", "coulomb", "viscous")).reshape(6, 13)
-    np.testing.assert_array_equal(theta[:, :10], recording.inertial)
-    np.testing.assert_array_equal(theta[:, 10], np.arange(6.0))
-    np.testing.assert_array_equal(theta[:, 11], 0.0)
-    np.testing.assert_array_equal(theta[:, 12], 2.0)
-
-
-def test_seed_and_recordings():
-    first, again, other = (
-        make_robot_recording(duration=1.0, n_recordings=3, random_state=seed)
-        for seed in (5, 5, 6)
-    )
-    np.testing.assert_array_equal(first.q, again.q)
-    np.testing.assert_array_equal(first.tau, again.tau)
-    assert np.abs(first.q - other.q).max() > 0.1
-    assert first.group_names == ("motion_1", "motion_2", "motion_3")
-    np.testing.assert_array_equal(first.groups, np.repeat([0, 1, 2], 200))
-    starts = first.t.reshape(3, 200)[:, 0]
-    np.testing.assert_array_equal(starts, 0.0)
-    motions = first.q.reshape(3, 200, 6)
-    assert np.abs(motions[0] - motions[1]).max() > 0.1
-    assert isinstance(first, Recording)
-
-
-def test_units_of_sliding_joints_and_robots_without_limits():
-    model = pin.Model()
-    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
-    oblique = pin.JointModelPrismaticUnaligned(np.array([0.0, 0.6, 0.8]))
-    model.addJoint(1, oblique, pin.SE3.Identity(), "lift")
-    model.addJoint(2, pin.JointModelRZ(), pin.SE3.Identity(), "turn")
-    bodies = np.tile([1.0, 0.1, 0, 0.1, 0.1, 0, 0.1, 0, 0, 0.1], (3, 1))
-    recording = make_robot_recording(model, inertial=bodies, duration=1.0)
-    assert recording.position_units == ("m", "m", "rad")
-    assert recording.torque_units == ("N", "N", "N m")
-    assert np.isfinite(recording.q).all()
-    assert np.abs(recording.q).max() < 2.51
-    assert recording.urdf is None
-
-
-def test_the_demo_is_always_the_same():
-    first, again = load_demo_recording(), load_demo_recording()
-    for name in ("q", "tau", "states", "inertial"):
-        np.testing.assert_array_equal(getattr(first, name), getattr(again, name))
-    assert repr(first) == (
-        "Recording 'demo': 8000 samples, 6 joints, dt = 0.005 s, 2 recordings"
-    )
-    assert first.robot_model().nv == 6
-    assert first.select("motion_1").n_samples == 4000
-    nominal = [b.toDynamicParameters()[0] for b in first.robot_model().inertias[1:]]
-    assert np.abs(first.inertial[:, 0] / nominal - 1).max() > 0.05
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"duration": 0.05}, "are 10 samples; expected at least 16"),
-        ({"friction": ("sticky",)}, r"Unknown friction \['sticky'\]; expected some"),
-        ({"friction": {"sticky": 1.0}}, r"Unknown friction \['sticky'\]"),
-    ],
-)
-def test_wrong_options(options, message):
-    with pytest.raises(ValueError, match=message):
-        make_robot_recording(**{"duration": 1.0, **options})
-
-
-# -- protocols
-
-
-def test_a_protocol_splits_in_time_or_by_recording():
-    recording = make_robot_recording(duration=1.0, n_recordings=3, random_state=0)
-    in_time = Protocol(load=None, share=0.75)
-    train, test = in_time.split(recording)
-    assert train.size == 450
-    np.testing.assert_array_equal(np.sort(np.append(train, test)), np.arange(600))
-    for k in range(3):  # what is held out is later than what is fitted
-        mine = recording.groups == k
-        assert train[mine[train]].max() < test[mine[test]].min()
-    some = Protocol(load=None, train=("motion_2",), share=0.5)
-    train, test = some.split(recording)
-    np.testing.assert_array_equal(train, np.arange(200, 300))
-    np.testing.assert_array_equal(test, np.arange(300, 400))
-    named = Protocol(load=None, train=("motion_1", "motion_3"), test=("motion_2",))
-    train, test = named.split(recording)
-    np.testing.assert_array_equal(np.unique(recording.groups[train]), [0, 2])
-    np.testing.assert_array_equal(test, np.arange(200, 400))
-    assert named.describe(recording) == (
-        "fitted: motion_1, motion_3; held out: motion_2"
-    )
-    assert some.describe(recording).startswith("first 50 % of motion_2 fitted")
-
-
-def test_protocols_name_loaders_and_known_friction():
-    known = protocols()
-    assert next(iter(known)) == "demo"
-    assert len(known) == 11
-    for protocol in known.values():
-        assert callable(protocol.load)
-        assert set(protocol.friction) <= set(ALL)
-        assert not set(protocol.train) & set(protocol.test)
-
-
-def test_protocols_name_recordings_that_exist(measured_data_home):
-    for name, protocol in protocols().items():
-        if name == "demo" or not protocol.train:
-            continue
-        recording = protocol.load(
-            data_home=measured_data_home, download_if_missing=False, **protocol.options
-        )
-        assert set(protocol.train + protocol.test) <= set(recording.group_names)
-        assert 0 < protocol.split(recording)[0].size < recording.n_samples
-
-
-def test_selection_keeps_the_truth_of_what_is_kept():
-    recording = make_robot_recording(duration=2.0, n_recordings=2, random_state=0)
-    second = recording.select("motion_2")
-    rows = recording.groups == 1
-    np.testing.assert_array_equal(second.states, recording.states[rows])
-    np.testing.assert_array_equal(second.tau_clean, recording.tau_clean[rows])
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        q = rng.uniform(model.lowerPositionLimit, model.upperPositionLimit)
+        weight = pin.computeGeneralizedGravity(model, data, q)
+        assert (np.abs(weight) < 0.5 * model.effortLimit).all()

@@ -469,7 +469,7 @@ def test_declared_friction_is_not_looked_for():
     robot = ARM.robot(friction=("viscous", "coulomb"))
     loop = ARM.discover(torque, ["coulomb", "viscous", "offset"], robot=robot)
     assert loop.effects_ == ()
-    assert loop.declared_.features_._friction == ("viscous", "coulomb")
+    assert loop.declared_.features_.friction_ == ("viscous", "coulomb")
 
 
 def test_declared_effects_stay():

@@ -148,7 +148,7 @@ def test_a_worker_that_dies_changes_nothing(
 ):
     marker = tmp_path_factory.mktemp("killed") / "marker"
     workers = set(cluster.scheduler_info()["workers"])
-    monkeypatch.setattr(passes, "_statistics", dying(passes._statistics, marker))
+    monkeypatch.setattr(passes, "_moments", dying(passes._moments, marker))
     found = fit_recordings(robot(recording), folder)
     assert marker.exists()
     assert_same(found, in_memory(recording))

@@ -15,8 +15,10 @@ from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
 from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
 from sklearn_vbjfa.model import _regressor  # noqa: E402
 from sklearn_vbjfa.model._loading import load_model  # noqa: E402
-from sklearn_vbjfa.model._regressor import TreeRegressor  # noqa: E402
-from sklearn_vbjfa.robot._features import rounding_entries  # noqa: E402
+from sklearn_vbjfa.model._regressor import (  # noqa: E402
+    TreeRegressor,
+    rounding_entries,
+)
 
 has_numba = importlib.util.find_spec("numba") is not None
 by_both = pytest.mark.parametrize(
@@ -78,6 +80,14 @@ def by_sample(model, q, v, a):
     return np.array(rows).reshape(len(q), model.nv, model.nv, 10)
 
 
+def carried(model):
+    """Whether a joint (first axis) carries a body."""
+    found = np.zeros((model.nv, model.nv), dtype=bool)
+    for body, path in enumerate(list(model.supports)[1:]):
+        found[[j - 1 for j in path if j > 0], body] = True
+    return found
+
+
 def motion(rng, n, nv):
     return rng.uniform(-5.0, 5.0, size=(3, n, nv))
 
@@ -96,23 +106,26 @@ seeds = st.integers(0, 2**32 - 1)
 
 @by_both
 @settings(max_examples=60, deadline=None)
-@given(kinds=trees, seed=seeds, n=st.integers(0, 12), chunk=st.integers(1, 15))
-def test_regressor_of_random_trees(compiled, kinds, seed, n, chunk):
+@given(kinds=trees, seed=seeds, n=st.integers(0, 12))
+def test_regressor_of_random_trees(compiled, kinds, seed, n):
     rng = np.random.default_rng(seed)
     model = build(rng, kinds)
     states = motion(rng, n, model.nv)
-    regressor = TreeRegressor(model, chunk=chunk, compiled=compiled)
+    regressor = TreeRegressor(model, compiled=compiled)
     Phi = regressor(*states)
     assert Phi.shape == (n, model.nv, model.nv, 10)
     assert_equal_by_unit(Phi, by_sample(model, *states).reshape(Phi.shape))
-    assert not Phi[:, ~regressor.carried].any()
-    whole = TreeRegressor(model, compiled=compiled)(*states)
-    np.testing.assert_allclose(Phi, whole, rtol=1e-10, atol=1e-10)
+    assert not Phi[:, ~carried(model)].any()
+    halves = [
+        regressor(*(x[rows] for x in states)) for rows in np.s_[: n // 2, n // 2 :]
+    ]
+    np.testing.assert_allclose(Phi, np.concatenate(halves), rtol=1e-10, atol=1e-10)
 
 
+@by_both
 @settings(max_examples=60, deadline=None)
-@given(kinds=trees, seed=seeds, n=st.integers(0, 12), chunk=st.integers(1, 15))
-def test_torques_of_random_trees(kinds, seed, n, chunk):
+@given(kinds=trees, seed=seeds, n=st.integers(0, 12))
+def test_torques_of_random_trees(compiled, kinds, seed, n):
     rng = np.random.default_rng(seed)
     model = build(rng, kinds)
     bodies = pin.Model(model)
@@ -120,7 +133,7 @@ def test_torques_of_random_trees(kinds, seed, n, chunk):
         bodies.inertias[i] = pin.Inertia.Random()
     inertial = np.array([b.toDynamicParameters() for b in bodies.inertias[1:]])
     states = motion(rng, n, model.nv)
-    regressor = TreeRegressor(model, chunk=chunk)
+    regressor = TreeRegressor(model, compiled=compiled)
     data = bodies.createData()
     expected = np.array([pin.rnea(bodies, data, *x) for x in zip(*states)])
     torque = regressor.torques(*states, inertial)
@@ -160,7 +173,6 @@ def test_long_and_short_motions_of_an_arm(compiled, n):
     model = load_model(demo_arm_urdf())
     states = motion(np.random.default_rng(n), n, model.nv)
     regressor = TreeRegressor(model, compiled=compiled)
-    assert 1 < regressor.chunk < 1500
     Phi = regressor(*states)
     assert_equal_by_unit(Phi, by_sample(model, *states).reshape(Phi.shape))
 
@@ -196,32 +208,36 @@ def test_writes_where_asked_and_what_is_asked(compiled):
     rng = np.random.default_rng(4)
     model = build(rng, ["RZ", "PX", "RX"])
     states = motion(rng, 7, 3)
-    regressor = TreeRegressor(model, chunk=3, compiled=compiled)
+    regressor = TreeRegressor(model, compiled=compiled)
     expected = regressor(*states)
     out = np.full((7, 3, 3, 12), np.nan)
-    zeros = rng.random((3, 3, 10)) < 0.5
-    assert regressor(*states, out=out, zeros=zeros) is out
-    np.testing.assert_array_equal(out[..., :10][:, zeros], 0.0)
+    assert not regressor.support.all()
+    assert regressor(*states, out=out) is out
+    np.testing.assert_array_equal(out[..., :10][:, ~regressor.support], 0.0)
     np.testing.assert_array_equal(out[..., 10:], 0.0)
-    np.testing.assert_allclose(out[..., :10], np.where(zeros, 0.0, expected))
+    np.testing.assert_allclose(out[..., :10], expected)
     for wrong in (np.empty((7, 3, 3, 9)), out[::2], out[:, :, :, ::-1]):
         with pytest.raises(ValueError, match=r"C-contiguous, of shape \(7, 3, 3"):
             regressor(*states, out=wrong)
 
 
+@by_both
 @settings(max_examples=30, deadline=None)
 @given(kinds=trees, seed=seeds)
-def test_zeros_are_at_least_those_of_the_recursion(kinds, seed):
+def test_zeros_are_at_least_those_of_the_recursion(compiled, kinds, seed):
     rng = np.random.default_rng(seed)
     model = build(rng, kinds)
     states = rng.normal(size=(32, 3 * model.nv))
     expected = by_sample(model, *np.split(states, 3, axis=1))
-    features = RigidBodyFeatures(model, friction=("viscous", "offset")).fit(states)
-    zeros = features._zeros
-    assert zeros[rounding_entries(np.mean(expected**2, axis=0))].all()
-    Phi = features.transform(states).reshape(32, model.nv, model.nv, 12)
-    assert not Phi[..., :10][:, zeros].any()
-    assert_equal_by_unit(Phi[..., :10], expected)
+    regressor = TreeRegressor(model, compiled=compiled)
+    assert not regressor.support[rounding_entries(np.mean(expected**2, axis=0))].any()
+    Phi = regressor(*np.split(states, 3, axis=1))
+    assert not Phi[:, ~regressor.support].any()
+    assert_equal_by_unit(Phi, expected)
+    features = RigidBodyFeatures(model, friction=("viscous", "offset"))
+    shape = (32, model.nv, model.nv, 12)
+    found = features.fit_transform(states).reshape(shape)[..., :10]
+    np.testing.assert_allclose(found, Phi, rtol=1e-10, atol=1e-10)
 
 
 def test_torque_does_not_depend_on_the_mass_at_its_own_axis():
@@ -243,9 +259,9 @@ def test_torque_does_not_depend_on_the_mass_at_its_own_axis():
 def test_calls_at_the_same_time_do_not_disturb_each_other(compiled):
     rng = np.random.default_rng(6)
     model = build(rng, 7 * ["RZ"])
-    regressor = TreeRegressor(model, chunk=16, compiled=compiled)
+    regressor = TreeRegressor(model, compiled=compiled)
     states = [motion(rng, 400, 7) for _ in range(4)]
-    expected = [TreeRegressor(model, chunk=16, compiled=compiled)(*x) for x in states]
+    expected = [TreeRegressor(model, compiled=compiled)(*x) for x in states]
     found = [None] * 4
 
     def run(i):
@@ -290,7 +306,7 @@ def test_compiled_loop_is_in_use_and_takes_any_layout(monkeypatch):
     states = motion(rng, 30, 3)
     regressor = TreeRegressor(model)
     expected = regressor(*states)
-    monkeypatch.setattr(TreeRegressor, "_chunks", None)
+    monkeypatch.setattr(TreeRegressor, "one_by_one", None)
     apart = [np.asfortranarray(x) for x in states]
     np.testing.assert_array_equal(regressor(*apart), expected)
     assert regressor(*(x[:0] for x in states)).shape == (0, 3, 3, 10)

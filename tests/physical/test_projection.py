@@ -14,7 +14,6 @@ from sklearn_vbjfa.physical import (
     is_consistent,
     parameter_units,
     project,
-    spatial_inertia,
 )
 from tests.physical._problems import (
     cvxopt_projection,
@@ -297,26 +296,6 @@ def test_rods_hardly_spoiled_are_certified(noise):
         assert result.relative_gap <= 1e-8
 
 
-# -- the paper's virtual parameters
-
-
-@settings(properties, max_examples=6)
-@given(seeds, st.sampled_from([1.0, 1e4]))
-def test_virtual_parameters_reach_the_convex_optimum(seed, condition):
-    rng = np.random.default_rng(seed)
-    theta = inconsistent_robot(rng, 2)
-    A = metric(rng, theta.size, condition)
-    options = {"constraint": "eq30", "parameters_per_joint": 11, **PLAIN}
-    virtual = project(theta, A, solver="virtual", **options)
-    conic = project(theta, A, **options)
-    assert virtual.objective == pytest.approx(conic.objective, rel=1e-5)
-    np.testing.assert_allclose(virtual.theta, conic.theta, atol=1e-2)
-    M = spatial_inertia(virtual.theta.reshape(2, 11)[:, :10])
-    assert (np.linalg.eigvalsh(M)[:, 0] > 0).all()
-    assert virtual.solver == "trust-exact"
-    assert virtual.relative_gap <= 1e-4
-
-
 @properties
 @given(seeds)
 def test_eq30_set_is_larger_so_its_distance_is_smaller(seed):
@@ -544,15 +523,8 @@ def test_robot_regression_with_singular_gram_matrix_keeps_its_predictions():
 @pytest.mark.parametrize("constraint", ["pseudo-inertia", "eq30"])
 def test_unfinished_solve_raises_and_returns_nothing(constraint):
     theta = inconsistent_robot(np.random.default_rng(0), 3)
-    with pytest.raises(ProjectionError, match="failed: clarabel ended with MaxIter"):
+    with pytest.raises(ProjectionError, match="method ended with MaxIterations"):
         project(theta, constraint=constraint, max_solver_iter=1)
-
-
-def test_unfinished_virtual_solve_raises(monkeypatch):
-    monkeypatch.setattr("sklearn_vbjfa.physical._projection._VIRTUAL_STEPS", 0.05)
-    theta = inconsistent_robot(np.random.default_rng(0), 3)
-    with pytest.raises(ProjectionError, match=r"virtual parameters of eq\. 30 failed"):
-        project(theta, constraint="eq30", solver="virtual", max_solver_iter=20)
 
 
 def test_projection_error_is_a_runtime_error():
@@ -579,8 +551,6 @@ INDEFINITE[0, 1] = INDEFINITE[1, 0] = 2.0
         ({"margin": 1.5}, "margin must be a number between 0 and 1.*got 1.5"),
         ({"margin": np.nan}, "margin must be a number between 0 and 1.*got nan"),
         ({"margin": "small"}, "margin must be a number between 0 and 1.*got 'small'"),
-        ({"solver": "osqp"}, "solver must be one of .*got 'osqp'"),
-        ({"solver": "virtual"}, 'needs constraint="eq30", got .pseudo-inertia.'),
         ({"max_solver_iter": 0}, "max_solver_iter must be an integer >= 1, got 0"),
         ({"max_solver_iter": 2.5}, "max_solver_iter must be an integer >= 1, got 2.5"),
         ({"anchor_weight": 0.0}, "anchor_weight must be a number above 0"),

@@ -11,7 +11,7 @@ from sklearn_vbjfa.physical import PhysicalProjector
 @parametrize_with_checks(
     [
         PhysicalProjector(),
-        PhysicalProjector("eq30", solver="virtual"),
+        PhysicalProjector("eq30"),
     ]
 )
 def test_sklearn_checks(estimator, check):

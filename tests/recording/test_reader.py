@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
-from sklearn_vbjfa.datasets._robots import demo_arm_urdf
-from sklearn_vbjfa.recording._stamps import inspect_time_stamps, interpolate
 
 N = 60
 DT = 0.01
@@ -300,7 +298,7 @@ def test_recording_of_the_described_robot(csv, tmp_path):
     columns = {f"q_{name}": x for name, x in zip(arm.joint_names, arm.q.T)}
     columns |= {f"tau_{name}": x for name, x in zip(arm.joint_names, arm.tau.T)}
     shuffled = dict(sorted(columns.items()))
-    recording = read_recording(csv(shuffled), dt=arm.dt, urdf=demo_arm_urdf())
+    recording = read_recording(csv(shuffled), dt=arm.dt, urdf=arm.urdf)
     np.testing.assert_allclose(recording.q, arm.q, atol=1e-9)
     assert recording.joint_names == arm.joint_names
     assert recording.robot_model().nv == 6
@@ -314,16 +312,14 @@ def test_recording_of_the_described_robot(csv, tmp_path):
     }
     path = csv(two)
     recording = read_recording(
-        path, dt=arm.dt, urdf=demo_arm_urdf(), joint_names=[last, first]
+        path, dt=arm.dt, urdf=arm.urdf, joint_names=[last, first]
     )
     np.testing.assert_allclose(recording.q, arm.q[:, [1, 4]], atol=1e-9)
     assert tuple(recording.robot_model().names)[1:] == (first, last)
     with pytest.raises(ValueError, match=r"2 column\(s\) q for 6 joint"):
-        read_recording(path, dt=arm.dt, urdf=demo_arm_urdf())
+        read_recording(path, dt=arm.dt, urdf=arm.urdf)
     with pytest.raises(ValueError, match="no movable joint 'nose'"):
-        read_recording(
-            path, dt=arm.dt, urdf=demo_arm_urdf(), joint_names=["nose", last]
-        )
+        read_recording(path, dt=arm.dt, urdf=arm.urdf, joint_names=["nose", last])
 
 
 def test_slides_are_in_metres(csv, tmp_path):
@@ -511,30 +507,3 @@ def test_missing_samples_are_bridged_and_gaps_are_not(csv):
     np.testing.assert_array_equal(np.bincount(recording.groups), [150, 120])
     expected = np.r_[np.arange(150), np.arange(180, 300)] * DT
     np.testing.assert_allclose(recording.q[:, 0], np.sin(2 * expected + 1), atol=1e-5)
-
-
-def test_stamps_are_judged():
-    t = DT * np.arange(100)
-    steady = inspect_time_stamps(t)
-    assert steady.uniform
-    assert steady.gaps.size == 0
-    assert steady.dt == pytest.approx(DT)
-    lossy = inspect_time_stamps(np.delete(t, [30, 60, *range(70, 80)]))
-    assert not lossy.uniform
-    assert lossy.dt == pytest.approx(DT)
-    np.testing.assert_array_equal(lossy.gaps, [67])
-    assert lossy.longest == pytest.approx(2 * DT)
-    with pytest.raises(ValueError, match="time repeats 0 s in all rows or in most"):
-        inspect_time_stamps([0.0, 0.0])
-    with pytest.raises(ValueError, match="two time stamps or more"):
-        inspect_time_stamps([0.0])
-
-
-def test_interpolation_is_local():
-    t = DT * (np.arange(100) + 0.2 * np.sin(np.arange(100)))
-    q = np.zeros((100, 1))
-    q[50] = 1.0
-    grid, resampled = interpolate(t - t[0], {"q": q}, DT)
-    far = np.abs(grid - grid[50]) > 3.5 * DT
-    assert np.abs(resampled["q"][far]).max() == 0.0
-    assert np.abs(resampled["q"]).max() > 0.8

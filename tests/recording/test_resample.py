@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.recording._resample import Log, join, median_period, resample_uniform
+from sklearn_vbjfa.recording._resample import (
+    Log,
+    interpolate,
+    join,
+    median_period,
+    merge_doubled,
+    resample_uniform,
+)
 
 
 @pytest.fixture
@@ -113,3 +120,24 @@ def test_join_labels_logs_and_their_parts(make_stamps):
     raw = join(logs, dt=0.01, resample=False)
     assert raw["group_names"] == ("a", "b")
     np.testing.assert_array_equal(raw["t"], np.concatenate([t, gapped]))
+
+
+def test_doubled_stamps_are_averaged_where_stamps_count():
+    t, merged = merge_doubled(
+        np.array([0.0, 1.0, 1.0, 1.0, 2.0]),
+        {"q": np.array([[0], [1], [2], [6], [5]]), "I": np.arange(5)},
+    )
+    np.testing.assert_array_equal(t, [0, 1, 2])
+    np.testing.assert_array_equal(merged["q"], [[0], [3], [5]])
+    np.testing.assert_array_equal(merged["I"], [0, 2, 4])
+
+
+def test_interpolation_is_local():
+    dt = 0.01
+    t = dt * (np.arange(100) + 0.2 * np.sin(np.arange(100)))
+    q = np.zeros((100, 1))
+    q[50] = 1.0
+    grid, resampled = interpolate(t - t[0], {"q": q}, dt)
+    far = np.abs(grid - grid[50]) > 3.5 * dt
+    assert np.abs(resampled["q"][far]).max() == 0.0
+    assert np.abs(resampled["q"]).max() > 0.8

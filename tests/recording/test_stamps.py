@@ -7,11 +7,7 @@ import pytest
 
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.datasets._catalogue import protocols
-from sklearn_vbjfa.recording._stamps import (
-    inspect_time_stamps,
-    merge_doubled,
-    prediction_errors,
-)
+from sklearn_vbjfa.recording._stamps import inspect_time_stamps, prediction_errors
 
 DT = 0.004
 N = 3000
@@ -35,6 +31,24 @@ def save(path, t, q, tau, **more):
         warnings.simplefilter("always")
         recording = read_recording(path)
     return recording, " ".join(str(w.message) for w in caught)
+
+
+def test_stamps_are_judged():
+    dt = 0.01
+    t = dt * np.arange(100)
+    steady = inspect_time_stamps(t)
+    assert steady.uniform
+    assert steady.gaps.size == 0
+    assert steady.dt == pytest.approx(dt)
+    lossy = inspect_time_stamps(np.delete(t, [30, 60, *range(70, 80)]))
+    assert not lossy.uniform
+    assert lossy.dt == pytest.approx(dt)
+    np.testing.assert_array_equal(lossy.gaps, [67])
+    assert lossy.longest == pytest.approx(2 * dt)
+    with pytest.raises(ValueError, match="time repeats 0 s in all rows or in most"):
+        inspect_time_stamps([0.0, 0.0])
+    with pytest.raises(ValueError, match="two time stamps or more"):
+        inspect_time_stamps([0.0])
 
 
 @pytest.mark.parametrize("share", [0.05, 0.1, 0.2, 0.3, 0.4])
@@ -136,16 +150,6 @@ def test_stamps_that_were_not_renewed(tmp_path):
     assert recording.dt == pytest.approx(DT)
 
 
-def test_doubled_stamps_are_averaged_where_stamps_count():
-    t, merged = merge_doubled(
-        np.array([0.0, 1.0, 1.0, 1.0, 2.0]),
-        {"q": np.array([[0], [1], [2], [6], [5]]), "I": np.arange(5)},
-    )
-    np.testing.assert_array_equal(t, [0, 1, 2])
-    np.testing.assert_array_equal(merged["q"], [[0], [3], [5]])
-    np.testing.assert_array_equal(merged["I"], [0, 2, 4])
-
-
 def test_packets_and_pauses_of_the_computer_are_no_gaps():
     t = DT * np.arange(N)
     packets = t[(np.arange(N) // 8) * 8]
@@ -196,7 +200,7 @@ def test_a_period_in_another_unit_is_named(dt, meant):
 @pytest.mark.parametrize("name", ["ur5", "kuka_lbr_med7", "bam_xl330", "emps"])
 def test_measured_recordings(name, measured_data_home, tmp_path):
     protocol = protocols()[name]
-    made = protocol.load(data_home=measured_data_home, **protocol.options)
+    made = protocol.load(data_home=measured_data_home)
     sizes = np.bincount(made.groups)
     t = made.dt * np.concatenate([np.arange(n) for n in sizes])
     rng = np.random.default_rng(0)

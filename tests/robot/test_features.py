@@ -169,7 +169,7 @@ def test_copies_compute_the_same():
 def test_one_name_may_stand_alone():
     path = demo_arm_urdf()
     alone = RigidBodyFeatures(path, friction="viscous").fit(np.zeros((1, 18)))
-    assert alone.parameter_names_ == RigidBodyFeatures(path)._load().parameter_names_
+    assert alone.parameter_names_ == RigidBodyFeatures(path).load().parameter_names_
 
 
 def test_nominal_parameters_go_with_the_features():

@@ -13,7 +13,7 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import PhysicalProjector, RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model._loading import load_model, nominal_parameters  # noqa: E402
-from sklearn_vbjfa.robot import _identifier  # noqa: E402
+from sklearn_vbjfa.robot import _equations  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 
 FRICTION = ("viscous", "coulomb")
@@ -116,7 +116,7 @@ def test_prediction_from_states_is_inverse_dynamics(identified, simulated, new_m
 
 def test_prediction_does_not_depend_on_its_pieces(identified, new_motion, monkeypatch):
     whole = identified.predict(new_motion.states)
-    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", 1)
+    monkeypatch.setattr(_equations, "CHUNK_BYTES", 1)
     np.testing.assert_allclose(
         identified.predict(new_motion.states[:40]), whole[:40], rtol=1e-12, atol=1e-12
     )
@@ -196,7 +196,7 @@ def test_torques_in_another_unit_are_the_robot_in_that_unit(
 
 
 def test_pieces_of_memory_change_nothing(identified, simulated, monkeypatch):
-    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", 1)
+    monkeypatch.setattr(_equations, "CHUNK_BYTES", 1)
     pieces = identify(simulated)
     scale = np.abs(identified.estimator_.metric_).max()
     np.testing.assert_allclose(

@@ -14,7 +14,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Effect
-from sklearn_vbjfa.robot import _equations, _identifier
+from sklearn_vbjfa.robot import _equations, _plan
 from tests.effects._arms import (
     arm,
     dahl_in_small_steps,
@@ -214,7 +214,7 @@ def test_load_friction_is_a_fixed_point(monkeypatch):
     robot = fit(added, effects.LoadFriction(1))
     assert coefficients(robot)[0] == pytest.approx(mu, rel=0.01)
     assert_allclose(robot.predict(STATES), DECLARED + added, atol=0.05)
-    monkeypatch.setattr(_equations, "_LOAD_PASSES", 9)
+    monkeypatch.setattr(_plan, "_LOAD_PASSES", 9)
     settled = fit(added, effects.LoadFriction(1))
     assert coefficients(settled)[0] == pytest.approx(mu, rel=1e-3)
     assert coefficients(robot)[0] == pytest.approx(coefficients(settled)[0], rel=0.01)
@@ -324,7 +324,7 @@ def test_pieces_do_not_matter(monkeypatch, cutoff):
     whole = fit(MIXED, *SEVERAL, cutoff=cutoff)
     predicted = whole.predict(STATES)
     residual = whole.residuals(STATES, DECLARED + MIXED).residual
-    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", 1 << 16)
+    monkeypatch.setattr(_equations, "CHUNK_BYTES", 1 << 16)
     monkeypatch.setattr(_equations, "_LOAD_BYTES", 1 << 16)
     pieces = fit(MIXED, *SEVERAL, cutoff=cutoff)
     assert_allclose(pieces.predict(STATES), predicted, atol=1e-7)

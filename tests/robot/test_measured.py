@@ -30,7 +30,7 @@ def evaluate(measured_data_home):
             return done[name]
         protocol = protocols()[name]
         recording = protocol.load(
-            data_home=measured_data_home, download_if_missing=False, **protocol.options
+            data_home=measured_data_home, download_if_missing=False
         )
         train, test = protocol.split(recording)
         assert not set(train) & set(test)

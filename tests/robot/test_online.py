@@ -86,10 +86,10 @@ def test_a_long_memory_of_short_weights_stays_finite(recording):
     robot = running(recording, forgetting=0.5, standstill=None)
     for x, tau in zip(recording.states, recording.tau):
         robot.partial_fit(x, tau, refit=False)
-    assert_allclose(robot._online.statistics().n, 2.0, rtol=1e-12)
+    assert_allclose(robot._online.moments().n, 2.0, rtol=1e-12)
     last = recording.tau[-60:]
     weight = 0.5 ** np.arange(59.0, -1.0, -1.0)
-    assert_allclose(robot._online.statistics().yy, weight @ last**2, rtol=1e-12)
+    assert_allclose(robot._online.moments().yy, weight @ last**2, rtol=1e-12)
 
 
 def test_goes_on_after_pickling(recording):
@@ -102,8 +102,8 @@ def test_goes_on_after_pickling(recording):
             own.partial_fit(x, tau, refit=False)
     for name in ("n", "g", "G"):
         assert_array_equal(
-            getattr(robot._online.statistics(), name),
-            getattr(copy._online.statistics(), name),
+            getattr(robot._online.moments(), name),
+            getattr(copy._online.moments(), name),
         )
 
 
@@ -205,7 +205,7 @@ def test_automatic_standstill_needs_a_recording(recording):
 def test_bad_rows_are_refused_and_leave_no_trace(recording):
     X, y = recording.states, recording.tau
     robot = running(recording).partial_fit(X, y, refit=False)
-    before = robot._online.statistics()
+    before = robot._online.moments()
     with pytest.raises(ValueError, match="positions cannot be differentiated"):
         robot.partial_fit(recording.q[0], y[0])
     with pytest.raises(ValueError, match="y must have 6 column"):
@@ -216,6 +216,6 @@ def test_bad_rows_are_refused_and_leave_no_trace(recording):
     bad[0, 4] = np.nan
     with pytest.raises(ValueError, match="must be finite"):
         robot.partial_fit(bad, y[:1])
-    assert_array_equal(robot._online.statistics().G, before.G)
+    assert_array_equal(robot._online.moments().G, before.G)
     with pytest.raises(ValueError, match="fewer than the"):
         clone(robot).partial_fit(X[:2], y[:2])

@@ -13,6 +13,7 @@ from sklearn_vbjfa import RobotIdentifier, StateEstimator
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.model._loading import nominal_parameters
+from sklearn_vbjfa.recording._recording import take_arrays
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._periods import average_periods, period_samples
 from tests.model._robots import swing
@@ -45,7 +46,7 @@ def record(seed, n_periods=10, correlation=0.9, encoder_noise=3e-3, torque_noise
     """States, clean torques, positions and torques of the swing, all periods."""
     rng = np.random.default_rng(seed)
     states = np.tile(one_period(rng), (n_periods, 1))
-    clean = RigidBodyFeatures(swing())._load()._compute(states) @ THETA
+    clean = RigidBodyFeatures(swing()).load().matrices(states) @ THETA
     q = states[:, :1] + coloured(rng, len(states), correlation, encoder_noise)
     return states, clean, q, clean + torque_noise * rng.normal(size=clean.shape)
 
@@ -156,15 +157,16 @@ def test_filter_stands_on_each_sample_once():
     q = np.tile(rng.normal(size=(100, 1)), (2, 1))
     periods = average_periods(q, q, 100)
     lowpass = _lowpass.design(DT, 10.0, 1)
-    _, torque, _, parts, _ = periods.equations(
-        np.zeros((100, 3)), lowpass, (np.zeros((100, 3)),) * 2
-    )
-    assert [part.stop for part in parts] == [100 + 2 * lowpass.half]
+    recording = take_arrays(q, q, dt=DT, joint_names="a")
+    zeros = np.zeros((100, 3))
+    mean, states = periods.extended(recording, zeros, (zeros, zeros), lowpass.half)
+    assert [part.stop for part in mean.segments] == [100 + 2 * lowpass.half]
+    assert [len(half[0]) for half in states.halves] == 2 * [mean.n_samples]
     # circular convolution: the filter sees a period without ends
     taps = np.zeros(100)
     np.add.at(taps, np.arange(-lowpass.half, lowpass.half + 1) % 100, lowpass.taps)
     expected = np.fft.ifft(np.fft.fft(q[:100, 0]) * np.fft.fft(taps)).real
-    assert_allclose(lowpass(torque)[:, 0], expected, atol=1e-12)
+    assert_allclose(lowpass(mean.tau)[:, 0], expected, atol=1e-12)
 
 
 # -- identification

@@ -75,7 +75,7 @@ def test_groups_are_predicted_as_they_are_alone(robot, recording):
 def test_states_that_move_are_taken_as_they_are(robot, recording):
     v = recording.states[:, recording.nv : 2 * recording.nv]
     moving = recording.states[np.all(np.abs(v) > robot.standstill_, axis=1)]
-    Phi = robot.features_._compute(moving)
+    Phi = robot.features_.matrices(moving)
     np.testing.assert_allclose(robot.predict(moving), Phi @ robot.theta_, rtol=1e-12)
 
 
@@ -101,7 +101,7 @@ def test_residuals_follow_the_same_rule(robot, recording):
 def test_reversals_keep_their_sign(robot, recording):
     # Passing through zero in a hundredth of a period is not standing: on the whole
     # motion the mean sign costs less than a per cent of the torque.
-    Phi = robot.features_._compute(recording.states)
+    Phi = robot.features_.matrices(recording.states)
     sharp = Phi @ robot.theta_
     missed = (robot.predict(recording.states) - sharp).std(axis=0)
     assert np.all(missed < 0.03 * coulomb(robot))

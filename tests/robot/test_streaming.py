@@ -15,7 +15,7 @@ from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
-from sklearn_vbjfa.robot import _identifier
+from sklearn_vbjfa.robot import _equations
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._plan import MotionFacts, merge_all, n_fastest
 
@@ -122,7 +122,7 @@ def test_equal_to_the_whole_matrix(whole, recording):
     ("chunk", "n_jobs"), [(1, None), (1 << 18, 2), (1 << 20, None), (1 << 30, 2)]
 )
 def test_pieces_and_jobs_do_not_matter(monkeypatch, recording, whole, chunk, n_jobs):
-    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", chunk)
+    monkeypatch.setattr(_equations, "CHUNK_BYTES", chunk)
     assert_same(fit(recording, n_jobs=n_jobs), whole)
 
 
@@ -133,7 +133,7 @@ def test_any_pieces_and_blocks(recording, chunk, block):
         # without a low-pass the memory of a block decides on its length
         settings = {"cutoff": None, "state_cutoff": 10.0}
         expected = fit(recording, **settings)
-        patch.setattr(_identifier, "_CHUNK_BYTES", chunk)
+        patch.setattr(_equations, "CHUNK_BYTES", chunk)
         patch.setattr(_lowpass, "_BLOCK_BYTES", block)
         assert_same(fit(recording, **settings), expected)
 
@@ -151,28 +151,27 @@ def test_jobs_give_the_same_bits(recording, whole, backend):
 @pytest.mark.parametrize("settings", [{"cutoff": 4.0}, {}])
 def test_states_are_streamed_as_well(monkeypatch, recording, settings):
     expected = fit(recording, recording.states, **settings)
-    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", 1 << 18)
+    monkeypatch.setattr(_equations, "CHUNK_BYTES", 1 << 18)
     assert_same(fit(recording, recording.states, n_jobs=2, **settings), expected)
 
 
 def test_effects_are_streamed_as_well(monkeypatch, recording):
     settings = {"effects": (Ripple(joint=1),)}
     expected = fit(recording, **settings)
-    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", 1 << 20)
+    monkeypatch.setattr(_equations, "CHUNK_BYTES", 1 << 20)
     assert_same(fit(recording, n_jobs=2, **settings), expected)
 
 
 def test_workers_return_no_regressors(monkeypatch, recording):
     sizes = []
-    run = _identifier.run
+    run = _equations.run
 
     def watched(function, tasks, n_jobs):
         for result in run(function, tasks, n_jobs):
             sizes.append(result)
             yield result
 
-    monkeypatch.setattr(_identifier, "run", watched)
-    monkeypatch.setattr("sklearn_vbjfa.robot._equations.run", watched)
+    monkeypatch.setattr(_equations, "run", watched)
     robot = fit(recording)
     held = [r for r in sizes if hasattr(r, "G")]
     assert len(held) == 3

@@ -1,6 +1,7 @@
 """Time stamps against the sample period."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,9 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Drift
-from sklearn_vbjfa.robot._plan import check_time_stamps, resolve_clock
+from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording._stamps import check_time_stamps
+from sklearn_vbjfa.robot._plan import Plan
 from tests.model._robots import swing
 
 DT = 0.01
@@ -83,14 +86,29 @@ def test_what_is_no_time():
 
 
 def test_restarts_are_for_effects_without_a_clock():
-    np.testing.assert_array_equal(
-        resolve_clock(stamps(), DT, PARTS, ()), DT * np.arange(100)
-    )
-    assert resolve_clock(stamps(), None, PARTS, ()) is None
+    def clock(t, dt=DT, *, stamped):
+        groups = np.repeat([0, 1], [60, 40])
+        made = take_arrays(
+            np.zeros((100, 3)), np.zeros((100, 1)), groups, t=t, dt=dt, joint_names="a"
+        )
+        return made.clock(stamped=stamped)
+
+    np.testing.assert_array_equal(clock(stamps(), stamped=False), DT * np.arange(100))
+    assert clock(stamps(), None, stamped=False) is None
     with pytest.raises(ValueError, match="t must rise from row to row, over all"):
-        resolve_clock(stamps(), DT, PARTS, (Drift(),))
+        clock(stamps(), stamped=True)
     later = stamps() + np.repeat([0.0, 30.0], [60, 40])
-    np.testing.assert_array_equal(resolve_clock(later, DT, PARTS, (Drift(),)), later)
+    np.testing.assert_array_equal(clock(later, stamped=True), later)
+    # an effect that changes with time is what asks for the stamps
+    plan = Plan(
+        dt=DT, state_estimator=None, cutoff=5.0, lowpass=None, standstill=np.zeros(1)
+    )
+    made = take_arrays(
+        np.zeros((100, 1)), np.zeros((100, 1)), t=later, dt=DT, joint_names="a"
+    )
+    np.testing.assert_array_equal(plan.clock(made), DT * np.arange(100))
+    timed = replace(plan, effects=(Drift(),))
+    np.testing.assert_array_equal(timed.clock(made), later)
 
 
 def test_the_identifier_asks():

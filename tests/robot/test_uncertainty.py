@@ -9,7 +9,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import _identifier
+from sklearn_vbjfa.robot import _equations
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from tests.effects._arms import arm, inverse_dynamics, motion
 
@@ -117,7 +117,7 @@ def test_order_of_recordings_does_not_matter(recording):
 @pytest.mark.parametrize(("chunk", "n_jobs"), [(1, None), (1 << 18, 2)])
 def test_pieces_and_jobs_do_not_matter(monkeypatch, recording, chunk, n_jobs):
     expected = deviations(recording)
-    monkeypatch.setattr(_identifier, "_CHUNK_BYTES", chunk)
+    monkeypatch.setattr(_equations, "CHUNK_BYTES", chunk)
     found = deviations(recording, n_jobs=n_jobs)
     assert_allclose(found, expected, rtol=1e-6)
 

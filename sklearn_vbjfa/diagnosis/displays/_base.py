@@ -1,4 +1,4 @@
-"""What the displays share: whose numbers they show, axes, legends."""
+"""The base of the displays: whose numbers they show, axes, rows, legends."""
 
 import importlib
 
@@ -9,43 +9,74 @@ from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 
 # Most rows of one panel; a longer one goes on in further axes.
-MOST_ROWS = 36
+_MOST_ROWS = 36
+
+
+class Display:
+    """A figure of one's own, or axes of the user's, and the legend of what is in them.
+
+    A display stores its data in the constructor; its `plot` calls `_open`, draws on
+    `axes_` and ends with `_close`. Matplotlib is imported when a figure is made.
+    """
+
+    # What `from_estimator` takes, for those who give something else.
+    _accepts = ""
+
+    @classmethod
+    def _require(cls, estimator, attributes):
+        """Refuse a fitted estimator that has not what the display shows."""
+        missing = [name for name in attributes if not hasattr(estimator, name)]
+        if missing:
+            raise ValueError(
+                f"{cls.__name__} shows {cls._accepts}; got {type(estimator).__name__}, "
+                f"which has no {', '.join(missing)}."
+            )
+
+    def _open(self, ax, shapes, contents, **subplots):
+        """Take axes, of one of the shapes, or make a figure; the last shape is its."""
+        if ax is None:
+            name = type(self).__name__
+            figure, axes = _import_pyplot(name).subplots(
+                *shapes[-1], squeeze=False, layout="constrained", **subplots
+            )
+        else:
+            axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
+            if axes.size not in [rows * columns for rows, columns in shapes]:
+                expected = " or ".join(
+                    f"{r} x {c}" if min(r, c) > 1 else str(r * c) for r, c in shapes
+                )
+                raise ValueError(
+                    f"ax must hold {expected} axes, {contents}; got {axes.size}."
+                )
+            figure = axes[0].figure
+        self.figure_, self.axes_ = figure, axes.ravel()
+
+    def _close(self, ax, *, least=1):
+        """Make one legend of the artists of all axes, if it has enough entries."""
+        entries = {}
+        for axis in self.axes_.flat:
+            for handle, label in zip(*axis.get_legend_handles_labels()):
+                entries.setdefault(label, handle)
+        if len(entries) < least:
+            return
+        place = {"handles": list(entries.values()), "labels": list(entries)}
+        if ax is None:
+            room = max(1, int(self.figure_.get_figwidth() / 2.2))
+            place |= {"loc": "outside upper left", "frameon": False}
+            self.figure_.legend(**place, ncols=min(len(entries), room))
+        else:
+            self.axes_.flat[0].legend(**place, fontsize="small")
 
 
 def fitted_robot(estimator):
-    """Return the fitted RobotIdentifier, for a discovery its completed model.
+    """Return the fitted RobotIdentifier, of a discovery its completed model, or None.
 
-    Parameters
-    ----------
-    estimator : object
-        What the user gave to a display.
-
-    Returns
-    -------
-    RobotIdentifier or None
-        None if the estimator holds no robot.
-
-    Raises
-    ------
-    TypeError
-        If it is no estimator instance.
-    sklearn.exceptions.NotFittedError
-        If it is not fitted.
+    Raises TypeError if it is no estimator instance, NotFittedError if it is not fitted.
     """
     check_is_fitted(estimator)
     if isinstance(estimator, EffectDiscovery):
         return estimator.identifier_
     return estimator if isinstance(estimator, RobotIdentifier) else None
-
-
-def check_attributes(estimator, attributes, display, accepted):
-    """Refuse a fitted estimator that has not what the display shows."""
-    missing = [name for name in attributes if not hasattr(estimator, name)]
-    if missing:
-        raise ValueError(
-            f"{display} shows {accepted}; got {type(estimator).__name__}, which has "
-            f"no {', '.join(missing)}."
-        )
 
 
 def input_names(regressor):
@@ -66,67 +97,17 @@ def check_units(units, count, what):
     return found
 
 
-def import_pyplot(display):
-    """Import matplotlib.pyplot, or say which display needs it."""
-    try:
-        # By name, so that nothing here imports an optional package.
-        return importlib.import_module("matplotlib.pyplot")
-    except ImportError as error:
-        raise ImportError(
-            f"{display}.plot needs matplotlib; install it with "
-            'pip install "sklearn-vbjfa[plot]".'
-        ) from error
-
-
-def check_axes(ax, counts, contents):
-    """Return given axes as a flat array of one of the lengths in `counts`."""
-    axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
-    if axes.size not in counts:
-        expected = " or ".join(str(count) for count in counts)
-        raise ValueError(f"ax must hold {expected} axes, {contents}; got {axes.size}.")
-    return axes
-
-
-def put_legend(figure, axes, *, outside, least=1):
-    """Make one legend of the artists of all axes, each label once.
-
-    Parameters
-    ----------
-    figure : matplotlib Figure
-        Their figure.
-    axes : iterable of Axes
-        Axes with labelled artists.
-    outside : bool
-        Whether above the axes (a figure of one's own), or in the first of them.
-    least : int, default=1
-        Number of labels from which on a legend says anything.
-    """
-    entries = {}
-    for ax in axes:
-        for handle, label in zip(*ax.get_legend_handles_labels()):
-            entries.setdefault(label, handle)
-    if len(entries) < least:
-        return
-    place = {"handles": list(entries.values()), "labels": list(entries)}
-    if outside:
-        columns = min(len(entries), max(1, int(figure.get_figwidth() / 2.2)))
-        figure.legend(**place, loc="outside upper left", ncols=columns, frameon=False)
-    else:
-        next(iter(axes)).legend(**place, fontsize="small")
+def refuse_units(units, estimator, what):
+    """Refuse units for what a robot knows itself."""
+    if units is not None:
+        raise ValueError(
+            f"units must be None for {type(estimator).__name__}, whose {what}; got "
+            f"{units!r}."
+        )
 
 
 def label_rows(ax, names, *, muted=None):
-    """Write one name a row on the vertical axis, the first on top.
-
-    Parameters
-    ----------
-    ax : Axes
-        Where.
-    names : sequence of str
-        Names of the rows 0, 1, ...
-    muted : sequence of bool, default=None
-        Rows whose name is grey.
-    """
+    """Write one name a row on the vertical axis, the first on top; muted ones grey."""
     ax.set_yticks(np.arange(len(names)), names, fontsize="small")
     ax.set_ylim(len(names) - 0.4, -0.6)
     ax.grid(axis="y", color="0.92", lw=0.8)
@@ -145,24 +126,29 @@ def name_width(names):
 def split_rows(rows):
     """Split rows into as few equally long pieces as a figure of one's own needs."""
     rows = np.asarray(rows)
-    return np.array_split(rows, max(1, -(-rows.size // MOST_ROWS)))
+    return np.array_split(rows, max(1, -(-rows.size // _MOST_ROWS)))
 
 
 def share_limits(axes, panels):
-    """Give axes of the same panel the same horizontal limits.
-
-    Parameters
-    ----------
-    axes : sequence of Axes
-        Axes.
-    panels : sequence
-        What each shows, in the same order; equal entries are one panel.
-    """
+    """Give axes whose entries in `panels` are equal the same horizontal limits."""
     together = {}
     for ax, panel in zip(axes, panels):
         together.setdefault(panel, []).append(ax)
     for group in together.values():
+        # An axis of its own keeps the limits that grow with what is drawn next.
         if len(group) > 1:
             limits = np.array([ax.get_xlim() for ax in group])
             for ax in group:
                 ax.set_xlim(limits.min(), limits.max())
+
+
+def _import_pyplot(display):
+    """Import matplotlib.pyplot, or say which display needs it."""
+    try:
+        # By name, so that nothing here imports an optional package.
+        return importlib.import_module("matplotlib.pyplot")
+    except ImportError as error:
+        raise ImportError(
+            f"{display}.plot needs matplotlib; install it with "
+            'pip install "sklearn-vbjfa[plot]".'
+        ) from error

@@ -2,19 +2,13 @@
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.displays._base import (
-    check_attributes,
-    check_axes,
-    fitted_robot,
-    import_pyplot,
-    put_legend,
-)
+from sklearn_vbjfa.diagnosis.displays._base import Display, fitted_robot
 
 # Samples at which the horizontal axis becomes logarithmic.
 _LONG = 200
 
 
-class ConvergenceDisplay:
+class ConvergenceDisplay(Display):
     """Bound or likelihood over the iterations, and what each gained.
 
     Parameters
@@ -40,6 +34,8 @@ class ConvergenceDisplay:
         Figure, after `plot`.
     axes_ : ndarray of Axes, shape (1,) or (2,)
         Axes, after `plot`: the bound, the gains.
+    line_, gain_line_, tol_line_ : matplotlib Line2D
+        Bound, gains and `tol`, after `plot`; None where they are not drawn.
 
     See Also
     --------
@@ -64,6 +60,8 @@ class ConvergenceDisplay:
     >>> bool((np.diff(display.history).round(9) >= 0).all())
     True
     """
+
+    _accepts = "a VBJFARegressor or JFARegressor, or a robot identified with one"
 
     def __init__(
         self,
@@ -110,12 +108,7 @@ class ConvergenceDisplay:
         """
         robot = fitted_robot(estimator)
         regressor = estimator if robot is None else robot.estimator_.regressor_
-        check_attributes(
-            regressor,
-            ("elbo_history_",),
-            "ConvergenceDisplay",
-            "a VBJFARegressor or JFARegressor, or a robot identified with one",
-        )
+        cls._require(regressor, ("elbo_history_",))
         history = np.array(regressor.elbo_history_, dtype=float)
         if history.size == 0:
             raise ValueError(
@@ -145,7 +138,7 @@ class ConvergenceDisplay:
         """
         return np.diff(np.asarray(self.history, dtype=float)) / (self.n_samples or 1)
 
-    def plot(self, ax=None):
+    def plot(self, ax=None, *, line_kwargs=None):
         """Draw.
 
         Parameters
@@ -153,11 +146,13 @@ class ConvergenceDisplay:
         ax : Axes or array-like of Axes, default=None
             Two for bound and gains, one for the bound alone; None makes a figure
             with both.
+        line_kwargs : dict, default=None
+            What matplotlib's ``plot`` gets for bound and gains.
 
         Returns
         -------
         self : object
-            With `figure_` and `axes_`.
+            With `figure_`, `axes_` and the lines.
 
         Raises
         ------
@@ -166,29 +161,25 @@ class ConvergenceDisplay:
         ValueError
             If the axes do not match.
         """
-        if ax is None:
-            pyplot = import_pyplot("ConvergenceDisplay")
-            _, axes = pyplot.subplots(
-                2, 1, sharex=True, figsize=(6.4, 5.0), layout="constrained"
-            )
-            self.axes_ = axes
-        else:
-            self.axes_ = check_axes(ax, (1, 2), "the bound and its gains")
-        self.figure_ = self.axes_[0].figure
+        shapes = [(1, 1), (2, 1)]
+        contents = "the bound and its gains"
+        self._open(ax, shapes, contents, sharex=True, figsize=(6.4, 5.0))
         history = np.asarray(self.history, dtype=float)
         steps = np.arange(1, history.size + 1)
-        line = {"marker": ".", "ms": 4, "lw": 1.2}
-        self.axes_[0].plot(steps, history, label=self._label(), **line)
+        style = {"marker": ".", "ms": 4, "lw": 1.2} | (line_kwargs or {})
+        label = {"label": self._label()} | style
+        (self.line_,) = self.axes_[0].plot(steps, history, **label)
         self.axes_[0].set_ylabel(f"{self.quantity} [nat]")
+        self.gain_line_ = self.tol_line_ = None
         if self.axes_.size == 2:
-            self._draw_gains(self.axes_[1], steps[1:], line)
+            self._draw_gains(self.axes_[1], steps[1:], style)
         self.axes_[-1].set_xlabel("iteration (kept)")
         for axis in self.axes_:
             if history.size > _LONG:
                 axis.set_xscale("log")
             else:
                 axis.xaxis.get_major_locator().set_params(integer=True)
-        put_legend(self.figure_, self.axes_, outside=ax is None)
+        self._close(ax)
         return self
 
     def _label(self):
@@ -199,13 +190,15 @@ class ConvergenceDisplay:
             parts.append("converged" if self.converged else "not converged")
         return ", ".join(parts) or self.quantity
 
-    def _draw_gains(self, ax, steps, line):
+    def _draw_gains(self, ax, steps, style):
         gains = self.gains()
         rising = gains > 0
-        ax.plot(steps[rising], gains[rising], **line)
+        (self.gain_line_,) = ax.plot(steps[rising], gains[rising], **style)
         if rising.any():
             ax.set_yscale("log")
         per_sample = self.n_samples is not None
         ax.set_ylabel("gain per sample [nat]" if per_sample else "gain [nat]")
         if self.tol is not None and self.tol > 0 and per_sample:
-            ax.axhline(self.tol, color="0.4", ls="--", lw=1, label="tol")
+            self.tol_line_ = ax.axhline(
+                self.tol, color="0.4", ls="--", lw=1, label="tol"
+            )

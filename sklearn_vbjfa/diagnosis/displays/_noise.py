@@ -3,15 +3,13 @@
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.displays._base import (
-    check_attributes,
-    check_axes,
+    Display,
     check_units,
     fitted_robot,
-    import_pyplot,
     input_names,
     label_rows,
     name_width,
-    put_legend,
+    refuse_units,
     share_limits,
     split_rows,
 )
@@ -25,7 +23,7 @@ _MARKERS = ("o", "D", "s", "^", "v", "P")
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "0.35", "tab:purple", "tab:brown")
 
 
-class NoiseDisplay:
+class NoiseDisplay(Display):
     """Identified input and output noise.
 
     One row a joint (of an identifier) or an input (of a regressor), one panel a unit.
@@ -48,6 +46,8 @@ class NoiseDisplay:
         Figure, after `plot`.
     axes_ : ndarray of Axes, shape (n_units,)
         Axes, after `plot`, in the order of `panels`.
+    lines_ : list of matplotlib Line2D
+        Marks of each label of each panel, after `plot`.
 
     See Also
     --------
@@ -69,6 +69,11 @@ class NoiseDisplay:
     >>> display.noise["noise"][:2].round(1)
     array([0.2, 0.2])
     """
+
+    _accepts = (
+        "a RobotIdentifier, an EffectDiscovery or a regressor that identifies noise "
+        "(VBJFARegressor, JFARegressor)"
+    )
 
     def __init__(self, *, noise, units, names, at_zero=None):
         self.noise = noise
@@ -111,16 +116,12 @@ class NoiseDisplay:
         robot = fitted_robot(estimator)
         if robot is None:
             return cls._of_regressor(estimator, units)
-        if units is not None:
-            raise ValueError(
-                f"units must be None for {type(estimator).__name__}, whose joints say "
-                f"them; got {units!r}."
-            )
+        refuse_units(units, estimator, "joints say them")
         return cls._of_robot(robot)
 
     @classmethod
     def _of_robot(cls, robot):
-        prismatic = is_prismatic(robot.features_._model)
+        prismatic = is_prismatic(robot.features_.model_)
         torque = tuple("N" if kind else "N m" for kind in prismatic)
         noise = {
             "output noise": robot.output_noise_,
@@ -137,13 +138,7 @@ class NoiseDisplay:
 
     @classmethod
     def _of_regressor(cls, regressor, units):
-        check_attributes(
-            regressor,
-            ("input_noise_", "output_noise_", "n_features_in_"),
-            "NoiseDisplay",
-            "a RobotIdentifier, an EffectDiscovery or a regressor that identifies "
-            "noise (VBJFARegressor, JFARegressor)",
-        )
+        cls._require(regressor, ("input_noise_", "output_noise_", "n_features_in_"))
         inputs = np.asarray(regressor.input_noise_, dtype=float)
         if inputs.ndim == 2:
             inputs = np.diagonal(inputs)
@@ -185,7 +180,7 @@ class NoiseDisplay:
                 rows.setdefault(unit, set()).add(i)
         return {unit: np.array(sorted(found)) for unit, found in rows.items()}
 
-    def plot(self, ax=None, *, log="auto"):
+    def plot(self, ax=None, *, log="auto", line_kwargs=None):
         """Draw.
 
         Parameters
@@ -195,11 +190,13 @@ class NoiseDisplay:
         log : "auto" or bool, default="auto"
             Whether the axes are logarithmic, which shows no zeros. "auto": where all
             values of a panel are positive and differ by more than a factor of 20.
+        line_kwargs : dict, default=None
+            What matplotlib's ``plot`` gets for the marks.
 
         Returns
         -------
         self : object
-            With `figure_` and `axes_`.
+            With `figure_`, `axes_` and `lines_`.
 
         Raises
         ------
@@ -209,31 +206,21 @@ class NoiseDisplay:
             If the axes do not match.
         """
         panels = list(self.panels.items())
+        contents = f"one a unit ({', '.join(unit for unit, _ in panels)})"
         if ax is None:
             panels = [(u, piece) for u, rows in panels for piece in split_rows(rows)]
-            pyplot = import_pyplot("NoiseDisplay")
-            most = max(rows.size for _, rows in panels)
-            width = (3.3 + name_width(self.names)) * len(panels)
-            _, axes = pyplot.subplots(
-                1,
-                len(panels),
-                squeeze=False,
-                figsize=(max(width, 5.6), self._row_height() * most + 1.4),
-                layout="constrained",
-            )
-            self.axes_ = axes.ravel()
-        else:
-            units = ", ".join(unit for unit, _ in panels)
-            self.axes_ = check_axes(ax, (len(panels),), f"one a unit ({units})")
-        self.figure_ = self.axes_[0].figure
+        width = (3.3 + name_width(self.names)) * len(panels)
+        most = max(rows.size for _, rows in panels)
+        height = (0.18 if len(self.noise) == 1 else 0.36) * most + 1.4
+        shapes = [(1, len(panels))]
+        self._open(ax, shapes, contents, figsize=(max(width, 5.6), height))
+        self.lines_ = []
         for axis, (unit, rows) in zip(self.axes_, panels):
-            self._panel(axis, unit, rows, self._is_logarithmic(unit, log))
+            logarithmic = self._is_logarithmic(unit, log)
+            self._panel(axis, unit, rows, logarithmic, line_kwargs or {})
         share_limits(self.axes_, [unit for unit, _ in panels])
-        put_legend(self.figure_, self.axes_, outside=ax is None, least=2)
+        self._close(ax, least=2)
         return self
-
-    def _row_height(self):
-        return 0.18 if len(self.noise) == 1 else 0.36
 
     def _values(self, label, unit, rows):
         """Numbers of a label in a unit, and in which of the rows they stand."""
@@ -241,28 +228,28 @@ class NoiseDisplay:
         values = np.asarray(self.noise[label], dtype=float)[mine]
         return values, np.searchsorted(rows, mine)
 
-    def _panel(self, ax, unit, rows, logarithmic):
-        top = 0.0
-        labels = [label for label in self.noise if unit in self.units[label]]
-        for i, label in enumerate(labels):
-            values, place = self._values(label, unit, rows)
-            k = list(self.noise).index(label)
-            # side by side: what is nearly equal would hide each other
-            shift = 0.8 * ((i + 0.5) / len(labels) - 0.5)
-            ax.plot(
-                values,
-                place + shift,
-                ls="",
-                marker=_MARKERS[k % len(_MARKERS)],
-                ms=5,
-                color=_COLOURS[k % len(_COLOURS)],
-                label=label,
-            )
-            top = max(top, values[np.isfinite(values)].max(initial=0.0))
+    def _panel(self, ax, unit, rows, logarithmic, style):
+        found = [
+            (k, *self._values(label, unit, rows)) for k, label in enumerate(self.noise)
+        ]
+        # What is unknown in every row has no place beside the others, nor a legend.
+        found = [entry for entry in found if np.isfinite(entry[1]).any()]
+        for i, (k, values, place) in enumerate(found):
+            marks = {
+                "ls": "",
+                "marker": _MARKERS[k % len(_MARKERS)],
+                "ms": 5,
+                "color": _COLOURS[k % len(_COLOURS)],
+                "label": list(self.noise)[k],
+            }
+            # Side by side: what is nearly equal would hide each other.
+            shift = 0.8 * ((i + 0.5) / len(found) - 0.5)
+            self.lines_ += ax.plot(values, place + shift, **marks | style)
+        top = max((np.nanmax(entry[1]) for entry in found), default=0.0)
         if logarithmic:
             ax.set_xscale("log")
         else:
-            ax.set_xlim(-0.03 * (top or 1.0), 1.06 * (top or 1.0))
+            ax.set_xlim(np.array([-0.03, 1.06]) * (top if top > 0 else 1.0))
             ax.ticklabel_format(axis="x", scilimits=(-3, 4), useMathText=True)
             ax.locator_params(axis="x", nbins=5)
         self._mark_zeros(ax, rows)

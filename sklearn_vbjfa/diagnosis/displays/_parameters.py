@@ -1,28 +1,28 @@
 """Estimated parameters with their intervals, beside nominal values."""
 
+from itertools import zip_longest
+
 import numpy as np
 from scipy import stats
 
 from sklearn_vbjfa.diagnosis.displays._base import (
-    check_attributes,
-    check_axes,
+    Display,
     check_units,
     fitted_robot,
-    import_pyplot,
     input_names,
     label_rows,
     name_width,
-    put_legend,
+    refuse_units,
     share_limits,
     split_rows,
 )
 
 # Height of a row, and of what is around a panel [inch].
 _ROW, _AROUND = 0.17, 0.62
-_COLOUR, _SECOND, _GREY = "tab:blue", "tab:orange", "0.55"
+_COLOUR, _SECOND = "tab:blue", "tab:orange"
 
 
-class ParameterDisplay:
+class ParameterDisplay(Display):
     """Estimated parameters with intervals, projected and not, beside nominal values.
 
     One panel for each unit and joint (the part of a name before the colon), since
@@ -58,6 +58,10 @@ class ParameterDisplay:
         Figure, after `plot`.
     axes_ : ndarray of Axes, shape (n_panels,)
         Axes, after `plot`, in the order of `panels`.
+    lines_ : list of matplotlib Line2D
+        Marks of each panel, after `plot`: nominal values, estimates, hollow ones.
+    intervals_ : list of matplotlib LineCollection
+        Intervals of each panel that has some, after `plot`.
 
     See Also
     --------
@@ -73,6 +77,8 @@ class ParameterDisplay:
     >>> display.panels
     [('arm', 'kg', [0]), ('arm', 'N m s/rad', [1]), ('arm', 'N m', [2])]
     """
+
+    _accepts = "a RobotIdentifier, an EffectDiscovery or a linear regressor"
 
     def __init__(
         self,
@@ -137,12 +143,8 @@ class ParameterDisplay:
         robot = fitted_robot(estimator)
         if robot is None:
             values = cls._of_regressor(estimator, units)
-        elif units is not None:
-            raise ValueError(
-                f"units must be None for {type(estimator).__name__}, whose parameters "
-                f"say them; got {units!r}."
-            )
         else:
+            refuse_units(units, estimator, "parameters say them")
             values = cls._of_robot(robot)
         names = values["names"]
         if nominal is not None:
@@ -173,14 +175,9 @@ class ParameterDisplay:
             }
         return values
 
-    @staticmethod
-    def _of_regressor(regressor, units):
-        check_attributes(
-            regressor,
-            ("coef_", "n_features_in_"),
-            "ParameterDisplay",
-            "a RobotIdentifier, an EffectDiscovery or a linear regressor",
-        )
+    @classmethod
+    def _of_regressor(cls, regressor, units):
+        cls._require(regressor, ("coef_", "n_features_in_"))
         coef = np.array(regressor.coef_, dtype=float)
         count = regressor.n_features_in_
         if coef.shape != (count,):
@@ -214,16 +211,11 @@ class ParameterDisplay:
         found = {}
         for i, (name, unit) in enumerate(zip(self.names, self.units)):
             found.setdefault((_joint(name), unit), []).append(i)
-        # a joint's panels beside each other, wherever its effects stand in theta
-        joints = list(dict.fromkeys(joint for joint, _ in found))
-        return [
-            (joint, unit, rows)
-            for wanted in joints
-            for (joint, unit), rows in found.items()
-            if joint == wanted
-        ]
+        panels = [(*panel, rows) for panel, rows in found.items()]
+        # A joint's panels beside each other, wherever its effects stand in theta.
+        return [panel for line in _by_joint(panels) for panel in line]
 
-    def plot(self, ax=None, *, level=0.95):
+    def plot(self, ax=None, *, level=0.95, line_kwargs=None, interval_kwargs=None):
         """Draw.
 
         Parameters
@@ -233,11 +225,15 @@ class ParameterDisplay:
             than 36 parameters go on in further axes.
         level : float, default=0.95
             Probability of the intervals (normal distribution).
+        line_kwargs : dict, default=None
+            What matplotlib's ``plot`` gets for the marks of the estimates.
+        interval_kwargs : dict, default=None
+            What matplotlib's ``hlines`` gets for the intervals.
 
         Returns
         -------
         self : object
-            With `figure_` and `axes_`.
+            With `figure_`, `axes_`, `lines_` and `intervals_`.
 
         Raises
         ------
@@ -248,21 +244,22 @@ class ParameterDisplay:
         """
         if not 0 < level < 1:
             raise ValueError(f"level must be between 0 and 1; got {level!r}.")
-        panels = self.panels
+        panels, place = self.panels, {}
+        shape = (len(panels), 1)
         if ax is None:
             panels = [
                 (joint, unit, piece)
                 for joint, unit, rows in panels
                 for piece in split_rows(rows)
             ]
-            self.figure_, self.axes_ = _make_grid(panels, self._row_names)
-        else:
-            self.axes_ = check_axes(
-                ax, (len(panels),), "one a joint and unit, see panels"
-            )
-            self.figure_ = self.axes_[0].figure
+            shape, place = self._grid(panels)
+        self._open(ax, [shape], "one a joint and unit, see panels", **place)
+        if ax is None:
+            self._keep_used(panels, shape)
+        styles = line_kwargs or {}, interval_kwargs or {}
+        self.lines_, self.intervals_ = [], []
         for axis, (joint, unit, rows) in zip(self.axes_, panels):
-            self._panel(axis, np.array(rows), level)
+            self._panel(axis, np.array(rows), level, *styles)
             axis.set_title(joint, fontsize="small", loc="left")
             bare = "no unit" if joint else "coefficient"
             axis.set_xlabel(f"[{unit}]" if unit else bare, fontsize="small")
@@ -271,8 +268,34 @@ class ParameterDisplay:
             low, high = axis.get_xlim()
             if low < 0.0 < high:
                 axis.axvline(0.0, color="0.8", lw=0.8, zorder=0)
-        put_legend(self.figure_, self.axes_, outside=ax is None, least=2)
+        self._close(ax, least=2)
         return self
+
+    def _grid(self, panels):
+        """Shape of a grid with a row of axes for each joint, and where they are."""
+        lines = _by_joint(panels)
+        heights = [
+            _ROW * max(len(rows) for *_, rows in line) + _AROUND for line in lines
+        ]
+        columns = list(zip_longest(*lines))
+        width = sum(
+            1.85
+            + max(name_width(self._row_names(panel[2])) for panel in column if panel)
+            for column in columns
+        )
+        size = (max(width, 5.5), max(sum(heights) + 0.5, 2.2))
+        return (len(lines), len(columns)), {"figsize": size, "height_ratios": heights}
+
+    def _keep_used(self, panels, shape):
+        """Remove the axes of the grid that no panel uses."""
+        used = [
+            axis
+            for line, axes in zip(_by_joint(panels), self.axes_.reshape(shape))
+            for axis in axes[: len(line)]
+        ]
+        for axis in set(self.axes_) - set(used):
+            axis.remove()
+        self.axes_ = np.array(used, dtype=object)
 
     def _row_names(self, rows):
         """Names without the joint, which the panel says."""
@@ -288,61 +311,38 @@ class ParameterDisplay:
         }
         return (usual | (self.labels or {}))[key]
 
-    def _panel(self, ax, rows, level):
+    def _panel(self, ax, rows, level, line_style, interval_style):
         place = np.arange(rows.size, dtype=float)
         known = np.ones(rows.size, dtype=bool)
         if self.identifiable is not None:
             known = np.asarray(self.identifiable, dtype=bool)[rows]
         two = self.second is not None
-        # two estimates side by side, or each would hide the other
+        # Two estimates side by side, or each would hide the other.
         shift = {"estimate": -0.17 if two else 0.0, "second": 0.17}
+        marks = {"ls": "", "marker": "|", "ms": 11, "mew": 2, "color": "black"}
         if self.nominal is not None:
-            ax.plot(
-                np.asarray(self.nominal, dtype=float)[rows],
-                place,
-                ls="",
-                marker="|",
-                ms=11,
-                mew=2,
-                color="black",
-                zorder=2,
-                label=self._label("nominal", level),
-            )
-        self._intervals(ax, rows, place + shift[self.interval_of], level)
-        marks = [("estimate", self.estimate, "o", _COLOUR)]
+            values = np.asarray(self.nominal, dtype=float)[rows]
+            label = self._label("nominal", level)
+            self.lines_ += ax.plot(values, place, zorder=2, label=label, **marks)
+        self._intervals(
+            ax, rows, place + shift[self.interval_of], level, interval_style
+        )
+        drawn = [("estimate", self.estimate, "o", _COLOUR)]
         if two:
-            marks.append(("second", self.second, "D", _SECOND))
-        for key, values, marker, colour in marks:
+            drawn.append(("second", self.second, "D", _SECOND))
+        for key, values, marker, colour in drawn:
             values = np.asarray(values, dtype=float)[rows]
-            style = {"ls": "", "marker": marker, "ms": 4.5, "zorder": 3}
-            y = place + shift[key]
-            ax.plot(
-                values[known],
-                y[known],
-                color=colour,
-                label=self._label(key, level),
-                **style,
-            )
-            if not known.all():
-                ax.plot(
-                    values[~known],
-                    y[~known],
-                    mfc="white",
-                    mec=colour,
-                    label="_hollow " + key,
-                    **style,
-                )
+            marks = {"ls": "", "marker": marker, "ms": 4.5, "zorder": 3}
+            hollow = {"mfc": "white", "mec": colour, "label": "_hollow " + key}
+            full = {"color": colour, "label": self._label(key, level)}
+            for chosen, style in ((known, full), (~known, hollow)):
+                if chosen.any() or style is full:
+                    x, y = values[chosen], (place + shift[key])[chosen]
+                    self.lines_ += ax.plot(x, y, **marks | style | line_style)
         if not known.all():
-            # the legend says it once, in grey, for both estimates
-            ax.plot(
-                [],
-                [],
-                ls="",
-                marker="o",
-                mfc="white",
-                mec=_GREY,
-                label=self._label("open", level),
-            )
+            # The legend says it once, in grey, for both estimates.
+            marks = {"ls": "", "marker": "o", "mfc": "white", "mec": "0.55"}
+            ax.plot([], [], label=self._label("open", level), **marks)
         label_rows(ax, self._row_names(rows), muted=~known)
         ax.ticklabel_format(axis="x", scilimits=(-2, 3), useMathText=True)
         ax.locator_params(axis="x", nbins=4)
@@ -350,53 +350,31 @@ class ParameterDisplay:
         ax.xaxis.get_offset_text().set_fontsize("small")
         ax.margins(x=0.08)
 
-    def _intervals(self, ax, rows, place, level):
+    def _intervals(self, ax, rows, place, level, style):
         if self.std is None:
             return
-        of = self.second if self.interval_of == "second" else self.estimate
-        middle = np.asarray(of, dtype=float)[rows]
+        second = self.interval_of == "second"
+        middle = np.asarray(self.second if second else self.estimate, float)[rows]
         half = stats.norm.ppf(0.5 + 0.5 * level) * np.asarray(self.std, float)[rows]
         drawn = np.isfinite(half) & np.isfinite(middle)
-        if drawn.any():
-            ax.hlines(
-                place[drawn],
-                (middle - half)[drawn],
-                (middle + half)[drawn],
-                color=_SECOND if self.interval_of == "second" else _COLOUR,
-                lw=1.6,
-                alpha=0.6,
-                zorder=2,
-                label=self._label("interval", level),
-            )
+        if not drawn.any():
+            return
+        usual = {"color": _SECOND if second else _COLOUR, "lw": 1.6, "alpha": 0.6}
+        usual |= {"zorder": 2, "label": self._label("interval", level)}
+        ends = (middle - half)[drawn], (middle + half)[drawn]
+        self.intervals_.append(ax.hlines(place[drawn], *ends, **usual | style))
+
+
+def _by_joint(panels):
+    """Panels of each joint, a list of lists."""
+    joints = dict.fromkeys(joint for joint, *_ in panels)
+    return [[panel for panel in panels if panel[0] == joint] for joint in joints]
 
 
 def _joint(name):
     """Part of a name before the colon."""
     joint, colon, _ = name.partition(":")
     return joint if colon else ""
-
-
-def _make_grid(panels, row_names):
-    """Make a figure with a row of axes for each joint; return it and the axes."""
-    pyplot = import_pyplot("ParameterDisplay")
-    joints = list(dict.fromkeys(joint for joint, _, _ in panels))
-    lines = [[p for p in panels if p[0] == joint] for joint in joints]
-    heights = [_ROW * max(len(rows) for *_, rows in line) + _AROUND for line in lines]
-    columns = max(len(line) for line in lines)
-    width = sum(
-        1.85 + max(name_width(row_names(line[k][2])) for line in lines if k < len(line))
-        for k in range(columns)
-    )
-    figure = pyplot.figure(
-        figsize=(max(width, 5.5), max(sum(heights) + 0.5, 2.2)), layout="constrained"
-    )
-    grid = figure.add_gridspec(len(lines), columns, height_ratios=heights)
-    axes = [
-        figure.add_subplot(grid[i, k])
-        for i, line in enumerate(lines)
-        for k in range(len(line))
-    ]
-    return figure, np.array(axes, dtype=object)
 
 
 def _check_nominal(nominal, count):

@@ -3,10 +3,10 @@
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
-from sklearn_vbjfa.diagnosis.displays._base import check_attributes, import_pyplot
+from sklearn_vbjfa.diagnosis.displays._base import Display
 from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._equations import make_motion
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
+from sklearn_vbjfa.robot._identifier import RobotIdentifier, states_of
 
 # Points of one panel: more are a blot, and slow.
 _POINTS = 4000
@@ -17,7 +17,7 @@ _QUANTILE = 0.998
 _GREY, _COLOUR, _FLOOR = "0.72", "tab:blue", "tab:orange"
 
 
-class ResidualDisplay:
+class ResidualDisplay(Display):
     """Torque residuals against velocity, position, load and time.
 
     One row a joint: before in grey, after in colour, lines for the running medians
@@ -44,10 +44,13 @@ class ResidualDisplay:
         Figure, after `plot`.
     axes_ : ndarray of Axes, shape (nv, n_signals)
         Axes, after `plot`.
+    lines_, median_lines_ : list of matplotlib Line2D
+        Samples and running medians of each panel, after `plot`.
 
     See Also
     --------
     ResidualDisplay.from_estimator : Make one from a fitted model and a recording.
+    ResidualDisplay.from_report : Make one from the report of a discovery.
 
     Examples
     --------
@@ -60,6 +63,8 @@ class ResidualDisplay:
     >>> display.residual_before.shape
     (200, 1)
     """
+
+    _accepts = "a RobotIdentifier or an EffectDiscovery"
 
     def __init__(
         self,
@@ -110,12 +115,7 @@ class ResidualDisplay:
         if isinstance(estimator, RobotIdentifier):
             robot, models = estimator, (estimator,)
         else:
-            check_attributes(
-                estimator,
-                ("declared_", "identifier_"),
-                "ResidualDisplay",
-                "a RobotIdentifier or an EffectDiscovery",
-            )
+            cls._require(estimator, ("declared_", "identifier_"))
             robot = estimator.declared_
             models = (robot, estimator.identifier_)
         names = robot.joint_names_
@@ -135,20 +135,61 @@ class ResidualDisplay:
             floor=np.asarray(models[-1].noise_floor_, dtype=float)[joints],
         )
 
-    def plot(self, axes=None, *, medians=True):
+    @classmethod
+    def from_report(cls, report, *, joints=None):
+        """Show what a discovery left on the part of the recording that was untouched.
+
+        Parameters
+        ----------
+        report : Report
+            Its report, which keeps the residuals before and after for pictures.
+        joints : list of int, default=None
+            Joints to show, from zero; None shows all.
+
+        Returns
+        -------
+        ResidualDisplay
+            Display over torque and, where the sample period is known, time; call
+            `plot`.
+        """
+        outcome, curves = report.outcome, report.outcome.curves
+        joints = _check_joints(joints, len(outcome.joint_names))
+        counts = curves["weight"] > 0
+        units = tuple(outcome.torque_units[j] for j in joints)
+        signals = {
+            f"torque [{' or '.join(dict.fromkeys(units))}]": curves["torque"][:, joints]
+        }
+        if "seconds" in curves:
+            signals["time [s]"] = curves["seconds"]
+        before, after = (
+            np.where(counts, curves[key], np.nan)[:, joints]
+            for key in ("before", "after")
+        )
+        return cls(
+            residual_before=before,
+            residual_after=after,
+            signals=signals,
+            joint_names=tuple(outcome.joint_names[j] for j in joints),
+            units=units,
+            floor=(outcome.floor * outcome.spread)[joints],
+        )
+
+    def plot(self, ax=None, *, medians=True, scatter_kwargs=None, line_kwargs=None):
         """Draw.
 
         Parameters
         ----------
-        axes : array-like of Axes, default=None
+        ax : array-like of Axes, default=None
             One row a joint, one column a signal; None makes a figure.
         medians : bool, default=True
             Whether running medians are drawn.
+        scatter_kwargs, line_kwargs : dict, default=None
+            What matplotlib's ``plot`` gets for the samples and for the medians.
 
         Returns
         -------
         self : object
-            With `figure_` and `axes_`.
+            With `figure_`, `axes_`, `lines_` and `median_lines_`.
 
         Raises
         ------
@@ -157,58 +198,41 @@ class ResidualDisplay:
         ValueError
             If the axes do not match.
         """
-        rows, columns = len(self.joint_names), len(self.signals)
-        self.axes_ = self._make_axes(axes, rows, columns)
-        self.figure_ = self.axes_[0, 0].figure
-        for j in range(rows):
-            limit = self._limit(j)
-            for k, (name, signal) in enumerate(self.signals.items()):
-                ax = self.axes_[j, k]
-                self._panel(ax, j, np.asarray(signal), limit, medians)
-                if j == rows - 1:
-                    ax.set_xlabel(name)
-                if k == 0:
-                    ax.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
-        self._legend(outside=axes is None)
-        return self
-
-    def _make_axes(self, axes, rows, columns):
-        if axes is not None:
-            axes = np.atleast_1d(np.asarray(axes, dtype=object))
-            if axes.size != rows * columns:
-                raise ValueError(
-                    f"axes must hold {rows} x {columns} axes, one row a joint and one "
-                    f"column a signal; got {axes.size}."
-                )
-            return axes.reshape(rows, columns)
-        pyplot = import_pyplot("ResidualDisplay")
-        _, axes = pyplot.subplots(
-            rows,
-            columns,
-            squeeze=False,
+        rows, columns = shape = len(self.joint_names), len(self.signals)
+        self._open(
+            ax,
+            [shape],
+            "one row a joint and one column a signal",
             sharey="row",
             sharex="col" if rows == 1 else False,
             figsize=(3.0 * columns + 0.6, 1.7 * rows + 0.7),
-            layout="constrained",
         )
-        return axes
+        self.axes_ = self.axes_.reshape(shape)
+        self.lines_, self.median_lines_ = [], []
+        styles = scatter_kwargs or {}, (line_kwargs or {}) if medians else None
+        for j, axes in enumerate(self.axes_):
+            for axis, (name, signal) in zip(axes, self.signals.items()):
+                signal = np.asarray(signal)
+                self._panel(
+                    axis, j, signal[:, j] if signal.ndim == 2 else signal, *styles
+                )
+                if j == rows - 1:
+                    axis.set_xlabel(name)
+            axes[0].set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
+        if ax is None:
+            self.figure_.supylabel("torque residual", fontsize="medium")
+        self._name_artists()
+        self._close(ax)
+        return self
 
-    def _limit(self, j):
-        values = [np.abs(np.asarray(self.residual_before)[:, j])]
-        if self.residual_after is not None:
-            values.append(np.abs(np.asarray(self.residual_after)[:, j]))
-        values = np.concatenate(values)
-        values = values[np.isfinite(values)]
-        return 1.1 * float(np.quantile(values, _QUANTILE)) if values.size else 0.0
-
-    def _panel(self, ax, j, signal, limit, medians):
-        x = signal[:, j] if signal.ndim == 2 else signal
-        every = slice(None, None, max(1, x.size // _POINTS))
-        size = float(np.clip(60.0 / np.sqrt(max(x.size, 1)), 1.5, 5.0))
+    def _panel(self, ax, j, x, scatter_style, line_style):
         floor = np.nan if self.floor is None else float(self.floor[j])
         if np.isfinite(floor):
             ax.axhspan(-floor, floor, color=_FLOOR, alpha=0.25, lw=0, zorder=0)
         ax.axhline(0.0, color="0.5", lw=0.6, zorder=1)
+        every = slice(None, None, max(1, x.size // _POINTS))
+        size = float(np.clip(60.0 / np.sqrt(max(x.size, 1)), 1.5, 5.0))
+        shown = [np.empty(0)]
         for values, colour, dark in (
             (self.residual_before, _GREY, "0.35"),
             (self.residual_after, _COLOUR, "navy"),
@@ -216,35 +240,29 @@ class ResidualDisplay:
             if values is None:
                 continue
             r = np.asarray(values)[:, j]
-            ax.plot(
-                x[every],
-                r[every],
-                ".",
-                ms=size,
-                color=colour,
-                alpha=0.7,
-                rasterized=True,
-            )
-            if medians:
-                ax.plot(*running_median(x, r), color=dark, lw=1.5)
+            shown.append(np.abs(r[np.isfinite(r)]))
+            dots = {"ls": "", "marker": ".", "ms": size, "color": colour, "alpha": 0.7}
+            dots |= {"rasterized": True} | scatter_style
+            self.lines_ += ax.plot(x[every], r[every], **dots)
+            if line_style is not None:
+                line = {"color": dark, "lw": 1.5} | line_style
+                self.median_lines_ += ax.plot(*running_median(x, r), **line)
+        shown = np.concatenate(shown)
+        limit = 1.1 * float(np.quantile(shown, _QUANTILE)) if shown.size else 0.0
         if limit > 0:
             ax.set_ylim(-limit, limit)
 
-    def _legend(self, outside):
-        ax = self.axes_[0, -1]
+    def _name_artists(self):
+        """Give the legend marks that are larger than the samples."""
+        ax = self.axes_[0, 0]
         dots = {"marker": ".", "ms": 8, "ls": ""}
         entries = [("before", {"color": _GREY} | dots)]
         if self.residual_after is not None:
             entries.append(("after", {"color": _COLOUR} | dots))
         if self.floor is not None and np.isfinite(self.floor).any():
             entries.append(("noise floor", {"color": _FLOOR, "lw": 6, "alpha": 0.4}))
-        handles = [ax.plot([], [], label=label, **style)[0] for label, style in entries]
-        if outside:
-            self.figure_.legend(
-                handles=handles, loc="outside upper right", ncols=3, frameon=False
-            )
-        else:
-            ax.legend(handles=handles, loc="upper right", fontsize="small")
+        for label, style in entries:
+            ax.plot([], [], label=label, **style)
 
 
 def running_median(x, y):
@@ -283,7 +301,7 @@ def _signals(robot, X, groups, t, index, joints):
     clock = check_clock(t, X.shape[0], robot.dt)
     rigid = robot.theta_[: robot.features_.n_parameters_]
     motion = make_motion(
-        robot.features_, robot._states(X, groups), clock, parts, rigid, robot.cutoff_
+        robot.features_, states_of(robot, X, groups), clock, parts, rigid, robot.cutoff_
     )
     kinds = motion.prismatic[joints]
     angle = "m" if kinds.all() else "rad" if not kinds.any() else "rad or m"

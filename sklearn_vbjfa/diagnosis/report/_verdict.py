@@ -7,11 +7,11 @@ import numpy as np
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
 
-# A refit moves the errors of all joints; by less than this it did no harm.
+# A refit moves the errors of all joints; a rise below this factor is no harm.
 _WORSE = 1.05
 # Effects that the headline names.
 _NAMED = 2
-# The error of whoever predicts the mean of the untouched torque and no more.
+# The error of predicting the mean of the untouched torque and no more.
 _MEAN_TORQUE = 1.0
 
 
@@ -43,26 +43,67 @@ class JointVerdict:
     text: str
 
 
-def joint_verdicts(outcome):
-    """Judge every joint."""
-    rest = {u.joint: u for u in outcome.unexplained}
-    found = []
-    for j in range(len(outcome.joint_names)):
-        count = sum(e.joint == j for e in outcome.effects)
-        status, text = _judge(outcome, j, rest.get(j))
-        found.append(
-            JointVerdict(
-                joint=j,
-                label=words.joint_label(outcome.joint_names, j),
-                status=status,
-                n_effects=count,
-                text=text,
-            )
-        )
-    return tuple(found)
+@dataclass(frozen=True, kw_only=True)
+class Errors:
+    """Mean errors of the joints that are judged, over the spread; nan if unknown."""
+
+    before: float
+    after: float
+    # After, in the wider band.
+    wide: float
+    # Known only if that of every such joint is.
+    floor: float
 
 
-def _judge(outcome, j, rest):
+@dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """The verdict on a robot; `text` is the headline with the mean errors."""
+
+    joints: tuple[JointVerdict, ...]
+    status: str
+    errors: Errors
+    headline: str
+    text: str
+
+
+def judge(outcome):
+    """Judge an outcome, as a Verdict."""
+    joints = tuple(_judge_joint(outcome, j) for j in range(len(outcome.joint_names)))
+    status = _status(outcome, joints)
+    errors = _mean_errors(outcome)
+    headline = _headline(outcome, joints, status)
+    text = f"{headline} {_errors_sentence(outcome, errors)}".rstrip()
+    return Verdict(
+        joints=joints, status=status, errors=errors, headline=headline, text=text
+    )
+
+
+def interval(outcome, key, joint):
+    """Interval of a joint's error, (low, high); nan where there is none."""
+    values = outcome.intervals.get(key)
+    if values is None:
+        return np.nan, np.nan
+    return tuple(float(x) for x in np.asarray(values, dtype=float)[:, joint])
+
+
+def doubts(outcome):
+    """Messages on channels that are wrong, so that no result can be trusted."""
+    return [c.message for c in outcome.channels if c.severity == "doubt"]
+
+
+def _judge_joint(outcome, j):
+    status, text = _joint_status(outcome, j)
+    return JointVerdict(
+        joint=j,
+        label=words.joint_label(outcome.joint_names, j),
+        status=status,
+        n_effects=sum(e.joint == j for e in outcome.effects),
+        text=text,
+    )
+
+
+def _joint_status(outcome, j):
+    """Status of a joint, and the same in words."""
     before, after = outcome.error_before[j], outcome.error_after[j]
     floor = outcome.floor[j]
     if not np.isfinite(after):
@@ -77,10 +118,11 @@ def _judge(outcome, j, rest):
     surely = not np.isfinite(low) or low > 0
     if surely and after > _WORSE * before:
         return "worse", "WORSE on untouched data"
-    if rest is not None:
-        if not np.isfinite(rest.floor):
+    for rest in outcome.unexplained:
+        if rest.joint == j and np.isfinite(rest.floor):
+            return "unexplained", f"{words.percent(rest.of_torque)} unexplained"
+        if rest.joint == j:
             return "unknown", "noise floor unknown"
-        return "unexplained", f"{words.percent(rest.of_torque)} unexplained"
     if not np.isfinite(floor):
         return "unknown", "noise floor unknown"
     least = np.nan_to_num(interval(outcome, "after", j)[0], nan=np.inf)
@@ -95,156 +137,137 @@ def _judge(outcome, j, rest):
     return "floor", "at the noise floor"
 
 
-def interval(outcome, key, joint):
-    """Interval of a joint, nan where there is none."""
-    values = outcome.intervals.get(key)
-    if values is None:
-        return np.nan, np.nan
-    return tuple(float(x) for x in np.asarray(values, dtype=float)[:, joint])
-
-
-def mean(values):
-    """Return the mean of the finite values; nan if there are none."""
-    values = np.asarray(values, dtype=float)
-    used = np.isfinite(values)
-    return float(values[used].mean()) if used.any() else np.nan
-
-
-def mean_errors(outcome):
-    """Mean error before, after and floor; the floor only if every joint has one."""
-    before = np.asarray(outcome.error_before, dtype=float)
-    after = np.asarray(outcome.error_after, dtype=float)
-    floor = np.asarray(outcome.floor, dtype=float)
-    used = np.isfinite(before) & np.isfinite(after) & np.asarray(outcome.enough)
-    floors = mean(floor[used]) if used.any() and np.isfinite(floor[used]).all() else 0
-    return mean(before[used]), mean(after[used]), floors or np.nan
-
-
-def status(outcome, verdicts):
-    """Name the outcome in one word.
-
-    ``"complete"`` (effects found, only noise left), ``"nothing"`` (nothing was
-    missing), ``"partial"`` (effects found, something remains), ``"exhausted"``
-    (nothing found, something remains), ``"unsettled"`` (at the floor where it was
-    fitted, above it on untouched data), ``"unknown"`` (no floor to compare with),
-    ``"worse"``, ``"failed"`` (worse than the mean torque), ``"no data"`` (too little to
-    judge by) or ``"doubtful"`` (a channel is wrong, whatever was found).
-    """
-    kinds = {v.status for v in verdicts}
+def _status(outcome, joints):
+    """Name the outcome in one word, the worst that is true of any joint."""
+    kinds = {v.status for v in joints}
     if doubts(outcome):
         return "doubtful"
     if kinds <= {"no data", "few"}:
         return "no data"
-    if "failed" in kinds:
-        return "failed"
-    if "worse" in kinds:
-        return "worse"
-    if "unexplained" in kinds:
-        return "partial" if outcome.effects else "exhausted"
-    if "above" in kinds:
-        return "unsettled"
-    if "unknown" in kinds:
-        return "unknown"
-    return "complete" if outcome.effects else "nothing"
+    found = bool(outcome.effects)
+    for kind, status in (
+        ("failed", "failed"),
+        ("worse", "worse"),
+        ("unexplained", "partial" if found else "exhausted"),
+        ("above", "unsettled"),
+        ("unknown", "unknown"),
+    ):
+        if kind in kinds:
+            return status
+    return "complete" if found else "nothing"
 
 
-def doubts(outcome):
-    """Return what is wrong with channels so that no result can be trusted."""
-    return [c.message for c in outcome.channels if c.severity == "doubt"]
+def _mean(values):
+    """Mean of the finite values; nan if there are none."""
+    used = np.isfinite(values)
+    return float(values[used].mean()) if used.any() else np.nan
 
 
-def errors_text(outcome):
-    """Write the mean errors as a sentence."""
-    before, after, floor = mean_errors(outcome)
-    if not np.isfinite(after):
-        return ""
-    text = f"Mean error on untouched data {words.percent(before)}"
-    if outcome.effects:
-        text += f" before, {words.percent(after)} after"
-    wide = mean(np.where(outcome.enough, outcome.wide_after, np.nan))
-    if np.isfinite(wide):
-        text += (
-            f" ({words.percent(wide)} up to {words.number(outcome.wide_cutoff, 2)} Hz)"
+def _mean_errors(outcome):
+    before, after, floor, wide = (
+        np.asarray(values, dtype=float)
+        for values in (
+            outcome.error_before,
+            outcome.error_after,
+            outcome.floor,
+            outcome.wide_after,
         )
-    if np.isfinite(floor):
-        text += f"; noise floor {words.percent(floor)}"
+    )
+    enough = np.asarray(outcome.enough)
+    used = np.isfinite(before) & np.isfinite(after) & enough
+    known = floor[used].any() and np.isfinite(floor[used]).all()
+    return Errors(
+        before=_mean(before[used]),
+        after=_mean(after[used]),
+        wide=_mean(wide[enough]),
+        floor=_mean(floor[used]) if known else np.nan,
+    )
+
+
+def _errors_sentence(outcome, errors):
+    """Write the mean errors as a sentence; empty if they are unknown."""
+    if not np.isfinite(errors.after):
+        return ""
+    text = f"Mean error on untouched data {words.percent(errors.before)}"
+    if outcome.effects:
+        text += f" before, {words.percent(errors.after)} after"
+    if np.isfinite(errors.wide):
+        band = words.number(outcome.wide_cutoff, 2)
+        text += f" ({words.percent(errors.wide)} up to {band} Hz)"
+    if np.isfinite(errors.floor):
+        text += f"; noise floor {words.percent(errors.floor)}"
     return text + "."
 
 
-def headline(outcome, verdicts):
+def _headline(outcome, joints, status):
     """Say in a sentence what was found and what is still open."""
-    kind = status(outcome, verdicts)
-    names = outcome.joint_names
 
-    def where(status):
-        joints = [v.joint for v in verdicts if v.status == status]
-        return words.joint_list(names, joints), len(joints) == 1
+    def where(kind):
+        found = [v.joint for v in joints if v.status == kind]
+        return words.joint_list(outcome.joint_names, found), len(found) == 1
 
-    count = len(outcome.effects)
-    found = _found(outcome)
-    near = "near" if any(v.text.startswith("near") for v in verdicts) else "at"
-    if kind == "doubtful":
+    found, count = _found(outcome), len(outcome.effects)
+    if status == "doubtful":
         first, *more = doubts(outcome)
         others = f" ({words.plural(len(more), 'more doubt')} below.)" if more else ""
         return (
             f"Mend the recording first. {first}{others} Until then nothing below can "
             "be trusted."
         )
-    if kind == "no data":
+    if status == "no data":
         return (
             "No verdict: no joint moves for long enough in the untouched part; record "
             "more motion of each joint."
         )
-    if kind == "failed":
-        joints, one = where("failed")
+    if status == "failed":
+        which, one = where("failed")
         text = (
-            f"{joints} {'is' if one else 'are'} predicted worse than by "
+            f"{which} {'is' if one else 'are'} predicted worse than by "
             f"{'its' if one else 'their'} mean torque: do not trust the model there, "
             "check the recording."
         )
-        return f"{found} added, but {text}" if count else _capital(text)
-    few, one = where("few")
-    silent = ""
-    if few:
-        verb = "moves" if one else "move"
-        silent = f" {_capital(few)} {verb} too little for a verdict."
-    if kind == "nothing":
-        return f"Nothing is missing: the residual is {near} the noise floor.{silent}"
-    if kind == "complete":
-        return f"{found} missing; what remains is {near} the noise floor.{silent}"
-    if kind in ("partial", "exhausted"):
-        joints, one = where("unexplained")
-        first = f"{found} missing, but that is not all"
-        left = max(
-            u.of_torque
-            for u in outcome.unexplained
-            if any(v.joint == u.joint and v.status == "unexplained" for v in verdicts)
-        )
+        return f"{found} added, but {text}" if count else words.capital(text)
+    if status == "worse":
+        which, one = where("worse")
         return (
-            f"{first if count else 'Something is missing that has no name'}: "
-            f"{'' if one else 'up to '}{words.percent(left)} of the torque of "
-            f"{joints} is above the noise floor and no effect of the library explains "
-            f"it.{silent}"
+            f"{found} added, but {which} {'predicts' if one else 'predict'} untouched "
+            "data worse than before: do not trust what was added there."
         )
-    if kind == "unsettled":
+    if status == "unsettled":
         return (
             f"{f'{found} missing' if count else 'No effect was found to be missing'}; "
             f"{where('above')[0]} reached the noise floor in the search but not on "
             "untouched data: record more, or look for what changed."
         )
-    if kind == "worse":
-        joints, one = where("worse")
+    if status == "unknown":
+        first = "No effect of the library was found; whether one is missing"
+        if count:
+            first = f"{found} missing; whether more is"
         return (
-            f"{found} added, but {joints} {'predicts' if one else 'predict'} untouched "
-            "data worse than before: do not trust what was added there."
+            f"{first} cannot be said, as the noise floor of {where('unknown')[0]} is "
+            "unknown."
         )
-    first = (
-        f"{found} missing; whether more is"
-        if count
-        else ("No effect of the library was found; whether one is missing")
+    few, one = where("few")
+    silent = ""
+    if few:
+        verb = "moves" if one else "move"
+        silent = f" {words.capital(few)} {verb} too little for a verdict."
+    near = "near" if any(v.text.startswith("near") for v in joints) else "at"
+    if status == "nothing":
+        return f"Nothing is missing: the residual is {near} the noise floor.{silent}"
+    if status == "complete":
+        return f"{found} missing; what remains is {near} the noise floor.{silent}"
+    which, one = where("unexplained")
+    first = "Something is missing that has no name"
+    if count:
+        first = f"{found} missing, but that is not all"
+    open_joints = {v.joint for v in joints if v.status == "unexplained"}
+    left = max(u.of_torque for u in outcome.unexplained if u.joint in open_joints)
+    return (
+        f"{first}: {'' if one else 'up to '}{words.percent(left)} of the torque of "
+        f"{which} is above the noise floor and no effect of the library explains "
+        f"it.{silent}"
     )
-    joints, _ = where("unknown")
-    return f"{first} cannot be said, as the noise floor of {joints} is unknown."
 
 
 def _found(outcome):
@@ -252,17 +275,12 @@ def _found(outcome):
     effects, names = outcome.effects, outcome.joint_names
     if not effects:
         return "0 effects were"
-    told = [
+    named = [
         f"{words.effect_label(e.name, e.parameters, names)} on "
         f"{words.joint_label(names, e.joint)}"
         for e in effects[:_NAMED]
     ]
     if len(effects) > _NAMED:
-        told.append(words.plural(len(effects) - _NAMED, "more effect"))
+        named.append(words.plural(len(effects) - _NAMED, "more effect"))
     verb = "was" if len(effects) == 1 else "were"
-    return f"{_capital(words.join(told))} {verb}"
-
-
-def _capital(text):
-    """Begin a sentence."""
-    return text[0].upper() + text[1:]
+    return f"{words.capital(words.join(named))} {verb}"

@@ -18,13 +18,11 @@ _RECORD_SIGNAL = {
     "time": "the same motion cold and warm",
 }
 _TINY = 1e-12
-# Longer names of joints are cut.
-_LONGEST = 40
 
 
 def joint_label(names, joint):
     """Name of a joint for a sentence: its own if that is one, else counted from 1."""
-    name = clip(" ".join(names[joint].split()), _LONGEST) if joint < len(names) else ""
+    name = " ".join(names[joint].split()) if joint < len(names) else ""
     if not name or name.isdigit():
         return f"joint {joint + 1}"
     counted = re.fullmatch(r"joint[ _]?(\d+)", name)
@@ -177,12 +175,6 @@ def plural(count, noun):
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
-def clip(text, width):
-    """Shorten a text to a width, between words where there are any."""
-    if len(text) <= width:
-        return text
-    kept = text[: max(width - 3, 0)]
-    space = kept.rfind(" ")
-    if space > width // 2 and text[len(kept)] != " ":
-        kept = kept[:space]
-    return kept.rstrip(" ,;:(") + "..."
+def capital(text):
+    """Begin a sentence."""
+    return text[0].upper() + text[1:]

@@ -167,7 +167,7 @@ def _probe(view):
     # of the robot.
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = rng.uniform(-1, 1, size=(n, 3 * nv)) * scale
-    return features._compute(states), make_motion(
+    return features.matrices(states), make_motion(
         features, states, None, [slice(0, n)], None
     )
 

@@ -9,6 +9,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core._sandwich import block_variance
 from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._identifier import load_parameters
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 
@@ -76,7 +77,7 @@ class FinalFit:
             view.states,
             view.clock,
             view.parts,
-            identifier._load_theta,
+            load_parameters(identifier),
             view.robot.cutoff_,
         )
         self._columns = [view.in_equations(e, self.motion) for e in self.effects]

@@ -33,7 +33,7 @@ def make_outcome(search, models, judgement, channels, asked):
     """
     robot = models.declared
     features, names = robot.features_, robot.joint_names_
-    prismatic = is_prismatic(features._model)
+    prismatic = is_prismatic(features.model_)
     spread, floor = judgement.spread, models.noise_floor()
     before, after = judgement.errors
     decided = np.where(judgement.enough, after, np.nan)
@@ -42,9 +42,9 @@ def make_outcome(search, models, judgement, channels, asked):
         relative_floor = floor / spread
     return Outcome(
         declared={
-            "robot": features._model.name,
+            "robot": features.model_.name,
             "joints": names,
-            "friction": features._friction,
+            "friction": features.friction_,
             "n_parameters": features.n_parameters_,
             "cutoff": float(robot.cutoff_),
             "standstill": robot.standstill_.tolist(),

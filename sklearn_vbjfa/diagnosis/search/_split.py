@@ -207,7 +207,12 @@ def _amount(identifier, X, groups, parts):
     v = states[:, nv : 2 * nv]
     facts = MotionFacts.of(states[:, :nv], v, n_fastest(len(v)))
     limit = resolve_standstill(identifier.standstill, facts.fast())
-    cutoff = resolve_cutoff(identifier.cutoff, parts, identifier.dt, estimator)
+    cutoff = resolve_cutoff(
+        identifier.cutoff,
+        max(part.stop - part.start for part in parts),
+        identifier.dt,
+        estimator,
+    )
     band = min(cutoff, 0.5 / dt)
     return Amount(
         moving=np.abs(v) > np.maximum(limit, 0.0),

@@ -7,15 +7,11 @@ constraints extrapolates its own noise, which hides everything else; the physica
 consistent one does not.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
-from sklearn_vbjfa.effects import _declared
 from sklearn_vbjfa.robot._equations import unexcited_entries
-from sklearn_vbjfa.robot._estimate import project_beside
-from sklearn_vbjfa.robot._joint_moments import joint_statistics, residual_squares
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._estimate import estimate, project
+from sklearn_vbjfa.robot._joint_moments import joint_moments
 
 # Stretches that are left out in turn.
 _STRETCHES = 3
@@ -64,7 +60,7 @@ class Transfer:
         self._edges = np.cumsum(widths)
         label = stretches(view.blocks, view.recording)
         self._stats = [
-            joint_statistics(Phi[rows], equations.tau[rows], equations.weight[rows])
+            joint_moments(Phi[rows], equations.tau[rows], equations.weight[rows])
             for rows in (label == k for k in np.unique(label))
         ]
 
@@ -79,35 +75,19 @@ class Transfer:
             if id(effect) in there:
                 pieces.append(np.arange(self._edges[i], self._edges[i + 1]))
         chosen = np.concatenate(pieces)
-        stats = [_columns(one, chosen) for one in self._stats]
+        stats = [one.columns(chosen) for one in self._stats]
         out = []
         for k, kept in enumerate(stats):
             others = [one for i, one in enumerate(stats) if i != k]
             total = sum(others[1:], start=others[0])
             theta = _consistent_parameters(total, self._precision, self._robot)
-            out.append(residual_squares(kept, theta))
+            out.append(kept.residual_squares(theta))
         return np.array(out)
 
 
-def _consistent_parameters(stats, precision, robot):
-    """Physically consistent parameters of a declared model from statistics."""
-    estimator = JointTorqueRegressor(joint_weights=precision)
-    estimator._begin()
-    estimator._stats = stats
-    estimator._forget(unexcited_entries(stats, robot.features_.n_parameters_))
-    estimator._finish()
-    if robot.projector is None:
-        return estimator.theta_
-    _, theta = project_beside(
-        robot.projector,
-        robot.features_._model,
-        estimator.theta_unconstrained_,
-        estimator.metric_,
-        _declared.check_names(robot.friction),
-    )
-    return theta
-
-
-def _columns(stats, chosen):
-    """Statistics of some columns."""
-    return replace(stats, G=stats.G[:, chosen][:, :, chosen], g=stats.g[:, chosen])
+def _consistent_parameters(moments, precision, robot):
+    """Physically consistent parameters of a declared model from second moments."""
+    features = robot.features_
+    zeros = unexcited_entries(moments, features.n_parameters_)
+    found = estimate(moments.zeroed(zeros), joint_weights=precision)
+    return project(found, robot.projector, features).theta

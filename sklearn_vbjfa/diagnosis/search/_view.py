@@ -15,6 +15,7 @@ from sklearn_vbjfa.diagnosis.search._regression import Equations, FoldMoments
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._identifier import equations_of, states_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,17 +168,17 @@ class RecordingView:
 
     def __init__(self, robot, samples, leave_out=()):
         self.robot = robot
-        self.declared = tuple(robot.features_._friction)
+        self.declared = robot.features_.friction_
         self.floor = robot.noise_floor_**2
         self.parts = samples.parts
         self.clock = check_clock(samples.clock, samples.X.shape[0], robot.dt)
-        self.states = robot._states(samples.X, samples.groups)
+        self.states = states_of(robot, samples.X, samples.groups)
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
         self._begins = samples.begins
         self._families, self._columns = {}, {}
         weight = np.array(samples.weight, dtype=float)
         weight[:, list(leave_out)] = 0.0
-        self._set_equations(samples.y, weight)
+        self._set_equations(samples, weight)
         edges = np.array([part.start for part in self.parts])
         self.starts = np.unique(np.searchsorted(self.index, edges))
         self.starts = self.starts[self.starts < self.index.size]
@@ -188,13 +189,13 @@ class RecordingView:
         self.recording = recording[self.index]
         self._set_blocks()
 
-    def _set_equations(self, y, weight):
+    def _set_equations(self, samples, weight):
         """Make the filtered equations of the declared model."""
         robot = self.robot
-        pieces = robot._filtered(
-            self.states, y, weight, self.parts, self._lowpass, t=self.clock
+        made = equations_of(
+            robot, samples.X, samples.y, samples.groups, weight, self.clock
         )
-        self.index, Phi, tau, weight = (np.concatenate(x) for x in zip(*pieces))
+        self.index, Phi, tau, weight = made.index, made.Phi, made.tau, made.weight
         self.equations = Equations(Phi=Phi, tau=tau, weight=weight)
         self.root = np.sqrt(weight)
         self.target = (tau * self.root).T

@@ -520,6 +520,36 @@ def test_plot_into_given_axes(robot, pyplot):
     assert pyplot.get_fignums() == [figure.number]
 
 
+def test_artists_are_kept_and_take_styles(robot, pyplot):
+    style = {"color": "red"}
+    noise = NoiseDisplay.from_estimator(robot).plot(line_kwargs=style)
+    assert [line.get_label() for line in noise.lines_] == list(noise.noise)
+    assert {line.get_color() for line in noise.lines_} == {"red"}
+    convergence = ConvergenceDisplay.from_estimator(robot).plot(line_kwargs=style)
+    bound, gains = convergence.axes_
+    assert convergence.line_.axes is bound
+    assert convergence.gain_line_.axes is convergence.tol_line_.axes is gains
+    assert convergence.line_.get_color() == convergence.gain_line_.get_color() == "red"
+    _, ax = pyplot.subplots()
+    assert ConvergenceDisplay(history=[1.0, 2.0]).plot(ax).gain_line_ is None
+    parameters = ParameterDisplay.from_estimator(robot, parameters="joint_2").plot(
+        line_kwargs={"ms": 9}, interval_kwargs={"lw": 4}
+    )
+    assert {line.get_markersize() for line in parameters.lines_} == {9}
+    widths = [lines.get_linewidth() for lines in parameters.intervals_]
+    assert set(np.concatenate(widths)) == {4}
+
+
+def test_what_is_unknown_everywhere_has_no_legend(pyplot):
+    display = NoiseDisplay(
+        noise={"a": [np.nan, np.nan], "b": [0.1, 0.2], "c": [0.3, np.nan]},
+        units={key: ["N", "N"] for key in "abc"},
+        names=["one", "two"],
+    ).plot()
+    (legend,) = display.figure_.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["b", "c"]
+
+
 @pytest.mark.parametrize("display", DISPLAYS)
 def test_plot_without_matplotlib(display, robot, monkeypatch):
     shown = display.from_estimator(robot)

@@ -71,6 +71,22 @@ def test_an_identifier_shows_its_own_residuals(loop, recording):
     np.testing.assert_allclose(display.signals["time [s]"], found.index * recording.dt)
 
 
+def test_a_report_shows_its_untouched_part(loop, pyplot):
+    outcome = loop.report_.outcome
+    display = ResidualDisplay.from_report(loop.report_, joints=[2])
+    assert list(display.signals) == ["torque [N m]", "time [s]"]
+    counts = outcome.curves["weight"][:, [2]] > 0
+    for name in ("before", "after"):
+        np.testing.assert_array_equal(
+            getattr(display, f"residual_{name}"),
+            np.where(counts, outcome.curves[name][:, [2]], np.nan),
+        )
+    np.testing.assert_array_equal(display.floor, (outcome.floor * outcome.spread)[[2]])
+    assert display.plot().axes_.shape == (1, 2)
+    with pytest.raises(ValueError, match="joints must be some of 0 to 5"):
+        ResidualDisplay.from_report(loop.report_, joints=[6])
+
+
 def test_states_velocity_is_that_of_the_model(loop, recording):
     robot = loop.declared_
     display = ResidualDisplay.from_estimator(robot, recording.q, recording.tau)
@@ -113,6 +129,17 @@ def test_plot_into_given_axes(pyplot):
     assert pyplot.get_fignums() == [figure.number]
     with pytest.raises(ValueError, match="2 x 2 axes"):
         make_display().plot(axes)
+
+
+def test_artists_are_kept_and_take_styles(pyplot):
+    display = make_display().plot(
+        scatter_kwargs={"color": "red"}, line_kwargs={"lw": 3}
+    )
+    assert len(display.lines_) == len(display.median_lines_) == 8
+    assert {line.get_color() for line in display.lines_} == {"red"}
+    assert {line.get_linewidth() for line in display.median_lines_} == {3}
+    assert display.axes_[0, 0] is display.lines_[0].axes
+    assert make_display().plot(medians=False).median_lines_ == []
 
 
 def test_plot_bears_joints_without_samples(pyplot):

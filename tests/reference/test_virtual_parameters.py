@@ -6,13 +6,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sklearn_vbjfa.physical import (
-    inertial_from_virtual,
+    PhysicalProjector,
+    ProjectionError,
     is_consistent,
+    spatial_inertia,
+)
+from tests.physical._problems import metric, parameters_of, point_masses, robot
+from tests.reference import descent_projector
+from tests.reference.descent_projector import DescentProjector
+from tests.reference.virtual_parameters import (
+    inertial_from_virtual,
     virtual_curvature,
     virtual_from_inertial,
     virtual_jacobian,
 )
-from tests.physical._problems import parameters_of, point_masses
 
 seeds = st.integers(0, 2**31 - 1)
 properties = settings(derandomize=True, deadline=None, max_examples=30)
@@ -132,3 +139,40 @@ def test_inconsistent_parameters_have_no_virtual_ones(phi, message):
 def test_wrong_shape_is_named():
     with pytest.raises(ValueError, match=r"10 virtual parameters.*shape \(11,\)"):
         inertial_from_virtual(np.ones(11))
+
+
+# -- the minimisation in them
+
+
+def inconsistent_robot(rng, n_bodies):
+    theta = robot(rng, n_bodies)
+    return theta + 0.5 * rng.normal(size=theta.size) * (np.abs(theta) + 0.2)
+
+
+@settings(properties, max_examples=6)
+@given(seeds, st.sampled_from([1.0, 1e4]))
+def test_virtual_parameters_reach_the_convex_optimum(seed, condition):
+    rng = np.random.default_rng(seed)
+    theta = inconsistent_robot(rng, 2)
+    options = {
+        "metric": metric(rng, theta.size, condition),
+        "parameters_per_joint": 11,
+        "mass_scale": 1.0,
+        "length_scale": 1.0,
+    }
+    rows = theta[None]
+    (virtual,) = DescentProjector("eq30", **options).fit(rows).projections(rows)
+    (convex,) = PhysicalProjector("eq30", **options).fit(rows).projections(rows)
+    assert virtual.objective == pytest.approx(convex.objective, rel=1e-5)
+    np.testing.assert_allclose(virtual.theta, convex.theta, atol=1e-2)
+    M = spatial_inertia(virtual.theta.reshape(2, 11)[:, :10])
+    assert (np.linalg.eigvalsh(M)[:, 0] > 0).all()
+    assert virtual.relative_gap <= 1e-4
+
+
+def test_unfinished_descent_raises(monkeypatch):
+    monkeypatch.setattr(descent_projector, "_STEPS", 0.05)
+    rows = inconsistent_robot(np.random.default_rng(0), 3)[None]
+    projector = DescentProjector("eq30", max_solver_iter=20).fit(rows)
+    with pytest.raises(ProjectionError, match=r"virtual parameters of eq\. 30 failed"):
+        projector.transform(rows)

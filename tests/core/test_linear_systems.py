@@ -1,10 +1,10 @@
-"""Weighted standardisation of columns."""
+"""Columns of unit length: any unit, any offset, constants."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa._core._moments import standardize
+from sklearn_vbjfa._core._linear_systems import unit_columns
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def make_columns():
 @pytest.mark.parametrize("unit", [1e-200, 1e-6, 1.0, 1e200])
 def test_moments(make_columns, unit, offset, center):
     X, weight = make_columns(unit, offset)
-    result = standardize(X, weight, center=center)
+    result = unit_columns(X, weight, center=center)
     mean = np.average(X / unit, axis=0, weights=weight) * unit * center
     assert_allclose(result.mean, mean, rtol=1e-13, atol=1e-14 * unit)
     root = np.sqrt(weight)[:, np.newaxis]
@@ -48,16 +48,16 @@ def test_constant_columns_become_zero():
     )
     assert np.ptp(X[:, 3]) > 0
     weight = rng.uniform(0.5, 2.0, size=500)
-    result = standardize(X, weight, center=True)
+    result = unit_columns(X, weight, center=True)
     assert_array_equal(result.values, np.zeros(X.shape))
     assert_array_equal(result.scale, np.ones(4))
     assert_allclose(result.mean, X[0], rtol=1e-14)
-    varying = standardize(1.0 + 1e-13 * X[:, 3:] * angle[:, None], weight, center=True)
+    varying = unit_columns(1.0 + 1e-13 * X[:, 3:] * angle[:, None], weight, center=True)
     assert_allclose(np.sum(varying.values**2), 1.0)
 
 
 def test_input_is_kept(make_columns):
     X, weight = make_columns(1.0, 5.0)
     before = X.copy()
-    standardize(X, weight, center=True)
+    unit_columns(X, weight, center=True)
     assert_array_equal(X, before)

@@ -1,6 +1,8 @@
 """Sufficient statistics: any split, any weight, any unit, any offset."""
 
+import functools
 import itertools
+import operator
 
 import numpy as np
 import pytest
@@ -57,10 +59,10 @@ def test_equal_to_numpy(weighted):
 
 def test_about_zero_gives_the_raw_moments():
     X, y, weight = make_rows(1)
-    S, xy, yy = _moments.from_data(X, y, weight).about(centred=False)
-    assert_allclose(S, X.T @ (weight[:, None] * X), rtol=1e-12)
-    assert_allclose(xy, X.T @ (weight * y), rtol=1e-12)
-    assert_allclose(yy, weight @ y**2, rtol=1e-12)
+    scatter = _moments.from_data(X, y, weight).scatter_about(centred=False)
+    assert_allclose(scatter[:-1, :-1], X.T @ (weight[:, None] * X), rtol=1e-12)
+    assert_allclose(scatter[:-1, -1], X.T @ (weight * y), rtol=1e-12)
+    assert_allclose(scatter[-1, -1], weight @ y**2, rtol=1e-12)
 
 
 @pytest.mark.parametrize("weighted", [True, False])
@@ -88,9 +90,7 @@ def test_merge_in_any_chunks_and_order(seed, cuts, order, weighted):
         for a, b in itertools.pairwise(bounds)
     ]
     order.shuffle(pieces)
-    total = None
-    for piece in pieces:
-        total = _moments.merge(total, piece)
+    total = functools.reduce(operator.add, pieces)
     assert_same(total, _moments.from_data(X, y, w))
 
 
@@ -113,9 +113,13 @@ def test_large_offset_costs_only_its_rounding(split):
     X = rng.integers(-1000, 1000, (500, 3)).astype(float)
     y = rng.integers(-1000, 1000, 500).astype(float)
     near = _moments.from_data(X, y)
-    far = None
-    for rows in np.array_split(np.arange(500), split):
-        far = _moments.merge(far, _moments.from_data(X[rows] + 1e11, y[rows] + 1e11))
+    far = functools.reduce(
+        operator.add,
+        [
+            _moments.from_data(X[rows] + 1e11, y[rows] + 1e11)
+            for rows in np.array_split(np.arange(500), split)
+        ],
+    )
     # The mean is rounded by 1e11 eps = 2e-5, against a spread of 600, and enters the
     # scatter by its square; raw second moments would have lost all their digits.
     assert_allclose(far.x_mean - 1e11, near.x_mean, atol=1e-4)
@@ -184,11 +188,13 @@ def test_constant_columns_are_not_active(value, weighted):
 def test_constant_output_has_the_scale_zero(value):
     X, _, weight = make_rows(7, 20_000)
     y = np.full(20_000, value)
-    total = None
-    for rows in np.array_split(np.arange(20_000), 13):
-        total = _moments.merge(
-            total, _moments.from_data(X[rows], y[rows], weight[rows])
-        )
+    total = functools.reduce(
+        operator.add,
+        [
+            _moments.from_data(X[rows], y[rows], weight[rows])
+            for rows in np.array_split(np.arange(20_000), 13)
+        ],
+    )
     for data in (
         _moments.standardise(total, centred=True),
         _moments.standardise(_moments.from_data(X, y, weight), centred=True),

@@ -8,7 +8,8 @@ U_22, U_23, U_33)``.  Any ten numbers give a positive mass and a positive semide
 
 The paper calls the minimisation convex with a unique minimum.  In the virtual
 parameters it is not: a sign change of any factor gives the same body, so minima come
-in pairs with saddle points between them.  It is convex in the parameters themselves.
+in pairs with saddle points between them.  It is convex in the parameters themselves,
+which is how the package solves it; this module imports nothing from there.
 
 Source: Ting, D'Souza and Schaal, "Bayesian robot system identification with input and
 output noise", Neural Networks 24(1), 2011, doi:10.1016/j.neunet.2010.08.011.
@@ -17,12 +18,9 @@ output noise", Neural Networks 24(1), 2011, doi:10.1016/j.neunet.2010.08.011.
 import numpy as np
 from scipy.optimize import minimize
 
-from sklearn_vbjfa.physical._pseudo_inertia import (
-    N_INERTIAL,
-    _check_parameters,
-    inertia_matrix,
-)
-
+# Row and column of Ixx, Ixy, Iyy, Ixz, Iyz, Izz, Pinocchio's order, in the inertia.
+_INERTIA_ROW = np.array([0, 0, 1, 0, 1, 2])
+_INERTIA_COLUMN = np.array([0, 1, 1, 2, 2, 2])
 # Place of U_11, U_12, U_13, U_22, U_23, U_33 in U.
 _FACTOR_ROW = np.array([0, 0, 0, 1, 1, 2])
 _FACTOR_COLUMN = np.array([0, 1, 2, 1, 2, 2])
@@ -31,12 +29,20 @@ _FACTOR_COLUMN = np.array([0, 1, 2, 1, 2, 2])
 def _check_virtual(virtual):
     """Return the virtual parameters as a float array of shape (..., 10)."""
     virtual = np.asarray(virtual, dtype=float)
-    if virtual.ndim == 0 or virtual.shape[-1] != N_INERTIAL:
+    if virtual.ndim == 0 or virtual.shape[-1] != 10:
         raise ValueError(
             "The last axis of virtual must hold the 10 virtual parameters of a body "
             f"(eq. 30); got an array of shape {virtual.shape}."
         )
     return virtual
+
+
+def inertia_matrix(phi):
+    """Inertia (..., 3, 3) about the origin of the body's frame."""
+    inertia = np.empty((*phi.shape[:-1], 3, 3))
+    inertia[..., _INERTIA_ROW, _INERTIA_COLUMN] = phi[..., 4:]
+    inertia[..., _INERTIA_COLUMN, _INERTIA_ROW] = phi[..., 4:]
+    return inertia
 
 
 def inertial_from_virtual(virtual):
@@ -60,7 +66,7 @@ def inertial_from_virtual(virtual):
 
     Examples
     --------
-    >>> from sklearn_vbjfa.physical import inertial_from_virtual
+    >>> from tests.reference.virtual_parameters import inertial_from_virtual
     >>> inertial_from_virtual([2.0, 0, 0, 1, 1, 0, 0, 1, 0, 1])
     array([4., 0., 0., 4., 5., 0., 5., 0., 0., 1.])
     """
@@ -105,11 +111,11 @@ def virtual_from_inertial(phi):
 
     Examples
     --------
-    >>> from sklearn_vbjfa.physical import virtual_from_inertial
+    >>> from tests.reference.virtual_parameters import virtual_from_inertial
     >>> virtual_from_inertial([4, 0, 0, 4, 5, 0, 5, 0, 0, 1])
     array([2., 0., 0., 1., 1., 0., 0., 1., 0., 1.])
     """
-    phi = _check_parameters(phi)
+    phi = np.asarray(phi, dtype=float)
     mass = phi[..., 0]
     if not np.all(mass > 0):
         raise ValueError(
@@ -158,14 +164,14 @@ def virtual_jacobian(virtual):
 
     Examples
     --------
-    >>> from sklearn_vbjfa.physical import virtual_jacobian
+    >>> from tests.reference.virtual_parameters import virtual_jacobian
     >>> float(virtual_jacobian([3.0, 0, 0, 0, 1, 0, 0, 1, 0, 1])[0, 0])
     6.0
     """
     virtual = _check_virtual(virtual)
     v = np.moveaxis(virtual, -1, 0)
     m = v[0] ** 2
-    jacobian = np.zeros((N_INERTIAL, N_INERTIAL, *v.shape[1:]))
+    jacobian = np.zeros((10, 10, *v.shape[1:]))
     x, y, z = v[1], v[2], v[3]
     # Every row is linear in the mass: column 0 is 2 v_0 times the derivative by m.
     by_mass = np.stack(
@@ -229,19 +235,19 @@ def virtual_curvature(virtual, gradient):
     Examples
     --------
     >>> import numpy as np
-    >>> from sklearn_vbjfa.physical import virtual_curvature
+    >>> from tests.reference.virtual_parameters import virtual_curvature
     >>> float(virtual_curvature(np.ones(10), np.eye(10)[0])[0, 0])
     2.0
     """
     virtual = _check_virtual(virtual)
-    gradient = _check_parameters(gradient)
+    gradient = np.asarray(gradient, dtype=float)
     # An off-diagonal parameter stands at two places of I: half its weight at each.
     G = inertia_matrix(gradient) * np.where(np.eye(3) == 1.0, 1.0, 0.5)
     Q = np.trace(G, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - G
     root, centre = virtual[..., 0], virtual[..., 1:4]
     Q_centre = np.einsum("...ij,...j->...i", Q, centre)
     first = gradient[..., 1:4]
-    curvature = np.zeros((*virtual.shape, N_INERTIAL))
+    curvature = np.zeros((*virtual.shape, 10))
     curvature[..., 0, 0] = 2 * (
         gradient[..., 0]
         + np.sum(first * centre, axis=-1)
@@ -259,22 +265,25 @@ def virtual_curvature(virtual, gradient):
     return curvature
 
 
-def solve_virtual(problem, starts, *, max_solver_iter):
+def descend(problem, starts, *, max_steps):
     """Minimise eq. 35 in the virtual parameters of eq. 30 from several starts.
 
     Parameters
     ----------
-    problem : ConicProblem
-        The projection in scaled variables, constraint "eq30".
+    problem : object
+        What is minimised, in any units: ``body_columns`` (n_bodies, 10),
+        ``nonnegative`` columns, the ``margin`` by which the spatial inertias exceed
+        zero, ``root`` (n_features, n_features), and the functions ``residual`` and
+        ``distance`` of a vector, of which the former's derivative is the root.
     starts : sequence of ndarray of shape (n_features,)
-        Strictly consistent vectors in scaled units.
-    max_solver_iter : int
+        Strictly consistent vectors.
+    max_steps : int
         Largest number of trust-region steps from each start.
 
     Returns
     -------
     vector : ndarray of shape (n_features,)
-        Best consistent vector found, in scaled units.
+        Best consistent vector found.
     n_iter : int
         Steps taken in all.
     message : str
@@ -284,7 +293,7 @@ def solve_virtual(problem, starts, *, max_solver_iter):
     nonnegative = problem.nonnegative
     # The set {min_eigenvalue >= margin} is the set of eq. 30 moved by the parameters
     # whose spatial inertia is the margin times the unit matrix.
-    offset = np.zeros(problem.n_features)
+    offset = np.zeros(starts[0].size)
     if bodies.size:
         offset[bodies[:, [0, 4, 6, 9]]] = problem.margin
     scale = problem.distance(starts[0])
@@ -299,7 +308,7 @@ def solve_virtual(problem, starts, *, max_solver_iter):
         return vector + offset
 
     def jacobian(virtual):
-        derivative = np.eye(problem.n_features)
+        derivative = np.eye(starts[0].size)
         derivative[bodies[:, :, None], bodies[:, None, :]] = virtual_jacobian(
             virtual[bodies]
         )
@@ -336,7 +345,7 @@ def solve_virtual(problem, starts, *, max_solver_iter):
             jac=True,
             hess=hessian,
             method="trust-exact",
-            options={"gtol": 1e-9, "maxiter": max_solver_iter},
+            options={"gtol": 1e-9, "maxiter": max_steps},
         )
         n_iter += int(outcome.nit)
         if best is None or outcome.fun < best.fun:

@@ -1,0 +1,111 @@
+"""Eigen-decomposition of a symmetric matrix in columns scaled to unit diagonal.
+
+Columns of a Gram or covariance matrix may have any unit. With D the roots of its
+diagonal, D^-1 A D^-1 = V diag(values) V' is free of units, and a direction is taken for
+known where its value stands out from rounding: rank, pseudo-inverse and null space then
+do not depend on the units that somebody chose.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+# Share of the largest eigenvalue that rounding makes of a zero one, per row.
+ROUNDING = 4 * float(np.finfo(float).eps)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScaledEigen:
+    """Decomposition of A = D V diag(values) V' D, and which directions are known.
+
+    Attributes
+    ----------
+    scale : ndarray of shape (p,)
+        D; one for a column whose diagonal is not positive.
+    values : ndarray of shape (p,)
+        Eigenvalues of the scaled matrix, ascending.
+    vectors : ndarray of shape (p, p)
+        Their vectors, in scaled coordinates.
+    known : ndarray of shape (p,), bool
+        Directions above the tolerance.
+    """
+
+    scale: np.ndarray
+    values: np.ndarray
+    vectors: np.ndarray
+    known: np.ndarray
+
+    @property
+    def rank(self):
+        """Number of known directions."""
+        return int(self.known.sum())
+
+    @property
+    def known_values(self):
+        """Eigenvalues of the known directions, ndarray of shape (rank,)."""
+        return self.values[self.known]
+
+    @property
+    def known_vectors(self):
+        """Known directions in scaled coordinates, ndarray of shape (p, rank)."""
+        return self.vectors[:, self.known]
+
+    @property
+    def null_space(self):
+        """Directions that are not known, in scaled coordinates, (p, p - rank)."""
+        return self.vectors[:, ~self.known]
+
+    def lost(self, share):
+        """Columns (p,), bool, of which the null space holds more than this share."""
+        return (self.null_space**2).sum(axis=1) > share
+
+    def root(self):
+        """F of shape (rank, p) with F'F = A without its null space."""
+        return (self.known_vectors * np.sqrt(self.known_values)).T * self.scale
+
+    def inverse_root(self):
+        """L of shape (p, rank) with L L' the pseudo-inverse of A in scaled columns."""
+        return self.known_vectors / np.sqrt(self.known_values) / self.scale[:, None]
+
+    def inverse(self):
+        """Pseudo-inverse of A in scaled columns, ndarray of shape (p, p)."""
+        scaled = (self.known_vectors / self.known_values) @ self.known_vectors.T
+        return scaled / np.outer(self.scale, self.scale)
+
+    def solve(self, b):
+        """Solution x of A x = b, (p,) or (p, k), of least norm in scaled columns."""
+        V, scale = self.known_vectors, self.scale
+        values = self.known_values
+        if b.ndim == 2:
+            scale, values = scale[:, None], values[:, None]
+        return V @ ((V.T @ (b / scale)) / values) / scale
+
+
+def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
+    """Decompose a symmetric matrix in scaled columns.
+
+    Parameters
+    ----------
+    A : ndarray of shape (p, p)
+        Symmetric matrix.
+    tolerance : float, default=None
+        Share of the largest eigenvalue above which a direction is known; None is the
+        rounding of that many rows, ``p * ROUNDING``.
+    scale : float or ndarray of shape (p,), default=None
+        Scale of the columns; None is the root of the diagonal, 1.0 takes A as it is.
+    relative : bool, default=True
+        False compares the eigenvalues with the tolerance itself.
+    """
+    p = A.shape[0]
+    if scale is None:
+        diagonal = np.diagonal(A)
+        scale = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = np.broadcast_to(np.asarray(scale, dtype=float), (p,))
+    values, vectors = linalg.eigh(A / np.outer(scale, scale))
+    limit = p * ROUNDING if tolerance is None else tolerance
+    if relative:
+        limit = limit * max(values[-1], 0.0) if p else limit
+    return ScaledEigen(
+        scale=scale, values=values, vectors=vectors, known=values > limit
+    )

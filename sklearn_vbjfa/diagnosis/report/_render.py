@@ -1,0 +1,131 @@
+"""Sections of a report as text, as Markdown and as pages; nothing is computed here."""
+
+import re
+import textwrap
+from functools import lru_cache
+from itertools import zip_longest
+
+from tabulate import tabulate
+
+from sklearn_vbjfa.diagnosis.report._pictures import HEIGHT, WIDTH
+
+# Characters of a terminal's line, and of the narrowest column that is wrapped.
+_TERMINAL, _NARROWEST = 80, 8
+# How the entries of a list begin.
+_MARKS = ("- ", "? ")
+# Spaces at which no line is broken.
+_UNIT = re.compile(
+    r"(?<=\d) (?=%|x\b|Hz|N\b|m\b|rad|kg|s\b)|(?<=\bN) (?=m\b)| (?=\+-)|(?<=\+-) |"
+    r"(?<=joint) (?=\d)|(?<=[<>=]) (?=\d)"
+)
+
+
+def text(sections):
+    """Write the sections for a terminal, lists and tables between empty lines."""
+    out, follows = "", False
+    for section in sections:
+        shown = section.terminal
+        if not shown:
+            continue
+        plain = all(isinstance(x, str) and x[:2] not in _MARKS for x in shown)
+        out += ("\n" if plain and follows else "\n\n") if out else ""
+        indent = "  " if out else ""
+        out += "\n".join(
+            _wrapped(x, indent)
+            if isinstance(x, str)
+            else text_table(x.heads, x.rows, numbers=x.numbers)
+            for x in shown
+        )
+        follows = plain
+    return out
+
+
+def _wrapped(sentence, indent):
+    """Wrap a sentence, with no number apart from its unit."""
+    whole = _UNIT.sub("\u00a0", sentence)
+    lines = textwrap.wrap(whole, _TERMINAL, subsequent_indent=indent)
+    return "\n".join(lines).replace("\u00a0", " ")
+
+
+def text_table(heads, rows, *, numbers):
+    """Lay out a table for a terminal; its widest words are wrapped until it fits."""
+    heads = zip_longest(*(head.splitlines()[::-1] for head in heads), fillvalue="")
+    cells = [*list(heads)[::-1], *rows]
+    widths = [max(map(len, column)) for column in zip(*cells)]
+    last = len(widths) - 1
+    flexible = [0, last] if numbers else range(last + 1)
+    while sum(widths) + 2 * last > _TERMINAL:
+        widest = max(flexible, key=widths.__getitem__)
+        if widths[widest] <= _NARROWEST:
+            break
+        widths[widest] -= 1
+    table = tabulate(
+        cells,
+        tablefmt="plain",
+        disable_numparse=True,
+        colalign=[
+            "left" if k in (0, last) or not numbers else "right"
+            for k in range(last + 1)
+        ],
+        maxcolwidths=[
+            width if k in flexible else None for k, width in enumerate(widths)
+        ],
+    )
+    return "\n".join(line.rstrip() for line in table.splitlines())
+
+
+def markdown(sections):
+    """Write the sections as Markdown."""
+    return _template("report.md.j2").render(sections=sections)
+
+
+def page(sections):
+    """Write the sections as a whole page."""
+    return _template("page.html.j2").render(
+        sections=sections, width=WIDTH, height=HEIGHT
+    )
+
+
+def fragment(sections):
+    """Write the sections as what a page holds, with its style, for notebooks."""
+    return _template("fragment.html.j2").render(
+        sections=sections, width=WIDTH, height=HEIGHT
+    )
+
+
+@lru_cache
+def _template(name):
+    """Load a template, in which every value is escaped."""
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    is_page = name.endswith(".html.j2")
+    environment = Environment(
+        loader=PackageLoader("sklearn_vbjfa.diagnosis.report"),
+        autoescape=is_page,
+        finalize=_page_value if is_page else _markdown_value,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+    )
+    return environment.get_template(name)
+
+
+def _page_value(value):
+    """Write signs as a page has them; a number and its sign stay on one line."""
+    if type(value) is not str:
+        return value
+    for plain, sign in (
+        ("+-", "±"),
+        ("^2", "²"),
+        ("^3", "³"),
+        (" %", "\u00a0%"),
+    ):
+        value = value.replace(plain, sign)
+    return value
+
+
+def _markdown_value(value):
+    """Escape what Markdown would read as markup."""
+    value = value if isinstance(value, str) else ", ".join(value)
+    return re.sub(r"([\\`*_|<>])", r"\\\1", " ".join(value.split())).replace("+-", "±")

@@ -1,0 +1,623 @@
+"""What a report says, section by section, in words and cells but in no format.
+
+A section is one function of the outcome and the verdict on it, listed in `SECTIONS`.
+Text, Markdown and pages show what it returns; a page draws it by the template that it
+names, ``templates/section.html.j2`` if it has no look of its own.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.report import _verdict
+from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
+from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
+
+# Entries of a list that a terminal shows as sentences; each further one is a row.
+_SENTENCES = 6
+# Candidates of a step that are listed; to_dict() has all.
+_TRIED = 8
+_COLOURS = {
+    "complete": "good",
+    "nothing": "good",
+    "worse": "bad",
+    "failed": "bad",
+    "no data": "bad",
+    "doubtful": "bad",
+}
+_JOINT_COLOURS = {"floor": "good", "worse": "bad", "failed": "bad", "no data": "bad"}
+_ACTIONS = {
+    "add": "added",
+    "replace": "replaced",
+    "drop": "dropped as superfluous",
+    "refuse": "refused: does not hold on later data",
+    "withdraw": "withdrawn: does harm on motion that it was not fitted to",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Rows of cells, each a str or a tuple of str (one a line).
+
+    Attributes
+    ----------
+    heads : tuple of str
+        Heads of the columns; empty for none.
+    rows : tuple of tuple
+        Cells.
+    details : tuple of tuple of str
+        What a page unfolds below each row; empty for nothing.
+    numbers : bool
+        Whether all columns but the first and the last are aligned as numbers are.
+    """
+
+    heads: tuple = ()
+    rows: tuple
+    details: tuple = ()
+    numbers: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A part of the report.
+
+    Attributes
+    ----------
+    heading : str
+        Its title, which a terminal does not show.
+    sentences : tuple of str
+        Paragraphs, or the entries of a list.
+    table : Table or None
+        Below them.
+    note : str
+        Small print below that.
+    terminal : tuple of str or Table
+        What a terminal shows; by default the sentences and the table.
+    template : str
+        Which of ``templates/<template>.html.j2`` draws it on a page.
+    drawn : object
+        What only that template shows.
+    """
+
+    heading: str
+    sentences: tuple = ()
+    table: Table | None = None
+    note: str = ""
+    terminal: tuple | None = None
+    template: str = "section"
+    drawn: object = None
+
+    def __post_init__(self):
+        if self.terminal is None:
+            shown = (*self.sentences, *([self.table] if self.table else []))
+            object.__setattr__(self, "terminal", shown)
+
+
+def sections(outcome, verdict):
+    """Return the sections that have something to show, in order."""
+    found = [make(outcome, verdict) for make in SECTIONS]
+    return tuple(s for s in found if s.sentences or s.table or s.drawn)
+
+
+# -- the verdict ------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Headline:
+    """The verdict as a page shows it: large, with (value, name) of the mean errors."""
+
+    colour: str
+    text: str
+    totals: tuple
+    causes: str
+
+
+def _headline(outcome, verdict):
+    errors = verdict.errors
+    band = words.number(outcome.wide_cutoff, 2)
+    totals = [
+        (errors.before, "mean error before"),
+        (errors.after, "after, on untouched data"),
+    ]
+    for value, name in (
+        (errors.wide, f"after, up to {band} Hz"),
+        (errors.floor, "noise floor"),
+    ):
+        if np.isfinite(value):
+            totals.append((value, name))
+    causes = ""
+    if any(v.status == "failed" for v in verdict.joints):
+        causes = (
+            "Likely causes of an error of 100 % or more: wrong sign, order or unit of "
+            "the columns; a coupling between joints that is not in the model; motion "
+            "too slow or too small, so that noise outweighs the torques, or that ends "
+            "at rest."
+        )
+    robot = outcome.declared.get("robot", "the robot")
+    return Section(
+        heading=f"What the declared model of {robot} lacks",
+        sentences=tuple(filter(None, (verdict.text, causes))),
+        template="headline",
+        drawn=Headline(
+            colour=_COLOURS.get(verdict.status, "warn"),
+            text=verdict.headline,
+            totals=tuple((words.percent(value), name) for value, name in totals),
+            causes=causes,
+        ),
+    )
+
+
+# -- errors -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointBars:
+    """A joint's errors as bars; places are per cent of the longest bar."""
+
+    label: str
+    # The verdict on the joint, how to colour it, and what else is known.
+    text: str
+    colour: str
+    note: str
+    # ("before" or "after", length or None, text beside the bar)
+    bars: tuple
+    # Where the interval of the error after begins and how long it is, or empty.
+    reach: tuple
+    floor: float | None
+
+
+def _joints(outcome, verdict):
+    heads = ["untouched\nerror, %", "before", "after [90 %]"]
+    heads += ["/".join(dict.fromkeys(outcome.torque_units)), "floor"]
+    wide, note = bool(np.isfinite(outcome.wide_cutoff)), ""
+    if wide:
+        band = words.number(outcome.wide_cutoff, 2)
+        fit = words.number(outcome.declared.get("cutoff", np.nan))
+        heads.append(f"to\n{band} Hz")
+        note = (
+            f"; in the band of the fit, up to {fit} Hz. In the wider one, up to {band} "
+            "Hz, nothing was identified"
+        )
+    rows = []
+    for v in verdict.joints:
+        j = v.joint
+        row = [
+            v.label,
+            words.bare_percent(outcome.error_before[j]),
+            words.bare_percent(outcome.error_after[j]) + _reach_text(outcome, j),
+            words.number(outcome.error_after[j] * outcome.spread[j], 2),
+            words.bare_percent(outcome.floor[j]),
+        ]
+        row += [words.bare_percent(outcome.wide_after[j])] * wide
+        rows.append((*row, v.text))
+    return Section(
+        heading="Error of each joint on untouched data",
+        table=Table(heads=(*heads, ""), rows=tuple(rows), numbers=True),
+        note=f"Interval: {_interval_text(outcome.settings)}. Root mean square of the "
+        "torque residual on data that was not touched before, over the standard "
+        f"deviation of the torque in the moving time of the whole recording{note}.",
+        template="joints",
+        drawn=_bars(outcome, verdict.joints),
+    )
+
+
+def _bars(outcome, joints):
+    ends = np.ravel(outcome.intervals.get("after", []))
+    errors = np.r_[outcome.error_before, outcome.error_after, outcome.floor, ends]
+    longest = np.max(errors, where=np.isfinite(errors), initial=0.0) or 1.0
+
+    def place(value):
+        share = 100 * float(np.clip(value / longest, 0.0, 1.0))
+        return share if np.isfinite(share) else None
+
+    found = []
+    for v in joints:
+        j = v.joint
+        before, after = outcome.error_before[j], outcome.error_after[j]
+        low, high = _verdict.interval(outcome, "after", j)
+        note = ""
+        if np.isfinite(after):
+            newtons = words.number(after * outcome.spread[j], 2)
+            note = f"after: {newtons} {outcome.torque_units[j]}"
+        if np.isfinite(after) and np.isfinite(outcome.wide_after[j]):
+            band = words.number(outcome.wide_cutoff, 2)
+            note += f"; up to {band} Hz {words.percent(outcome.wide_after[j])}"
+        known = np.isfinite(low) and np.isfinite(high)
+        text = words.percent(after) + _reach_text(outcome, j)
+        found.append(
+            JointBars(
+                label=v.label,
+                colour=_JOINT_COLOURS.get(v.status, "warn"),
+                text=v.text,
+                note=note,
+                bars=(
+                    ("before", place(before), words.percent(before)),
+                    ("after", place(after), text),
+                ),
+                reach=(place(low), place(max(high - low, 0.0))) if known else (),
+                floor=place(outcome.floor[j]),
+            )
+        )
+    return tuple(found)
+
+
+def _reach_text(outcome, joint):
+    """Interval of a joint's error after, " [1.0, 1.2]"; empty where there is none."""
+    low, high = _verdict.interval(outcome, "after", joint)
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return ""
+    return f" [{words.bare_percent(low)}, {words.bare_percent(high)}]"
+
+
+def _interval_text(settings):
+    """Say what the interval of an error holds."""
+    if "error_seconds" not in settings:
+        return "90 %"
+    seconds = words.number(settings["error_seconds"], 2)
+    return f"90 % of errors over the next {seconds} s of such motion"
+
+
+# -- findings ---------------------------------------------------------------------
+
+
+def _effects(outcome, verdict):
+    names = outcome.joint_names
+    sentences, short, rows = [], [], []
+    for e in outcome.effects:
+        joint = words.joint_label(names, e.joint)
+        label = words.effect_label(e.name, e.parameters, names)
+        parameters = words.parameter_text(e)
+        gain, p = words.whole_percent(e.evidence.gain), e.evidence.p_value
+        rivals = [words.PLAIN_NAMES.get(r, r) for r in e.rivals]
+        evidence = f"saves {gain}, {words.p_text(p)}"
+        told = [", ".join([f"- {joint}: {label}", *parameters]), evidence]
+        if rivals:
+            told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
+        sentences.append("; ".join(told))
+        short.append((f"- {joint}", label, evidence))
+        gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
+        cannot = words.join(rivals, len(rivals), "or")
+        rows.append((joint, label, tuple(parameters), gain, words.p_cell(p), cannot))
+    heads = ("joint", "effect", "parameters (90 %)", "squared error saved", "p")
+    return Section(
+        heading="Effects that were missing",
+        table=_table((*heads, "cannot be told from"), rows),
+        terminal=_terminal(sentences, short),
+    )
+
+
+def _table(heads, rows, **more):
+    """Make a table; None without rows."""
+    return Table(heads=heads, rows=tuple(rows), **more) if rows else None
+
+
+def _terminal(sentences, rows):
+    """Show the first entries as sentences, each further one as a row of a table."""
+    further = tuple(rows[_SENTENCES:])
+    return (*sentences[:_SENTENCES], *([Table(rows=further)] if further else ()))
+
+
+def _unexplained(outcome, verdict):
+    names = outcome.joint_names
+    order = sorted(outcome.unexplained, key=lambda u: (not u.floor > 0, -u.of_torque))
+    sentences, short = [], []
+    for group in _unexplained_groups(order):
+        first = group[0]
+        joints = words.joint_list(names, [u.joint for u in group])
+        shares = [words.percent(share) for share in sorted(u.of_torque for u in group)]
+        share = f"{' to '.join(dict.fromkeys([shares[0], shares[-1]]))} of the torque"
+        share += " has no name" if first.floor > 0 else " remains, noise floor unknown"
+        signals = [
+            f"{words.signal_label(s.signal, names, first.joint)} "
+            f"({words.whole_percent(s.share)})"
+            for s in first.signals
+        ]
+        nothing = "it varies with no single signal"
+        all_of_them = f"varies with {words.join(signals, 3)}" if signals else nothing
+        sentences.append(f"{joints}: {share}; {all_of_them}")
+        strongest = f"varies with {signals[0]}" if signals else nothing
+        short.append((f"? {joints}", share, strongest))
+    return Section(
+        heading="Unexplained",
+        sentences=tuple(sentences),
+        terminal=_terminal([f"? {sentence}" for sentence in sentences], short),
+    )
+
+
+def _unexplained_groups(unexplained):
+    """Put joints together of which only the size is known, or not even the floor."""
+    groups = {}
+    for u in unexplained:
+        alone = u.joint if u.signals else None
+        groups.setdefault((u.floor > 0, alone), []).append(u)
+    return groups.values()
+
+
+def _record_next(outcome, verdict):
+    """Say what to record next, what matters most first, without repetition."""
+    wanted = {}
+    for rest in outcome.unexplained:
+        for signal in rest.signals:
+            advice = words.record_for_signal(signal.signal)
+            wanted.setdefault(advice, []).append(rest.joint)
+    for effect in outcome.effects:
+        for name in (effect.name, *effect.rivals) if effect.rivals else ():
+            wanted.setdefault(words.record_for(name), []).append(effect.joint)
+    for h in outcome.hidden:
+        if h.reason == "excitation":
+            advice = words.record_for(h.name) or h.remedy
+            wanted.setdefault(advice, []).append(h.joint)
+    found = [
+        f"{advice} ({words.joint_list(outcome.joint_names, joints)})"
+        for advice, joints in wanted.items()
+        if advice
+    ]
+    return Section(
+        heading="Record next",
+        sentences=tuple(found),
+        terminal=(f"Record next: {words.join(found, len(found))}.",) if found else (),
+    )
+
+
+def _hidden(outcome, verdict):
+    """Say what could not be looked for, in a sentence for each reason."""
+    sentences = []
+    for reason, title, because in (
+        ("excitation", "This recording cannot show", ""),
+        ("signal", "Not looked for:", "; {}"),
+        ("span", "No motion can show", ", which the declared parameters cover"),
+    ):
+        own = [h for h in outcome.hidden if h.reason == reason]
+        if not own:
+            continue
+        by_effect = {}
+        for h in own:
+            by_effect.setdefault(h.name, []).append(h.joint)
+        parts = [
+            f"{words.effect_label(name)} "
+            f"({words.joint_list(outcome.joint_names, joints)})"
+            for name, joints in by_effect.items()
+        ]
+        because = because.format(words.join(sorted({h.remedy for h in own}), 2))
+        sentences.append(f"{title} {words.join(parts, len(parts))}{because}.")
+    return Section(heading="Not visible in this recording", sentences=tuple(sentences))
+
+
+def _channels(outcome, verdict):
+    messages = [" ".join(c.message.split()) for c in outcome.channels]
+    # The headline has the first doubt already.
+    first = " ".join("".join(_verdict.doubts(outcome)[:1]).split())
+    below = [message for message in messages if message != first]
+    return Section(
+        heading="Channels",
+        sentences=tuple(messages),
+        terminal=tuple(f"Channel: {message}" for message in below),
+    )
+
+
+# -- evidence ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Residuals:
+    """Pictures of the residuals, (label, torque at the edge, Picture), and ticks."""
+
+    pictures: tuple
+    axis: tuple
+
+
+def _residuals(outcome, verdict):
+    curves = outcome.curves
+    heading = "Torque residuals"
+    if not {"before", "after", "weight"} <= set(curves):
+        return Section(heading=heading)
+    floor = outcome.floor * outcome.spread
+    found = []
+    for v in verdict.joints:
+        picture = residual_picture(curves, v.joint, floor[v.joint])
+        if picture is not None:
+            unit = outcome.torque_units[v.joint]
+            found.append(
+                (v.label, f"+-{words.number(picture.limit, 2)} {unit}", picture)
+            )
+    axis = time_axis(curves)
+    time = "Untouched part in the order of its samples"
+    if axis:
+        time = "Untouched part, one stretch after the other, over time in seconds"
+    return Section(
+        heading=heading,
+        note=f"one standard deviation. {time}; gaps where the joint stands still.",
+        template="residuals",
+        drawn=Residuals(pictures=tuple(found), axis=axis) if found else None,
+    )
+
+
+def _steps(outcome, verdict):
+    names = outcome.joint_names
+    rows, details = [], []
+    for i, step in enumerate(outcome.rounds, 1):
+        action = _ACTIONS.get(step.action, step.action)
+        if step.replaced:
+            old = words.PLAIN_NAMES.get(step.replaced, step.replaced)
+            action = f"replaced {old}"
+        j, evidence = step.joint, step.evidence
+        rivals = [words.PLAIN_NAMES.get(t.name, t.name) for t in step.rivals]
+        before, after = step.error_before[j], step.error_after[j]
+        rows.append(
+            (
+                str(i),
+                words.joint_label(names, j),
+                words.effect_label(step.name, step.shape, names),
+                action,
+                words.whole_percent(evidence.gain),
+                words.p_cell(evidence.p_value),
+                _rule(step),
+                f"{words.whole_percent(evidence.helped)} of {evidence.n_blocks}",
+                f"{words.bare_percent(before)} to {words.bare_percent(after)} %",
+                words.join(rivals, 4),
+            )
+        )
+        tried = [
+            f"{words.effect_label(t.name, t.shape, names)}: "
+            f"{words.whole_percent(t.evidence.gain)}"
+            for t in step.tried
+        ]
+        more = [f"{len(tried) - _TRIED} more"] if len(tried) > _TRIED else []
+        details.append((*tried[:_TRIED], *more))
+    heads = ("no.", "joint", "effect", "step", "saved", "p", "rule", "blocks helped")
+    heads += ("error in the search part", "rivals")
+    undone = _undone(outcome)
+    return Section(
+        heading="Steps of the search",
+        sentences=undone,
+        table=_table(heads, rows, details=tuple(details)),
+        terminal=undone,
+    )
+
+
+def _undone(outcome):
+    """Name the steps that were taken back, in a sentence for each reason."""
+    found = []
+    for action, what in (
+        ("refuse", "Refused, as it did not hold on later data"),
+        ("drop", "Dropped as superfluous"),
+        ("withdraw", "Withdrawn, as it did harm on motion that it was not fitted to"),
+    ):
+        own = dict.fromkeys(
+            f"{words.effect_label(r.name, r.shape, outcome.joint_names)} on "
+            f"{words.joint_label(outcome.joint_names, r.joint)}"
+            for r in outcome.rounds
+            if r.action == action
+        )
+        if own:
+            found.append(f"{what}: {words.join(own, 3)}.")
+    return tuple(found)
+
+
+def _rule(step):
+    """Say by which rule a step was taken, with the level that applied."""
+    if not math.isfinite(step.level):
+        return step.rule
+    tests = f", {step.n_tests} tests" if step.n_tests > 1 else ""
+    return f"{step.rule} (p < {words.number(step.level, 2)}{tests})"
+
+
+# -- settings ---------------------------------------------------------------------
+
+
+def _settings(outcome, verdict):
+    settings = outcome.settings
+    sentences = (_short(outcome), _split(settings), _named(settings), _errors(settings))
+    versions = [f"{name} {v}" for name, v in settings.get("versions", {}).items()]
+    effects = settings.get("effects", ())
+    if not isinstance(effects, str):
+        effects = ", ".join(map(str, effects)) or "none"
+    seed = settings.get("random_state")
+    rows = (
+        ("Declared model", _declared(outcome.declared)),
+        ("Looked for", effects),
+        ("Seed", "" if seed is None else str(seed)),
+        ("Versions", ", ".join(versions)),
+    )
+    sentences = tuple(filter(None, sentences))
+    return Section(
+        heading="Settings",
+        sentences=sentences,
+        table=Table(rows=tuple(row for row in rows if row[1])),
+        terminal=sentences,
+    )
+
+
+def _short(outcome):
+    """Say where the recording is too short for a slow residual."""
+    joints = outcome.settings.get("too_short", ())
+    if not joints:
+        return ""
+    where = words.joint_list(outcome.joint_names, [j for j, _ in joints])
+    times = [seconds for _, seconds in joints]
+    stays = "stays correlated throughout"
+    if math.isfinite(max(times)):
+        up_to = "up to " if len(times) > 1 else ""
+        stays = f"stays correlated for {up_to}{words.number(max(times), 2)} s"
+    return (
+        f"Too short for the residual of {where}, which {stays}: slow effects cannot be "
+        "told from it."
+    )
+
+
+def _split(settings):
+    """Say what was untouched and how the rest was divided."""
+    if "test_size" not in settings:
+        return ""
+    text = f"Untouched: {words.whole_percent(settings['test_size'])} of the motion"
+    if "untouched_stretches" in settings:
+        count = settings["untouched_stretches"]
+        text += f" ({count} {'stretch' if count == 1 else 'stretches'}"
+        text += f", {words.number(settings['untouched_seconds'])} s)"
+        if settings.get("undecided_stretches"):
+            text += ", without what a change of payload falls into"
+    if "n_blocks" in settings:
+        seconds = words.number(settings.get("block_seconds", math.nan))
+        text += f"; search: {settings['n_blocks']} blocks of {seconds} s, "
+        text += f"{settings.get('n_folds', '?')} folds"
+    if "correlation_seconds" in settings:
+        seconds = words.number(settings["correlation_seconds"], 2)
+        text += f"; residual correlated for {seconds} s"
+    return f"{text}."
+
+
+def _named(settings):
+    """Say what it takes to be named, with the level of the round that came last."""
+    if "rule" not in settings:
+        return ""
+    text = f"Named: {settings['rule']}, alpha {words.number(settings.get('alpha'))}"
+    level, count = settings.get("last_level"), settings.get("last_n_tests")
+    if level and count:
+        tests = words.plural(count, "test")
+        text += f" (last round: p < {words.number(level, 2)}, {tests})"
+    gain = words.whole_percent(settings.get("smallest_gain"))
+    return (
+        f"{text}; saves >= {gain} of squared error; unexplained: > {ABOVE_FLOOR[0]} x "
+        "floor."
+    )
+
+
+def _errors(settings):
+    """Say what the intervals are of, and what the model was fitted to in the end."""
+    if "error_seconds" not in settings:
+        return ""
+    return (
+        f"+-: 90 % interval of a parameter; [ ]: {_interval_text(settings)}. Files and "
+        "parameters: fitted to all data after the errors were taken, in the same band."
+    )
+
+
+def _declared(declared):
+    """Say what the model had before the search."""
+    parts = [str(declared["robot"])] if declared.get("robot") else []
+    if "friction" in declared:
+        names = ", ".join(map(str, declared["friction"])) or "none"
+        parts.append(f"friction: {names}")
+    if "n_parameters" in declared:
+        parts.append(f"{declared['n_parameters']} parameters")
+    if "cutoff" in declared:
+        cutoff = words.number(declared["cutoff"])
+        known = math.isfinite(declared["cutoff"])
+        parts.append(f"low-pass {cutoff} Hz" if known else "no low-pass")
+    return "; ".join(parts)
+
+
+SECTIONS = (
+    _headline,
+    _joints,
+    _effects,
+    _unexplained,
+    _record_next,
+    _hidden,
+    _channels,
+    _residuals,
+    _steps,
+    _settings,
+)

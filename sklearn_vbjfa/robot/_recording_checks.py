@@ -1,0 +1,211 @@
+"""What a recording must hold before it is identified; each refusal says what to do."""
+
+import warnings
+
+import numpy as np
+
+from sklearn_vbjfa.recording._faults import position_jumps, shuffled_rows
+
+# A period [s] that is no robot's; and one that is none if the fastest joint is as slow
+# as this [rad/s or m/s], which a unit of time that is no second makes of every motion.
+_SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02
+# Speeds beyond the robot's by this factor: degrees for radians make 57, and are told
+# of elsewhere. Where the robot has no limit [rad/s or m/s].
+_TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
+# A joint that stays within a turn moves to and fro, and does so more slowly still; in
+# degrees it would have moved by hundreds.
+_TURN, _TOO_FAST_NEAR, _LARGEST_NEAR_SPEED = 2 * np.pi, 3.0, 50.0
+
+
+def check_widths(names, X, y=None):
+    """Refuse positions, states or torques of another number of joints."""
+    nv = len(names)
+    robot = f"The robot has {nv} joint(s) ({', '.join(names)}), so "
+    if X.shape[1] not in {nv, 3 * nv}:
+        raise ValueError(
+            f"{robot}X must have {nv} columns of positions or {3 * nv} of states "
+            f"[q | v | a]; got {X.shape[1]}. Leave out channels of locked joints, or "
+            "lock joints that were not recorded with pinocchio.buildReducedModel."
+        )
+    if y is not None and y.shape[1] != nv:
+        raise ValueError(
+            f"{robot}y must have {nv} column(s) of torques; got {y.shape[1]}."
+        )
+
+
+def check_speed(dt, fast, travel, model):
+    """Refuse a sample period with which no robot moves like that.
+
+    Periods are given in seconds; a thousandth of it, or its inverse, makes speeds that
+    are a thousandth of, or a thousand times, those of robots.
+
+    Parameters
+    ----------
+    dt : float
+        Sample period [s].
+    fast : ndarray of shape (nv,)
+        99.5th percentiles of the joints' speeds with it [rad/s or m/s].
+    travel : ndarray of shape (nv,)
+        Ranges of the joints' positions [rad or m].
+    model : pinocchio.Model
+        Robot, for the limits of its speeds.
+    """
+    if dt is None or not np.max(fast, initial=0.0) > 0:
+        return
+    limit = np.asarray(model.velocityLimit, dtype=float)
+    known = (limit > 0) & (limit < _NO_LIMIT)
+    limit = np.where(known, limit, _LARGEST_SPEED)
+    share = float(np.max(fast / limit))
+    top = float(np.max(fast))
+    if dt >= _SLOWEST_PERIOD or (dt >= _SLOW_PERIOD and top < _SLOW_SPEED):
+        raise ValueError(
+            f"dt={dt:.6g} s is too slow for a motion: the fastest joint would move at "
+            f"{top:.2g} rad/s or m/s. dt is in seconds{_other_units(dt, share, top)}."
+        )
+    reaching = known & (travel <= _TURN)
+    near = float(np.max(fast[reaching] / limit[reaching], initial=0.0))
+    if share > _TOO_FAST or (
+        near > _TOO_FAST_NEAR
+        and np.max(fast[reaching], initial=0.0) > _LARGEST_NEAR_SPEED
+    ):
+        raise ValueError(
+            f"dt={dt:.6g} s is too short for this motion: the fastest joint would "
+            f"move at {top:.2g} rad/s or m/s, far more than the robot allows. Give "
+            "times in seconds (not minutes)."
+        )
+
+
+def _other_units(dt, share, top):
+    """Say which period it is if it was given in another unit."""
+    meant = []
+    for name, period in (
+        ("milliseconds", dt / 1e3),
+        ("microseconds", dt / 1e6),
+        ("nanoseconds", dt / 1e9),
+        ("Hz", 1 / dt),
+    ):
+        times = dt / period
+        if period < _SLOW_PERIOD and share * times <= 2.0 and top * times > _SLOW_SPEED:
+            meant.append(f"in {name} it would be {period:.4g} s")
+    return f"; {', '.join(meant)}" if meant else ""
+
+
+def check_input_noise(input_noise):
+    """Refuse what says neither to measure nor to leave the input noise."""
+    if input_noise not in ("auto", None):
+        raise ValueError(
+            "input_noise must be 'auto' (measured from the recording) or None "
+            f"(taken as zero); got {input_noise!r}."
+        )
+
+
+def check_channels(names, positions, torques):
+    """Refuse dead torque channels, name joints that do not move.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    positions, torques : ndarray of shape (n, nv)
+        Recording.
+    """
+    moves = np.ptp(positions, axis=0) > 0
+    if not moves.any():
+        raise ValueError(
+            "No joint moves in this recording; expected a motion that excites the "
+            "joints to be identified. Check the position columns."
+        )
+    flat = ~(np.ptp(torques, axis=0) > 0)
+    dead = [name for name, bad in zip(names, flat & moves) if bad]
+    if dead:
+        raise ValueError(
+            f"The torque of {', '.join(dead)} is constant while the joint moves: "
+            "a channel without information cannot be fitted. Check the recording, "
+            "or lock the joint in the model with pinocchio.buildReducedModel."
+        )
+    still = [name for name, moving in zip(names, moves) if not moving]
+    if still:
+        warnings.warn(
+            f"{', '.join(still)} never move(s) in this recording: the torque there "
+            "is left out (stiction may have any value), friction is not "
+            "identifiable, and inertial parameters only as far as other joints "
+            "feel them.",
+            UserWarning,
+            stacklevel=4,
+        )
+
+
+def warn_of_disorder(names, positions, parts, groups):
+    """Warn of rows that are not in the order of time, and of borders without labels.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Joints.
+    positions : ndarray of shape (n, nv)
+        Joint positions.
+    parts : list of slice
+        Recordings.
+    groups : array-like of shape (n,) or None
+        Labels of the recordings.
+    """
+    found = shuffled_rows(names, positions, parts, groups)
+    if not found:
+        rows = np.arange(positions.shape[0])
+        found = position_jumps(names, positions, parts, rows)
+    for finding in found:
+        warnings.warn(finding.message, UserWarning, stacklevel=4)
+
+
+def check_length(parts, lowpass, cutoff):
+    """Refuse recordings that are all shorter than the filter, name some that are."""
+    need = 2 * lowpass.half + 1
+    short = [p for p in parts if p.stop - p.start < need]
+    if len(short) == len(parts):
+        longest = max(p.stop - p.start for p in parts)
+        raise ValueError(
+            f"The low-pass at {cutoff:.4g} Hz is {need} samples long and "
+            f"the longest recording has {longest}; give a longer recording or a "
+            "higher cutoff (None for no low-pass)."
+        )
+    if short:
+        rows = ", ".join(str(p.start) for p in short[:5])
+        warnings.warn(
+            f"{len(short)} of {len(parts)} recordings (from row {rows}) are "
+            f"shorter than the low-pass filter ({need} samples) and are left out.",
+            UserWarning,
+            stacklevel=4,
+        )
+
+
+def check_count(stats, standstill, n_parameters):
+    """Refuse to fit when everything is masked, or less is left than parameters."""
+    if stats is None or not stats.n.any():
+        raise ValueError(
+            "Every sample is masked as standstill; lower `standstill` (now "
+            f"{np.array2string(standstill, precision=3)}) or pass None."
+        )
+    count = int(stats.n_rows.sum())
+    if count < n_parameters:
+        raise ValueError(
+            f"{count} equations (joints times filtered, moving samples) are fewer "
+            f"than the {n_parameters} parameters; record for longer, or raise "
+            "`cutoff`."
+        )
+
+
+def check_weight(sample_weight, shape):
+    """Return weights (n, nv) of a fit with torques of that shape; ones for None."""
+    if sample_weight is None:
+        return np.ones(shape)
+    weight = np.asarray(sample_weight, dtype=float)
+    if weight.shape not in {shape, shape[:1]}:
+        raise ValueError(
+            f"sample_weight must have the shape {shape[:1]} or {shape}; got "
+            f"{weight.shape}."
+        )
+    if not np.isfinite(weight).all() or weight.min() < 0:
+        raise ValueError("sample_weight must be finite and not negative.")
+    if not weight.any():
+        raise ValueError("Sample weights must contain at least one non-zero number.")
+    return weight if weight.ndim == 2 else np.repeat(weight[:, None], shape[1], 1)

@@ -1,0 +1,110 @@
+"""Weights of the joints' equations, and of blocks of time, by their residuals."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg
+
+
+def least_squares(G, g):
+    """Minimum-norm solution in columns scaled to unit diagonal."""
+    scale = np.sqrt(np.diagonal(G))
+    unit = np.where(scale > 0, scale, 1.0)
+    values, vectors = linalg.eigh(G / np.outer(unit, unit))
+    keep = values > max(values[-1], 0.0) * values.size * np.finfo(float).eps * 8
+    V = vectors[:, keep]
+    return V @ ((V.T @ (g / unit)) / values[keep]) / unit
+
+
+def noise_weights(moments, max_iter=30, tol=1e-6):
+    """Inverse residual variance of each joint by iterated weighted least squares.
+
+    Starts from the torques' own mean squares, so that the unit of a joint's torque
+    never matters; a joint without rows gets the weight zero.
+    """
+    used = moments.n > 0
+    n = np.where(used, moments.n, 1.0)
+    variance = np.where(used & (moments.yy > 0), moments.yy / n, np.inf)
+    for _ in range(max_iter):
+        weight = 1.0 / variance
+        theta = least_squares(
+            np.einsum("j,jik->ik", weight, moments.G), weight @ moments.g
+        )
+        new = moments.residual_squares(theta) / n
+        new = np.where(np.isfinite(variance), new, np.inf)
+        # A joint that is fitted exactly would get an infinite weight.
+        new = np.maximum(new, 1e-12 * np.where(used, moments.yy / n, np.inf))
+        new = np.where(new > 0, new, np.inf)
+        finite = np.isfinite(new)
+        change = np.abs(new[finite] / variance[finite] - 1)
+        variance = new
+        if change.size == 0 or change.max() < tol:
+            break
+    return 1.0 / variance
+
+
+# Degrees of freedom of Student's t; the customary value for robust regression without
+# tuning (Lange, Little and Taylor, 1989).
+_STUDENT_FREEDOM = 4.0
+
+
+def block_precisions(pieces, blocks, max_iter=20, tol=1e-3):
+    """Relative precision of each joint's noise in each block of time.
+
+    The residual of a joint is Gaussian with a precision of its own in every block,
+    Gamma(nu/2, nu/2) times the joint's: a multivariate Student t. What the model lacks
+    (stiction, transients) comes in stretches of time, which then count less. The
+    parameters in between are weighted least squares; EM to convergence.
+
+    Parameters
+    ----------
+    pieces : list of Equations
+        Equations of motion.
+    blocks : list of ndarray of shape (n,)
+        Number of the block of each row, over all pieces.
+
+    Returns
+    -------
+    list of ndarray of shape (n, nv)
+        Factors of the weights, near one.
+    """
+    n_blocks = 1 + max(int(block.max()) for block in blocks)
+    nv = pieces[0].tau.shape[1]
+    nu = _STUDENT_FREEDOM
+    factor = np.ones((n_blocks, nv))
+    count = sum(_by_block(one.weight, b, n_blocks) for one, b in zip(pieces, blocks))
+    for _ in range(max_iter):
+        moments = _sum_moments(pieces, blocks, factor)
+        weight = noise_weights(moments)
+        theta = least_squares(
+            np.einsum("j,jik->ik", weight, moments.G), weight @ moments.g
+        )
+        squares = sum(
+            _by_block(one.weight * (one.tau - one.Phi @ theta) ** 2, b, n_blocks)
+            for one, b in zip(pieces, blocks)
+        )
+        scaled = squares * weight
+        new = (nu + count) / (nu + scaled)
+        new = np.where(count > 0, new, 1.0)
+        change = np.abs(new / factor - 1).max()
+        factor = new
+        if change < tol:
+            break
+    return [factor[b] for b in blocks]
+
+
+def _by_block(values, block, n_blocks):
+    out = np.zeros((n_blocks, values.shape[1]))
+    np.add.at(out, block, values)
+    return out
+
+
+def _sum_moments(pieces, blocks, factor):
+    total = None
+    for one, block in zip(pieces, blocks):
+        plain = replace(one, instruments=None, difference=None, blocks=None)
+        moments = plain.reweighted(factor[block]).moments()
+        # The factors re-weight the samples; their number stays what it is.
+        moments = replace(moments, n=one.weight.sum(axis=0))
+        total = moments if total is None else total + moments
+    return total

@@ -1,0 +1,69 @@
+"""The catalogue: every set has its loader, protocols split recordings that exist."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import datasets
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.datasets._catalogue import (
+    CATALOGUE,
+    Protocol,
+    protocols,
+)
+
+ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
+
+
+def test_every_entry_has_a_public_loader_and_units_that_fit():
+    loaders = {name for name in datasets.__all__ if name.startswith("fetch_")}
+    assert loaders == {f"fetch_{name}" for name in CATALOGUE}
+    for entry in CATALOGUE.values():
+        nv = len(entry.joint_names)
+        assert len(entry.position_units) in (1, nv)
+        assert len(entry.torque_units) in (1, nv)
+
+
+def test_a_protocol_splits_in_time_or_by_recording():
+    recording = make_robot_recording(duration=1.0, n_recordings=3, random_state=0)
+    in_time = Protocol(share=0.75)
+    train, test = in_time.split(recording)
+    assert train.size == 450
+    np.testing.assert_array_equal(np.sort(np.append(train, test)), np.arange(600))
+    for k in range(3):  # what is held out is later than what is fitted
+        mine = recording.groups == k
+        assert train[mine[train]].max() < test[mine[test]].min()
+    some = Protocol(train=("motion_2",), share=0.5)
+    train, test = some.split(recording)
+    np.testing.assert_array_equal(train, np.arange(200, 300))
+    np.testing.assert_array_equal(test, np.arange(300, 400))
+    named = Protocol(train=("motion_1", "motion_3"), test=("motion_2",))
+    train, test = named.split(recording)
+    np.testing.assert_array_equal(np.unique(recording.groups[train]), [0, 2])
+    np.testing.assert_array_equal(test, np.arange(200, 400))
+    assert named.describe(recording) == (
+        "fitted: motion_1, motion_3; held out: motion_2"
+    )
+    assert some.describe(recording).startswith("first 50 % of motion_2 fitted")
+
+
+def test_protocols_name_loaders_and_known_friction():
+    known = protocols()
+    assert next(iter(known)) == "demo"
+    assert len(known) == 11
+    for protocol in known.values():
+        assert callable(protocol.load)
+        assert set(protocol.friction) <= set(ALL)
+        assert not set(protocol.train) & set(protocol.test)
+
+
+def test_protocols_name_recordings_that_exist(measured_data_home):
+    for name, protocol in protocols().items():
+        if name == "demo" or not protocol.train:
+            continue
+        recording = protocol.load(
+            data_home=measured_data_home, download_if_missing=False
+        )
+        assert set(protocol.train + protocol.test) <= set(recording.group_names)
+        assert 0 < protocol.split(recording)[0].size < recording.n_samples

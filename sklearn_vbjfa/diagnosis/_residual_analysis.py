@@ -158,7 +158,7 @@ def _collect(identifier, view, base):
     torque = view.equations.tau
     with np.errstate(divide="ignore", invalid="ignore"):
         rms = np.sqrt((weight * residual**2).sum(axis=0) / weight.sum(axis=0))
-        spread = view.equations.spread()
+        spread = view.spread()
         error = np.where(spread > 0, rms / spread, np.nan)
     one = [slice(j, j + 1) for j in range(view.nv)]
     return ResidualAnalysis(

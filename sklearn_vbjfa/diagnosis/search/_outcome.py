@@ -162,7 +162,7 @@ def _named(effect, estimate):
 def _rounds(search, names):
     """Yield each `Round`, with errors over the spread of the torque."""
     view = search.model.view
-    rows, spread = view.rows, view.equations.spread()
+    rows, spread = view.rows, view.spread()
 
     def error(squares):
         with np.errstate(divide="ignore", invalid="ignore"):

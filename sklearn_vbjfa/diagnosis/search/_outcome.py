@@ -28,8 +28,7 @@ _POINTS = 4000
 def make_outcome(search, models, judgement, channels, asked):
     """Collect what `Report` shows.
 
-    `asked` are the parameters of the loop that the report repeats: "test_size",
-    "alpha", "random_state".
+    `asked` are the parameters of the loop, of which the report repeats some.
     """
     robot = models.declared
     features, names = robot.features_, robot.joint_names_

@@ -12,6 +12,7 @@ import pytest
 
 import sklearn_vbjfa
 from sklearn_vbjfa import datasets, diagnosis, distributed, effects, physical
+from tests.test_imports import APART, ROOMS
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -45,7 +46,8 @@ def code_blocks(path):
     if path.suffix == ".md":
         pattern = r"^```python\n(.*?)^```"
     else:
-        pattern = r"^\.\. code-block:: python\n\n((?:    .*\n|\n)+)"
+        # A block inside a list is indented with the list.
+        pattern = r"^ *\.\. code-block:: python\n\n((?:    .*\n|\n)+)"
     blocks = []
     for match in re.finditer(
         pattern, text, flags=re.DOTALL * (path.suffix == ".md") | re.M
@@ -122,18 +124,38 @@ def test_names_in_api_are_where_it_says():
             assert line.strip() in module.__all__
 
 
-def test_table_of_effects_agrees_with_the_classes():
-    rows = re.findall(
-        r"    \* - ``(\w+)``\n      - (.+(?:\n {8}.+)*)\n      - (.+)\n      -(.*)\n",
-        read(DOCS / "effects.rst"),
-    )
-    assert [row[0] for row in rows] == list(effects.available())
-    for (name, torque, visible, contains), effect in zip(rows, effects.resolve()):
-        assert effect.name == name
-        assert visible == effect.visible, name
-        assert contains.strip() == ", ".join(effect.contains), name
-        for symbol in effect.parameters([1.0] * len(effect.coefficients)):
-            assert re.search(rf"\b{symbol}\b", torque), (name, symbol)
+def guide_of(effect):
+    """Entry of an effect in the guide, as its class has it."""
+    symbols = list(effect.parameters([1.0] * len(effect.coefficients)))
+    turning, sliding = (effect.parameter_units(p) for p in (False, True))
+    symbols += [
+        name for name in effect.shape() if turning.get(name, "") and name not in symbols
+    ]
+    told = []
+    for symbol in symbols:
+        units = dict.fromkeys(unit[symbol] for unit in (turning, sliding))
+        told.append(f"{symbol} [{' or '.join(unit or '-' for unit in units)}]")
+    lines = [
+        f"``{effect.name}``: {effect.label}",
+        rf"    .. math:: \tau = {effect.formula}",
+        "",
+        f"    :parameters: {', '.join(told)}",
+        f"    :visible if: {effect.visible}",
+        f"    :record next: {effect.record}",
+    ]
+    if effect.contains:
+        lines.append(f"    :contains: {', '.join(effect.contains)}")
+    return "\n".join(lines) + "\n"
+
+
+def test_every_effect_has_its_formula_in_the_guide():
+    text = read(DOCS / "effects.rst")
+    section = text[text.index("The library\n---") : text.index("One's own effect\n---")]
+    listed = re.findall(r"^``(\w+)``: ", section, flags=re.M)
+    assert listed == list(effects.available())
+    for effect in effects.resolve():
+        assert effect.formula, effect.name
+        assert guide_of(effect) + "\n" in section, guide_of(effect)
 
 
 def constants_of_the_loop():
@@ -144,7 +166,9 @@ def constants_of_the_loop():
         _gaps,
         _judgement,
         _search,
+        _shapes,
         _split,
+        _transfer,
     )
     from sklearn_vbjfa.diagnosis.search import _intervals as intervals
     from sklearn_vbjfa.effects import _base
@@ -154,7 +178,7 @@ def constants_of_the_loop():
     few, many = _blocks._WANTED
     words = {8: "eight", 9: "nine", 10: "ten"}
     varies, any_case = _gaps.ABOVE_FLOOR
-    third = ("whole", "half", "third", "quarter")[_search._STRETCHES - 1]
+    third = ("whole", "half", "third", "quarter")[_transfer._STRETCHES - 1]
     small = {3: "three", 4: "four", 10: "ten"}
     return [
         f"fitted to the first {100 * _search._FORWARD:g} % of the search data",
@@ -168,7 +192,7 @@ def constants_of_the_loop():
         f"fewer than {_blocks.FEWEST} times what the residual stays correlated for",
         f"fitted to the first {100 * _search._LATE:g} % of where it acts",
         f"acts in fewer than {2 * _search._ACTIVE} blocks",
-        f"and {words[_search._FINER]} finer steps around the tuned one",
+        f"and {words[_shapes._FINER]} finer steps around the tuned one",
         f"{_blocks._CORRELATION_TIMES:g} times as long as the residual stays corr",
         f"{few} to {many} blocks are aimed at, and {_blocks.FEWEST} are the fewest",
         f"Every {_blocks._FOLDS}th block is predicted from the others",
@@ -183,6 +207,18 @@ def constants_of_the_loop():
         f"holds the error over the next {intervals.NEXT_SECONDS:g} s",
         f"the {intervals._COSINES} slowest cosines of time",
     ]
+
+
+def test_table_of_rooms_is_that_of_the_imports():
+    rows = re.findall(
+        r"    \* - ``(\w+)``\n      - .+(?:\n {8}.+)*\n      - (.+)\n",
+        read(DOCS / "architecture.rst"),
+    )
+    assert tuple(room for room, _ in rows) == ROOMS
+    for room, imports in rows:
+        above = set(ROOMS[: ROOMS.index(room)])
+        told = above if imports == "all above" else set(re.findall(r"\w+", imports))
+        assert told - {"none"} == APART.get(room, above), room
 
 
 def test_numbers_of_the_loop_are_those_of_the_code():

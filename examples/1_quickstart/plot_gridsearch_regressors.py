@@ -4,14 +4,14 @@ Choose the regressor by blocks of time
 ======================================
 
 `RigidBodyFeatures` and `JointTorqueRegressor` are steps of a scikit-learn pipeline, so
-`GridSearchCV` can swap the regressor. Folds are blocks of time: samples that follow one
-another are alike, and shuffled folds would let a model see its own test data.
+`GridSearchCV` can swap the regressor. Folds are blocks of time: consecutive samples are
+alike, and shuffled folds would let a model see its own test data.
 """
 
 # %%
 # States
 # ------
-# They are estimated once. The pipeline begins behind them.
+# They are estimated once, before the pipeline.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -39,7 +39,7 @@ fitted, tested = recording.groups == 0, recording.groups == 1
 # %%
 # Search
 # ------
-# LASSO chooses its own penalty, on blocks of time too. PLS is a grid of its own.
+# LASSO chooses its own penalty, also on blocks of time. PLS has its own grid.
 
 pipeline = Pipeline(
     [
@@ -81,13 +81,13 @@ for label, error in zip(labels, validated):
 print(f"chosen: {labels[search.best_index_]}; torque noise {np.sqrt(noise):.3f} N m")
 
 # %%
-# The second motion, which the search has not seen, against the torque without noise.
+# The second motion, which the search has not seen, compared with the noiseless torque.
 
 difference = search.predict(states[tested]) - recording.tau_clean[tested]
 print(f"second motion: {np.sqrt(np.mean(difference**2)):.3f} N m")
 
 # %%
-# The same as a figure
+# The same in a figure
 # --------------------
 
 figure, axes = plt.subplots(layout="constrained")

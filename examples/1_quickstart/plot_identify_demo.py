@@ -4,15 +4,15 @@ Identify an arm from one recording
 ===================================
 
 Joint positions and torques in, a physically consistent rigid-body model out. The
-recording is simulated, so that the truth is known: a made-up six-axis arm, 200 Hz,
+recording is simulated, so that the truth is known: an invented six-axis arm, 200 Hz,
 encoder noise of 1e-4 rad, torque noise of 5 %.
 """
 
 # %%
 # The recording
 # -------------
-# Two motions of 20 s each. The first is fitted, the second is not looked at before the
-# end. The robot description holds inertias that are some 30 % off.
+# Two motions of 20 s each. The first is fitted, the second kept for testing. The
+# inertias of the robot description are wrong by some 30 %.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -28,8 +28,8 @@ print(recording)
 # %%
 # The fit
 # -------
-# States, filter, mask of standstill, weights of the joints and the projection are
-# chosen from the data.
+# States, filter, standstill mask, joint weights and projection are chosen from the
+# data.
 
 robot = RobotIdentifier(
     recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")
@@ -44,7 +44,7 @@ print(f"encoder noise found [rad]: {noise.round(6)}")
 # %%
 # Held-out error
 # --------------
-# Root mean square of the residual over the standard deviation of the torque, behind
+# Root mean square of the residual over the standard deviation of the torque, both after
 # the same low-pass.
 
 residuals = robot.residuals(recording.q[tested], recording.tau[tested])
@@ -52,8 +52,8 @@ for name, error in zip(robot.joint_names_, residuals.normalised_error()):
     print(f"{name}: {100 * error:.2f} %")
 
 # %%
-# Since the truth is known, the prediction can be compared with the torque without
-# noise, at the true states, which count as noiseless queries.
+# Since the truth is known, the prediction can be compared with the noiseless torque at
+# the true states, which count as noiseless queries.
 
 clean = recording.tau_clean[tested]
 predicted = robot.predict(recording.states[tested])
@@ -63,10 +63,10 @@ print(f"against the clean torque [%]: {(100 * truth_error).round(2)}")
 # %%
 # Noise
 # -----
-# What the fit found of it: the noise of the encoders, what that does to the torques
-# through the regressors (input noise), and the noise of the torque sensors. Of joint 2
-# more remains (output noise) than the sensors explain (noise floor): its friction
-# depends on the load, which the model does not say.
+# The fit measures the noise of the encoders, its effect on the torques through the
+# regressors (input noise), and the noise of the torque sensors. On joint 2 more remains
+# (output noise) than the sensors explain (noise floor): its friction depends on the
+# load, which the model does not contain.
 # :ref:`sphx_glr_auto_examples_1_quickstart_plot_what_is_missing.py` finds that out.
 
 display = NoiseDisplay.from_estimator(robot).plot()
@@ -74,12 +74,12 @@ display = NoiseDisplay.from_estimator(robot).plot()
 # %%
 # Parameters
 # ----------
-# One panel a joint and unit. Inertial parameters act on the torques in combinations;
-# those that the data do not determine on their own have hollow marks. Before the
-# projection they are what regression happened to leave, after it they are completed
-# from the robot description, scaled to the data. What the data determine, and the
-# friction, can be compared with the truth (the intervals of joint 2 know nothing of
-# what the model lacks).
+# One panel per joint and unit. Inertial parameters act on the torques in combinations;
+# those that the data do not determine on their own have hollow markers. Before the
+# projection their values are arbitrary; after it they are completed from the robot
+# description, scaled to the data. What the data determine, and the friction, can be
+# compared with the truth (the intervals of joint 2 do not allow for what the model
+# lacks).
 
 truth = recording.theta(robot.friction)
 display = ParameterDisplay.from_estimator(
@@ -94,7 +94,7 @@ print(robot.min_eigenvalues_)
 # %%
 # Convergence
 # -----------
-# The bound of the regression over its iterations, and what each of them gained.
+# The bound of the regression over its iterations, and the gain of each iteration.
 
 display = ConvergenceDisplay.from_estimator(robot).plot()
 

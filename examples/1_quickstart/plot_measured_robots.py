@@ -4,20 +4,20 @@ What do the models of real robots lack?
 =========================================
 
 Four measured robots: a slide (EMPS), a UR5, a Staubli TX40 and a KUKA KR300. Their
-models have friction and still lack something; the loop says on which joint, and what
-that was worth on data that it had not seen.
+models include friction and still lack something; the loop says on which joint, and what
+that was worth on unseen data.
 
-To take seconds and not minutes, a few effects are looked for, those that the
-publications of the sets make likely, in parts of the recordings or in means of
-neighbouring samples. ``docs/benchmarks.rst`` has the whole library on ten sets.
+To take seconds and not minutes, it looks only for a few effects that the publications
+of the sets make likely, in parts of the recordings or in means of neighbouring samples.
+``docs/benchmarks.rst`` has the whole library on ten sets.
 """
 
 # %%
 # The recordings
 # --------------
-# They are not part of the package. A folder that has them is named in the environment
-# variable SKLEARN_VBJFA_DATA; without one they are looked for in the data folder of
-# scikit-learn. Nothing is downloaded here.
+# They are not part of the package. The environment variable SKLEARN_VBJFA_DATA names
+# the folder that holds them, by default scikit-learn's data folder. Nothing is
+# downloaded here.
 
 import os
 import sys
@@ -38,9 +38,9 @@ DATA_HOME = os.environ.get("SKLEARN_VBJFA_DATA")
 DRIVES = ("viscous", "coulomb", "offset", "rotor_inertia")
 
 # %%
-# For each: recordings used (all without names), samples that are averaged, low-pass
-# [Hz], speed at or below which a joint stands still [rad/s], friction of the declared
-# model, and the effects looked for.
+# For each set: recordings used (all, if none is named), number of samples averaged,
+# low-pass [Hz], speed at or below which a joint stands still [rad/s], friction of the
+# declared model, and the effects looked for.
 
 PLANS = {
     "emps": dict(
@@ -99,8 +99,8 @@ missing = [name for name, found in loaded.items() if found is None]
 # %%
 # The loop
 # --------
-# A mean of neighbouring samples is one sample of a slower clock; the last few samples
-# of a recording that fill no mean are left out.
+# A mean of neighbouring samples is one sample of a slower clock; incomplete means at
+# the end of a recording are left out.
 
 
 def averaged(recording, count):
@@ -152,8 +152,8 @@ for name, found in loaded.items():
 # %%
 # Without the recordings
 # ----------------------
-# The table of the benchmark stands in: another declared model (viscous friction alone),
-# the whole library, the whole recordings.
+# The table of the benchmark stands in for them: another declared model (viscous
+# friction alone), the whole library, the whole recordings.
 
 if missing:
     table = Path("docs", "tables", "discovery_measured.rst")
@@ -182,8 +182,8 @@ if missing:
 # ----------------
 # Root mean square of the residual on stretches that took no part in the fit or the
 # search, over the standard deviation of the torque in the moving time of the whole
-# recording. Above the dashed line the mean of the torque would have been the better
-# prediction: the model is not to be trusted there.
+# recording. Above the dashed line the mean of the torque would have been a better
+# prediction; do not trust the model there.
 
 figure, axes = plt.subplots(2, 2, sharey=True, layout="constrained", figsize=(8, 6))
 for axis, name in zip(axes.flat, PLANS):

@@ -3,16 +3,16 @@
 What does the model lack?
 =========================
 
-A declared model is fitted, what it leaves of the torques is searched for known effects,
-and the model is completed with what is found. The arm of the recording has viscous and
-Coulomb friction, and on joint 2 friction in proportion to the load; the declared model
-has viscous friction alone.
+A declared model is fitted, its torque residuals are searched for known effects, and the
+model is completed with what is found. The recorded arm has viscous and Coulomb
+friction, and on joint 2 friction proportional to the load; the declared model has only
+viscous friction.
 """
 
 # %%
 # The declared model
 # ------------------
-# Two motions of 20 s. An eighth at either end of each is kept for the end.
+# Two motions of 20 s. An eighth at either end of each is set aside for the final test.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -40,8 +40,8 @@ print(f"true Fc: {recording.friction['coulomb'].round(3)} N m")
 print(f"true mu: {recording.undeclared['load_friction'][1]} (joint_2)")
 
 # %%
-# Every step is on record, with the share of the squared error that it saved on blocks
-# of time that it was not fitted to.
+# Every step is recorded, with the share of the squared error that it saved on blocks of
+# time that it was not fitted to.
 
 for step in loop.rounds_:
     print(
@@ -62,8 +62,8 @@ for name, before, after in zip(
 print(f"unexplained: {[rest.joint_name for rest in loop.unexplained_]}")
 
 # %%
-# What could not have been found: here the inertia of the first two rotors, which acts
-# on the torques like inertias of the links.
+# Effects that could not have been found: here the inertia of the first two rotors,
+# which acts on the torques like inertias of the links.
 
 for effect in loop.hidden_:
     print(f"{effect.joint_name}: {effect.name} ({effect.reason})")
@@ -71,9 +71,9 @@ for effect in loop.hidden_:
 # %%
 # Residual against speed
 # ----------------------
-# The residual of the declared model has a step where the joint reverses. The model of
-# joint 2 lacks more than that: the step depends on the load. (The completed model is
-# the one that is handed over, fitted to all data.)
+# The residual of the declared model has a step where the joint reverses. On joint 2
+# more is missing: the step depends on the load. (The completed model is the final one,
+# fitted to all data.)
 
 tested = np.concatenate(
     [np.flatnonzero(recording.groups == label)[-1000:] for label in (0, 1)]

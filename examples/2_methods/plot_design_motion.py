@@ -3,9 +3,9 @@
 Designing the next recording
 ============================
 
-A first recording is there, and leaves some parameters open. Which motion should be
-recorded next? The one after which the torques of the motions that the robot is meant
-for are predicted with the least expected error.
+A first recording has left some parameters undetermined. Which motion should be recorded
+next? The one that minimises the expected error of the torques on the motions that the
+robot is meant for.
 """
 
 # %%
@@ -38,7 +38,7 @@ def rows(states, every=10):
 # %%
 # Base parameters
 # ---------------
-# As many columns as there are independent ones, by QR with pivoting in random states.
+# A maximal set of independent columns, by pivoted QR at random states.
 
 rng = np.random.default_rng(0)
 W = rows(rng.uniform(-2, 2, size=(200, 18)), every=1).reshape(1200, -1)
@@ -71,7 +71,7 @@ print(f"condition number of the first recording: {np.linalg.cond(known) ** 0.5:.
 # %%
 # Candidates
 # ----------
-# Motions of five sines a joint, inside 80 % of the ranges and speeds of the robot.
+# Motions of five sines per joint, within 80 % of the ranges and speeds of the robot.
 
 HARMONICS = 0.1 * np.arange(1, 6)
 t = np.arange(0.0, 10.0, first.dt)
@@ -99,10 +99,10 @@ def draw():
 # %%
 # The choice
 # ----------
-# What the robot is meant for: here twenty drawn motions. With the information matrix M
-# of the data and U of one equation of their mean, the expected square of the error of
-# the predictions, in units of the noise, is the trace of U divided by M. The best of 60
-# drawn motions is improved by small changes, kept if they help.
+# The intended use is represented by twenty random motions. Let M be the information
+# matrix of the data, and U that of one equation of these motions on average. The
+# expected squared error of the predictions, in units of the noise, is then the trace of
+# M^-1 U. The best of 60 random motions is improved by small changes, kept if they help.
 
 uses = [information(motion(draw())) for _ in range(20)]
 wanted = np.mean(uses, axis=0) / (len(t) / 10 * 6)
@@ -139,7 +139,7 @@ for name, total in totals.items():
 # %%
 # Record it, fit both together
 # ----------------------------
-# The robot is simulated on the motion: true torques and noise. A third motion, fast
+# The robot is simulated along the motion: true torques plus noise. A third motion, fast
 # and of another kind, is the test.
 
 inertial = np.hstack([first.inertial, np.column_stack(list(first.friction.values()))])
@@ -159,7 +159,7 @@ test = make_robot_recording(
 
 
 def error(weights, seed):
-    """Error on the test motion after one recording more, or none."""
+    """Error on the test motion after one more recording, or none."""
     q, tau, groups = first.q, first.tau, np.zeros(len(first.q), int)
     if weights is not None:
         q2, tau2 = record(weights, seed)
@@ -181,11 +181,11 @@ for name, weights in motions.items():
 
 # %%
 # What a design promises holds for the sum over all joints and uses; a single joint may
-# do better with a motion that was drawn.
+# do better with a random motion.
 
 # %%
-# Standard deviations to expect, and the error that came
-# ------------------------------------------------------
+# Expected standard deviations, and the actual error
+# --------------------------------------------------
 
 figure, axes = plt.subplots(1, 2, layout="constrained", figsize=(9, 3.5))
 for name, matrix in totals.items():

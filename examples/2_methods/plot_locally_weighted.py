@@ -3,8 +3,8 @@
 A curve from noisy inputs: local models around VB-JFA
 =====================================================
 
-Section 6 of the paper names the extension to nonlinear functions: locally weighted
-linear models. Here a curved surface of two noisy inputs.
+Section 6 of the paper suggests an extension to nonlinear functions: locally weighted
+linear models. Here they fit a curved surface over two noisy inputs.
 """
 
 # %%
@@ -27,7 +27,7 @@ X = t + 0.15 * rng.normal(size=t.shape)
 y = surface(t) + 0.1 * rng.normal(size=3000)
 
 # %%
-# One linear model for all, and 25 local ones of two kinds.
+# One global linear model, and 25 local ones of two kinds.
 models = {
     "global VB-JFA": VBJFARegressor(),
     "25 local least-squares models": LocallyWeightedRegressor(

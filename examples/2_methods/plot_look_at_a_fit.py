@@ -3,16 +3,16 @@
 Look at a fit: noise, coefficients, convergence
 ================================================
 
-Three displays show what a regression with noisy inputs found, here of data whose truth
-is known.
+Three displays show what a regression with noisy inputs found, here on data with a known
+truth.
 """
 
 # %%
 # The data
 # --------
-# The synthetic problem of the paper (section 5.1), smaller: six inputs matter, and a
-# third of their variance is noise; thirty inputs have nothing to do with the output.
-# One fit is told how noisy the inputs are, the other is not.
+# A smaller version of the paper's synthetic problem (section 5.1): six inputs matter,
+# and a third of their variance is noise; thirty inputs have nothing to do with the
+# output. One fit is given the noise of the inputs, the other is not.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -36,10 +36,11 @@ print(f"noise of the first six inputs: {share[:6].round(2)} of their variances")
 # %%
 # Noise
 # -----
-# As shares of the variances, since inputs may have any units; with `units` it is shown
-# as standard deviations, one panel a unit. Not told, the regression takes the inputs
-# that it finds irrelevant for exact, one too many here, and gives the others one common
-# share, which second moments bound from above only.
+# Noise is shown as shares of the variances, since inputs may have any units; with
+# `units` it is shown as standard deviations, one panel per unit. Without known noise,
+# the regression treats the inputs that it finds irrelevant (one too many here) as
+# exact, and gives the others one common share, of which second moments give only an
+# upper bound.
 
 figure, axes = plt.subplots(1, 2, figsize=(9, 7.5), layout="constrained")
 for axis, model, title in zip(axes, (told, free), ("noise known", "noise estimated")):
@@ -49,15 +50,15 @@ for axis, model, title in zip(axes, (told, free), ("noise known", "noise estimat
 # %%
 # Coefficients
 # ------------
-# For noiseless queries, with their intervals, and for queries as noisy as the data,
-# whose sizes are smaller. Inputs that the fit takes for irrelevant are hollow. One of
-# them, x0, does matter: its interval is that of the choice of inputs which was made and
-# knows nothing of the choice.
+# Coefficients for noiseless queries, with their intervals, and the smaller ones for
+# queries as noisy as the data. Inputs that the fit finds irrelevant have hollow
+# markers. One of them, x0, does matter: the intervals hold for the chosen inputs and do
+# not allow for errors of that choice.
 
 display = ParameterDisplay.from_estimator(told, nominal=true).plot()
 
 # %%
-# Those of the inputs that matter, and how far they are off in standard deviations.
+# Coefficients of the inputs that matter, and their errors in standard deviations.
 
 for j in np.flatnonzero(data.relevant):
     error = (told.coef_[j] - true[j]) / told.coef_std_[j]
@@ -67,7 +68,7 @@ for j in np.flatnonzero(data.relevant):
 # Convergence
 # -----------
 # The lower bound of the variational fit, the likelihood of EM, and the gain per sample
-# at which they stop.
+# at which each stops.
 
 em = JFARegressor(input_noise=data.input_noise, query="noiseless").fit(data.X, data.y)
 figure, axes = plt.subplots(2, 2, figsize=(9, 5), sharex="col", layout="constrained")

@@ -3,16 +3,17 @@
 Noisy sensors outside robotics: a blood analyser
 ================================================
 
-Total cholesterol from nine other readings of the same patient (scikit-learn's diabetes
-data), learned from cheap instruments and used with good ones. Noise in the inputs makes
-least squares, LASSO and PLS underestimate the coefficients; VB-JFA corrects for it.
+Total cholesterol is predicted from nine other readings of the same patient
+(scikit-learn's diabetes data). The model is learned with cheap instruments and used
+with good ones. Noise in the inputs makes least squares, LASSO and PLS underestimate the
+coefficients; VB-JFA corrects for it.
 """
 
 # %%
 # The data
 # --------
-# The noise of the cheap instruments is 15 % of each input's variance, known from their
-# data sheets, say.
+# The noise of the cheap instruments is 15 % of each input's variance, as known, say,
+# from their data sheets.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -48,7 +49,7 @@ grids = {
 
 
 def errors(X, y, seed):
-    """Share of the variance left: noisy queries, clean queries, a row a model."""
+    """Share of the variance left, for noisy and clean queries; one row per model."""
     rng = np.random.default_rng(seed)
     noisy = X + np.sqrt(NOISE) * X.std(axis=0) * rng.normal(size=X.shape)
     fitted, tested = train_test_split(np.arange(len(y)), random_state=seed)
@@ -89,9 +90,9 @@ for name, (X, y) in tasks.items():
 # %%
 # With the cheap instruments all models are alike: for noisy queries plain regression is
 # right. With good instruments the correction pays where the inputs nearly determine the
-# output, as they do total cholesterol. The progression of the disease is mostly
-# something else than these inputs; there the correction costs a little (0.63 against
-# 0.59 of the variance), since it trades bias for variance.
+# output, as for total cholesterol. The progression of the disease depends mostly on
+# other things; there the correction costs a little (0.63 against 0.59 of the variance),
+# since it trades bias for variance.
 
 figure, axes = plt.subplots(1, 2, layout="constrained", figsize=(9, 3.5))
 for axis, (name, values) in zip(axes, results.items()):

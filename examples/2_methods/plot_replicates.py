@@ -3,19 +3,19 @@
 How much noise is in the inputs: measure it, twice
 ==================================================
 
-Three hundred castings, a few dimensions of each measured with a hand gauge, and their
+A few dimensions of three hundred castings are measured with a hand gauge, and their
 weight on a good scale. What does a millimetre weigh? Noise in the gauge makes
 regression answer too little, and no table of single measurements says by how much: all
 splits of an input's variance into signal and noise have the same likelihood. Measuring
-every casting twice says it.
+every casting twice settles it.
 """
 
 # %%
 # The data
 # --------
-# Three dimensions that vary together, as castings of one mould do, measured twice. The
-# gauge is off by 0.5 mm, and for the two inner dimensions in part by the same amount,
-# since they are taken from one set-up.
+# Three dimensions, which vary together as those of castings do, are measured twice. The
+# error of the gauge is 0.5 mm; for the two inner dimensions, which are taken from one
+# set-up, part of it is common.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -47,8 +47,9 @@ print((GAUGE @ GAUGE.T).round(2))
 # %%
 # What a millimetre weighs
 # ------------------------
-# Without the noise the interval has to hold all that the data permit. With it, it holds
-# the rest: the scatter of the castings, and how well 300 pairs tell the noise.
+# If the noise is unknown, the interval has to cover all that the data permit. If it is
+# measured, only the rest remains: the scatter of the castings, and how well 300 pairs
+# determine the noise.
 
 models = {
     "least squares": LinearRegression().fit(X[0], weight),
@@ -77,8 +78,8 @@ axis.set_ylabel("weight of a millimetre [g/mm]")
 figure.legend(loc="outside right center")
 
 # %%
-# Over 200 such sets of castings, the 90 % intervals from the measured noise hold the
-# truth as often as they say:
+# Over 200 such sets of castings, the 90 % intervals from the measured noise contain the
+# truth as often as they should:
 
 inside = []
 for seed in range(200):
@@ -90,8 +91,8 @@ for seed in range(200):
 print(f"truth inside: {100 * np.mean(inside):.0f} %")
 
 # %%
-# A gauge that is exact says so: pairs agree, the covariance is zero, and the answer for
-# noiseless queries is that for noisy ones.
+# With an exact gauge the pairs agree, the covariance is zero, and the answers for
+# noiseless and noisy queries are the same.
 
 exact = replicate_noise(np.vstack([X[0], X[0]]), unit)
 model = VBJFARegressor(input_noise=exact).fit(X[0], weight)

@@ -41,8 +41,8 @@ recording = make_closed_loop_recording(
 # %%
 # Methods
 # -------
-# Those of the paper, each with the projection onto physically consistent parameters,
-# and the default of `RobotIdentifier`.
+# The paper's, each with the projection onto physically consistent parameters, and the
+# default of `RobotIdentifier`.
 
 blocks = KFold(5)
 projected = {"projector": PhysicalProjector(constraint="eq30"), "input_noise": None}
@@ -80,7 +80,7 @@ with warnings.catch_warnings():
 # %%
 # Control
 # -------
-# The torques of the desired motion are the model's, the feedback is the same for all.
+# Each model feeds forward its torques for the desired motion; the feedback is the same.
 
 motion = make_closed_loop_recording(
     "arm", duration=1.0, plant=recording.plant, random_state=1001
@@ -113,9 +113,9 @@ for k, (ax, label) in enumerate(zip(axes, labels)):
 plt.show()
 
 # %%
-# The margin of the paper, 5 to 20 per cent, is not seen: behind smoothing and low-pass
-# hardly any noise is left in the inputs for which the methods could differ, and what is
-# left to the feedback is what no rigid-body model has.
+# The margin of the paper, 5 to 20 per cent, does not appear: after smoothing and
+# low-pass hardly any noise is left in the inputs by which the methods could differ, and
+# what is left to the feedback is what no rigid-body model contains.
 #
-# The margin returns where the noise does: with states smoothed to 60 Hz and no low-pass
-# the default needs 29 per cent less feedback than its rivals (see the benchmarks).
+# The margin returns with the noise: with states smoothed to 60 Hz and no low-pass the
+# default needs 29 per cent less feedback than its rivals (see the benchmarks).

@@ -5,12 +5,12 @@ Ting, D'Souza and Schaal (2011): head in control
 
 Section 5.2 of the paper and the left columns of its Figs. 6 to 8. A vision head with
 seven joints is identified from encoders and torques while it moves under a low-gain
-controller, and the identified model then feeds torques forward: how well does the head
-follow motions that it has not seen, and how much has the feedback to add?
+controller, and the identified model then feeds torques forward. How well does the head
+follow unseen motions, and how much does the feedback have to add?
 
-The head of the paper is not at hand. A simulated one differs from its declared model in
-what the paper names for such robots: inertias, cables, protective shells, actuators,
-and nonlinear friction. The benchmark ``tests/benchmarks/bench_paper_robots.py`` takes
+The head of the paper is not available. A simulated one differs from its declared model
+in what the paper names for such robots: inertias, cables, protective shells, actuators,
+and nonlinear friction. The benchmark ``tests/benchmarks/bench_paper_robots.py`` uses
 longer recordings and more methods.
 """
 
@@ -43,9 +43,9 @@ fit_to = (recording.q, recording.tau, recording.groups)
 # %%
 # Methods
 # -------
-# Those of the paper, each with the projection onto physically consistent parameters;
-# the default of `RobotIdentifier`; and this one completed by what `EffectDiscovery`
-# finds of two effects.
+# The paper's, each with the projection onto physically consistent parameters; the
+# default of `RobotIdentifier`; and the default completed with what `EffectDiscovery`
+# finds out of two effects.
 
 blocks = KFold(5)
 regressors = {
@@ -79,7 +79,7 @@ print(loop.report_)
 # %%
 # Control
 # -------
-# The torques of the desired motion are the model's, the feedback is the same for all.
+# Each model feeds forward its torques for the desired motion; the feedback is the same.
 
 motion = make_closed_loop_recording(
     "head", duration=1.0, plant=recording.plant, random_state=1001
@@ -116,10 +116,10 @@ for k, (ax, label) in enumerate(zip(axes, labels)):
 plt.show()
 
 # %%
-# In the paper the Bayesian estimate was 10 to 25 per cent better than ridge regression
-# and stepwise regression could not be run. Here the methods are equal: behind smoothing
-# and low-pass hardly any noise is left in the inputs, and what all of them miss is what
-# the declared model does not have. What helps is to find it.
+# In the paper the Bayesian estimate was 10 to 25 per cent better than ridge regression,
+# and stepwise regression could not be run. Here the methods are equal: after smoothing
+# and low-pass hardly any noise is left in the inputs, and all of them miss what the
+# declared model does not contain. What helps is to find it.
 #
-# The margin returns where the noise does: with states smoothed to 60 Hz and no low-pass
-# the default needs a fifth less feedback than its rivals (see the benchmarks).
+# The margin returns with the noise: with states smoothed to 60 Hz and no low-pass the
+# default needs a fifth less feedback than its rivals (see the benchmarks).

@@ -15,8 +15,8 @@ benchmark ``tests/benchmarks/bench_synthetic.py`` runs ten.
 # %%
 # Methods
 # -------
-# Those of the paper, and besides them automatic relevance determination and total
-# least squares. The oracle knows the ten inputs and the variances of their noise.
+# The paper's, and also automatic relevance determination and total least squares. The
+# oracle knows the ten inputs and the variances of their noise.
 
 import warnings
 
@@ -53,7 +53,7 @@ def methods():
 
 
 # %%
-# Errors are those on noiseless test data, over the variance of the output.
+# Mean squared errors on noiseless test data, over the variance of the output.
 
 
 def nmse(prediction, data):
@@ -102,7 +102,7 @@ for ax, snr in zip(axes, (2.0, 5.0)):
     ax.set_yscale("log")
     ax.set_ylim(5e-3, 1.0)
     ax.set_ylabel("nMSE, noiseless test data")
-    ax.set_title(f"Input SNR {snr:.0f}, output SNR 5 (bars that leave the axes go on)")
+    ax.set_title(f"Input SNR {snr:.0f}, output SNR 5 (tall bars are cut off)")
     ax.set_xticks(range(4), [f"r = {r}, u = {90 - r}" for r in cells])
 axes[0].legend(ncols=5, fontsize="small")
 plt.show()
@@ -110,5 +110,5 @@ plt.show()
 # %%
 # With redundant inputs the noise is shared: the default finds the ten inputs that
 # generate the rest, drops what does not matter, and subtracts as much noise as the
-# second moments allow. The paper's model to the letter depends on where its iteration
-# starts and stops.
+# second moments allow. The paper's literal model depends on where its iteration starts
+# and stops.

@@ -1,11 +1,11 @@
-"""Command line: close the loop, identify, list what there is."""
+"""Command line: close the loop, identify measured sets, list effects and sets."""
 
 import argparse
 import os
 import signal
 import sys
 
-# Characters of a message.
+# Longest message [characters].
 _LONGEST = 900
 
 
@@ -20,8 +20,8 @@ def main(argv=None):
     Returns
     -------
     int
-        Exit code: 0; 2 for bad input (one line on stderr); 128 and the signal's
-        number if the run was stopped, which is 130 for an interrupt.
+        Exit code: 0 for success; 2 for bad input, with one line on stderr; 128 plus
+        the signal's number if the run was stopped, so 130 for an interrupt.
     """
     from sklearn_vbjfa._cli._input import Stopped, stoppable
     from sklearn_vbjfa.physical._threads import one_blas_thread
@@ -29,7 +29,7 @@ def main(argv=None):
     parser = _parser()
     arguments = parser.parse_args(argv)
     try:
-        # The matrices are small: threads would but wait for each other.
+        # The matrices are small: threads would only wait for each other.
         with stoppable(), one_blas_thread():
             arguments.run(arguments)
             sys.stdout.flush()
@@ -61,7 +61,7 @@ def main(argv=None):
 
 
 def one_line(message):
-    """Return a message as one line; what is left of a long one is read."""
+    """Return a message as one line, the middle of a long one left out."""
     text = " ".join(str(message).split())
     if len(text) > _LONGEST:
         text = f"{text[: _LONGEST - 300]} ... {text[-300:]}"
@@ -87,7 +87,7 @@ def _parser():
     parser = _Parser(
         prog="sklearn-vbjfa",
         description="Robot identification with noise in inputs and outputs. Without "
-        "a command: close the loop on the recording that the package brings along.",
+        "a command, close the loop on the recording that comes with the package.",
     )
     parser.add_argument("--version", action="version", version=__version__)
     parser.set_defaults(run=_close_loop.run_demo, written=False)
@@ -108,8 +108,8 @@ def _parser():
         "--data-home",
         default=None,
         metavar="DIR",
-        help="folder of the measured sets; by default scikit-learn's, where what is "
-        "missing is downloaded",
+        help="folder of the measured sets, by default scikit-learn's data folder; "
+        "missing files are downloaded to it",
     )
     identify.set_defaults(run=_identify.run)
     effects = commands.add_parser("effects", help="list the library of effects")

@@ -1,4 +1,4 @@
-"""The command ``close-loop``: what a robot's model lacks, and files that say it."""
+"""The command ``close-loop``: what a robot's model lacks, on screen and in files."""
 
 import csv
 import json
@@ -20,15 +20,15 @@ def add_to(commands):
         "close-loop",
         help="find what the model of your robot lacks",
         description="Identify a robot from a recording, find effects that its model "
-        "lacks, add them, and report the error before and after on the last part of "
-        "the recording. Writes report.html, report.json, parameters.csv and "
-        "identified.urdf.",
+        "lacks, add them, and report the error before and after on parts of the "
+        "recording that were set aside. Writes report.html, report.json, "
+        "parameters.csv and identified.urdf.",
     )
     parser.add_argument(
         "recording",
         metavar="RECORDING",
-        help="CSV, npz or parquet file with columns q1..qn [rad or m] and "
-        "tau1..taun [N m or N], and t [s] and segment where there are any",
+        help="CSV, npz or parquet file with columns q1..qn [rad or m], tau1..taun "
+        "[N m or N] and, optionally, t [s] and segment",
     )
     parser.add_argument(
         "--urdf", required=True, metavar="FILE", help="description of the robot"
@@ -37,9 +37,9 @@ def add_to(commands):
         "--joints",
         default=None,
         metavar="NAMES",
-        help="joints of the robot in the order of the columns q1..qn, with commas "
-        "between them; joints that are not named (gripper, wheels) are held at zero; "
-        "by default all, in the order of the description",
+        help="recorded joints, separated by commas, in the order of the columns "
+        "q1..qn; other joints (gripper, wheels) are held at zero; by default all, in "
+        "the order of the description",
     )
     parser.add_argument(
         "--dt", type=float, default=None, metavar="S", help="sample period [s]"
@@ -48,13 +48,13 @@ def add_to(commands):
         "--out",
         default=None,
         metavar="DIR",
-        help="folder for the files; by default RECORDING's name with -report",
+        help="folder for the files; by default the name of RECORDING plus -report",
     )
     parser.add_argument(
         "--friction",
         default="viscous,coulomb",
         metavar="NAMES",
-        help="friction of the declared model, none or some of viscous,coulomb,offset,"
+        help="friction of the declared model: none, or any of viscous,coulomb,offset,"
         "rotor_inertia; by default viscous,coulomb",
     )
     parser.add_argument(
@@ -67,11 +67,14 @@ def add_to(commands):
         "--cutoff",
         default="auto",
         metavar="HZ",
-        help="low-pass of torques and regressors; by default auto, from the motion; "
-        "none for no low-pass",
+        help="cut-off of the low-pass for torques and regressors; by default auto, "
+        "from the motion; none for no low-pass",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="noted in the report; nothing is drawn"
+        "--seed",
+        type=int,
+        default=0,
+        help="recorded in the report; nothing is random",
     )
     parser.set_defaults(run=run)
 
@@ -79,13 +82,13 @@ def add_to(commands):
 def run(arguments):
     """Close the loop on a user's recording and write the files."""
     from sklearn_vbjfa import effects
+    from sklearn_vbjfa.effects import _declared
     from sklearn_vbjfa.physical import ProjectionError
-    from sklearn_vbjfa.robot import _friction
 
     source, urdf = Path(arguments.recording), Path(arguments.urdf)
     out = Path(arguments.out) if arguments.out else _input.default_folder(source)
     _input.check_folder(out)
-    friction = _input.names("--friction", arguments.friction, _friction.available())
+    friction = _input.names("--friction", arguments.friction, _declared.available())
     library = arguments.effects
     if library != "all":
         library = _input.names("--effects", library, effects.available())
@@ -111,13 +114,13 @@ def run(arguments):
                 torque_noise=recording.torque_noise,
             )
         except (ValueError, ProjectionError) as error:
-            # The options are right: it is the recording.
+            # The options are valid, so the recording is at fault.
             raise ValueError(f"{source}: {error}") from error
         text = [str(recording), str(loop.report_)]
         if held:
             text.insert(1, f"held at zero: {', '.join(held)}")
         try:
-            # Before anything is printed: a reader such as head may end the run.
+            # Before anything is printed, as a reader such as head may end the run.
             with undisturbed():
                 written = _write(loop, out)
                 arguments.written = True
@@ -166,7 +169,7 @@ def _close(
 
 
 def _write(loop, out):
-    """Write all files, each at once: none is ever half there."""
+    """Write all files or none; each appears complete."""
     report = loop.report_
     texts = {
         "report.html": report.to_html(),
@@ -185,7 +188,7 @@ def _write(loop, out):
 
 
 def _write_parameters(robot, path):
-    """Write one row per parameter; where the data tell nothing, no deviation."""
+    """Write one row per parameter; std is empty where the data say nothing."""
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(["parameter", "value", "unit", "std", "identifiable"])

@@ -1,4 +1,4 @@
-"""The command ``identify``: the held-out error of a recording beside rivals."""
+"""The command ``identify``: held-out errors of several methods on one recording."""
 
 import sys
 import warnings
@@ -67,7 +67,7 @@ def say_warnings(caught):
     seen = set()
     for warning in caught:
         text = " ".join(str(warning.message).split())
-        # How rivals converge is their affair; what concerns the data is the user's.
+        # Convergence of the rivals does not concern the user; the data do.
         if warning.category is ConvergenceWarning or text in seen:
             continue
         if issubclass(warning.category, UserWarning):

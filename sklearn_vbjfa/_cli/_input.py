@@ -1,6 +1,8 @@
-"""What a user gives to the command line, refused in one line where it is wrong.
+"""Input of the command line: arguments, files and signals.
 
-What a run does when it is told to stop.
+Each function returns a checked value, or refuses it in one line that names the option
+or the file. A signal ends a run like an exception, so that files are written completely
+or not at all.
 """
 
 import contextlib
@@ -23,13 +25,7 @@ _STOPS = [
 
 
 class Stopped(BaseException):
-    """The process was told to end.
-
-    Parameters
-    ----------
-    number : int
-        Signal.
-    """
+    """The process was asked to end by a signal, whose number is given."""
 
     def __init__(self, number):
         super().__init__(signal.Signals(number).name)
@@ -38,11 +34,11 @@ class Stopped(BaseException):
 
 @contextlib.contextmanager
 def _handlers(handle):
-    """Let a function answer all signals to stop; other threads have no say."""
+    """Handle all stop signals by a function; possible in the main thread only."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    # A signal that is ignored, as under nohup, stays so.
+    # A signal that is ignored, as under nohup, stays ignored.
     before = {
         number: signal.getsignal(number)
         for number in _STOPS
@@ -62,13 +58,13 @@ def _stop(number, frame):
 
 
 def stoppable():
-    """Let signals end a run as an exception does, so that it tidies up."""
+    """Let signals end a run like an exception, so that it tidies up."""
     return _handlers(_stop)
 
 
 @contextlib.contextmanager
 def undisturbed():
-    """Put off signals until a few files are written."""
+    """Postpone signals until a few files are written."""
     waiting = []
     with _handlers(lambda number, frame: waiting.append(number)):
         yield
@@ -76,29 +72,14 @@ def undisturbed():
         signal.raise_signal(waiting[0])
 
 
-# Fewer samples in a row show nothing.
+# Fewer consecutive samples show nothing.
 _MIN_SAMPLES = 64
 
 
 def robot(urdf, joints, folder):
-    """Check a description, hold at zero the joints that were not recorded.
+    """Check a description; write one to `folder` in which unrecorded joints are fixed.
 
-    Parameters
-    ----------
-    urdf : Path
-        Description; one that cannot be read, or whose inertias would be lost, is
-        refused.
-    joints : tuple of str
-        Joints that were recorded; none for all.
-    folder : Path
-        Where a description of the robot with the other joints held is written.
-
-    Returns
-    -------
-    urdf : Path
-        Description in which only the recorded joints move.
-    held : tuple of str
-        The other joints.
+    Returns the path to use and the names of the fixed joints.
     """
     from sklearn_vbjfa.model import _loading
 
@@ -115,7 +96,7 @@ def robot(urdf, joints, folder):
         where = "" if repr(str(urdf)) in str(error) else f"{urdf}: "
         reason = f" ({said[0]})" if said else ""
         raise ValueError(f"{where}{error}{reason}") from error
-    # The parser goes on without an inertia that it cannot read.
+    # The parser continues without an inertia that it cannot read.
     lost = [line for line in said if "nerti" in line]
     if lost:
         raise ValueError(f"{urdf}: {'; '.join(lost)}; correct the description.")
@@ -123,13 +104,13 @@ def robot(urdf, joints, folder):
         return urdf, ()
     reduced = folder / urdf.name
     held = _loading.write_reduced(urdf, reduced, joints)
-    # What is written from this copy is as readable as the original.
+    # Files written from this copy get the permissions of the original.
     reduced.chmod(urdf.stat().st_mode & 0o666)
     return reduced, held
 
 
 def joint_names(text):
-    """Return the names in a list with commas, none for None."""
+    """Return the names in a comma-separated list, none for None."""
     if text is None:
         return ()
     found = tuple(name.strip() for name in text.split(","))
@@ -144,7 +125,7 @@ def joint_names(text):
 
 @contextlib.contextmanager
 def _parser_messages(said):
-    """Collect what the URDF parser, which is no Python, writes to stderr."""
+    """Collect what the URDF parser, which is compiled code, writes to stderr."""
     sys.stderr.flush()
     with tempfile.TemporaryFile() as file:
         stderr = os.dup(2)
@@ -184,7 +165,7 @@ def read(source, dt, urdf, joints):
 
 
 def check_folder(out):
-    """Refuse a folder that cannot be made, before the work is done."""
+    """Refuse, before the work begins, a folder that cannot be written to."""
     for folder in (out, *out.parents):
         if folder.exists():
             if not folder.is_dir():
@@ -195,7 +176,7 @@ def check_folder(out):
 
 
 def names(option, text, known):
-    """Return the names in a list with commas; "none" is none of them."""
+    """Return the known names in a comma-separated list; "none" gives none."""
     found = tuple(name.strip() for name in text.split(",") if name.strip())
     if found == ("none",):
         return ()
@@ -216,7 +197,7 @@ def _refuse_twice(option, found):
 
 
 def cutoff(text):
-    """Return the cutoff frequency [Hz], "auto", or None for no low-pass."""
+    """Return the cut-off frequency [Hz], "auto", or None for no low-pass."""
     if text in ("auto", "none"):
         return None if text == "none" else text
     try:
@@ -231,7 +212,7 @@ def cutoff(text):
 
 
 def check_nyquist(frequency, recording, source):
-    """Refuse a cutoff that the sample period has no room for."""
+    """Refuse a cut-off at or above the Nyquist frequency."""
     highest = 0.5 / recording.dt
     if isinstance(frequency, float) and frequency >= highest:
         raise ValueError(
@@ -241,7 +222,7 @@ def check_nyquist(frequency, recording, source):
 
 
 def seed(number):
-    """Return a seed that numpy takes."""
+    """Return a seed that NumPy accepts."""
     if not 0 <= number < 2**32:
         raise ValueError(f"--seed must be from 0 to 2**32 - 1; got {number}.")
     return number

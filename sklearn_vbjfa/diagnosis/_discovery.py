@@ -1,7 +1,4 @@
-"""The loop: residual, effect, refit, and the error on data that was not touched.
-
-Progress of a long search, on terminals only.
-"""
+"""The loop: residual, effect, refit, and the error on data that was not touched."""
 
 import contextlib
 
@@ -10,26 +7,26 @@ from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa.diagnosis.report._report import Report
-from sklearn_vbjfa.diagnosis.search import _split
-from sklearn_vbjfa.diagnosis.search._gaps import hidden, unexplained
 from sklearn_vbjfa.diagnosis.search._intervals import FinalFit
-from sklearn_vbjfa.diagnosis.search._judgement import Judgement
-from sklearn_vbjfa.diagnosis.search._outcome import make_outcome
+from sklearn_vbjfa.diagnosis.search._judgement import judge
+from sklearn_vbjfa.diagnosis.search._outcome import Models, make_outcome
 from sklearn_vbjfa.diagnosis.search._search import EffectSearch
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search._shapes import tuned_on
+from sklearn_vbjfa.diagnosis.search._split import split_in_time
+from sklearn_vbjfa.diagnosis.search._view import RecordingView, Samples
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.inspection._inspect import inspect_channels
 from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
-from sklearn_vbjfa.recording._recording import check_clock, check_dt, contiguous_groups
+from sklearn_vbjfa.recording._recording import check_clock, check_dt
 from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
 
 @contextlib.contextmanager
 def progress_bar(wanted):
-    """Yield a function (round, text) that shows where the search is."""
+    """Yield a function (round, text) that shows progress, on terminals only."""
     if not wanted:
         yield lambda number, text: None
         return
@@ -221,44 +218,33 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """
         library = self._check_parameters()
         model = load_model(self.identifier.model)
-        self.joint_names_ = names = joint_names(model)
-        X, y = positions_in_order(X, names), torques_in_order(y, names)
-        X, y = validate_data(
-            self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
-        )
-        y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
-        groups = np.zeros(X.shape[0], int) if groups is None else np.asarray(groups)
-        weight = check_weight(sample_weight, y.shape)
-        clock = check_clock(t, X.shape[0], check_dt(self.identifier.dt))
-        whole = X, y, groups, weight
+        whole = self._samples(model, X, y, groups, sample_weight, t)
         with progress_bar(self.verbose) as say:
             say(0, "declared model")
-            channels, silent = self._check_channels(model, X, y, groups)
-            split = _split.split_in_time(self.identifier, X, groups, self.test_size)
-            rows = split.search
-            part = X[rows], y[rows], split.pieces, weight[rows]
-            self.declared_ = clone(self.identifier).fit(*part, t=clock[rows])
-            begins = tuple(clock[k.start] for k in contiguous_groups(groups, len(X)))
-            view = RecordingView(
-                self.declared_, *part, clock[rows], silent, split.recording, begins
+            channels, silent = self._check_channels(model, whole)
+            split = split_in_time(
+                self.identifier, whole.X, whole.groups, self.test_size
             )
+            part = split.searched(whole)
+            self.declared_ = part.fit(clone(self.identifier))
             found = EffectSearch(
-                view=view,
+                view=RecordingView(self.declared_, part, leave_out=silent),
                 library=library,
-                declared=tuple(self.declared_.features_.friction_),
-                floor=self.declared_.noise_floor_**2,
                 alpha=float(self.alpha),
                 max_effects=self.max_effects,
                 on_progress=say,
             ).run()
-            say(len(found.accepted), "final model")
+            say(len(found.effects), "final model")
             self.judged_ = self.declared_
-            if found.accepted:
-                self.judged_ = self._with(found.accepted).fit(*part, t=clock[rows])
-            judgement = Judgement.of(self, found, split, whole, clock)
-            final = self._hand_over(found, whole, clock, silent)
-            self._report(found, judgement, final, channels, library)
-        return self
+            if found.effects:
+                self.judged_ = part.fit(self._with(found.effects))
+            judgement = judge(self.declared_, self.judged_, found, split, whole)
+            final = self._hand_over(found, whole, silent)
+        models = Models(declared=self.declared_, judged=self.judged_, final=final)
+        asked = {
+            name: getattr(self, name) for name in ("test_size", "alpha", "random_state")
+        }
+        return self._set(make_outcome(found, models, judgement, channels, asked))
 
     # -- stages ---------------------------------------------------------------------
 
@@ -287,12 +273,30 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
         return resolve(self.effects)
 
-    def _check_channels(self, model, X, y, groups):
-        """Refuse wrong channels; return lines for the report, joints to leave out."""
+    def _samples(self, model, X, y, groups, sample_weight, t):
+        """Validate a recording."""
+        self.joint_names_ = names = joint_names(model)
+        X, y = positions_in_order(X, names), torques_in_order(y, names)
+        X, y = validate_data(
+            self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
+        )
+        n = X.shape[0]
+        y = np.asarray(y, dtype=float).reshape(n, -1)
+        return Samples(
+            X=X,
+            y=y,
+            groups=np.zeros(n, int) if groups is None else np.asarray(groups),
+            weight=check_weight(sample_weight, y.shape),
+            clock=check_clock(t, n, check_dt(self.identifier.dt)),
+        )
+
+    def _check_channels(self, model, whole):
+        """Refuse wrong channels; return findings, and joints to leave out."""
+        X, y = whole.X, whole.y
         check_widths(self.joint_names_, X, y)
         if X.shape[1] != model.nv:
             return (), []
-        findings = inspect_channels(model, X, y, self.identifier.dt, groups)
+        findings = inspect_channels(model, X, y, self.identifier.dt, whole.groups)
         errors = [f.message for f in findings if f.severity == "error"]
         if errors:
             raise ValueError(" ".join(errors))
@@ -304,7 +308,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         own = (*self.declared_.effects_, *effects)
         return clone(self.identifier).set_params(effects=own)
 
-    def _hand_over(self, found, whole, clock, silent):
+    def _hand_over(self, found, whole, silent):
         """Fit the completed model to all data, in the band that was judged."""
         band = {}
         if isinstance(self.identifier.cutoff, str):
@@ -312,26 +316,20 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["cutoff"] = cutoff if np.isfinite(cutoff) else None
         if isinstance(self.identifier.standstill, str):
             band["standstill"] = self.judged_.standstill_
-        view = RecordingView(self.declared_, *whole, clock, silent)
-        effects = found.tuned_on(view)
-        self.identifier_ = self._with(effects).set_params(**band).fit(*whole, t=clock)
+        view = RecordingView(self.declared_, whole, leave_out=silent)
+        effects = tuned_on(view, found.effects)
+        self.identifier_ = whole.fit(self._with(effects).set_params(**band))
         return FinalFit(self.declared_, self.identifier_, view, effects)
 
-    def _report(self, found, judgement, final, channels, library):
+    def _set(self, outcome):
         """Set what was found, what remains, and the report of both."""
-        self.error_before_, self.error_after_ = judgement.errors
-        self.torque_spread_ = judgement.spread
-        names = self.declared_.joint_names_
-        # More data tell more of the noise, without what the declared model lacks.
-        own, judged = self.identifier_.noise_floor_, self.judged_.noise_floor_
-        floor = np.where(np.isfinite(own), own, judged)
-        errors = np.where(judgement.enough, self.error_after_, np.nan)
-        self.unexplained_ = unexplained(found, names, judgement.spread, floor, errors)
-        self.hidden_ = hidden(found, names)
-        outcome = make_outcome(self, found, final, judgement, floor, channels, library)
-        self.effects_ = outcome.effects
-        self.rounds_ = outcome.rounds
+        self.effects_, self.rounds_ = outcome.effects, outcome.rounds
+        self.error_before_ = outcome.error_before
+        self.error_after_ = outcome.error_after
+        self.torque_spread_ = outcome.spread
+        self.unexplained_, self.hidden_ = outcome.unexplained, outcome.hidden
         self.report_ = Report(outcome)
+        return self
 
     def predict(self, X, groups=None, t=None):
         """Predict the joint torques with the completed model.

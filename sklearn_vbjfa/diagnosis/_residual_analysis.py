@@ -11,7 +11,7 @@ from sklearn_vbjfa.diagnosis.report._render import text_table
 from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
 from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search._view import RecordingView, Samples
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._recording_checks import check_weight
 
@@ -142,7 +142,8 @@ def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=No
     weight = check_weight(sample_weight, y.shape)
     if not hasattr(identifier, "theta_"):
         identifier = clone(identifier).fit(X, y, groups, weight, t=t)
-    view = RecordingView(identifier, X, y, groups, weight, t)
+    samples = Samples(X=X, y=y, groups=groups, weight=weight, clock=t)
+    view = RecordingView(identifier, samples)
     base = BlockRegression(view.Z, view.target, view.precision, view.blocks)
     return _collect(identifier, view, base)
 

@@ -1,8 +1,8 @@
 """Fits to more data than one machine holds, with Dask.
 
-A fit needs second moments only, and those of separate rows add up: each worker reduces
-what it reads to matrices of the size of the parameters, and the matrices are merged.
-Needs the extra ``sklearn-vbjfa[dask]``.
+A fit needs only second moments, and those of disjoint rows add up: each worker reduces
+what it reads to matrices whose size depends on the number of parameters alone, and the
+matrices are merged. Requires the extra ``sklearn-vbjfa[dask]``.
 """
 
 from sklearn_vbjfa.distributed._arrays import fit_array

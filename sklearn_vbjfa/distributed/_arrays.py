@@ -12,13 +12,13 @@ from sklearn_vbjfa.regression._sklearn_compat import check_sample_weight
 def fit_array(estimator, X, y, sample_weight=None):
     """Fit a joint factor analysis regressor to Dask arrays.
 
-    Each worker reduces the blocks of rows that it holds to count, means and scatter.
-    The result is that of `fit` on the same rows in memory, up to rounding.
+    Each worker reduces its blocks of rows to count, means and scatter. The result is
+    that of `fit` on the same rows in memory, up to rounding.
 
     Parameters
     ----------
     estimator : VBJFARegressor or JFARegressor
-        Estimator; it is fitted itself.
+        Estimator; it is fitted in place.
     X : dask.array.Array of shape (n_samples, n_features)
         Inputs.
     y : dask.array.Array of shape (n_samples,)
@@ -36,16 +36,16 @@ def fit_array(estimator, X, y, sample_weight=None):
     ImportError
         If Dask is not installed.
     TypeError
-        If the estimator is not one that second moments suffice for, or an argument is
-        no Dask array.
+        If the estimator needs more than second moments, or an argument is not a Dask
+        array.
     ValueError
         If shapes disagree, a value is not finite, or there are fewer than two rows.
 
     Notes
     -----
-    Fewer samples than features are fitted from the scatter matrix here, where `fit`
-    in memory keeps the rows. The computation runs where Dask says: on the cluster
-    of the current `distributed.Client`, or else in threads.
+    Fewer samples than features are fitted from the scatter matrix here, whereas `fit`
+    keeps the rows. The computation runs where Dask is configured to: on the cluster of
+    the current `distributed.Client`, otherwise in threads.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def _block_statistics(X, y, weight=None):
     X = check_array(X, dtype=np.float64)
     y = check_array(y, dtype=np.float64, ensure_2d=False)
     if weight is not None:
-        # A block may weigh nothing, all of them together may not.
+        # A block may have no weight, but not all of them together.
         if not np.any(weight):
             return None
         weight = check_sample_weight(weight, X)

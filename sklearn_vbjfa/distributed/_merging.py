@@ -1,4 +1,4 @@
-"""Sums of what the tasks of a graph return."""
+"""Import of Dask, and merging of what the tasks of a graph return."""
 
 import functools
 
@@ -7,7 +7,7 @@ _FAN_IN = 8
 
 
 def import_dask():
-    """Import Dask, saying what to install where it is missing."""
+    """Import Dask, or say what to install."""
     try:
         import dask
     except ImportError as error:
@@ -18,15 +18,7 @@ def import_dask():
 
 
 def merge_tree(merge, values):
-    """Merge delayed values pairwise, in an order that depends on their number only.
-
-    Parameters
-    ----------
-    merge : callable
-        (first, second) -> merged.
-    values : list of Delayed
-        What to merge.
-    """
+    """Merge delayed values pairwise, in an order that depends only on their number."""
     dask = import_dask()
     reduce = dask.delayed(functools.partial(_reduce, merge), pure=False)
     while len(values) > 1:

@@ -1,9 +1,9 @@
 """Identification of a robot from recordings in many files.
 
-The passes are those of `RobotIdentifier.fit`, each of them a sum over recordings: how
-long they are; the spectra that the cut-offs come from; the speeds that tell standstill;
-the second moments of the filtered equations. Every pass reads the files again, so that
-no worker holds more than the recordings that it is working on.
+The passes are those of `RobotIdentifier.fit`, each of them a sum over recordings: their
+lengths; the spectra, for the cut-offs; the speeds, for the standstill mask; the second
+moments of the filtered equations; the noise of the torques. Every pass reads the files
+again, so that no worker holds more than the recordings that it is working on.
 """
 
 import operator
@@ -36,7 +36,7 @@ from sklearn_vbjfa.robot._recording_checks import (
 from sklearn_vbjfa.robot._states import choose_states
 
 _SUFFIXES = (".csv", ".npz", ".parquet", ".txt")
-# Relative difference of sample periods that counts as another one.
+# Sample periods that differ by more than this share are not the same.
 _DT_TOLERANCE = 0.002
 
 
@@ -49,11 +49,11 @@ def fit_recordings(identifier, source):
     Parameters
     ----------
     identifier : RobotIdentifier
-        Identifier with `dt`; it is fitted itself.
+        Identifier with `dt`; it is fitted in place.
     source : str, os.PathLike or sequence of those
         Folder with CSV, npz or parquet files as `read_recording` reads them, or a list
-        of files, in paths that the workers can read. Each file holds one recording,
-        or several by its column `segment`.
+        of files, under paths that the workers can read. Each file holds one recording,
+        or several if it has a column `segment`.
 
     Returns
     -------
@@ -67,15 +67,15 @@ def fit_recordings(identifier, source):
     FileNotFoundError
         If the folder holds no recording.
     ValueError
-        If a file cannot be read, its sample period or number of joints is another one,
-        or settings need more than second moments (effects, `period`, `block_noise`,
+        If a file cannot be read or has another sample period or number of joints, or
+        if settings need more than second moments (effects, `period`, `block_noise`,
         other regressors).
 
     Notes
     -----
-    The computation runs where Dask says: on the cluster of the current
-    `distributed.Client`, or else in threads. A task returns its own sums and changes
-    nothing, so that one that is lost with its worker is run again and counts once.
+    The computation runs where Dask is configured to: on the cluster of the current
+    `distributed.Client`, otherwise in threads. A task returns its own sums and changes
+    nothing else, so that one lost with its worker is run again and counts once.
 
     Examples
     --------
@@ -106,7 +106,7 @@ def fit_recordings(identifier, source):
     load = partial(_load, dt=dt, urdf=urdf and fspath(urdf), names=names)
 
     def sums(function, merge, *arguments):
-        """Run a pass over the files; what it needs besides is sent once."""
+        """Run a pass over the files; its other arguments are sent once."""
         task = dask.delayed(function, pure=False)
         shared = [dask.delayed(x, traverse=False, pure=False) for x in arguments]
         (total,) = dask.compute(
@@ -187,7 +187,7 @@ def _check_settings(identifier):
 
 def _load(file, *, dt, urdf, names):
     """Read the `Recording` in a file."""
-    # A period given beside a file is taken before the file's own, which is to agree.
+    # A period passed to the reader would override the file's own, which is to agree.
     given = None if _has_period(file) else dt
     recording = read_recording(file, dt=given, urdf=urdf)
     if abs(recording.dt / dt - 1) > _DT_TOLERANCE:
@@ -254,12 +254,12 @@ def _noise(load, file, identifier):
 
 
 def _first_numbers(files, counts):
-    """Return the number of the first recording of each file, dict."""
+    """Return file -> number of its first recording."""
     return dict(zip(files, np.cumsum([0, *counts[:-1]]).tolist()))
 
 
 def _moments(load, file, plan, features, halves, numbering, numbers):
-    """Second moments of the filtered equations of one file, None if there are none."""
+    """Second moments of the filtered equations of one file; None if it has none."""
     recording = load(file)
     states, _ = smooth(recording, plan.state_estimator, halves, 1, None)
     made = segments(recording, states, plan, features, first=numbers[file])

@@ -1,6 +1,6 @@
 """Effects that a rigid-body model may lack, each a small transformer."""
 
-from sklearn_vbjfa.effects._base import Effect, Motion
+from sklearn_vbjfa.effects._base import Effect, JointEffect, Motion
 from sklearn_vbjfa.effects._drive import Coupling, Delay, Elastic, RotorInertia
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
@@ -25,6 +25,7 @@ __all__ = [
     "Drift",
     "Effect",
     "Elastic",
+    "JointEffect",
     "LoadFriction",
     "Motion",
     "Offset",

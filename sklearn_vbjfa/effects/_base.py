@@ -14,6 +14,10 @@ from sklearn_vbjfa.effects._rest import Rest, mean_sign
 
 # Speeds are scaled by this quantile of a joint's speed: its fastest, without outliers.
 _FAST = 0.995
+# Units for a revolute and for a prismatic joint.
+TORQUE, STIFFNESS = ("N m", "N"), ("N m/rad", "N/m")
+POSITION, SPEED, TIME = ("rad", "m"), ("rad/s", "m/s"), ("s", "s")
+VISCOSITY, INERTIA = ("N m s/rad", "N s/m"), ("kg m^2", "kg")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,6 +114,8 @@ class Effect(TransformerMixin, BaseEstimator):
 
     A class of its own is all that a new effect needs: `name`, the coefficients'
     `coefficients` and `units`, `columns`, and `shapes` if there is anything to search.
+    Whatever else is said about an effect elsewhere (its label in a report, what to
+    record next, whether a robot may declare it) is read off its class.
     Instances go into ``EffectDiscovery(effects=[...])`` and
     ``RobotIdentifier(effects=[...])`` like those of the library.
 
@@ -122,10 +128,19 @@ class Effect(TransformerMixin, BaseEstimator):
     ----------
     name : str
         Name, the same for all joints.
+    label : str
+        What an engineer calls it, in a sentence; by default the name.
+    formula : str
+        Its torque in LaTeX, as the guide shows it.
     coefficients : tuple of str
         Symbols of the linear coefficients, one for each column.
     units : tuple of (str, str)
         Their units, for a revolute and for a prismatic joint.
+    named_units : tuple of (str, (str, str))
+        Symbols and units of what `parameters` returns, where that is not the
+        coefficients.
+    shape_units : tuple of (str, (str, str))
+        Shape parameters and their units.
     contains : tuple of str
         Plainer effects that this one must beat: it is judged beside them.
     needs : tuple of {"time", "load"}
@@ -143,6 +158,8 @@ class Effect(TransformerMixin, BaseEstimator):
         sign is something else.
     visible : str
         What a recording must hold for the effect to show.
+    record : str
+        What to record next to tell it from its rivals.
 
     Examples
     --------
@@ -160,8 +177,12 @@ class Effect(TransformerMixin, BaseEstimator):
     """
 
     name = ""
+    label = ""
+    formula = ""
     coefficients = ()
     units = ()
+    named_units = ()
+    shape_units = ()
     contains = ()
     needs = ()
     continuous = ()
@@ -170,6 +191,7 @@ class Effect(TransformerMixin, BaseEstimator):
     positive = ()
     nonnegative = ()
     visible = "the joint moves"
+    record = ""
     # True for a function of time, which would fit whatever changes slowly.
     slow = False
     # True for an effect that acts on all joints: columns of shape (n, nv, k).
@@ -227,8 +249,27 @@ class Effect(TransformerMixin, BaseEstimator):
 
     def parameter_units(self, prismatic=False):
         """Units of `parameters` and of the shape parameters, symbol -> unit."""
+        named = self.named_units or zip(self.coefficients, self.units)
         kind = int(bool(prismatic))
-        return {s: u[kind] for s, u in zip(self.coefficients, self.units)}
+        return {name: units[kind] for name, units in (*named, *self.shape_units)}
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Say what to call the effect in a sentence, with what matters of its shape.
+
+        Parameters
+        ----------
+        shape : mapping of str to object
+            Shape parameters; those that are missing are not spoken of.
+        joint_label : callable
+            Joint, from zero -> what to call it.
+
+        Returns
+        -------
+        str
+            Label.
+        """
+        return cls.label or cls.name.replace("_", " ")
 
     # -- derived ------------------------------------------------------------------
 
@@ -369,6 +410,56 @@ class Effect(TransformerMixin, BaseEstimator):
             [f"joint {self.joint + 1}:{self.name}:{c}" for c in self.coefficients],
             dtype=object,
         )
+
+
+class JointEffect(Effect):
+    """An effect of one column, made from its joint's velocity and acceleration alone.
+
+    Such a column is cheap to make for all joints at once, so that a robot may declare
+    it by name: ``RobotIdentifier(friction=["coulomb"])``.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint that the effect acts on, from zero.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa.effects import JointEffect
+    >>> class Cubic(JointEffect):
+    ...     '''Drag of the third degree, tau = F3 v^3.'''
+    ...     name = "cubic"
+    ...     coefficients = ("F3",)
+    ...     units = (("N m s^3/rad^3", "N s^3/m^3"),)
+    ...     def column(self, v, a, rest=None):
+    ...         return v**3
+    >>> Cubic(joint=1).fit_transform(np.array([[0, 0, 0, 2.0, 0, 0]]))
+    array([[8.]])
+    """
+
+    def column(self, v, a, rest=None):
+        """Compute the column of each joint.
+
+        Parameters
+        ----------
+        v, a : ndarray of shape (n, nv)
+            Velocities and accelerations.
+        rest : Rest or None
+            What to take for the sign of the velocity of a joint that may be standing.
+
+        Returns
+        -------
+        ndarray of shape (n, nv)
+            One column for each joint.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define column(v, a).")
+
+    def columns(self, motion):
+        """Compute the column of the effect's own joint; see `Effect.columns`."""
+        own = [self.joint]
+        rest = None if motion.rest is None else motion.rest.pick(*own)
+        return self.column(motion.v[:, own], motion.a[:, own], rest)
 
 
 def _parts(groups, n):

@@ -1,10 +1,18 @@
 """Effects of the drive: its inertia, its gears, its elasticity, its electronics."""
 
-from numbers import Real
+from numbers import Integral, Real
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._base import (
+    INERTIA,
+    STIFFNESS,
+    TIME,
+    TORQUE,
+    VISCOSITY,
+    Effect,
+    JointEffect,
+)
 from sklearn_vbjfa.effects._rest import mean_sign
 
 # Delays to try [s].
@@ -14,7 +22,7 @@ _DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
 _DEFLECTION = 1e-4
 
 
-class RotorInertia(Effect):
+class RotorInertia(JointEffect):
     """Inertia of the motor's rotor seen from the joint, tau = Ir a.
 
     Parameters
@@ -39,14 +47,17 @@ class RotorInertia(Effect):
     """
 
     name = "rotor_inertia"
+    label = "rotor inertia"
+    formula = r"I_r\,a"
     coefficients = ("Ir",)
     nonnegative = ("Ir",)
-    units = (("kg m^2", "kg"),)
+    units = (INERTIA,)
     visible = "acceleration in poses with different link inertia"
+    record = "fast acceleration in several poses"
 
-    def columns(self, motion):
-        """Acceleration; see `Effect.columns`."""
-        return motion.a[:, [self.joint]]
+    def column(self, v, a, rest=None):
+        """Acceleration; see `JointEffect.column`."""
+        return a
 
 
 class Coupling(Effect):
@@ -80,19 +91,28 @@ class Coupling(Effect):
     """
 
     name = "coupling"
+    label = "coupling to another joint"
+    formula = r"F_{vm}\,w + F_{cm}\,\mathrm{sign}(w) + I_{am}\,\dot w"
     coefficients = ("Fvm", "Fcm", "Iam")
-    units = (
-        ("N m s/rad", "N s/m"),
-        ("N m", "N"),
-        ("kg m^2", "kg"),
-    )
+    units = (VISCOSITY, TORQUE, INERTIA)
     contains = ("coulomb", "viscous")
     visible = "the other joint reverses while this one moves"
+    record = "each joint moving alone"
 
     def __init__(self, joint=0, other=1, of="other"):
         super().__init__(joint)
         self.other = other
         self.of = of
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Name the other joint; see `Effect.describe`."""
+        if not isinstance(shape.get("other"), Integral):
+            return cls.label
+        how = {"sum": " (sum)", "difference": " (difference)"}
+        return (
+            f"coupling to {joint_label(shape['other'])}{how.get(shape.get('of'), '')}"
+        )
 
     def applies(self, motion):
         """There must be another joint; see `Effect.applies`."""
@@ -157,11 +177,19 @@ class Elastic(Effect):
     """
 
     name = "elastic"
+    label = "joint elasticity"
+    formula = (
+        r"-\frac{1}{k} \left(\frac{\partial \tau}{\partial q_j} \tau_j"
+        r" + \frac{\partial \tau}{\partial v_j} \dot\tau_j"
+        r" + \frac{\partial \tau}{\partial a_j} \ddot\tau_j\right)"
+    )
     coefficients = ("compliance",)
     nonnegative = ("compliance",)
     units = (("rad/(N m)", "m/N"),)
+    named_units = (("k", STIFFNESS),)
     needs = ("load", "time")
     visible = "motion near a tenth of the elastic mode's frequency and above"
+    record = "fast motion near the elastic mode"
     whole_robot = True
 
     def applies(self, motion):
@@ -191,10 +219,6 @@ class Elastic(Effect):
         """Stiffness; see `Effect.parameters`."""
         compliance = float(coef[0])
         return {"k": 1 / compliance if compliance else np.inf}
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return {"k": "N/m" if prismatic else "N m/rad"}
 
 
 class Delay(Effect):
@@ -226,11 +250,15 @@ class Delay(Effect):
     """
 
     name = "delay"
+    label = "delay of the torque signal"
+    formula = r"\tau(t - \mathrm{delay}) - \tau(t)"
     coefficients = ("delay_estimate",)
-    units = (("s", "s"),)
+    units = (TIME,)
+    named_units = shape_units = (("delay", TIME),)
     needs = ("load", "time")
     continuous = ("delay",)
     visible = "fast changes of the torque"
+    record = "fast changes of the torque"
 
     def __init__(self, joint=0, delay=0.001):
         super().__init__(joint)
@@ -265,7 +293,3 @@ class Delay(Effect):
     def parameters(self, coef):
         """Delay, the coefficient; see `Effect.parameters`."""
         return {"delay": float(coef[0])}
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return {"delay": "s"}

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._base import SPEED, TORQUE, VISCOSITY, Effect, JointEffect
+from sklearn_vbjfa.effects._rest import mean_sign
 
-_TORQUE = ("N m", "N")
-_VISCOUS = ("N m s/rad", "N s/m")
 # Smoothing and Stribeck speeds to try, as shares of the joint's fastest speed.
 _SMOOTHINGS = (0.0, 0.02, 0.05, 0.1, 0.2)
 _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6)
@@ -15,6 +14,7 @@ class _Smoothed(Effect):
     """Dry friction, with a sign that may be smoothed."""
 
     continuous = ("smoothing",)
+    shape_units = (("smoothing", SPEED),)
 
     def __init__(self, joint=0, smoothing=0.0):
         super().__init__(joint)
@@ -24,15 +24,8 @@ class _Smoothed(Effect):
         fast = motion.speed(self.joint)
         return [{"smoothing": s * fast} for s in _SMOOTHINGS]
 
-    def parameter_units(self, prismatic=False):
-        units = super().parameter_units(prismatic)
-        return units | {"smoothing": "m/s" if prismatic else "rad/s"}
 
-    def _sign(self, motion):
-        return motion.sign(self.joint, self.smoothing)
-
-
-class Viscous(Effect):
+class Viscous(JointEffect):
     """Viscous friction, tau = Fv v.
 
     Part of the model of [1]_, the eleventh parameter of each joint there.
@@ -56,17 +49,20 @@ class Viscous(Effect):
     """
 
     name = "viscous"
+    label = "viscous friction"
+    formula = r"F_v\,v"
     coefficients = ("Fv",)
     nonnegative = ("Fv",)
-    units = (_VISCOUS,)
+    units = (VISCOSITY,)
     visible = "motion at several speeds"
+    record = "motion at several speeds"
 
-    def columns(self, motion):
-        """Velocity; see `Effect.columns`."""
-        return motion.v[:, [self.joint]]
+    def column(self, v, a, rest=None):
+        """Velocity; see `JointEffect.column`."""
+        return v
 
 
-class Coulomb(_Smoothed):
+class Coulomb(_Smoothed, JointEffect):
     """Coulomb friction, tau = Fc sign(v), or Fc tanh(v / smoothing).
 
     Equation of [1]_; the smoothed sign stands for the rounded characteristic of
@@ -93,14 +89,20 @@ class Coulomb(_Smoothed):
     """
 
     name = "coulomb"
+    label = "Coulomb friction"
+    formula = (
+        r"F_c\,\mathrm{sign}(v) \quad\text{or}\quad"
+        r" F_c \tanh(v / \mathrm{smoothing})"
+    )
     coefficients = ("Fc",)
     nonnegative = ("Fc",)
-    units = (_TORQUE,)
+    units = (TORQUE,)
     visible = "the joint reverses"
+    record = "many reversals"
 
-    def columns(self, motion):
-        """Sign of the velocity; see `Effect.columns`."""
-        return self._sign(motion)
+    def column(self, v, a, rest=None):
+        """Sign of the velocity; see `JointEffect.column`."""
+        return mean_sign(v, a, rest, self.smoothing)
 
 
 class AsymmetricFriction(Effect):
@@ -132,10 +134,13 @@ class AsymmetricFriction(Effect):
     """
 
     name = "asymmetric_friction"
+    label = "friction that differs with direction"
+    formula = r"\Delta F_c\,|\mathrm{sign}(v)| + \Delta F_v\,|v|"
     coefficients = ("dFc", "dFv")
-    units = (_TORQUE, _VISCOUS)
+    units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
     visible = "both directions of motion, at several speeds"
+    record = "both directions at several speeds"
 
     def columns(self, motion):
         """Even functions of the velocity; see `Effect.columns`."""
@@ -174,13 +179,17 @@ class Stribeck(Effect):
     """
 
     name = "stribeck"
+    label = "Stribeck friction"
+    formula = r"F_s\,e^{-|v/v_s|^k}\,\mathrm{sign}(v)"
     coefficients = ("Fs",)
     nonnegative = ("Fs",)
-    units = (_TORQUE,)
+    units = (TORQUE,)
     contains = ("coulomb", "viscous")
     continuous = ("vs",)
+    shape_units = (("vs", SPEED), ("k", ("", "")))
     positive = ("vs",)
     visible = "slow motion without standing still, and fast motion"
+    record = "slow and fast motion"
 
     def __init__(self, joint=0, vs=0.1, k=1):
         super().__init__(joint)
@@ -200,11 +209,6 @@ class Stribeck(Effect):
     def key(self):
         """Both exponents are one use of the effect."""
         return (self.name, self.joint, ())
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        units = super().parameter_units(prismatic)
-        return units | {"vs": "m/s" if prismatic else "rad/s", "k": ""}
 
 
 class ViscousQuadratic(Effect):
@@ -232,10 +236,13 @@ class ViscousQuadratic(Effect):
     """
 
     name = "viscous_quadratic"
+    label = "friction with the square of speed"
+    formula = r"F_2\,v\,|v|"
     coefficients = ("F2",)
     units = (("N m s^2/rad^2", "N s^2/m^2"),)
     contains = ("viscous", "coulomb")
     visible = "slow and fast motion"
+    record = "slow and fast motion"
 
     def columns(self, motion):
         """Signed square of the velocity; see `Effect.columns`."""
@@ -270,13 +277,17 @@ class LoadFriction(_Smoothed):
     """
 
     name = "load_friction"
+    label = "load-dependent friction"
+    formula = r"\mu\,|\tau_\mathrm{load}|\,\mathrm{sign}(v)"
     coefficients = ("mu",)
     nonnegative = ("mu",)
     units = (("", ""),)
     contains = ("coulomb", "viscous")
     needs = ("load",)
     visible = "reversals under different loads"
+    record = "reversals at two loads"
 
     def columns(self, motion):
         """Load against the motion; see `Effect.columns`."""
-        return np.abs(motion.load[:, [self.joint]]) * self._sign(motion)
+        sign = motion.sign(self.joint, self.smoothing)
+        return np.abs(motion.load[:, [self.joint]]) * sign

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._base import POSITION, STIFFNESS, TORQUE, Effect
 
 # Displacements to try, as shares of the joint's range.
 _DISPLACEMENTS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
@@ -79,13 +79,17 @@ class Presliding(Effect):
     """
 
     name = "presliding"
+    label = "hysteresis after reversals (presliding)"
+    formula = r"F_p\,z, \quad \dot z = (v - |v|\,z) / \mathrm{displacement}"
     coefficients = ("Fp",)
     nonnegative = ("Fp",)
-    units = (("N m", "N"),)
+    units = (TORQUE,)
+    shape_units = (("displacement", POSITION),)
     contains = ("coulomb", "viscous")
     continuous = ("displacement",)
     positive = ("displacement",)
     visible = "many reversals"
+    record = "many reversals"
 
     def __init__(self, joint=0, displacement=0.01):
         super().__init__(joint)
@@ -101,11 +105,6 @@ class Presliding(Effect):
         """Displacements up to an eighth of the range."""
         reach = motion.range(self.joint)
         return [{"displacement": s * reach} for s in _DISPLACEMENTS]
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        unit = {"displacement": "m" if prismatic else "rad"}
-        return super().parameter_units(prismatic) | unit
 
 
 class Backlash(Effect):
@@ -135,12 +134,16 @@ class Backlash(Effect):
     """
 
     name = "backlash"
+    label = "backlash"
+    formula = r"k\,\mathrm{play}(q;\,\mathrm{width}) + c"
     coefficients = ("k", "c")
-    units = (("N m/rad", "N/m"), ("N m", "N"))
+    units = (STIFFNESS, TORQUE)
+    shape_units = (("width", POSITION),)
     contains = ("spring", "coulomb")
     continuous = ("width",)
     positive = ("width",)
     visible = "many reversals, at several positions"
+    record = "reversals at several positions"
 
     def __init__(self, joint=0, width=0.01):
         super().__init__(joint)
@@ -156,8 +159,3 @@ class Backlash(Effect):
         """Widths up to a quarter of the range."""
         reach = motion.range(self.joint)
         return [{"width": 2 * s * reach} for s in _DISPLACEMENTS]
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        unit = {"width": "m" if prismatic else "rad"}
-        return super().parameter_units(prismatic) | unit

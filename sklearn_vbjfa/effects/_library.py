@@ -41,6 +41,31 @@ _LIBRARY = {
 }
 
 
+def find(name):
+    """Return the class of the library with a name; None if there is none."""
+    return _LIBRARY.get(name)
+
+
+def closure(effect, library):
+    """Names of all effects that an effect contains, directly or not, a set of str.
+
+    Parameters
+    ----------
+    effect : Effect
+        What may contain plainer ones.
+    library : iterable of Effect
+        What is known of those.
+    """
+    by_name = {e.name: e for e in library}
+    found, open_ = set(), list(effect.contains)
+    while open_:
+        name = open_.pop()
+        if name not in found:
+            found.add(name)
+            open_ += by_name[name].contains if name in by_name else ()
+    return found
+
+
 def available():
     """Names of the effects of the library.
 

@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._base import POSITION, STIFFNESS, TORQUE, Effect, JointEffect
 
-_TORQUE = ("N m", "N")
 # Longest and shortest period to try: of a revolute joint [rad], and as shares of the
 # range of a prismatic one.
 _LONGEST, _SHORTEST = np.radians(75.0), np.radians(2.0)
@@ -12,7 +11,7 @@ _LONGEST, _SHORTEST = np.radians(75.0), np.radians(2.0)
 _CYCLES = 0.3
 
 
-class Offset(Effect):
+class Offset(JointEffect):
     """Constant torque, tau = c: a sensor's zero, a drive's bias.
 
     Parameters
@@ -33,13 +32,16 @@ class Offset(Effect):
     """
 
     name = "offset"
+    label = "constant offset"
+    formula = r"c"
     coefficients = ("c",)
-    units = (_TORQUE,)
+    units = (TORQUE,)
     visible = "any motion, unless gravity is constant on the joint as well"
+    record = "motion with and against gravity"
 
-    def columns(self, motion):
-        """Return ones; see `Effect.columns`."""
-        return np.ones((motion.q.shape[0], 1))
+    def column(self, v, a, rest=None):
+        """Return ones; see `JointEffect.column`."""
+        return np.ones_like(v)
 
 
 class Spring(Effect):
@@ -69,10 +71,14 @@ class Spring(Effect):
     """
 
     name = "spring"
+    label = "spring"
+    formula = r"k\,(q - q_0)"
     coefficients = ("k", "c")
-    units = (("N m/rad", "N/m"), _TORQUE)
+    units = (STIFFNESS, TORQUE)
+    named_units = (("k", STIFFNESS), ("q0", POSITION))
     contains = ("offset",)
     visible = "a wide range of positions"
+    record = "a wide range of positions"
 
     def columns(self, motion):
         """Position and one; see `Effect.columns`."""
@@ -83,13 +89,6 @@ class Spring(Effect):
         """Stiffness and position at rest; see `Effect.parameters`."""
         k, c = (float(x) for x in coef)
         return {"k": k, "q0": -c / k if k else np.nan}
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return {
-            "k": "N/m" if prismatic else "N m/rad",
-            "q0": "m" if prismatic else "rad",
-        }
 
 
 class Counterbalance(Effect):
@@ -117,10 +116,13 @@ class Counterbalance(Effect):
     """
 
     name = "counterbalance"
+    label = "counterbalance"
+    formula = r"a \cos q + b \sin q + c \cos 2q + d \sin 2q + e"
     coefficients = ("a", "b", "c", "d", "e")
-    units = (_TORQUE,) * 5
+    units = (TORQUE,) * 5
     contains = ("offset", "spring")
     visible = "a range of positions of some 60 degrees"
+    record = "a wide range of positions"
 
     def applies(self, motion):
         """Only a revolute joint has an angle; see `Effect.applies`."""
@@ -160,12 +162,17 @@ class Ripple(Effect):
     """
 
     name = "ripple"
+    label = "torque ripple"
+    formula = r"A \cos(2 \pi q / \mathrm{period} - \mathrm{phase})"
     coefficients = ("c", "s")
-    units = (_TORQUE, _TORQUE)
+    units = (TORQUE, TORQUE)
+    named_units = (("A", TORQUE), ("phase", ("rad", "rad")))
+    shape_units = (("period", POSITION),)
     contains = ("offset",)
     continuous = ("period",)
     positive = ("period",)
     visible = "motion across several periods, slow enough for the low-pass"
+    record = "slow motion over the whole range"
 
     def __init__(self, joint=0, period=0.1):
         super().__init__(joint)
@@ -201,11 +208,3 @@ class Ripple(Effect):
         """Amplitude and phase; see `Effect.parameters`."""
         c, s = (float(x) for x in coef)
         return {"A": float(np.hypot(c, s)), "phase": float(np.arctan2(s, c))}
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return {
-            "A": "N" if prismatic else "N m",
-            "phase": "rad",
-            "period": "m" if prismatic else "rad",
-        }

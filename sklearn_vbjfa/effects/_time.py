@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._base import TIME, TORQUE, VISCOSITY, Effect
+from sklearn_vbjfa.effects._friction import Coulomb, Viscous
 
 # Time constants to try, as shares of the recording's length.
 _CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0)
@@ -43,19 +44,33 @@ class Drift(Effect):
     """
 
     name = "drift"
+    label = "drift with time"
+    formula = (
+        r"D\,e^{-t / \mathrm{time\_constant}} f, \quad"
+        r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
+    )
     coefficients = ("D",)
-    units = (("N m", "N"),)
+    units = (TORQUE,)
+    shape_units = (("time_constant", TIME),)
     contains = ("offset", "coulomb", "viscous")
     needs = ("time",)
     continuous = ("time_constant",)
     positive = ("time_constant",)
     slow = True
     visible = "the same motion early and late"
+    record = "the same motion cold and warm"
 
     def __init__(self, joint=0, of="coulomb", time_constant=100.0):
         super().__init__(joint)
         self.of = of
         self.time_constant = time_constant
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Say what drifts; see `Effect.describe`."""
+        what = {"coulomb": Coulomb.label, "viscous": Viscous.label}
+        of = shape.get("of")
+        return f"drift of the {what.get(of, of)} with time" if of else cls.label
 
     def columns(self, motion):
         """Decaying torque; see `Effect.columns`."""
@@ -80,10 +95,8 @@ class Drift(Effect):
 
     def parameter_units(self, prismatic=False):
         """Units; see `Effect.parameter_units`."""
-        unit = "N" if prismatic else "N m"
-        if self.of == "viscous":
-            unit = "N s/m" if prismatic else "N m s/rad"
-        return {"D": unit, "time_constant": "s"}
+        units = VISCOSITY if self.of == "viscous" else TORQUE
+        return super().parameter_units(prismatic) | {"D": units[bool(prismatic)]}
 
 
 class Payload(Effect):
@@ -119,14 +132,21 @@ class Payload(Effect):
     """
 
     name = "payload"
+    label = "change of payload"
+    formula = (
+        r"\Phi_n(q, v, a)\,\Delta\pi(dm, dmc_x, dmc_y, dmc_z, d) \quad"
+        r" \text{for}\ t \ge \mathrm{instant}"
+    )
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
+    shape_units = (("instant", TIME),)
     needs = ("time",)
     continuous = ("instant",)
     jumping = ("instant",)
     tangent = ("centre",)
     slow = True
     visible = "motion against gravity before and after the change"
+    record = "motion against gravity with and without payload"
     whole_robot = True
 
     def __init__(self, joint=0, instant=0.0, centre=(0.0, 0.0, 0.0)):
@@ -170,10 +190,6 @@ class Payload(Effect):
         taken = np.isin(np.searchsorted(t, shares), border)
         instants = np.unique(np.concatenate([shares[~taken], starts]))
         return [{"instant": float(s)} for s in instants]
-
-    def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
-        return super().parameter_units(prismatic) | {"instant": "s"}
 
 
 def _ball(c):

@@ -1,6 +1,7 @@
-"""Do channels belong to the joints that they are said to: order, direction, zero.
+"""Whether channels belong to their joints: order, direction and zero, sign of torques.
 
-Do torques have the sign of what they do.
+A candidate correction is judged by how far it lowers the squared torque errors in
+blocks of time that the regressions have not seen.
 """
 
 from dataclasses import dataclass
@@ -20,37 +21,20 @@ from sklearn_vbjfa.inspection._rivals import (
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
 from sklearn_vbjfa.recording._faults import ChannelFinding
 
-# Friction below this share of a torque is no evidence of its sign.
+# Friction below this share of a torque is no evidence of a wrong sign ...
 _FRICTION_SHARE = 0.1
-# ... and below this it does not even contradict.
+# ... and below this none against one.
 _CONTRADICTS = 0.02
-# A torque of which the nominal one explains less than this does not follow it.
+# A torque does not follow the nominal one if this explains less of it.
 _FOLLOWS = 0.1
-# A torque that neither inertias nor friction predict better has no friction to go by.
+# With a larger relative error the fit is too poor to judge the friction's sign by.
 _WORST_ERROR = 0.3
-# Share of the torque that the nominal model must explain to say something.
+# Share of the torque that the nominal model must explain to count as evidence.
 _NOMINAL_SHARE = 0.5
 
 
 def torque_signs(model, names, signals):
-    """Find torques with the wrong sign.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Joints.
-    signals : ChannelSignals
-        Filtered recording.
-
-    Returns
-    -------
-    findings : list of ChannelFinding
-        Errors.
-    signals : ChannelSignals
-        Recording with the signs put right.
-    """
+    """Find torques with the wrong sign; also return the signals with it corrected."""
     equations = ChannelEquations(model, signals)
     found = []
     sign = np.ones(model.nv)
@@ -58,7 +42,7 @@ def torque_signs(model, names, signals):
         scale, scale_t, share = equations.nominal_scale(j)
         if fit.error[0] > _WORST_ERROR:
             continue
-        # It takes more to accuse than to contradict.
+        # A wrong sign takes stronger evidence than a right one.
         friction = fit.power_t * (fit.friction > _FRICTION_SHARE)
         rigid = scale_t * (share > _NOMINAL_SHARE)
         against = max(
@@ -79,8 +63,8 @@ def torque_signs(model, names, signals):
                 f"it follows {scale:.2g} times the model's torque "
                 f"({-scale_t:.0f} standard errors)"
             )
-        # Where the model asks for a torque that the channel does not follow, with
-        # neither sign, its friction may be what a controller compensates.
+        # A channel that follows the model's torque with neither sign may hold the
+        # friction compensation of a controller.
         follows = rigid < -SURE or scale_t == 0.0
         found.append(
             ChannelFinding(
@@ -94,42 +78,28 @@ def torque_signs(model, names, signals):
     return found, signals.signed(sign)
 
 
-# Exchanging two channels must lower the squared errors of both by this factor.
+# Swapping two channels must lower the squared errors of both by this factor.
 _SWAP_GAIN = np.log(4.0)
 # Another zero, of which many are tried, must lower those of all joints by this.
 _ZERO_GAIN = np.log(2.0)
-# Nothing is looked for where all joints are predicted as well as this.
+# Nothing is looked for if all joints have at most this relative error.
 _GOOD_FIT = 0.1
-# Gain of all joints that an exchange on the way to another order must bring.
+# Gain over all joints that each swap on the way to another order must bring.
 _CLIMB = 0.05
-# All orders of so many joints are tried where half of the joints have errors above
-# this: exchanges help little before most joints are in place.
+# All orders of up to so many joints are tried if half of the joints have errors above
+# this: single swaps help little before most joints are in place.
 _MOST_ORDERS = 5
 _NO_FIT = 0.5
-# Rows with which other orders, directions and zeros are tried, which is dear.
+# Rows with which other orders, directions and zeros are tried, which is expensive.
 _TRIAL_ROWS = 700
 # Offsets of a joint's zero that are tried [rad].
 _OFFSETS = np.deg2rad([-135, -90, -45, 45, 90, 135, 180])
 
 
 def misplaced(model, names, signals):
-    """Find channels of other joints, joints that turn the other way, other zeros.
+    """Find swapped channels, reversed joints and wrong zeros, the worst fault first.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Joints.
-    signals : ChannelSignals
-        Filtered recording.
-
-    Returns
-    -------
-    findings : list of ChannelFinding
-        What makes the squared errors fall most, one after the other.
-    signals : ChannelSignals
-        Recording without these faults.
+    Also returns the signals with these faults corrected.
     """
     found = []
     for _ in range(model.nv):
@@ -156,10 +126,10 @@ class Correction:
     sign : ndarray of shape (nv,) or None
         Directions of joints.
     offset : ndarray of shape (nv,) or None
-        What to add to positions [rad].
+        Offsets to add to the positions [rad].
     gain : float
-        Logarithm of the factor by which the squared errors fall, of the joints
-        concerned.
+        Logarithm of the factor by which the squared errors of the joints concerned
+        fall.
     gain_t : float
         The same in standard errors.
     """
@@ -173,7 +143,7 @@ class Correction:
     gain_t: float
 
     def put_right(self, signals):
-        """Return the signals read so."""
+        """Return the corrected signals."""
         if self.order is not None:
             signals = signals.permuted(
                 self.order,
@@ -202,7 +172,7 @@ def _best(model, signals):
         if all(fit.error[0] < _GOOD_FIT for fit in again.values()):
             return best
     few = signals.thinned(_TRIAL_ROWS)
-    # A joint that moves in a small part of the recording has too few rows left.
+    # A joint that moves only in a small part of the recording has too few rows left.
     told = few.informative()
     joints = [j for j in sorted(fits) if told[j]]
     if not joints:
@@ -244,7 +214,7 @@ def _torque_order(nv, equations, signals, joints):
         moved = [j for j in joints if order[j] != j]
         if not moved or any((j, order[j]) not in logs for j in moved):
             continue
-        # Each torque must fit its new place better than its old one.
+        # Each torque must fit its new joint better than its old one.
         each = [gain(logs[j, order[j]][0], logs[order[j], j][1]) for j in moved]
         better, better_t = gain(
             np.mean([logs[j, order[j]][0] for j in moved], axis=0),
@@ -260,22 +230,12 @@ def _torque_order(nv, equations, signals, joints):
                     gain_t=better_t,
                 )
             )
-    # The sum over the joints: of a cycle each pair helps a little.
+    # By the sum over the joints, since each pair of a longer cycle helps a little, too.
     return max(found, key=lambda c: c.gain * len(c.joints), default=None)
 
 
 class _Trial:
-    """Corrections that change the motion of the model, tried on a few rows.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    signals : ChannelSignals
-        Few rows.
-    joints : list of int
-        Joints that tell something.
-    """
+    """Corrections that change the motion of the model, tried on a few rows."""
 
     def __init__(self, model, signals, joints):
         self._model, self._signals, self._joints = model, signals, joints
@@ -286,7 +246,7 @@ class _Trial:
         self._lost = np.median(errors) > _NO_FIT
 
     def _gain(self, correction):
-        """Gain of all joints and its standard errors; zero if too little is left."""
+        """Gain over all joints, also in standard errors; zero if too few rows count."""
         signals = correction.put_right(self._signals)
         fits = fits_of(ChannelEquations(self._model, signals), signals)
         if len(fits) < len(self._joints):
@@ -294,21 +254,18 @@ class _Trial:
         return gain(total(fits), self._now)
 
     def _judge(self, moved, least=0.0, **how):
-        """Return the correction if it is sure, else None.
-
-        All joints together must gain `least` by it.
-        """
+        """Return the correction if it is certain and gains `least` over all joints."""
         better, better_t = self._gain(_correction(moved, **how))
-        # Of all joints, some of which changed.
         if better < least:
             return None
+        # From the mean over all joints to that over the joints concerned.
         better *= self._model.nv / max(len(moved), 2)
         if not (better > _SWAP_GAIN and better_t > SURE):
             return None
         return Correction(joints=moved, gain=better, gain_t=better_t, **how)
 
     def orders(self):
-        """Exchange positions of two joints, or whole joints in any way."""
+        """Swap the positions of two joints, or reorder whole joints."""
         nv, prismatic = self._model.nv, is_prismatic(self._model)
         found = []
         for pair in combinations(self._joints, 2):
@@ -323,18 +280,18 @@ class _Trial:
         return [c for c in found if c is not None]
 
     def _best_order(self):
-        """Climb from the best of plain orders by exchanges, ndarray (nv,) of int."""
+        """Best order found by swaps from the best of plain orders, (nv,) of int."""
         nv = self._model.nv
         starts = [np.roll(np.arange(nv), k) for k in range(nv)]
         starts.append(np.arange(nv)[::-1])
-        # As programs write a table of joints whose order they do not know.
+        # Programs that do not know the order of the joints sort them by name.
         named = np.argsort(self._names, kind="stable")
         starts += [named, np.argsort(named)]
         if self._lost and nv <= _MOST_ORDERS:
             starts = [np.array(order) for order in permutations(range(nv))]
         rated = [(self._rate(order), order) for order in starts]
         best, order = max(rated, key=lambda x: x[0])
-        # Each exchange puts one joint at least into its place.
+        # Each swap puts at least one joint in its place.
         for _ in range(nv):
             tried = [_exchanged(order, pair) for pair in combinations(self._joints, 2)]
             better, other = max(((self._rate(x), x) for x in tried), key=lambda x: x[0])
@@ -344,13 +301,13 @@ class _Trial:
         return order
 
     def _rate(self, order):
-        """Gain of all joints by an order of theirs."""
+        """Gain over all joints by another order."""
         if (order == np.arange(order.size)).all():
             return 0.0
         return self._gain(_correction((), kind="swapped_joints", order=order))[0]
 
     def directions(self):
-        """Let a joint turn the other way round."""
+        """Reverse single joints."""
         found = []
         for j in self._joints:
             sign = np.ones(self._model.nv)
@@ -359,7 +316,7 @@ class _Trial:
         return [c for c in found if c is not None]
 
     def zeros(self):
-        """Put the zero of a revolute joint elsewhere."""
+        """Shift the zeros of single revolute joints."""
         found = []
         for j in np.flatnonzero(~is_prismatic(self._model)):
             for angle in _OFFSETS:
@@ -384,7 +341,7 @@ def _exchanged(order, pair):
 
 
 def _joined(found):
-    """Join orders of whole joints that follow upon one another."""
+    """Join successive reorderings that share a joint."""
     out = []
     for correction in found:
         last = out[-1] if out else None
@@ -423,7 +380,7 @@ def _finding(names, correction):
             "where the model has it, or, if the robot is mounted in another way or "
             "carries a tool, say so in the model."
         )
-        # Another mounting or tool looks the same, and only the geometry is wrong.
+        # A doubt: another mounting or tool looks the same, with a wrong geometry only.
         return ChannelFinding("position_zero", joints, "doubt", message)
     if correction.sign is not None:
         message = (
@@ -437,7 +394,7 @@ def _finding(names, correction):
         "swapped_positions": "positions",
         "swapped_joints": "positions and torques",
     }[correction.kind]
-    # With friction alone to go by the two cannot be told apart.
+    # If friction is the only evidence, the two cannot be told apart.
     other = {"torques": " (or their positions)", "positions": " (or their torques)"}
     if len(joints) == 2:
         message = (

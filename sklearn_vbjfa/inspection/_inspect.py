@@ -1,4 +1,4 @@
-"""Does a recording fit the robot: signs, order, units and timing of its channels."""
+"""Whether a recording fits the robot: signs, order, units and timing of channels."""
 
 import numpy as np
 
@@ -17,22 +17,22 @@ from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
 
 __all__ = ["ChannelFinding", "inspect_channels"]
 
-# Shorter recordings are not looked at [samples].
+# Shorter recordings are skipped [samples].
 _MIN_SAMPLES = 64
 
 
 def inspect_channels(model, q, tau, dt, groups=None):
-    """Look for channels of a recording that cannot be what they are called.
+    """Look for channels of a recording that cannot be what their names say.
 
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
-        Robot; its inertias may be wrong by half, its friction is not used.
+        Robot; its inertias may be wrong by half, and its friction is not used.
     q : array-like of shape (n_samples, nv)
         Joint positions [rad or m], rows equidistant in time.
     tau : array-like of shape (n_samples, nv)
-        Joint torques [N m] or forces [N]; a motor quantity in another unit is welcome
-        as far as sign, order and timing are concerned.
+        Joint torques [N m] or forces [N]. A motor quantity in another unit will do for
+        the checks of sign, order and timing.
     dt : float
         Sample period [s].
     groups : array-like of shape (n_samples,), default=None
@@ -41,34 +41,34 @@ def inspect_channels(model, q, tau, dt, groups=None):
     Returns
     -------
     findings : tuple of ChannelFinding
-        What was found, the worst first; empty if nothing. Kinds:
+        Findings, the worst first. Kinds:
 
-        - errors, with which what is found is the fault: "shuffled_rows",
-          "wrapped_position", "position_degrees", "position_counts",
+        - errors, which a search for effects would find instead of effects:
+          "shuffled_rows", "wrapped_position", "position_degrees", "position_counts",
           "velocity_as_position", "wrong_dt", "constant_torque", "torque_sign",
           "flipped_joint" (both signs), "swapped_torques", "swapped_positions",
           "swapped_joints" (both), "joint_order" (three joints or more);
-        - doubts, with which no favourable verdict can be given: "gear_factor",
-          "position_zero", "frozen_recording", "held_position", "held_torque",
-          "repeated_rows" if they are many, "wrong_dt" if the motion is only slower
-          than robots are, "position_jumps";
+        - doubts, which rule out a favourable verdict: "gear_factor", "position_zero",
+          "frozen_recording", "held_position", "held_torque", "repeated_rows" if there
+          are many, "wrong_dt" if the motion is merely slower than a robot's,
+          "position_jumps";
         - warnings: "clipped_torque", "coarse_torque", "delay", "frozen_position",
           "repeated_rows", "position_spikes", "torque_spikes", "still_joint".
 
     Notes
     -----
-    Every torque is regressed on its joint's rows of the regressor matrix (a prior
-    keeps the inertias near multiples of the nominal ones), friction, a spring and the
-    rotor's inertia, behind a common low-pass. Errors count in blocks of time that the
+    After a common low-pass, every torque is regressed on its joint's rows of the
+    regressor matrix (a prior keeps the inertias near multiples of the nominal ones),
+    friction, a spring and the rotor's inertia. Errors count in blocks of time that the
     regression has not seen, so that correlated residuals do not pass for evidence. The
     sign shows in the power of friction, which leaves the motion and never feeds it,
-    and in the factor of the nominal torque. What is found is put right before the next
+    and in the factor of the nominal torque. Each fault is corrected before the next
     question is asked, so that one fault does not look like another.
 
-    Silence is no certificate: a channel that the motion does not excite, or one that
-    is mostly noise, shows nothing. The zero of a joint with a vertical axis, or of the
-    last one (its link may be mounted in any way), and both signs of a joint that
-    gravity does not load cannot be seen in principle.
+    An empty result is no certificate: a channel that the motion does not excite, or
+    one that is mostly noise, shows nothing. Undetectable in principle are the zero of
+    a joint with a vertical axis or of the last joint (whose link may be mounted in any
+    way), and both signs of a joint that gravity does not load.
 
     Examples
     --------
@@ -100,7 +100,7 @@ def inspect_channels(model, q, tau, dt, groups=None):
     findings, usable, q = inspect_samples(names, q, tau, dt, parts, rows, revolute)
     impossible, ratio = too_fast(model, names, q, dt, parts)
     findings += counts(model, names, q, ratio)
-    # With such positions nothing else can be asked.
+    # Such positions allow no further question.
     if _names(findings, "position_counts"):
         return in_order(findings)
     signals = channel_signals(q, tau, dt, parts, usable)
@@ -112,14 +112,14 @@ def inspect_channels(model, q, tau, dt, groups=None):
     if not found:
         found = impossible or sample_periods(model, names, dt, ratio, signals)
     findings += found
-    # What was put right goes on; of the others the rest would be about that.
+    # These two cannot be corrected, and would show in everything that follows.
     if not _names(findings, "velocity_as_position", "wrong_dt"):
         findings += _with_model(model, names, dt, signals)
     return in_order(findings)
 
 
 def _with_model(model, names, dt, signals):
-    """Ask whether channels are what they are called."""
+    """Check, with the robot's model, that channels are what their names say."""
     findings, signals = misplaced(model, names, signals)
     found, signals = torque_signs(model, names, signals)
     findings += found

@@ -1,6 +1,7 @@
 """Small regressions of single torque channels, judged by errors in unseen blocks.
 
-What the checks of channels with a robot model have in common.
+The checks that need a robot model compare such regressions: of the recording as it is,
+and of the same recording read in another way.
 """
 
 from dataclasses import dataclass, replace
@@ -18,20 +19,7 @@ SURE = 5.0
 
 
 def fits_of(equations, signals):
-    """Fit of every informative joint with the torques as recorded.
-
-    Parameters
-    ----------
-    equations : ChannelEquations
-        Regressors.
-    signals : ChannelSignals
-        Signals that they were made of.
-
-    Returns
-    -------
-    dict of int to ChannelFit
-        Joints with enough rows.
-    """
+    """Fit every informative joint's torque as recorded, joint -> `ChannelFit`."""
     now = signals.now
     return {
         int(j): equations.fit(j, now[:, [j]])
@@ -40,10 +28,10 @@ def fits_of(equations, signals):
 
 
 def total(fits):
-    """Logarithms of squared errors by block, mean over joints.
+    """Logarithms of squared errors by block, ndarray (n_blocks,), mean over joints.
 
-    A torque that is predicted worse than by its mean is not predicted: how much worse
-    says nothing, and is no evidence for what predicts it a little less badly.
+    An error above that of the torque's mean counts as the latter: how much worse it is
+    says nothing, and is no evidence for what predicts the torque a little less badly.
     """
     return np.mean(
         [np.minimum(fit.log_error[:, 0], fit.log_variance) for fit in fits.values()],
@@ -51,24 +39,24 @@ def total(fits):
     )
 
 
-# The low-pass lies at this multiple of the frequency below which 90 % of the power of
-# the velocity lies: noise of a fast encoder must not pass for motion.
+# The cut-off is this multiple of the frequency below which 90 % of the velocity's power
+# lies: noise of a fast encoder must not pass for motion.
 _CUTOFF_PER_BANDWIDTH = 7.0
-# ... but its length must stay a small part of the longest recording.
+# ... but the filter must remain short compared with the longest recording.
 _CUTOFF_PERIODS = 36.0
 # Shifts between positions and torques that are tried, to either side.
 _N_SHIFTS = 10
 _SHORTEST_SHIFT = 0.002  # s
-# Equations in use; more cost time and tell nothing more.
+# Equations in use; more cost time without adding evidence.
 _MOST_ROWS = 2500
 # Blocks of time, whose errors are nearly independent.
 N_BLOCKS = 10
-# Fewer moving samples than this tell nothing of a joint.
+# With fewer moving samples a joint is not judged.
 FEWEST_ROWS = 60
 # Relative error of the nominal inertias: the prior of the regressions.
 _NOMINAL_ERROR = 0.5
-# A nominal torque below this share of what such errors make says nothing: the inertias
-# cancel in it, as in a balanced wrist.
+# A nominal torque below this share of what such errors cause is no evidence: the
+# inertias cancel in it, as in a balanced wrist.
 _LEAST_NOMINAL = 0.15
 
 
@@ -113,15 +101,7 @@ class ChannelSignals:
         return replace(self, states=self.states * np.tile(factor, 3))
 
     def permuted(self, order, *, positions, torques):
-        """Return the signals with channels in another order.
-
-        Parameters
-        ----------
-        order : ndarray of shape (nv,) of int
-            Channel to read for each joint.
-        positions, torques : bool
-            Which channels to exchange.
-        """
+        """Return the signals with the channel `order[j]` (nv,) read for joint j."""
         signals = self
         if positions:
             n = self.states.shape[0]
@@ -141,7 +121,7 @@ class ChannelSignals:
         return replace(self, tau=self.tau * sign[:, None])
 
     def flipped(self, sign):
-        """Return the signals with joints that turn the other way round, by signs."""
+        """Return the signals with joints reversed where their sign (nv,) is -1."""
         return replace(
             self.signed(sign),
             states=self.states * np.tile(sign, 3),
@@ -170,23 +150,9 @@ class ChannelSignals:
 
 
 def channel_signals(q, tau, dt, parts, usable):
-    """Filter a recording.
+    """Filter q, tau (n, nv) of recordings; None if all are shorter than the filter.
 
-    Parameters
-    ----------
-    q, tau : ndarray of shape (n, nv)
-        Recording.
-    dt : float
-        Sample period [s].
-    parts : list of slice
-        Separate recordings; those shorter than the filter are left out.
-    usable : ndarray of shape (n, nv), bool
-        Samples without known faults.
-
-    Returns
-    -------
-    ChannelSignals or None
-        None if every recording is too short.
+    `usable` (n, nv) marks samples without known faults.
     """
     n, nv = q.shape
     labels = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
@@ -236,7 +202,7 @@ def _cutoff(v, dt, parts):
         power += np.abs(np.fft.rfft(tapered, n=size, axis=0)) ** 2
     total = np.cumsum(power, axis=0)
     share = total / np.maximum(total[-1], np.finfo(float).tiny)
-    # A joint at rest has noise only.
+    # The velocity of a joint at rest is noise.
     fast = np.ptp(v, axis=0) > 1e-3 * np.ptp(v)
     bandwidth = (share[:, fast] < 0.9).sum(axis=0).max(initial=1) / (size * dt)
     return float(
@@ -275,15 +241,7 @@ class ChannelFit:
 
 
 class ChannelEquations:
-    """Regressors of every joint's torque.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot with nominal inertias.
-    signals : ChannelSignals
-        Filtered recording.
-    """
+    """Regressors of every joint's torque, from a model and its filtered recording."""
 
     def __init__(self, model, signals):
         n, nv = signals.sign.shape
@@ -292,14 +250,14 @@ class ChannelEquations:
         self._parameters = nominal_parameters(model).ravel()
         self._nominal = self._rigid @ self._parameters
         self._at_rest = None
-        # Rounding of a torque that is zero in every motion.
+        # What is left of a torque that is zero in every motion is rounding.
         size = np.abs(self._nominal).max(axis=0)
         self._nominal[:, size < 1e-9 * size.max(initial=0.0)] = 0.0
         self._spread = _spread(model)
         self._signals = signals
 
     def weight(self, j):
-        """Weights of the rows of a joint."""
+        """Weights of a joint's rows, ndarray of shape (n,)."""
         return self._signals.weight[:, j]
 
     def fit(self, j, torque, weight=None):
@@ -310,8 +268,8 @@ class ChannelEquations:
         j : int
             Joint.
         torque : ndarray of shape (n, n_versions)
-            Versions of its torque; the middle one is the one that friction and
-            spread are reported of.
+            Versions of its torque; friction and spread are reported for the middle
+            one.
         weight : ndarray of shape (n,), default=None
             Weights instead of the joint's own.
 
@@ -325,7 +283,7 @@ class ChannelEquations:
         free = np.hstack([friction, others])
         middle = torque.shape[1] // 2
         y = torque[:, middle]
-        # The torque's unit may be any: the prior is scaled to expect its size.
+        # The torque may have any unit: the prior is scaled to its size.
         size = _rms(y, w) / max(self._expected(j, w), np.finfo(float).tiny)
         rigid = self._rigid[:, j] * (self._spread * size)
         moments = _Moments(free, rigid, torque, w, self._signals.block)
@@ -344,7 +302,7 @@ class ChannelEquations:
         )
 
     def inertia_scale(self, j):
-        """Regress the torque on gravity and on what motion adds to it, apart.
+        """Regress the torque on nominal gravity and on the nominal rest, separately.
 
         Parameters
         ----------
@@ -391,12 +349,12 @@ class ChannelEquations:
         return self._at_rest
 
     def _expected(self, j, w):
-        """Root mean square torque of inertias drawn from the prior."""
+        """Root mean square of the torque by inertias drawn from the prior."""
         rigid = self._rigid[:, j] * self._spread
         return np.sqrt(np.sum(np.average(rigid**2, axis=0, weights=w)))
 
     def _columns(self, j):
-        """Friction columns (n, 2), and what else a joint may have beside its links."""
+        """Columns of friction (n, 2), and of other torques beside the links (n, 6)."""
         n, nv = self._signals.sign.shape
         q, v, a = self._signals.states.reshape(n, 3, nv)[:, :, j].T
         friction = np.column_stack([v, self._signals.sign[:, j]])
@@ -422,7 +380,8 @@ class ChannelEquations:
         scale_t : float
             The same in standard errors.
         share : float
-            Share of what friction and spring leave that the nominal torque explains.
+            Share of the torque left by friction and spring that the nominal one
+            explains.
         """
         n, nv = self._signals.sign.shape
         w = self.weight(j)
@@ -473,7 +432,7 @@ class _Moments:
             used = np.concatenate([np.flatnonzero(rows) for rows in self._rows])
             y = self._torque[used, middle]
             variance = 0.1 * np.var(y)
-            # The prior is in units of the parameters: the noise sets its weight.
+            # The prior is in units of the parameters; its weight follows the noise.
             for _ in range(3):
                 penalty[self._n_free :] = max(variance, 1e-9 * np.var(y) + 1e-300)
                 theta = np.linalg.solve(G + np.diag(penalty), g[:, middle])
@@ -496,20 +455,7 @@ class _Moments:
 
 
 def gain(better, worse):
-    """Compare two fits by blocks.
-
-    Parameters
-    ----------
-    better, worse : ndarray of shape (n_blocks,)
-        Logarithms of mean squared errors.
-
-    Returns
-    -------
-    gain : float
-        Mean of worse - better.
-    gain_t : float
-        The same in standard errors.
-    """
+    """Mean of worse - better, log errors by block, and the same in standard errors."""
     difference = worse - better
     difference = difference[np.isfinite(difference)]
     if difference.size < 4:
@@ -520,7 +466,7 @@ def gain(better, worse):
 
 
 def _power(columns, theta, without, middle, w):
-    """Power that friction dissipates [W], and in standard errors."""
+    """Power that friction dissipates, in W and in standard errors."""
     v = columns[:, 0]
     moments = np.average(columns * v[:, None], axis=0, weights=w)
     power = float(moments @ theta[:2, middle])

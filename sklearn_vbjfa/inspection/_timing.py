@@ -1,4 +1,4 @@
-"""Is a recording as fast as its robot, and are its torques in step with its motion."""
+"""Whether a recording is as fast as its robot, and its torques in step with motion."""
 
 import numpy as np
 
@@ -12,43 +12,31 @@ from sklearn_vbjfa.inspection._rivals import (
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.recording._faults import ChannelFinding, listed
 
-# A joint without a limit of speed does not go faster than this [rad/s, m/s] ...
+# A joint without a speed limit does not move faster than this [rad/s, m/s] ...
 _FASTEST_TURN = 60.0
 _FASTEST_SLIDE = 10.0
 # ... nor any joint faster than its limit by this factor.
 _TOO_FAST = 5.0
-# Samples over which speeds are taken: noise of the encoder is no motion.
+# Samples over which speeds are taken, lest encoder noise pass for motion.
 _SPEED_SAMPLES = 5
 # A robot that is slower than its limits by this factor hardly moves ...
 _TOO_SLOW = 0.01
-# ... and few sample a motion at that period [s]; 5 kHz taken for ms are 0.2.
+# ... and motions are seldom sampled at that period [s]; 5 kHz read as ms are 0.2.
 _LONG_PERIOD = 0.15
-# The inertia of a joint, its rotor included, is not so many times the nominal one.
+# The inertia of a joint, with its rotor, is less than so many times the nominal one.
 _LARGEST_INERTIA = 400.0
 # Rows with which other sample periods are tried, and the factors.
 _FEW_ROWS = 900
 _FACTORS = (1e-3, 1e-2, 0.1, 10.0, 100.0, 1000.0)
 # Another period must lower the squared errors of all joints by this factor.
 _PERIOD_GAIN = np.log(2.0)
-# A delay must lower the squared errors by this factor, and predict as well as this.
+# A delay must lower the squared errors by this factor, and the relative error to this.
 _DELAY_GAIN = np.log(2.0)
 _DELAY_ERROR = 0.3
 
 
 def fastest(model):
-    """Speeds that no joint surpasses [rad/s or m/s].
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-
-    Returns
-    -------
-    ndarray of shape (nv,)
-        Five times the limits of the model; of joints without one, five times what
-        joints of robots do.
-    """
+    """Impossible speeds (nv,) [rad/s or m/s]: five times each limit, given or usual."""
     limit = np.asarray(model.velocityLimit, dtype=float)
     unlimited = np.where(is_prismatic(model), _FASTEST_SLIDE, _FASTEST_TURN)
     known = (limit > 0) & (limit < 1e3)
@@ -56,28 +44,7 @@ def fastest(model):
 
 
 def too_fast(model, names, q, dt, parts):
-    """Find a sample period with which no robot is as fast.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Joints.
-    q : ndarray of shape (n, nv)
-        Positions.
-    dt : float
-        Sample period as given [s].
-    parts : list of slice
-        Recordings.
-
-    Returns
-    -------
-    findings : list of ChannelFinding
-        One error or none.
-    ratio : ndarray of shape (nv,)
-        Speeds in shares of `fastest`.
-    """
+    """Find an impossibly short dt; also return the speeds (nv,) over `fastest`."""
     speed = _speeds(q, dt, parts)
     ratio = speed / fastest(model)
     j = int(np.argmax(ratio))
@@ -96,33 +63,14 @@ def too_fast(model, names, q, dt, parts):
 
 
 def _speeds(q, dt, parts):
-    """Speeds of the joints that are seldom surpassed, ndarray (nv,)."""
+    """Speed of each joint that is seldom exceeded, ndarray of shape (nv,)."""
     width = _SPEED_SAMPLES
     travel = [np.abs(q[p][width:] - q[p][:-width]) for p in parts]
     return np.quantile(np.concatenate(travel), 0.995, axis=0) / (width * dt)
 
 
 def sample_periods(model, names, dt, ratio, signals):
-    """Find a sample period in other units.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Joints.
-    dt : float
-        Sample period as given [s].
-    ratio : ndarray of shape (nv,)
-        Speeds in shares of `fastest`.
-    signals : ChannelSignals
-        Recording.
-
-    Returns
-    -------
-    list of ChannelFinding
-        One finding or none.
-    """
+    """Find a dt in another unit, from speeds (nv,) over `fastest` and torques."""
     j = int(np.argmax(ratio))
     unit = "m/s" if is_prismatic(model)[j] else "rad/s"
     crawls = ratio.max() * _TOO_FAST < _TOO_SLOW and dt >= _LONG_PERIOD
@@ -146,7 +94,7 @@ def sample_periods(model, names, dt, ratio, signals):
         ChannelFinding(
             "wrong_dt",
             tuple(range(len(names))),
-            # Poses that are hardly left for hours may be on purpose.
+            # Hardly moving for hours may be on purpose.
             "error" if found else "doubt",
             f"dt={dt:.6g} s does not go with the motion: {evidence}{units}; dt is the "
             "sample period in seconds.",
@@ -155,7 +103,7 @@ def sample_periods(model, names, dt, ratio, signals):
 
 
 def _other_period(model, signals, ratio, dt):
-    """Evidence that another period makes torques and motion one robot's, or None."""
+    """Evidence that the torques fit the motion at another period, or None."""
     few = signals.thinned(_FEW_ROWS)
     now = total_or_none(model, few)
     if now is None:
@@ -183,13 +131,13 @@ def _other_period(model, signals, ratio, dt):
 
 
 def total_or_none(model, signals):
-    """Total errors of the fits; None without any informative joint."""
+    """Total errors of the fits; None if no joint is informative."""
     fits = fits_of(ChannelEquations(model, signals), signals)
     return total(fits) if fits else None
 
 
 def _inertia_too_large(model, names, signals):
-    """Evidence that a joint would need an inertia that it cannot have, or None."""
+    """Evidence that a joint would need an impossible inertia, or None."""
     equations = ChannelEquations(model, signals)
     for j in np.flatnonzero(signals.informative()):
         gravity, gravity_t, motion, error = equations.inertia_scale(int(j))
@@ -202,24 +150,7 @@ def _inertia_too_large(model, names, signals):
 
 
 def delays(model, names, dt, signals):
-    """Find torques that are out of step with the positions.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Joints.
-    dt : float
-        Sample period [s].
-    signals : ChannelSignals
-        Recording.
-
-    Returns
-    -------
-    list of ChannelFinding
-        One warning or none.
-    """
+    """Find torques that are out of step with the positions: one warning or none."""
     equations = ChannelEquations(model, signals)
     middle = signals.shifts.size // 2
     step = signals.shifts[1] - signals.shifts[0]
@@ -241,8 +172,8 @@ def delays(model, names, dt, signals):
     common = float(np.median([x[0] for x in clear.values()]))
     agree = [j for j in clear if abs(clear[j][0] - common) <= 1.0]
     others = [j for j in known if j not in agree]
-    # All joints late alike, or some of them and the others in time: what elasticity
-    # or hysteresis does differs from joint to joint.
+    # Either all joints are equally late, or some are and the others are in step: the
+    # lag of elasticity or hysteresis differs from joint to joint.
     if abs(common) < 0.75 or not (
         len(agree) > len(known) / 2 or all(abs(known[j]) < 1.0 for j in others)
     ):
@@ -265,7 +196,7 @@ def delays(model, names, dt, signals):
 
 
 def _vertex(error):
-    """Offset of the smallest of a parabola through three squared errors."""
+    """Offset of the minimum of a parabola through three squared errors."""
     low, middle, high = np.asarray(error) ** 2
     bend = low - 2 * middle + high
     return 0.5 * (low - high) / bend if bend > 0 else 0.0

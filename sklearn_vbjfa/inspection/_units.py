@@ -1,4 +1,4 @@
-"""Are positions radians or metres, and torques newton metres at the joint."""
+"""Whether positions are radians or metres, and torques newton metres at the joint."""
 
 import numpy as np
 
@@ -13,20 +13,20 @@ from sklearn_vbjfa.inspection._rivals import (
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.recording._faults import ChannelFinding, listed
 
-# Share of the torque that the nominal model must explain to say something.
+# Share of the torque that the nominal model must explain to count as evidence.
 _NOMINAL_SHARE = 0.5
-# Nominal inertias (payload and rotor left out) are not wrong by more than this.
+# Nominal inertias (without payload and rotor) are not wrong by more than this.
 _GEAR_FACTOR = 20.0
 # A joint without limits does not turn farther than this within a recording [rad].
 _LARGEST_TURN = 25.0
 # Positions in degrees run beyond the joint's limits by more than this [rad].
 _FAR_BEYOND = 5.0
-# Reading positions in another way must lower the squared errors by this factor.
+# Another reading of the positions must lower the squared errors by this factor.
 _UNIT_GAIN = np.log(2.0)
-# Counts of an encoder: at least so many, all of them whole numbers.
+# Encoder counts are whole numbers that span at least this range.
 _FEWEST_COUNTS = 25.0
-# Positions that velocities integrate to stay within this multiple of a joint's range,
-# which is so many radians (or metres) where the model tells none.
+# Integrated velocities stay within this multiple of a joint's range; where the model
+# has no limits, the range is taken to be so many radians or metres.
 _RANGE_MARGIN = 1.25
 _RANGE_TURN, _RANGE_SLIDE = 4 * np.pi, 5.0
 # ... and have means of at most this share of their standard deviation.
@@ -37,23 +37,9 @@ _LARGEST_MEAN = 0.5
 
 
 def counts(model, names, q, ratio):
-    """Find positions that are neither radians nor degrees.
+    """Find positions (n, nv) that are neither radians nor degrees: one error or none.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Joints.
-    q : ndarray of shape (n, nv)
-        Positions.
-    ratio : ndarray of shape (nv,)
-        Speeds in shares of what joints can.
-
-    Returns
-    -------
-    list of ChannelFinding
-        One error or none.
+    `ratio` (nv,) are the speeds over the fastest possible.
     """
     revolute = ~is_prismatic(model)
     degrees = np.where(revolute, np.pi / 180, 1.0)
@@ -64,7 +50,7 @@ def counts(model, names, q, ratio):
     # Whole degrees are degrees.
     whole &= ~((beyond > _FAR_BEYOND) & (as_degrees == 0)) | (travel > 720)
     wrong = far | whole
-    # A joint that may turn for ever, but not at that speed, not even in degrees.
+    # A joint may turn without end, but not at that speed, not even in degrees.
     wrong |= (ratio * degrees > 1.0) & (travel * degrees > _LARGEST_TURN)
     if not wrong.any():
         return []
@@ -94,26 +80,7 @@ def counts(model, names, q, ratio):
 
 
 def degrees(model, names, q, signals):
-    """Find positions in degrees.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Joints.
-    q : ndarray of shape (n, nv)
-        Positions.
-    signals : ChannelSignals
-        Filtered recording.
-
-    Returns
-    -------
-    findings : list of ChannelFinding
-        One error or none.
-    signals : ChannelSignals
-        Recording in radians.
-    """
+    """Find positions (n, nv) in degrees; also return the signals in radians."""
     revolute = ~is_prismatic(model)
     if not revolute.any():
         return [], signals
@@ -121,7 +88,7 @@ def degrees(model, names, q, signals):
     beyond = [_beyond(model, q * unit) * revolute for unit in (1.0, factor)]
     # A joint without limits may turn a hundred times.
     far = (beyond[0] > _FAR_BEYOND) & (beyond[1] == 0.0) & _limited(model)
-    # One joint somewhat beyond its limits may be another joint's channel.
+    # A single joint somewhat beyond its limits may be another joint's channel.
     many = np.count_nonzero(beyond[0] > 0.1) > 0.5 * np.count_nonzero(revolute)
     if not (far.any() or many):
         return [], signals
@@ -153,13 +120,13 @@ def _limits(model):
 
 
 def _limited(model):
-    """Return which joints have a range, ndarray (nv,) of bool."""
+    """Return which joints have limits, ndarray of shape (nv,), bool."""
     low, high = _limits(model)
     return (high - low < _LARGEST_TURN) & (high > low)
 
 
 def _beyond(model, q):
-    """How far each joint runs beyond what it can [rad or m], ndarray (nv,)."""
+    """How far each joint moves beyond its limits [rad or m], ndarray of shape (nv,)."""
     low, high = _limits(model)
     # Another zero of the joint or a nominal limit is no proof.
     margin = 0.125 * (high - low)
@@ -169,35 +136,16 @@ def _beyond(model, q):
 
 
 def velocities(model, names, q, tau, dt, parts, usable, signals):
-    """Find velocities where positions should be.
+    """Find velocities in the columns q (n, nv) of positions: one error or none.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Joints.
-    q, tau : ndarray of shape (n, nv)
-        Recording.
-    dt : float
-        Sample period [s].
-    parts : list of slice
-        Separate recordings.
-    usable : ndarray of shape (n, nv), bool
-        Samples without known faults.
-    signals : ChannelSignals
-        The same, filtered.
-
-    Returns
-    -------
-    list of ChannelFinding
-        One error or none.
+    `usable` (n, nv) marks samples without known faults, `signals` is the filtered
+    recording.
     """
     low, high = _limits(model)
     free = np.where(is_prismatic(model), _RANGE_SLIDE, _RANGE_TURN)
     width = np.where(_limited(model), high - low, free)
-    # A joint that stays within its range goes to and fro: at rest, or in part of a
-    # swing, anything may be the derivative of anything.
+    # A joint that stays within its range moves to and fro. At rest, or within part of a
+    # swing, any signal may be the derivative of any other.
     swing = np.array(
         [np.abs(q[p].mean(axis=0)) / _tiny(q[p].std(axis=0)) for p in parts]
     )
@@ -209,7 +157,7 @@ def velocities(model, names, q, tau, dt, parts, usable, signals):
         integral[part] -= 0.5 * (
             integral[part].max(axis=0) + integral[part].min(axis=0)
         )
-        # Positions are hardly ever centred, and their integrals run away.
+        # Positions are hardly ever centred, so that their integrals diverge.
         if (np.ptp(integral[part], axis=0) > _RANGE_MARGIN * width).any():
             return []
     integral += np.where(_limited(model), 0.5 * (low + high), 0.0)
@@ -246,21 +194,9 @@ def _tiny(x):
 def gear_factors(model, names, signals):
     """Find torques of another size than the model's.
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Joints.
-    signals : ChannelSignals
-        Filtered recording.
-
-    Returns
-    -------
-    list of ChannelFinding
-        Doubts: if all channels are in another unit the loop is right in that unit,
-        and a robot description with made-up inertias looks the same; but gears that
-        differ make of one robot several, and what is found makes up for that.
+    These are doubts and not errors: the loop is right in whatever unit all channels
+    share, and a robot description with invented inertias looks the same. Factors that
+    differ between joints, however, would be compensated by spurious effects.
     """
     equations = ChannelEquations(model, signals)
     found = []

@@ -20,10 +20,10 @@ from sklearn_vbjfa._core._lowpass import (
     filter_weight,
 )
 from sklearn_vbjfa.effects import Motion
+from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.physical._threads import one_blas_thread
-from sklearn_vbjfa.robot import _friction
 from sklearn_vbjfa.robot._joint_moments import Numbering, joint_moments
 from sklearn_vbjfa.robot._parallel import run
 

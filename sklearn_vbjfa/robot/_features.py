@@ -4,6 +4,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import (
     INERTIAL_NAMES,
     is_prismatic,
@@ -11,7 +12,6 @@ from sklearn_vbjfa.model._loading import (
     load_model,
 )
 from sklearn_vbjfa.model._regressor import TreeRegressor
-from sklearn_vbjfa.robot import _friction
 
 
 class RigidBodyFeatures(TransformerMixin, BaseEstimator):

@@ -8,7 +8,7 @@ row is one symmetric rank-one update a joint, whatever the length of the memory.
 import numpy as np
 from scipy.linalg import blas
 
-from sklearn_vbjfa.robot import _friction
+from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.robot._equations import RegressorRows
 from sklearn_vbjfa.robot._joint_moments import JointMoments, joint_moments
 from sklearn_vbjfa.robot._plan import takes_moments

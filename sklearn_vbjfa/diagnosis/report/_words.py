@@ -1,51 +1,15 @@
 """Words and numbers of a report: what an effect is called, how an error is written."""
 
+import functools
 import math
 import re
 
+from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects._library import find
+
 # What an engineer calls the effects of the library.
-PLAIN_NAMES = {
-    "viscous": "viscous friction",
-    "coulomb": "Coulomb friction",
-    "asymmetric_friction": "friction that differs with direction",
-    "stribeck": "Stribeck friction",
-    "viscous_quadratic": "friction with the square of speed",
-    "load_friction": "load-dependent friction",
-    "presliding": "hysteresis after reversals (presliding)",
-    "backlash": "backlash",
-    "offset": "constant offset",
-    "spring": "spring",
-    "counterbalance": "counterbalance",
-    "ripple": "torque ripple",
-    "rotor_inertia": "rotor inertia",
-    "coupling": "coupling to another joint",
-    "elastic": "joint elasticity",
-    "delay": "delay of the torque signal",
-    "drift": "drift with time",
-    "payload": "change of payload",
-}
-# What a recording must hold to tell an effect from its rivals.
-_RECORD = {
-    "viscous": "motion at several speeds",
-    "coulomb": "many reversals",
-    "asymmetric_friction": "both directions at several speeds",
-    "stribeck": "slow and fast motion",
-    "viscous_quadratic": "slow and fast motion",
-    "load_friction": "reversals at two loads",
-    "presliding": "many reversals",
-    "backlash": "reversals at several positions",
-    "offset": "motion with and against gravity",
-    "spring": "a wide range of positions",
-    "counterbalance": "a wide range of positions",
-    "ripple": "slow motion over the whole range",
-    "rotor_inertia": "fast acceleration in several poses",
-    "coupling": "each joint moving alone",
-    "elastic": "fast motion near the elastic mode",
-    "delay": "fast changes of the torque",
-    "drift": "the same motion cold and warm",
-    "payload": "motion against gravity with and without payload",
-}
-# The same, for a residual that varies with a signal.
+PLAIN_NAMES = {effect.name: effect.label for effect in resolve("all")}
+# What to record where a residual varies with a signal.
 _RECORD_SIGNAL = {
     "position": "slow motion over the whole range, both ways",
     "speed": "slow and fast motion",
@@ -92,21 +56,16 @@ def signal_label(signal, names, joint):
 
 def effect_label(name, shape=None, names=()):
     """Plain English for an effect, with what matters of its shape."""
-    plain = PLAIN_NAMES.get(name, name.replace("_", " "))
-    shape = shape or {}
-    if name == "drift" and shape.get("of"):
-        what = {"coulomb": "Coulomb friction", "viscous": "viscous friction"}
-        return f"drift of the {what.get(shape['of'], shape['of'])} with time"
-    if name == "coupling" and isinstance(shape.get("other"), int):
-        other = joint_label(names, shape["other"])
-        how = {"sum": " (sum)", "difference": " (difference)"}
-        return f"coupling to {other}{how.get(shape.get('of'), '')}"
-    return plain
+    found = find(name)
+    if found is None:
+        return name.replace("_", " ")
+    return found.describe(shape or {}, functools.partial(joint_label, names))
 
 
 def record_for(name):
     """Return what to record to see an effect; empty if nobody can say."""
-    return _RECORD.get(name, "")
+    found = find(name)
+    return "" if found is None else found.record
 
 
 def record_for_signal(signal):

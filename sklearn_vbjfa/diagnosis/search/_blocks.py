@@ -1,14 +1,12 @@
-"""Blocks of time: what counts as one independent piece of evidence.
+"""Blocks of time, and what a residual remembers from one to the next.
 
-What a residual keeps of its own past, and rows from which that is taken out.
-
-A residual that stays correlated for seconds is a few independent values, however many
-rows it has. Blocks long enough to be independent of each other would be too few in a
-short recording, and would throw away that slow noise hardly touches fast effects.
-Here the residual's own prediction from its past is subtracted instead, from torques and
-columns alike (generalised least squares): what is left is as good as white, and an
-effect is worth what it explains of that. Slow noise makes slow effects worthless so,
-and leaves fast ones their evidence.
+A block counts as one independent piece of evidence. A residual that stays correlated
+for seconds amounts to a few independent values, however many rows it has: blocks long
+enough to be independent would be too few in a short recording, and would ignore that
+slow noise hardly touches fast effects. Rows are therefore whitened before blocks are
+compared: what the residual's own past predicts is subtracted from torques and columns
+alike (generalised least squares), and an effect is worth what it explains of the rest.
+Slow noise thus takes the evidence of slow effects, and leaves fast ones theirs.
 """
 
 import itertools
@@ -39,33 +37,15 @@ class Memory:
 
 
 def fit_memory(residual, used, starts, step, stride=1):
-    """Fit an autoregression to a residual, order by Akaike's criterion.
+    """Fit an autoregression to residuals (m,) in rows that count, a `Memory`.
 
     Rows are a stride apart: those in between are alike because of the low-pass, which
-    is no memory of the residual, and to predict them would be to undo the low-pass.
-    Least squares in the form r_t = rho r_(t-1) + sum psi_k (r_(t-k) - r_(t-k-1)) + e,
-    where rho, the sum of the coefficients, says how slowly the residual forgets. Its
-    estimate is too small in short recordings, by (1 + 3 rho) / n for a mean that was
-    fitted [1]_, times what the psi leave of a slow change; that much is added, up to
-    a random walk.
-
-    Parameters
-    ----------
-    residual : ndarray of shape (m,)
-        Residuals.
-    used : ndarray of shape (m,), bool
-        Rows that count.
-    starts : ndarray of int
-        First rows of the recordings.
-    step : float
-        Time between rows [s].
-    stride : int, default=1
-        Rows from one lag to the next.
-
-    Returns
-    -------
-    Memory
-        Coefficients and correlation time.
+    is no memory of the residual, and to predict them would be to undo the low-pass. The
+    order is that of Akaike's criterion. Least squares in the form r_t = rho r_(t-1) +
+    sum psi_k (r_(t-k) - r_(t-k-1)) + e, where rho, the sum of the coefficients, says
+    how slowly the residual forgets. Its estimate is too small in short recordings, by
+    (1 + 3 rho) / n for a mean that was fitted [1]_, times what the psi leave of a slow
+    change; that much is added, up to a random walk.
 
     References
     ----------
@@ -171,8 +151,8 @@ class Whitening:
         """Whiten rows (nj, m, ...) of some joints, scaled by the root of the weights.
 
         Missing rows are bridged by straight lines, in torques and columns alike, so
-        that what explains the one explains the other; a recording begins as if it had
-        been what it is in its first row.
+        that what explains the one explains the other; before its first row a recording
+        counts as constant.
         """
         out = np.empty_like(rows)
         for i, j in enumerate(joints):
@@ -278,20 +258,11 @@ class Blocks:
 
 
 def correlation_time(residual, weight, step, starts):
-    """Longest integrated autocorrelation time of the joints' residuals [s].
+    """Longest integrated autocorrelation time of residuals (m, nv) [s].
 
     That of an autoregression, see `fit_memory`: sums of sample autocorrelations read
     slow residuals too short, as their own mean is taken out of them; infinite for a
     random walk.
-
-    Parameters
-    ----------
-    residual, weight : ndarray of shape (m, nv)
-        Residuals and what they count.
-    step : float
-        Time between rows [s].
-    starts : ndarray of int
-        First rows of the recordings.
     """
     times = []
     for r, used in zip(residual.T, weight.T > 0):
@@ -302,23 +273,9 @@ def correlation_time(residual, weight, step, starts):
 
 
 def make_blocks(time, starts, correlation, filter_length):
-    """Divide rows into blocks of time.
+    """Divide rows at times (m,) [s] into blocks as long as independence asks for.
 
-    Parameters
-    ----------
-    time : ndarray of shape (m,)
-        Time of the rows within their recording [s].
-    starts : ndarray of int
-        First rows of the recordings.
-    correlation : float
-        Correlation time of the residual [s].
-    filter_length : float
-        Length of the low-pass [s].
-
-    Raises
-    ------
-    ValueError
-        If the recordings are too short for blocks.
+    The residual's correlation time and the filter's length are in seconds.
     """
     edges = np.r_[starts, time.size]
     lengths = [float(np.ptp(time[a:b])) for a, b in itertools.pairwise(edges)]

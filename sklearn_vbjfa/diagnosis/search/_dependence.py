@@ -32,23 +32,10 @@ class Dependence:
 
 
 def dependences(residual, weight, signals, view, level=0.01):
-    """Signals that a residual depends on, the strongest first.
+    """Signals (m,) by name that a residual (m,) depends on, the strongest first.
 
-    Parameters
-    ----------
-    residual, weight : ndarray of shape (m,)
-        Out-of-sample residual of a joint and what it counts.
-    signals : dict of str to ndarray of shape (m,)
-        Signals, filtered as the residual is.
-    view : RecordingView
-        Recording, for its blocks of time.
-    level : float
-        Level of significance over all signals (Bonferroni).
-
-    Returns
-    -------
-    tuple of Dependence
-        Significant ones.
+    They are filtered as the residual is; the level is shared out among them
+    (Bonferroni).
     """
     used = weight > 0
     if not used.any():

@@ -1,12 +1,11 @@
-"""What the search for effects tries, and what it does.
-
-What blocks of time say about a change of the model.
-"""
+"""What blocks of time say about a change of the model, and the steps of a search."""
 
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import special, stats
+
+from sklearn_vbjfa.effects import Effect
 
 # Effects that take less than this off a joint's squared error are not worth a name.
 SMALLEST_GAIN = 0.02
@@ -67,13 +66,8 @@ def p_value(before, after):
 def compare(before, after, white=None):
     """Compare squared errors (n_blocks,) of two models.
 
-    Parameters
-    ----------
-    before, after : ndarray of shape (n_blocks,)
-        Squared errors.
-    white : (ndarray, ndarray) or None
-        The same of rows from which the residual's memory is taken out, see `Judge`;
-        blocks of these are independent, and the p-value is theirs.
+    `white` is the same pair in rows from which the residual's memory is taken out, see
+    `Judge`; blocks of these are independent, and the p-value is theirs.
     """
     difference = before - after
     changed = difference != 0
@@ -119,18 +113,12 @@ class Candidate:
     white : ndarray of shape (n_blocks, nv)
         The same in rows without the residual's memory, in units of what is left of
         each joint's residual, see `Judge`.
-    coef : ndarray of shape (k,)
-        Its coefficients.
-    outside : float
-        Share of its columns' power outside the span of the model's.
     """
 
-    effect: object
+    effect: Effect
     evidence: Evidence
     squares: np.ndarray
     white: np.ndarray
-    coef: np.ndarray
-    outside: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,38 +152,26 @@ class Step:
         motion that it was not fitted to is withdrawn.
     effect : Effect
         What was added or dropped.
-    replaced : Effect or None
-        What it replaced.
     evidence : Evidence
         Why.
-    rivals : tuple of Candidate
-        Others that the data cannot tell from it.
-    tried : tuple of Candidate
-        All candidates of the joint that beat chance, best first.
     rule : Rule
         By which rule, at what level.
     squares_before, squares_after : ndarray of shape (nv,)
         Sums of squared out-of-sample residuals.
+    replaced : Effect or None
+        What it replaced.
+    rivals : tuple of Candidate
+        Others that the data cannot tell from it.
+    tried : tuple of Candidate
+        All candidates of the joint that beat chance, best first.
     """
 
     action: str
-    effect: object
-    replaced: object
+    effect: Effect
     evidence: Evidence
-    rivals: tuple
-    tried: tuple
     rule: Rule
     squares_before: np.ndarray
     squares_after: np.ndarray
-
-
-def closure(effect, library):
-    """Names of all effects that an effect contains, directly or not."""
-    by_name = {e.name: e for e in library}
-    found, open_ = set(), list(effect.contains)
-    while open_:
-        name = open_.pop()
-        if name not in found:
-            found.add(name)
-            open_ += by_name[name].contains if name in by_name else ()
-    return found
+    replaced: Effect | None = None
+    rivals: tuple = ()
+    tried: tuple = ()

@@ -1,12 +1,16 @@
 """What remains unexplained, and what the data cannot show."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
 from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
-from sklearn_vbjfa.diagnosis.search._evidence import closure
 from sklearn_vbjfa.diagnosis.search._findings import Hidden, Unexplained
+from sklearn_vbjfa.diagnosis.search._model import SearchModel
+from sklearn_vbjfa.diagnosis.search._search import candidates_of
+from sklearn_vbjfa.effects._library import closure
 from sklearn_vbjfa.robot._equations import make_motion
 
 # A joint whose residual is this far above its noise floor has something unexplained:
@@ -16,29 +20,17 @@ ABOVE_FLOOR = (1.1, 1.5)
 # Share of a column's power outside the span of the others below which it cannot be
 # seen in this recording, and below which no motion can show it.
 _UNSEEN, _IN_SPAN = 1e-3, 1e-6
-_PLAIN = ("viscous", "coulomb", "offset", "spring")
 
 
-def unexplained(search, names, spread, floors, errors):
+def unexplained(model, names, spread, floors, errors):
     """Joints above their floor, with the signals that the rest varies with.
 
-    Parameters
-    ----------
-    search : EffectSearch
-        After its run.
-    names : sequence of str
-        Joints.
-    spread : ndarray of shape (nv,)
-        Spread of the torques [N m or N].
-    floors : ndarray of shape (nv,)
-        Noise floors of the completed model [N m or N]; nan where unknown. What a
-        declared model lacks may hide its own.
-    errors : ndarray of shape (nv,)
-        Errors on the untouched part over the spread; nan where there is none.
+    Of a `SearchModel`; spread and noise floors (nv,) in N m or N, nan where unknown,
+    and the errors on the untouched part over the spread, nan where there is none.
     """
-    view, motion = search.view, search.motion
-    residual = search.base.residuals() / np.where(view.root.T > 0, view.root.T, np.inf)
-    signals = motion_signals(motion, names)
+    view = model.view
+    residual = model.residuals() / np.where(view.root.T > 0, view.root.T, np.inf)
+    signals = motion_signals(model.motion, names)
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
     found = []
     for j, name in enumerate(names):
@@ -48,10 +40,11 @@ def unexplained(search, names, spread, floors, errors):
             continue
         rms = float(np.sqrt((weight * residual[j] ** 2).sum() / total))
         floor = float(floors[j])
-        if not np.isnan(floor) and rms <= ABOVE_FLOOR[0] * floor:
+        known = not np.isnan(floor)
+        if known and rms <= ABOVE_FLOOR[0] * floor:
             continue
         signs = dependences(residual[j], weight, seen, view)[:4]
-        if not np.isnan(floor) and not signs and rms <= ABOVE_FLOOR[1] * floor:
+        if known and not signs and rms <= ABOVE_FLOOR[1] * floor:
             continue
         found.append(
             Unexplained(
@@ -59,7 +52,7 @@ def unexplained(search, names, spread, floors, errors):
                 joint_name=name,
                 rms=rms,
                 floor=floor,
-                share=1.0 if np.isnan(floor) else float(1 - (floor / rms) ** 2),
+                share=float(1 - (floor / rms) ** 2) if known else 1.0,
                 of_torque=_above(floor / spread[j], rms / spread[j], float(errors[j])),
                 signals=signs,
             )
@@ -74,75 +67,94 @@ def _above(floor, searched, untouched):
     return float(np.sqrt(max(error**2 - floor**2, 0.0)))
 
 
-def memory_seconds(search):
-    """How long the residual of each joint stays correlated at the end, list [s]."""
-    view = search.view
-    memories = view.whitening(search.base.residuals()).memory
-    return [memory.time for memory in memories]
-
-
-def too_short(search, seconds):
+def too_short(model, seconds):
     """Joints whose residual is too few independent values, with its memory [s]."""
-    view = search.view
-    total = view.blocks.length * view.blocks.n_blocks
+    blocks = model.view.blocks
+    total = blocks.length * blocks.n_blocks
     for j, time in enumerate(seconds):
-        if view.precision[j] > 0 and FEWEST * time > total:
+        if model.precision[j] > 0 and FEWEST * time > total:
             yield j, float(time)
 
 
-def hidden(search, names):
+def hidden(found, names):
     """Effects of the library that this robot or this recording cannot show."""
-    view = search.view
-    found = []
+    model, view = found.model, found.model.view
     probe = _probe(view)
+    not_seen = []
     for j, name in enumerate(names):
-        if view.precision[j] == 0:
+        if model.precision[j] == 0:
             continue
-        own = search.candidates_of(j)
-        held = [e for e in search.accepted if e.joint == j]
-        present = set(search.declared).union(
-            *({e.name} | closure(e, search.library) for e in held)
-        )
-        plain = [e for e in own if e.name in _PLAIN and e.name not in present]
-        bases = {}
-        for effect in search.library:
+        unseen = _Unseen.on(j, found)
+        for effect in found.library:
             one = clone(effect).set_params(joint=j)
-            if effect.name in present:
+            if one.name in unseen.present:
                 continue
-            reason = one.applies(search.motion)
-            if reason:
-                if reason.startswith("needs"):
-                    found.append(
-                        Hidden(
-                            name=effect.name,
-                            joint=j,
-                            joint_name=name,
-                            reason="signal",
-                            remedy=reason,
-                        )
-                    )
+            reason, remedy = "signal", one.applies(model.motion)
+            if not remedy:
+                if not unseen.hides(one):
+                    continue
+                structural = _in_span(one, *probe)
+                reason = "span" if structural else "excitation"
+                remedy = "" if structural else one.visible
+            elif not remedy.startswith("needs"):
                 continue
-            beside = tuple(p.name for p in plain if p.name in one.contains)
-            if beside not in bases:
-                more = [p for p in plain if p.name in beside]
-                bases[beside] = search.regression([*search.accepted, *more])
-            variants, columns = view.family(one, search.motion)
-            if not variants:
-                continue
-            joints = view.joints_of(one)
-            if bases[beside].outside(joints, columns).max() > _UNSEEN:
-                continue
-            structural = probe is not None and _in_span(one, *probe)
-            found.append(
+            not_seen.append(
                 Hidden(
-                    name=effect.name,
+                    name=one.name,
                     joint=j,
                     joint_name=name,
-                    reason="span" if structural else "excitation",
-                    remedy="" if structural else effect.visible,
+                    reason=reason,
+                    remedy=remedy,
                 )
             )
-    return tuple(found)
+    return tuple(not_seen)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Unseen:
+    """What may hide effects on a joint: the model, and plainer effects beside it.
+
+    Attributes
+    ----------
+    model : SearchModel
+        What was found.
+    present : set of str
+        Effects that the joint has, with what they contain.
+    missing : tuple of Effect
+        Those of the library that it lacks.
+    bases : dict
+        Fits with the plainer effects of some names, as far as they were made.
+    """
+
+    model: SearchModel
+    present: set
+    missing: tuple
+    bases: dict = field(default_factory=dict)
+
+    @classmethod
+    def on(cls, joint, found):
+        """Collect what a joint has and lacks."""
+        model, library = found.model, found.library
+        held = [e for e in model.effects if e.joint == joint]
+        present = set(model.view.declared).union(
+            *({e.name} | closure(e, library) for e in held)
+        )
+        own = candidates_of(joint, library, model)
+        missing = tuple(e for e in own if e.name not in present)
+        return cls(model=model, present=present, missing=missing)
+
+    def hides(self, effect):
+        """Whether no shape of an effect shows beside the plainer ones it contains."""
+        plain = [e for e in self.missing if e.name in effect.contains]
+        names = tuple(e.name for e in plain)
+        if names not in self.bases:
+            self.bases[names] = self.model.beside([*self.model.effects, *plain])
+        family = self.model.family(effect)
+        if not family.effects:
+            return False
+        joints = self.model.view.joints_of(effect)
+        outside = self.bases[names].fitted.outside(joints, family.columns)
+        return not outside.max() > _UNSEEN
 
 
 def _probe(view):

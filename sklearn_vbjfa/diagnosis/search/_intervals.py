@@ -17,7 +17,7 @@ from sklearn_vbjfa.robot._residuals import TorqueResiduals
 _UPPER_END = 0.95
 # Relative step of the derivative by a shape parameter.
 _STEP = 1e-3
-# Errors are predicted for so many seconds.
+# Time for which errors are predicted [s].
 NEXT_SECONDS = 50.0
 # Slowest cosines of time whose mean square is the long-run variance. Few of them leave
 # residuals that are slow their full variance, and Student's t knows how few they are
@@ -80,18 +80,10 @@ class FinalFit:
             load_parameters(identifier),
             view.robot.cutoff_,
         )
-        self._columns = [self._in_all_joints(effect) for effect in self.effects]
-
-    def _in_all_joints(self, effect):
-        """Columns of an effect in all joints' equations, (m, nv, k)."""
-        columns = self.view.filtered(effect.columns(self.motion))
-        if effect.whole_robot:
-            return columns
-        out = np.zeros((columns.shape[0], self.view.nv, columns.shape[-1]))
-        out[:, effect.joint] = columns
-        return out
+        self._columns = [view.in_equations(e, self.motion) for e in self.effects]
 
     def _predicted(self, theta):
+        """Torques of the completed model with some parameters, (m, nv)."""
         Phi = self.view.equations.Phi
         predicted = Phi @ theta[: Phi.shape[2]]
         for columns, coef in zip(self._columns, self._split(theta)):
@@ -161,11 +153,11 @@ class FinalFit:
         value = getattr(effect, name)
         step = _STEP * abs(value)
         sides = [
-            self._in_all_joints(clone(effect).set_params(**{name: value + way * step}))
-            @ coef
+            clone(effect).set_params(**{name: value + way * step})
             for way in (0.5, -0.5)
         ]
-        return ((sides[0] - sides[1]) / step)[:, :, None]
+        above, below = (self.view.in_equations(e, self.motion) @ coef for e in sides)
+        return ((above - below) / step)[:, :, None]
 
     def _variance(self, extra):
         """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""

@@ -4,13 +4,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.search._gaps import memory_seconds
 from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, error_intervals
 from sklearn_vbjfa.diagnosis.search._split import FEWEST_VALUES
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 
-# The wider band reaches so many times as far as that of the fit, and at least to the
-# frequency [Hz] at which controllers act.
+# The wider band reaches this many times as far as that of the fit, and at least to
+# the frequency [Hz] at which controllers act.
 _WIDER, _CONTROL = 4.0, 10.0
 # Share of the sample rate up to which it may reach.
 _HIGHEST = 0.4
@@ -56,77 +55,57 @@ class Judgement:
     n_undecided: int
     guard: float
 
-    @classmethod
-    def of(cls, loop, search, split, whole, clock):
-        """Judge the fitted models of a discovery.
-
-        Parameters
-        ----------
-        loop : EffectDiscovery
-            With `declared_` and `judged_`.
-        search : EffectSearch
-            After its run.
-        split : Split
-            Rows of the search and untouched stretches.
-        whole : tuple of ndarray
-            Positions or states, torques, groups and weights of the whole recording.
-        clock : ndarray of shape (n,)
-            Time [s].
-        """
-        X, y, _, weight = whole
-        dt = loop.declared_.dt
-        memory = max(memory_seconds(search), default=0.0)
-        # Of a memory without end nothing is far enough.
-        guard = int(min(memory / dt, X.shape[0]))
-        instants = [
-            getattr(effect, name)
-            for effect in search.accepted
-            for name in effect.jumping
-        ]
-        count = len(split.stretches)
-        split = split.decided(clock, instants).guarded(guard)
-        rows = split.test
-        rest = X[rows], y[rows], split.test_pieces, weight[rows]
-        models = loop.declared_, loop.judged_
-
-        def errors(**band):
-            return tuple(
-                model.residuals(*rest, t=clock[rows], **band) for model in models
-            )
-
-        before, after = (_numbered(part, rows) for part in errors())
-        fitted = FinalFit(*models, search.view, search.accepted).residuals()
-        searched = tuple(_numbered(part, split.search) for part in fitted)
-        spread = torque_spread(searched[0], before)
-        wide_cutoff = _wide(models[1].cutoff_, dt)
-        wide = None
-        if np.isfinite(wide_cutoff):
-            wide = tuple(part.rms() for part in errors(cutoff=wide_cutoff))
-        # Rows in which a joint moves throughout have its largest weight.
-        full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
-        seconds = (before.weight / full).sum(axis=0) * search.view.step
-        cutoff = min(models[1].cutoff_, 0.5 / dt)
-        return cls(
-            before=before,
-            after=after,
-            wide=wide,
-            wide_cutoff=wide_cutoff,
-            spread=spread,
-            intervals=error_intervals(
-                (before, after), searched, spread, search.view.step
-            ),
-            seconds=seconds,
-            enough=2.0 * cutoff * seconds >= FEWEST_VALUES,
-            n_stretches=len(split.stretches),
-            n_undecided=count - len(split.stretches),
-            guard=float(guard * dt),
-        )
-
     @property
     def errors(self):
         """Errors before and after over the spread of the torque, ndarray (2, nv)."""
         parts = self.before, self.after
         return np.array([part.relative_error(self.spread) for part in parts])
+
+
+def judge(declared, completed, found, split, whole):
+    """Judge two fitted models on the part of a recording that is untouched.
+
+    Both were fitted to the rows of the search, and `found` is what it found there.
+    """
+    model, dt = found.model, declared.dt
+    memory = max(model.memory_seconds(), default=0.0)
+    # Of a memory without end nothing is far enough.
+    guard = int(min(memory / dt, whole.X.shape[0]))
+    instants = [getattr(e, name) for e in found.effects for name in e.jumping]
+    count = len(split.stretches)
+    split = split.decided(whole.clock, instants).guarded(guard)
+    rows = split.test
+    rest = split.untouched(whole)
+
+    def errors(**band):
+        return tuple(rest.residuals(one, **band) for one in (declared, completed))
+
+    before, after = (_numbered(part, rows) for part in errors())
+    fitted = FinalFit(declared, completed, model.view, found.effects).residuals()
+    searched = tuple(_numbered(part, split.search) for part in fitted)
+    spread = torque_spread(searched[0], before)
+    wide_cutoff = _wide(completed.cutoff_, dt)
+    wide = None
+    if np.isfinite(wide_cutoff):
+        wide = tuple(part.rms() for part in errors(cutoff=wide_cutoff))
+    # Rows in which a joint moves throughout have its largest weight.
+    full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
+    step = model.view.step
+    seconds = (before.weight / full).sum(axis=0) * step
+    cutoff = min(completed.cutoff_, 0.5 / dt)
+    return Judgement(
+        before=before,
+        after=after,
+        wide=wide,
+        wide_cutoff=wide_cutoff,
+        spread=spread,
+        intervals=error_intervals((before, after), searched, spread, step),
+        seconds=seconds,
+        enough=2.0 * cutoff * seconds >= FEWEST_VALUES,
+        n_stretches=len(split.stretches),
+        n_undecided=count - len(split.stretches),
+        guard=float(guard * dt),
+    )
 
 
 def _numbered(part, rows):

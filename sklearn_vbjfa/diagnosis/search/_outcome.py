@@ -1,6 +1,7 @@
-"""From the search to what is reported."""
+"""Everything that a loop found out, collected for the report."""
 
 import platform
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -14,60 +15,49 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     Round,
     Trial,
 )
-from sklearn_vbjfa.diagnosis.search._gaps import memory_seconds, too_short
-from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, quantile
+from sklearn_vbjfa.diagnosis.search._gaps import hidden, too_short, unexplained
+from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, quantile
 from sklearn_vbjfa.diagnosis.search._search import STEP_UP
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
+from sklearn_vbjfa.robot._identifier import RobotIdentifier
 
 # Points of a picture.
 _POINTS = 4000
 
 
-def make_outcome(loop, search, final, judgement, floor, channels, library):
+def make_outcome(search, models, judgement, channels, asked):
     """Collect what `Report` shows.
 
-    Parameters
-    ----------
-    loop : EffectDiscovery
-        With the fitted models and the errors.
-    search : EffectSearch
-        After its run.
-    final : FinalFit
-        The completed model on all rows.
-    judgement : Judgement
-        Of the untouched part.
-    floor : ndarray of shape (nv,)
-        Noise floors [N m or N].
-    channels : tuple of ChannelFinding
-        What is wrong with channels.
-    library : tuple of Effect
-        What was looked for.
+    `asked` are the parameters of the loop that the report repeats: "test_size",
+    "alpha", "random_state".
     """
-    robot = loop.declared_
-    names = robot.joint_names_
-    prismatic = is_prismatic(robot.features_.model_)
-    spread = judgement.spread
+    robot = models.declared
+    features, names = robot.features_, robot.joint_names_
+    prismatic = is_prismatic(features.model_)
+    spread, floor = judgement.spread, models.noise_floor()
+    before, after = judgement.errors
+    decided = np.where(judgement.enough, after, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        floor = floor / spread
         wide = np.array(judgement.wide or np.full((2, spread.size), np.nan)) / spread
+        relative_floor = floor / spread
     return Outcome(
         declared={
-            "robot": robot.features_.model_.name,
+            "robot": features.model_.name,
             "joints": names,
-            "friction": robot.features_.friction_,
-            "n_parameters": robot.features_.n_parameters_,
+            "friction": features.friction_,
+            "n_parameters": features.n_parameters_,
             "cutoff": float(robot.cutoff_),
             "standstill": robot.standstill_.tolist(),
         },
-        effects=tuple(_effects(search, final, names, prismatic)),
+        effects=tuple(_effects(search, models.final, names, prismatic)),
         rounds=tuple(_rounds(search, names)),
-        unexplained=loop.unexplained_,
-        hidden=loop.hidden_,
+        unexplained=unexplained(search.model, names, spread, floor, decided),
+        hidden=hidden(search, names),
         channels=channels,
         joint_names=names,
         torque_units=tuple("N" if p else "N m" for p in prismatic),
-        error_before=loop.error_before_,
-        error_after=loop.error_after_,
+        error_before=before,
+        error_after=after,
         spread=spread,
         wide_before=wide[0],
         wide_after=wide[1],
@@ -75,21 +65,48 @@ def make_outcome(loop, search, final, judgement, floor, channels, library):
         seconds=judgement.seconds,
         enough=judgement.enough,
         intervals=judgement.intervals,
-        floor=floor,
-        settings=_settings(loop, search, judgement, library),
-        curves=_curves(loop, judgement.before, judgement.after),
+        floor=relative_floor,
+        settings=_settings(search, judgement, asked),
+        curves=_curves(models.judged, judgement.before, judgement.after),
     )
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Models:
+    """The models of a loop.
+
+    Attributes
+    ----------
+    declared : RobotIdentifier
+        The declared model, fitted to the search part.
+    judged : RobotIdentifier
+        The completed model, fitted to the same part.
+    final : FinalFit
+        The completed model, fitted to all data.
+    """
+
+    declared: RobotIdentifier
+    judged: RobotIdentifier
+    final: FinalFit
+
+    def noise_floor(self):
+        """Noise floor of the completed model, (nv,) [N m or N].
+
+        More data show more of the noise; the declared model's would hold what it lacks.
+        """
+        own = self.final.identifier.noise_floor_
+        return np.where(np.isfinite(own), own, self.judged.noise_floor_)
+
+
 def _effects(search, final, names, prismatic):
+    """Yield each `DiscoveredEffect`, with the values of the final fit."""
     rivals = {}
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
             rivals[step.effect.key()] = tuple(c.effect.name for c in step.rivals)
-    for one, effect, estimate in zip(
-        search.accepted, final.effects, final.effect_estimates()
+    for one, evidence, effect, estimate in zip(
+        search.effects, search.evidence, final.effects, final.effect_estimates()
     ):
-        evidence = search.evidence_of(one)
         values, deviations = _named(effect, estimate)
         half = quantile(estimate.freedom)
         units = effect.parameter_units(prismatic[effect.joint])
@@ -105,7 +122,7 @@ def _effects(search, final, names, prismatic):
                     values[key] + half * deviations[key],
                 )
                 for key in deviations
-                # Of what no column tells there is no interval.
+                # What no column determines has no interval.
                 if deviations[key] != 0
             },
             evidence=evidence,
@@ -143,9 +160,9 @@ def _named(effect, estimate):
 
 
 def _rounds(search, names):
-    rows = (search.view.root.T**2).sum(axis=1)
-    torque = search.view.equations.tau
-    weight = search.view.equations.weight
+    """Yield each `Round`, with errors over the spread of the torque."""
+    view = search.model.view
+    rows, torque, weight = view.rows, view.equations.tau, view.equations.weight
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = (weight * torque).sum(axis=0) / rows
         spread = np.sqrt((weight * (torque - mean) ** 2).sum(axis=0) / rows)
@@ -182,33 +199,32 @@ def _trial(candidate):
     )
 
 
-def _settings(loop, search, judgement, library):
+def _settings(search, judgement, asked):
+    """Thresholds, split, blocks, seed and versions, a dict."""
     from sklearn_vbjfa import __version__
 
-    view = search.view
-    seconds = memory_seconds(search)
+    view, seed = search.model.view, asked["random_state"]
+    seconds = search.model.memory_seconds()
     return {
-        "test_size": float(loop.test_size),
+        "test_size": float(asked["test_size"]),
         "untouched_stretches": judgement.n_stretches,
         "undecided_stretches": judgement.n_undecided,
         "untouched_seconds": judgement.before.weight.shape[0] * float(view.step),
         "guard_seconds": judgement.guard,
-        "alpha": float(loop.alpha),
+        "alpha": float(asked["alpha"]),
         "rule": STEP_UP,
         "last_level": float(search.threshold) if search.n_tests else None,
         "last_n_tests": int(search.n_tests),
         "smallest_gain": SMALLEST_GAIN,
-        "effects": tuple(e.name for e in library),
+        "effects": tuple(e.name for e in search.library),
         "n_blocks": view.blocks.n_blocks,
         "block_seconds": float(view.blocks.length),
         "n_folds": view.blocks.n_folds,
         "correlation_seconds": max(seconds, default=0.0),
-        "too_short": tuple(too_short(search, seconds)),
+        "too_short": tuple(too_short(search.model, seconds)),
         "error_seconds": NEXT_SECONDS,
         "search_rows": int(view.states.shape[0]),
-        "random_state": loop.random_state
-        if isinstance(loop.random_state, (int, type(None)))
-        else "given",
+        "random_state": seed if isinstance(seed, (int, type(None))) else "given",
         "versions": {
             "sklearn_vbjfa": __version__,
             "numpy": np.__version__,
@@ -220,13 +236,13 @@ def _settings(loop, search, judgement, library):
     }
 
 
-def _curves(loop, before, after):
+def _curves(judged, before, after):
     """Residuals of the untouched part with their signals, thinned for pictures."""
     m = before.torque.shape[0]
     rows = np.arange(0, m, max(1, m // _POINTS))
     # Without a sample period, rows need not be equidistant.
-    dt = loop.judged_.dt
-    lowpass = _lowpass.design(dt or 1.0, loop.judged_.cutoff_)
+    dt = judged.dt
+    lowpass = _lowpass.design(dt or 1.0, judged.cutoff_)
     return {
         "index": before.index[rows],
         # Stretches one after the other.

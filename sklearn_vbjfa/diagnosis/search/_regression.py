@@ -1,6 +1,4 @@
-"""Evidence on rows from which the residual's own memory is taken out.
-
-Out-of-sample scores of candidate columns, from the statistics of blocks of time.
+"""Out-of-sample scores of candidate columns, from the second moments of folds.
 
 All joints share one parameter vector, so that a column added to one joint's torque
 changes all of them. A candidate is scored by refitting everything: the Gram matrix of
@@ -44,17 +42,8 @@ class Equations:
     def reduce(self, precision):
         """Express the regressor in the directions that the data determine.
 
-        Parameters
-        ----------
-        precision : ndarray of shape (nv,)
-            Weights of the joints.
-
-        Returns
-        -------
-        Z : ndarray of shape (nv, m, r)
-            Regressor in reduced coordinates, rows scaled by the root of their weight.
-        back : ndarray of shape (p, r)
-            theta = back @ reduced coordinates.
+        Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
+        weight, and the matrix (p, r) that leads back to the parameters.
         """
         root = np.sqrt(self.weight).T[:, :, None]
         rows = self.Phi.transpose(1, 0, 2) * root
@@ -91,14 +80,9 @@ class FoldMoments:
         self._g = np.array([_transposed(Z[:, f]) @ y[:, f, None] for f in folds])
 
     def extended(self, Z, y, precision):
-        """Return the joints' weighted sums for Z, which may have more columns.
+        """Gram matrices (n_folds, r, r) and products (n_folds, r) with the torques.
 
-        Returns
-        -------
-        G : ndarray of shape (n_folds, r, r)
-            Gram matrices.
-        g : ndarray of shape (n_folds, r)
-            Products with the torques.
+        Weighted sums over the joints, for a Z (nv, m, r) that may have more columns.
         """
         r, known = Z.shape[2], self._G.shape[-1]
         G, g = np.empty((len(self._folds), r, r)), np.empty((len(self._folds), r))
@@ -128,32 +112,98 @@ def _weighted_product(precision, A, B):
     return total
 
 
-def _candidate_moments(precision, Z, y, F):
-    """Moments of c candidates' columns F (nj, m, c, k) with others and themselves."""
-    nj, m, c, k = F.shape
-    flat = F.reshape(nj, m, c * k)
-    cross = _weighted_product(precision, Z, flat)
-    right = _weighted_product(precision, y[:, None].transpose(0, 2, 1), flat)
-    own = np.zeros((c, k, k))
-    for p, f in zip(precision, F):
-        if k == 1:
-            own[:, 0, 0] += p * (f[..., 0] ** 2).sum(axis=0)
-        else:
-            own += p * (f.transpose(1, 2, 0) @ f.transpose(1, 0, 2))
-    return cross, own, right.reshape(c, k)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FamilyMoments:
+    """Second moments of c candidates' columns with the model's and with themselves.
+
+    Attributes
+    ----------
+    cross : ndarray of shape (r, c * k)
+        With the model's columns.
+    own : ndarray of shape (c, k, k)
+        Of each candidate's columns.
+    right : ndarray of shape (c, k)
+        With the torques.
+    """
+
+    cross: np.ndarray
+    own: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def of(cls, precision, Z, y, F):
+        """Weighted sum over joints, of columns F (nj, m, c, k)."""
+        nj, m, c, k = F.shape
+        flat = F.reshape(nj, m, c * k)
+        own = np.zeros((c, k, k))
+        for p, f in zip(precision, F):
+            if k == 1:
+                own[:, 0, 0] += p * (f[..., 0] ** 2).sum(axis=0)
+            else:
+                own += p * (f.transpose(1, 2, 0) @ f.transpose(1, 0, 2))
+        right = _weighted_product(precision, _transposed(y[:, None]), flat)
+        return cls(
+            cross=_weighted_product(precision, Z, flat),
+            own=own,
+            right=right.reshape(c, k),
+        )
+
+    def __add__(self, other):
+        """Merge the moments of disjoint rows."""
+        return FamilyMoments(
+            cross=self.cross + other.cross,
+            own=self.own + other.own,
+            right=self.right + other.right,
+        )
+
+    def __sub__(self, other):
+        """Take the moments of some of the rows away."""
+        return FamilyMoments(
+            cross=self.cross - other.cross,
+            own=self.own - other.own,
+            right=self.right - other.right,
+        )
+
+    def factors(self, size):
+        """Factors (c, k) that bring the columns to a square sum."""
+        power = np.diagonal(self.own, axis1=1, axis2=2)
+        return np.sqrt(size / np.where(power > 0, power, 1.0))
+
+    def times(self, unit):
+        """Moments of the columns times factors (c, k)."""
+        return FamilyMoments(
+            cross=self.cross * unit.ravel(),
+            own=self.own * unit[:, :, None] * unit[:, None],
+            right=self.right * unit,
+        )
 
 
-def _to_unit(moments, size):
-    """Bring the columns to a mean square; return moments by fold and the factors."""
-    cross, own, right = (list(x) for x in zip(*moments))
-    power = np.diagonal(np.sum(own, axis=0), axis1=1, axis2=2)
-    unit = np.sqrt(size / np.where(power > 0, power, 1.0))
-    return (
-        [C * unit.ravel() for C in cross],
-        [S * unit[:, :, None] * unit[:, None] for S in own],
-        [s * unit for s in right],
-        unit,
-    )
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refit:
+    """What becomes of a fit with each of c candidates beside the model's columns.
+
+    Attributes
+    ----------
+    shift : ndarray of shape (r, c * k)
+        What the model's coefficients lose for each unit of a candidate's.
+    beta : ndarray of shape (c, k)
+        Coefficients of the candidates.
+    drop : ndarray of shape (c,)
+        Fall of the weighted, penalised squared error.
+    kept : ndarray of shape (c,)
+        Share of the columns' power outside the span of the model's.
+    """
+
+    shift: np.ndarray
+    beta: np.ndarray
+    drop: np.ndarray
+    kept: np.ndarray
+
+    def theta(self, theta, best):
+        """Coefficients of the model beside one candidate."""
+        k = self.beta.shape[1]
+        own = slice(best * k, (best + 1) * k)
+        return theta - self.shift[:, own] @ self.beta[best]
 
 
 class BlockRegression:
@@ -243,67 +293,46 @@ class BlockRegression:
         return sums[border:]
 
     def score(self, joints, F):
-        """Score a family of candidates, one for each value of a shape parameter.
+        """Score c candidates, one for each value of a shape parameter.
 
-        Parameters
-        ----------
-        joints : list of int
-            Joints that the columns act on.
-        F : ndarray of shape (nj, m, c, k)
-            Columns of the c candidates, rows scaled by the root of the weights.
-
-        Returns
-        -------
-        Score
-            Out-of-sample error, with the shape chosen inside each fold, and the
-            choice on all rows.
+        Their columns F (nj, m, c, k) act on the given joints, rows scaled by the root
+        of the weights. The shape is chosen inside each fold, and once more on all rows.
         """
-        c, k = F.shape[2:]
         # A slice takes no copy.
         chosen = slice(joints[0], joints[0] + 1) if len(joints) == 1 else joints
         precision = self.precision[chosen]
-        moments = [
-            _candidate_moments(precision, Z[chosen], y[chosen], F[:, rows])
+        made = [
+            FamilyMoments.of(precision, Z[chosen], y[chosen], F[:, rows])
             for rows, (Z, y) in zip(self._folds, self._parts)
         ]
-        cross, own, right, unit = _to_unit(moments, self._unit)
-        totals = [np.sum(x, axis=0) for x in (cross, own, right)]
+        unit = _total(made).factors(self._unit)
+        made = [moments.times(unit) for moments in made]
+        total = _total(made)
         squares = np.empty_like(self.y)
-        for i, rows in enumerate([*self._folds, None]):
-            last = rows is None
-            C, S, s = (
-                totals
-                if last
-                else (totals[0] - cross[i], totals[1] - own[i], totals[2] - right[i])
-            )
-            X, beta, drop, kept = self._complement(i, C, S, s, c, k)
-            best = int(np.argmax(drop))
-            at = slice(best * k, (best + 1) * k)
-            theta = self._theta[i] - X[:, at] @ beta[best]
-            if last:
-                break
+        for i, rows in enumerate(self._folds):
+            refit = self._refit(i, total - made[i])
+            best = int(np.argmax(refit.drop))
             Z, y = self._parts[i]
-            residual = y - Z @ theta
-            residual[joints] -= F[:, rows, best] @ (beta[best] * unit[best])
+            residual = y - Z @ refit.theta(self._theta[i], best)
+            residual[joints] -= F[:, rows, best] @ (refit.beta[best] * unit[best])
             squares[:, rows] = residual**2
+        refit = self._refit(-1, total)
+        best = int(np.argmax(refit.drop))
         return Score(
             squares=self.blocks.sums(squares.T),
             best=best,
-            coef=beta[best] * unit[best],
-            outside=float(kept[best]),
-            drop=drop,
+            coef=refit.beta[best] * unit[best],
+            outside=float(refit.kept[best]),
+            drop=refit.drop,
         )
 
     def drop(self, joints, F):
         """Fall of the weighted squared error on all rows for one candidate."""
-        c, k = F.shape[2:]
-        moments = [
-            _candidate_moments(
-                self.precision[joints], self.Z[joints], self.y[joints], F
-            )
-        ]
-        (C,), (S,), (s,), _ = _to_unit(moments, self._unit)
-        return float(self._complement(-1, C, S, s, c, k)[2][0])
+        moments = FamilyMoments.of(
+            self.precision[joints], self.Z[joints], self.y[joints], F
+        )
+        moments = moments.times(moments.factors(self._unit))
+        return float(self._refit(-1, moments).drop[0])
 
     def outside(self, joints, F):
         """Share of each column's power outside the others' span, ndarray (c, k)."""
@@ -316,15 +345,16 @@ class BlockRegression:
             share = 1.0 - inside.reshape(power.shape) / power
         return np.where(power > 0, share, 0.0)
 
-    def _complement(self, i, C, S, s, c, k):
-        """Solve for the candidates' own columns beside the refitted others."""
-        X = linalg.cho_solve(self._factors[i], C)
-        S = S + self.ridge * self._unit * np.eye(k)
-        power = np.trace(S, axis1=1, axis2=2)
-        by_candidate = C.reshape(-1, c, k).transpose(1, 2, 0)
-        schur = S - by_candidate @ X.reshape(-1, c, k).transpose(1, 0, 2)
+    def _refit(self, i, moments):
+        """Solve for candidates beside the model's columns: all but fold i, or all."""
+        c, k = moments.right.shape
+        X = linalg.cho_solve(self._factors[i], moments.cross)
+        own = moments.own + self.ridge * self._unit * np.eye(k)
+        power = np.trace(own, axis1=1, axis2=2)
+        by_candidate = moments.cross.reshape(-1, c, k).transpose(1, 2, 0)
+        schur = own - by_candidate @ X.reshape(-1, c, k).transpose(1, 0, 2)
         schur = 0.5 * (schur + schur.transpose(0, 2, 1))
-        rest = s - (self._theta[i] @ C).reshape(c, k)
+        rest = moments.right - (self._theta[i] @ moments.cross).reshape(c, k)
         kept = np.trace(schur, axis1=1, axis2=2) / np.where(power > 0, power, 1.0)
         # What lies in the span of the others within rounding must not be divided by.
         values, vectors = np.linalg.eigh(schur) if k > 1 else (schur[:, 0], _ONE)
@@ -332,7 +362,11 @@ class BlockRegression:
         inverse = np.where(values > floor, 1.0 / np.maximum(values, floor), 0.0)
         inside = (rest[:, None] @ vectors)[:, 0]
         beta = (vectors @ (inverse * inside)[:, :, None])[:, :, 0]
-        return X, beta, (beta * rest).sum(axis=1), kept
+        return Refit(shift=X, beta=beta, drop=(beta * rest).sum(axis=1), kept=kept)
+
+
+def _total(moments):
+    return sum(moments[1:], start=moments[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -358,94 +392,3 @@ class Score:
     coef: np.ndarray
     outside: float
     drop: np.ndarray
-
-
-class Judge:
-    """Blocks of time as independent witnesses, whatever the colour of the residual.
-
-    The memory is that of the residual with the candidate, not without it: what a poor
-    model lacks is correlated for as long as the motion is, and is no noise. Once the
-    right effect is in, the residual forgets again; noise that is slow stays so with
-    whatever is put in.
-
-    Parameters
-    ----------
-    view : RecordingView
-        Recording.
-    base : BlockRegression
-        Model without the candidate.
-    residual : ndarray of shape (nv, m)
-        Residuals with it, scaled by the root of the weights.
-
-    Attributes
-    ----------
-    residual : ndarray of shape (nv, m)
-        As given.
-    squares : ndarray of shape (n_blocks, nv)
-        Squared out-of-sample residuals of the model without the candidate, in units
-        of each joint's noise, so that joints may be added up.
-    """
-
-    def __init__(self, view, base, residual):
-        joints = range(view.nv)
-        self.residual = residual
-        self._whiten = view.whitening(residual)
-        power = (self._whiten(residual, joints) ** 2).sum(axis=1)
-        rows = (view.root.T**2).sum(axis=1)
-        used = (view.precision > 0) & (power > 0)
-        precision = np.where(used, rows / np.where(used, power, 1.0), 0.0)
-        Z = self._whiten(base.Z, joints)
-        # The ridge is relative to the columns; slow ones must not shrink for it.
-        size, left = ((x**2).sum(axis=(0, 1)) for x in (base.Z, Z))
-        self._scale = np.sqrt(size / np.where(left > 0, left, 1.0))
-        self._view = view
-        self.regression = BlockRegression(
-            Z * self._scale,
-            self._whiten(base.y, joints),
-            precision,
-            view.blocks,
-            base.ridge,
-        )
-        self._precision = precision
-        self.squares = self.regression.squares() * precision
-
-    def score(self, joints, columns):
-        """Squared out-of-sample residuals with a candidate, shape chosen by fold."""
-        white = self._whiten(columns, joints)
-        return self.regression.score(joints, white).squares * self._precision
-
-    def forward(self, joints, columns, blocks, border):
-        """Squared residuals of later blocks, all fitted to those before.
-
-        Parameters
-        ----------
-        joints : list of int
-            Joints that the candidate acts on.
-        columns : ndarray of shape (nj, m, k)
-            Its columns.
-        blocks : Blocks
-            Blocks that are summed over.
-        border : int
-            First of the later blocks.
-
-        Returns
-        -------
-        without, with_it : ndarray of shape (n_blocks - border, nv)
-            Sums of squares in units of noise.
-        """
-        base = self.regression
-        extra = np.zeros((*base.Z.shape[:2], columns.shape[-1]))
-        extra[joints] = self._whiten(columns, joints)
-        power = np.mean(extra**2, axis=(0, 1))
-        extra *= self._view.size / np.sqrt(np.where(power > 0, power, 1.0))
-        larger = BlockRegression(
-            np.concatenate([base.Z, extra], axis=2),
-            base.y,
-            base.precision,
-            base.blocks,
-            base.ridge,
-        )
-        return [
-            model.forward_squares(border, blocks) * self._precision
-            for model in (base, larger)
-        ]

@@ -19,9 +19,9 @@ from sklearn_vbjfa.robot._states import fit_states
 _STRETCHES = 3
 # The most, where fewer would miss the motion of a joint.
 _MOST_STRETCHES = 12
-# A stretch, and what is left between two of them, is so many times longer than the
-# low-pass, of which half is lost at each end; and so many times where there is more
-# than one stretch in a recording, so that they do not cost more than they tell.
+# A stretch, and what is left between two of them, is this many times longer than the
+# low-pass, which takes half its length at each end; the second number holds where a
+# recording has more than one stretch, so that these do not cost more than they show.
 _FILTER_LENGTHS, _LENGTHS_OF_MORE = 2.0, 2.5
 # Samples, where nothing is filtered.
 _FEWEST_SAMPLES = 24
@@ -66,6 +66,14 @@ class Split:
     borders: tuple
     amount: object
 
+    def searched(self, samples):
+        """Return the rows of the search of a recording's `Samples`."""
+        return samples.take(self.search, self.pieces, self.recording)
+
+    def untouched(self, samples):
+        """Return the untouched rows of a recording's `Samples`."""
+        return samples.take(self.test, self.test_pieces)
+
     @property
     def test(self):
         """Untouched rows, ndarray of int."""
@@ -80,16 +88,9 @@ class Split:
     def decided(self, clock, instants):
         """Return the split without stretches in which something jumps.
 
-        All that the search knows of such an instant is that it lies between two of its
-        rows. A stretch at the end of a recording stays: what changes there changes
-        between the recordings.
-
-        Parameters
-        ----------
-        clock : ndarray of shape (n,)
-            Time of the rows [s].
-        instants : sequence of float
-            When something jumps [s].
+        All that the search knows of such an instant [s] is that it lies between two of
+        its rows on the clock (n,). A stretch at the end of a recording stays: what
+        changes there changes between the recordings.
         """
         kept = [
             k
@@ -187,22 +188,9 @@ def check_share(test_size):
 def split_in_time(identifier, X, groups, test_size):
     """Choose the untouched stretches from the motion; torques are not looked at.
 
-    Parameters
-    ----------
-    identifier : RobotIdentifier
-        Declared model, not fitted: sample period, cut-offs, standstill.
-    X : ndarray of shape (n, nv) or (n, 3 * nv)
-        Positions or states.
-    groups : array-like of shape (n,) or None
-        Labels of recordings.
-    test_size : float
-        Share of the motion that is kept.
-
-    Returns
-    -------
-    Split
-        Stretches at both ends of each of several recordings, or at several places of
-        a single one; of recordings that are too short to be cut, some as a whole.
+    At both ends of each of several recordings, or at several places of a single one; of
+    recordings that are too short to be cut, some as a whole. The identifier is the
+    declared model, not fitted; X are positions or states, groups labels or None.
     """
     share = check_share(test_size)
     parts = contiguous_groups(groups, X.shape[0])

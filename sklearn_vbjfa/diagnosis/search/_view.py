@@ -1,8 +1,9 @@
 """A recording as the search for effects sees it: filtered rows, blocks, columns."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._blocks import (
@@ -11,78 +12,198 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     make_blocks,
 )
 from sklearn_vbjfa.diagnosis.search._regression import Equations, FoldMoments
+from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._equations import make_motion
 from sklearn_vbjfa.robot._identifier import equations_of, states_of
 
-# Full-rate columns that are in memory at once.
-_COLUMN_BYTES = 128 << 20
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Samples:
+    """What is measured, row by row.
+
+    Attributes
+    ----------
+    X : ndarray of shape (n, nv) or (n, 3 * nv)
+        Positions or states.
+    y : ndarray of shape (n, nv)
+        Torques [N m or N].
+    groups : ndarray of shape (n,) or None
+        Labels of recordings.
+    weight : ndarray of shape (n, nv)
+        What the torques count.
+    clock : ndarray of shape (n,) or None
+        Time [s].
+    recording : ndarray of shape (n,) or None
+        Number of the recording that each row is from, where the groups cut recordings
+        in pieces; None where they do not.
+    begins : tuple of float or None
+        When recordings begin [s], if their first rows are not among these.
+    """
+
+    X: np.ndarray
+    y: np.ndarray
+    groups: np.ndarray | None
+    weight: np.ndarray
+    clock: np.ndarray | None
+    recording: np.ndarray | None = None
+    begins: tuple | None = None
+
+    @property
+    def parts(self):
+        """Recordings, list of slice."""
+        return contiguous_groups(self.groups, self.X.shape[0])
+
+    def take(self, rows, groups, recording=None):
+        """Return some rows with labels of their own, and where they are from."""
+        clock, begins = self.clock, None
+        if clock is not None:
+            begins = tuple(clock[part.start] for part in self.parts)
+            clock = clock[rows]
+        return Samples(
+            X=self.X[rows],
+            y=self.y[rows],
+            groups=groups,
+            weight=self.weight[rows],
+            clock=clock,
+            recording=recording,
+            begins=begins,
+        )
+
+    def fit(self, identifier):
+        """Fit an identifier and return it."""
+        return identifier.fit(self.X, self.y, self.groups, self.weight, t=self.clock)
+
+    def residuals(self, identifier, **band):
+        """Residuals of a fitted identifier, see `RobotIdentifier.residuals`."""
+        return identifier.residuals(
+            self.X, self.y, self.groups, self.weight, t=self.clock, **band
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Family:
+    """An effect with several shape parameters.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        One for each shape; none where the motion leaves nothing to try.
+    columns : ndarray of shape (nj, m, c, k) or None
+        Their columns in the equations of the nj joints that they act on, rows scaled
+        by the root of the weights; None without effects.
+    """
+
+    effects: tuple[Effect, ...]
+    columns: np.ndarray | None
+
+    def where(self, wanted):
+        """Return those effects that a function of the effect wants."""
+        chosen = [k for k, effect in enumerate(self.effects) if wanted(effect)]
+        if len(chosen) == len(self.effects):
+            return self
+        return Family(
+            effects=tuple(self.effects[k] for k in chosen),
+            columns=self.columns[:, :, chosen] if chosen else None,
+        )
+
+    def like(self, effect):
+        """Return those that are the same use of the effect, see `Effect.key`."""
+        return self.where(lambda one: one.key() == effect.key())
 
 
 class RecordingView:
     """Filtered equations of a recording, and effects' columns behind the same filter.
 
+    Nothing of it changes once it is made.
+
     Parameters
     ----------
     robot : RobotIdentifier
         Fitted to the recording with the declared model.
-    X, y : ndarray
-        Positions or states, torques.
-    groups : array-like or None
-        Labels of recordings.
-    sample_weight : ndarray of shape (n, nv)
-        Weights.
-    t : ndarray or None
-        Time [s].
+    samples : Samples
+        Recording.
     leave_out : sequence of int
-        Joints whose torque channel tells nothing.
-    recording : ndarray of shape (n,) or None
-        Number of the recording that each row is from, where `groups` cut recordings in
-        pieces; None where they do not.
-    begins : tuple of float or None
-        When recordings begin [s], if their first rows are not given.
+        Joints whose torque channel carries no information.
+
+    Attributes
+    ----------
+    robot : RobotIdentifier
+        As given.
+    declared : tuple of str
+        Effects that the declared model has on every joint.
+    floor : ndarray of shape (nv,)
+        Mean square of the residual to expect from noise alone; nan if unknown.
+    states : ndarray of shape (n, 3 * nv)
+        States at the full rate.
+    clock : ndarray of shape (n,) or None
+        Their time [s].
+    parts : list of slice
+        Recordings or pieces of them: nothing is remembered across their borders.
+    index : ndarray of shape (m,)
+        Full-rate row at the middle of each filtered one.
+    equations : Equations
+        Filtered equations of the declared model.
+    root, target : ndarray of shape (m, nv) and (nv, m)
+        Roots of the weights; torques scaled by them.
+    nv : int
+        Number of joints.
+    step : float
+        Time between filtered rows [s].
+    starts : ndarray of int
+        First filtered row of each part.
+    recording : ndarray of shape (m,)
+        Recording of each filtered row.
+    blocks : Blocks
+        Blocks of time.
+    precision : ndarray of shape (nv,)
+        Weights of the joints in the fit of the declared model.
+    Z, back : ndarray of shape (nv, m, r) and (p, r)
+        Regressor in reduced coordinates, see `Equations.reduce`.
+    moments : FoldMoments
+        Second moments of Z.
+    size : float
+        Root mean square of a column of Z.
     """
 
-    def __init__(
-        self,
-        robot,
-        X,
-        y,
-        groups,
-        sample_weight,
-        t,
-        leave_out=(),
-        recording=None,
-        begins=None,
-    ):
+    def __init__(self, robot, samples, leave_out=()):
         self.robot = robot
-        sample_weight = np.array(sample_weight, dtype=float)
-        sample_weight[:, list(leave_out)] = 0.0
-        self.parts = contiguous_groups(groups, X.shape[0])
-        self.clock = check_clock(t, X.shape[0], robot.dt)
-        self.states = states_of(robot, X, groups)
-        self.lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
-        made = equations_of(robot, X, y, groups, sample_weight, self.clock)
-        index, Phi, tau, weight = made.index, made.Phi, made.tau, made.weight
-        self.index = index
+        self.declared = robot.features_.friction_
+        self.floor = robot.noise_floor_**2
+        self.parts = samples.parts
+        self.clock = check_clock(samples.clock, samples.X.shape[0], robot.dt)
+        self.states = states_of(robot, samples.X, samples.groups)
+        self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
+        self._begins = samples.begins
+        self._families, self._columns = {}, {}
+        weight = np.array(samples.weight, dtype=float)
+        weight[:, list(leave_out)] = 0.0
+        self._set_equations(samples, weight)
+        edges = np.array([part.start for part in self.parts])
+        self.starts = np.unique(np.searchsorted(self.index, edges))
+        self.starts = self.starts[self.starts < self.index.size]
+        recording = samples.recording
+        if recording is None:
+            sizes = [part.stop - part.start for part in self.parts]
+            recording = np.repeat(np.arange(len(self.parts)), sizes)
+        self.recording = recording[self.index]
+        self._set_blocks()
+
+    def _set_equations(self, samples, weight):
+        """Make the filtered equations of the declared model."""
+        robot = self.robot
+        made = equations_of(
+            robot, samples.X, samples.y, samples.groups, weight, self.clock
+        )
+        self.index, Phi, tau, weight = made.index, made.Phi, made.tau, made.weight
         self.equations = Equations(Phi=Phi, tau=tau, weight=weight)
         self.root = np.sqrt(weight)
         self.target = (tau * self.root).T
         self.nv = tau.shape[1]
-        self.step = (robot.dt or 1.0) * self.lowpass.step
-        edges = np.array([part.start for part in self.parts])
-        self.starts = np.unique(np.searchsorted(index, edges))
-        self.starts = self.starts[self.starts < index.size]
-        if recording is None:
-            sizes = [part.stop - part.start for part in self.parts]
-            recording = np.repeat(np.arange(len(self.parts)), sizes)
-        self.recording = recording[index]
-        self._begins = begins
-        self._cache = {}
-        self._first_fit()
+        self.step = (robot.dt or 1.0) * self._lowpass.step
 
-    def _first_fit(self):
-        """Blocks, joint weights and reduced coordinates from the declared model."""
+    def _set_blocks(self):
+        """Take blocks, joint weights and coordinates from the declared model."""
         robot = self.robot
         weights = robot.estimator_.joint_weights_
         self.precision = np.where(self.root.any(axis=0), weights, 0.0)
@@ -92,7 +213,6 @@ class RecordingView:
         )
         # What the low-pass spreads in time: the width of its main lobe.
         length = max(1.0 / robot.cutoff_, self.step)
-        self.correlation_time = correlation
         self.blocks = make_blocks(
             self.index * (robot.dt or 1.0), self.starts, correlation, length
         )
@@ -100,7 +220,11 @@ class RecordingView:
         self.moments = FoldMoments(self.Z, self.target, self.blocks.folds())
         # Effects' columns are brought to the size of the declared ones.
         self.size = np.sqrt(np.mean(self.Z**2) * self.Z.shape[0]) or 1.0
-        self.ridge = None
+
+    @property
+    def rows(self):
+        """Weight of each joint's rows together, (nv,)."""
+        return (self.root.T**2).sum(axis=1)
 
     def whitening(self, residual, root=None):
         """Return what takes the memory of residuals (nv, m) out of rows.
@@ -125,24 +249,18 @@ class RecordingView:
         )
         return replace(motion, begins=self._begins)
 
+    # -- columns of effects -----------------------------------------------------------
+
     def filtered(self, columns):
         """Filter full-rate columns (n, ...) as the torques were."""
-        return np.concatenate([self.lowpass(columns[part]) for part in self.parts])
+        return np.concatenate([self._lowpass(columns[part]) for part in self.parts])
 
     def joints_of(self, effect):
         """Joints whose torque an effect changes."""
         return list(range(self.nv)) if effect.whole_robot else [effect.joint]
 
     def columns(self, effects, motion):
-        """Columns of a family of effects, ndarray of shape (nj, m, c, k).
-
-        Parameters
-        ----------
-        effects : list of Effect
-            One effect with different shape parameters.
-        motion : Motion
-            Signals.
-        """
+        """Columns (nj, m, c, k) of an effect with several shape parameters."""
         joints = self.joints_of(effects[0])
         k = len(effects[0].coefficients)
         out = np.empty((len(joints), self.index.size, len(effects), k))
@@ -153,22 +271,56 @@ class RecordingView:
                 out[i, :, c] = own * self.root[:, j, None]
         return out
 
+    def columns_of(self, effect, motion):
+        """Columns of one effect, (nj, m, k); kept until the load is another."""
+        key = (effect.name, tuple(effect.get_params().items()))
+        made_from, columns = self._columns.get(key, (None, None))
+        stale = "load" in effect.needs and made_from is not motion
+        if columns is None or stale:
+            columns = self.columns([effect], motion)[:, :, 0]
+            self._columns[key] = motion, columns
+        return columns
+
+    def in_equations(self, effect, motion):
+        """Columns of an effect in all joints' equations, (m, nv, k), not weighted."""
+        columns = self.filtered(effect.columns(motion))
+        if effect.whole_robot:
+            return columns
+        out = np.zeros((columns.shape[0], self.nv, columns.shape[-1]))
+        out[:, effect.joint] = columns
+        return out
+
     def family(self, effect, motion):
-        """Shapes of an effect and their columns; kept unless they follow the load."""
+        """Effect with all shapes of its grid; kept unless they follow the load."""
         key = (effect.name, effect.joint)
-        if key not in self._cache:
-            shapes = effect.shapes(motion)
-            variants = [_shaped(effect, shape) for shape in shapes]
-            if not variants:
-                return [], None
-            columns = self.columns(variants, motion)
-            if "load" in effect.needs:
-                return variants, columns
-            self._cache[key] = variants, columns
-        return self._cache[key]
+        if key in self._families:
+            return self._families[key]
+        effects = variants(effect, motion)
+        if not effects:
+            return Family(effects=(), columns=None)
+        found = Family(effects=effects, columns=self.columns(effects, motion))
+        if "load" not in effect.needs:
+            self._families[key] = found
+        return found
+
+    def stacked(self, effects, motion):
+        """Regressor (nv, m, r + k) with effects behind the declared columns.
+
+        They are brought to the size of those, by factors for each effect that are
+        returned as well.
+        """
+        Z, scales = [self.Z], []
+        for effect in effects:
+            columns = self.columns_of(effect, motion)
+            extra = np.zeros((*self.Z.shape[:2], columns.shape[-1]))
+            extra[self.joints_of(effect)] = columns
+            power = np.mean(extra**2, axis=(0, 1))
+            scale = self.size / np.sqrt(np.where(power > 0, power, 1.0))
+            scales.append(scale)
+            Z.append(extra * scale)
+        return np.concatenate(Z, axis=2), tuple(scales)
 
 
-def _shaped(effect, shape):
-    from sklearn.base import clone
-
-    return clone(effect).set_params(**shape)
+def variants(effect, motion):
+    """Return an effect with each shape of its grid, tuple of Effect."""
+    return tuple(clone(effect).set_params(**s) for s in effect.shapes(motion))

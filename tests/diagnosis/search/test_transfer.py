@@ -8,9 +8,9 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import JointTorqueRegressor, PhysicalProjector, effects
 from sklearn_vbjfa.diagnosis.search._blocks import Blocks
-from sklearn_vbjfa.diagnosis.search._search import Transfer, stretches
+from sklearn_vbjfa.diagnosis.search._transfer import Transfer, stretches
 from tests.diagnosis._recordings import record
-from tests.diagnosis.search.test_search import coulomb, found, search, spring
+from tests.diagnosis.search._searches import coulomb, found, search, spring
 
 ARM = record("ZY", seed=2, duration=30.0)
 HALVES = np.repeat([0, 1], ARM.t.size // 2)
@@ -37,7 +37,7 @@ def test_squares_are_those_of_models_that_did_not_see_the_stretch():
     now = search(torque, ["coulomb"], ARM, robot, groups=HALVES)
     view, motion = now.view, now.view.motion(None)
     one, other = effects.Coulomb(1), effects.Spring(0)
-    found = Transfer(view, motion, [one, other])
+    found = Transfer(view, motion, [one, other], view.precision)
     both, alone = found.squares([one, other]), found.squares([other])
     assert both.shape == (3, 2)
     assert np.all(both[:, 1] < 0.1 * alone[:, 1])
@@ -73,17 +73,16 @@ def test_bodies_of_every_stretch_are_physically_consistent(monkeypatch):
     monkeypatch.setattr(PhysicalProjector, "transform", spy)
     now = search(ARM.torque(), ["coulomb"], ARM, groups=HALVES)
     made.clear()
-    Transfer(now.view, now.view.motion(None), []).squares([])
+    Transfer(now.view, now.view.motion(None), [], now.view.precision).squares([])
     assert len(made) == 3
 
 
 def accepted_of(torque, candidates, chosen, groups=None):
     """Return a search that accepted some effects, after the withdrawal."""
     now = search(torque, candidates, ARM, groups=groups)
-    now._refresh()
-    now.accepted = list(chosen)
-    now._refresh()
-    now._withdraw()
+    now.accept(())
+    now.accept(chosen)
+    now.withdraw()
     return now
 
 
@@ -94,7 +93,7 @@ def test_what_holds_on_one_stretch_only_is_withdrawn():
     torque[first, 0] += 4.0 * ARM.q[first, 0]
     friction = effects.Coulomb(1)
     now = accepted_of(torque, ["spring", "coulomb"], [effects.Spring(0), friction])
-    assert now.accepted == [friction]
+    assert now.model.effects == (friction,)
     step = now.steps[0]
     assert (step.action, step.effect.name, step.replaced) == (
         "withdraw",
@@ -110,7 +109,8 @@ def test_what_holds_on_one_stretch_only_is_withdrawn():
 def test_what_acts_everywhere_stays(groups):
     always = ARM.torque(joint_2=coulomb(1.0), joint_1=spring(4.0))
     chosen = [effects.Spring(0), effects.Coulomb(1)]
-    assert accepted_of(always, ["spring", "coulomb"], chosen, groups).accepted == chosen
+    kept = accepted_of(always, ["spring", "coulomb"], chosen, groups)
+    assert kept.model.effects == tuple(chosen)
     now = search(always, ["spring", "coulomb"], ARM, groups=groups).run()
     assert sorted(found(now)) == [("coulomb", 1), ("spring", 0)]
     assert "withdraw" not in [s.action for s in now.steps]
@@ -136,7 +136,7 @@ def test_what_only_one_recording_has_is_judged_inside_it():
 
     chosen = [Carried(1), effects.Coulomb(1)]
     now = accepted_of(torque, ["coulomb"], chosen, HALVES)
-    assert now.accepted == chosen
+    assert now.model.effects == tuple(chosen)
     # Left out as a whole it could not be known.
     assert now.evidence_of(chosen[0]).gain > 0.3
 
@@ -149,8 +149,8 @@ def test_nothing_useless_is_left_behind_a_withdrawal():
     useless = effects.Offset(1)
     chosen = [effects.Spring(0), effects.Coulomb(1), useless]
     now = accepted_of(torque, ["spring", "coulomb", "offset"], chosen)
-    assert useless not in now.accepted
-    for effect in now.accepted:
+    assert useless not in now.model.effects
+    for effect in now.model.effects:
         case = now.evidence_of(effect)
         assert case.gain > 0
         assert case.p_value < 0.05

@@ -1,0 +1,206 @@
+"""The declared model with some effects, fitted to a recording, and how it is judged."""
+
+import functools
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.effects import Motion
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SearchModel:
+    """The declared model with some effects, fitted to a recording.
+
+    Attributes
+    ----------
+    view : RecordingView
+        Recording.
+    effects : tuple of Effect
+        Effects beside the declared model.
+    motion : Motion
+        Signals that the effects' columns are made from, with the load of the model.
+    fitted : BlockRegression
+        The fit, in reduced coordinates, and with the effects' columns behind them.
+    scales : tuple of ndarray
+        What the columns of each effect were multiplied with.
+    """
+
+    view: RecordingView
+    effects: tuple
+    motion: Motion
+    fitted: BlockRegression
+    scales: tuple
+
+    @classmethod
+    def of(cls, view, effects=(), start=None):
+        """Fit a model whose joint weights and load are its own.
+
+        Weights, ridge and load of the model to start from are the first guess; without
+        one, those of the declared model's fit, and no load.
+        """
+        effects = tuple(effects)
+        motion, precision, ridge = view.motion(None), view.precision, None
+        if start is not None:
+            precision, ridge = start.precision, start.ridge
+            if effects:
+                motion = view.motion(start.theta)
+        guess = cls._fit(view, effects, motion, precision, ridge)
+        squares, rows = guess.squares.sum(axis=0), view.rows
+        used = (rows > 0) & (squares > 0)
+        precision = np.where(used, rows / np.where(used, squares, 1.0), 0.0)
+        guess = cls._fit(view, effects, motion, precision, None)
+        motion = view.motion(guess.theta)
+        return cls._fit(view, effects, motion, precision, guess.ridge)
+
+    @classmethod
+    def _fit(cls, view, effects, motion, precision, ridge):
+        """Fit with given weights, load and ridge; None chooses the ridge."""
+        Z, scales = view.stacked(effects, motion)
+        fitted = BlockRegression(
+            Z, view.target, precision, view.blocks, ridge, view.moments
+        )
+        return cls(
+            view=view, effects=effects, motion=motion, fitted=fitted, scales=scales
+        )
+
+    def beside(self, effects, ridge="same"):
+        """Fit other effects with the weights and the load of this model.
+
+        The ridge is that of this model, or with None the one that suits them best.
+        """
+        ridge = self.ridge if ridge == "same" else ridge
+        return self._fit(self.view, tuple(effects), self.motion, self.precision, ridge)
+
+    def without(self, effect):
+        """Return the effects but one, tuple of Effect."""
+        return tuple(one for one in self.effects if one is not effect)
+
+    @property
+    def precision(self):
+        """Weights of the joints, (nv,)."""
+        return self.fitted.precision
+
+    @property
+    def ridge(self):
+        """Ridge, relative to the mean square of a column."""
+        return self.fitted.ridge
+
+    @property
+    def theta(self):
+        """Coefficients of the declared model in reduced coordinates, (r,)."""
+        return self.fitted.theta[: self.view.Z.shape[2]]
+
+    @functools.cached_property
+    def squares(self):
+        """Out-of-sample squared residuals, (n_blocks, nv)."""
+        return self.fitted.squares()
+
+    def residuals(self):
+        """Out-of-sample residuals (nv, m), scaled by the root of the weights."""
+        return self.fitted.residuals()
+
+    def memory_seconds(self):
+        """How long the residual of each joint stays correlated, list [s]."""
+        memories = self.view.whitening(self.residuals()).memory
+        return [memory.time for memory in memories]
+
+    def coefficients(self, effect):
+        """Coefficients of one of the model's effects, in its own units."""
+        at = self.view.Z.shape[2]
+        for one, scale in zip(self.effects, self.scales):
+            if one is effect:
+                return self.fitted.theta[at : at + scale.size] * scale
+            at += scale.size
+        raise ValueError(f"{effect} is not among the accepted effects.")
+
+    def family(self, effect):
+        """Effect with all shapes of its grid, and their columns."""
+        return self.view.family(effect, self.motion)
+
+    def columns_of(self, effect):
+        """Columns of an effect, (nj, m, k)."""
+        return self.view.columns_of(effect, self.motion)
+
+    def relevant(self, effect, *squares):
+        """Squared errors of an effect's joint, or of the robot in units of noise."""
+        if effect.whole_robot:
+            return [s @ self.precision for s in squares]
+        return [s[:, effect.joint] for s in squares]
+
+
+class Judge:
+    """Blocks of time as independent witnesses, whatever the colour of the residual.
+
+    Models are compared in rows from which the residual's own memory is taken out. The
+    memory is that of the residual with the candidate, not without it: what a poor
+    model lacks is correlated for as long as the motion is, and is no noise. Once the
+    right effect is in, the residual forgets again; noise that is slow stays so with
+    whatever is put in.
+
+    Parameters
+    ----------
+    base : SearchModel
+        Model without the candidate.
+    residual : ndarray of shape (nv, m)
+        Residuals with it, scaled by the root of the weights.
+
+    Attributes
+    ----------
+    residual : ndarray of shape (nv, m)
+        As given.
+    squares : ndarray of shape (n_blocks, nv)
+        Squared out-of-sample residuals of the model without the candidate, in units
+        of each joint's noise, so that joints may be added up.
+    """
+
+    def __init__(self, base, residual):
+        view, fitted = base.view, base.fitted
+        joints = range(view.nv)
+        self.residual = residual
+        self._size = view.size
+        self._whiten = view.whitening(residual)
+        power, rows = (self._whiten(residual, joints) ** 2).sum(axis=1), view.rows
+        used = (base.precision > 0) & (power > 0)
+        self._precision = np.where(used, rows / np.where(used, power, 1.0), 0.0)
+        Z = self._whiten(fitted.Z, joints)
+        # The ridge is relative to the columns; slow ones must not shrink for it.
+        size, left = ((x**2).sum(axis=(0, 1)) for x in (fitted.Z, Z))
+        self._fitted = BlockRegression(
+            Z * np.sqrt(size / np.where(left > 0, left, 1.0)),
+            self._whiten(fitted.y, joints),
+            self._precision,
+            view.blocks,
+            base.ridge,
+        )
+        self.squares = self._fitted.squares() * self._precision
+
+    def score(self, joints, columns):
+        """Squared out-of-sample residuals with a candidate, shape chosen by fold."""
+        white = self._whiten(columns, joints)
+        return self._fitted.score(joints, white).squares * self._precision
+
+    def forward(self, joints, columns, blocks, border):
+        """Squared residuals of later blocks (n_blocks - border, nv), in units of noise.
+
+        Without the candidate's columns (nj, m, k) and with them, all fitted to the
+        blocks before the border.
+        """
+        base = self._fitted
+        extra = np.zeros((*base.Z.shape[:2], columns.shape[-1]))
+        extra[joints] = self._whiten(columns, joints)
+        power = np.mean(extra**2, axis=(0, 1))
+        extra *= self._size / np.sqrt(np.where(power > 0, power, 1.0))
+        larger = BlockRegression(
+            np.concatenate([base.Z, extra], axis=2),
+            base.y,
+            base.precision,
+            base.blocks,
+            base.ridge,
+        )
+        return [
+            model.forward_squares(border, blocks) * self._precision
+            for model in (base, larger)
+        ]

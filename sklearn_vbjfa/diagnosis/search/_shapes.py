@@ -1,0 +1,184 @@
+"""Shape parameters of effects: between the points of the grid, beside each other."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import optimize
+from sklearn.base import clone
+
+from sklearn_vbjfa.diagnosis.search._model import SearchModel
+from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
+from sklearn_vbjfa.diagnosis.search._view import variants
+
+# Times that what is linearised is linearised again.
+_TANGENTS = 2
+# Shapes between the neighbours of a tuned one, from which each fold takes its own.
+_FINER = 9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bracket:
+    """A shape parameter between the grid's next points on both sides.
+
+    Attributes
+    ----------
+    low, high : float
+        Bounds; of the logarithm where that is searched.
+    logarithmic : bool
+        Whether the logarithm is searched.
+    """
+
+    low: float
+    high: float
+    logarithmic: bool
+
+    @classmethod
+    def of(cls, effect, name, motion):
+        """Return the bounds of a parameter; None where the grid has no neighbours."""
+        value = getattr(effect, name)
+        same = [v for v in variants(effect, motion) if v.key() == effect.key()]
+        values = np.unique([getattr(v, name) for v in same])
+        values = values[np.sign(values) == np.sign(value)]
+        if value == 0 or values.size < 2:
+            return None
+        at = int(np.argmin(np.abs(values - value)))
+        positive = bool((values > 0).all())
+        scaled = np.log(values) if positive else values
+        low, high = scaled[max(at - 1, 0)], scaled[min(at + 1, values.size - 1)]
+        return cls(low=low, high=high, logarithmic=positive)
+
+    def value(self, u):
+        """Return the parameter at a place between the bounds."""
+        return float(np.exp(u) if self.logarithmic else u)
+
+    def place(self, value):
+        """Return the place of a parameter."""
+        return np.log(value) if self.logarithmic else value
+
+
+def refined(effect, base, rows=None):
+    """Search an effect's shape parameters on between the points of the grid.
+
+    It comes beside a model, which was fitted to some rows (m,) only if they are given.
+    """
+    joints = base.view.joints_of(effect)
+    for name in effect.continuous:
+        bracket = Bracket.of(effect, name, base.motion)
+        if bracket is None:
+            continue
+
+        def cost(u, name=name, effect=effect, bracket=bracket):
+            trial = clone(effect).set_params(**{name: bracket.value(u)})
+            columns = base.view.columns([trial], base.motion)
+            if rows is not None:
+                columns *= rows[:, None, None]
+            return -base.fitted.drop(joints, columns)
+
+        low, high = bracket.low, bracket.high
+        found = optimize.minimize_scalar(
+            cost,
+            bounds=(low, high),
+            method="bounded",
+            options={"xatol": 1e-3 * (high - low)},
+        )
+        if found.fun < cost(bracket.place(getattr(effect, name))):
+            effect = clone(effect).set_params(**{name: bracket.value(found.x)})
+    return effect
+
+
+def tuned_among(effect, base):
+    """Return the effect with the shape of the grid that suits best, or its own."""
+    same = base.family(effect).like(effect)
+    if not same.effects:
+        return effect
+    joints = base.view.joints_of(effect)
+    score = base.fitted.score(joints, same.columns)
+    own = base.view.columns([effect], base.motion)
+    if score.drop.max() > base.fitted.drop(joints, own):
+        return same.effects[score.best]
+    return effect
+
+
+def tuned_before(effect, base, early):
+    """Return the effect with the shape that suits some rows (m,) best."""
+    same = base.family(effect).like(effect)
+    if not same.effects:
+        return effect
+    fitted = base.fitted
+    there = replace(
+        base,
+        fitted=BlockRegression(
+            fitted.Z * early[:, None],
+            fitted.y * early,
+            fitted.precision,
+            fitted.blocks,
+            fitted.ridge,
+        ),
+    )
+    masked = same.columns * early[:, None, None]
+    drops = there.fitted.score(base.view.joints_of(effect), masked).drop
+    return refined(same.effects[int(np.argmax(drops))], there, early)
+
+
+def tuned_family(effect, model):
+    """Columns (nj, m, c, k) of the grid of shapes, finer around the tuned one."""
+    own = model.columns_of(effect)[:, :, None]
+    if not effect.continuous:
+        return own
+    same = model.family(effect).like(effect)
+    name = effect.continuous[0]
+    bracket = Bracket.of(effect, name, model.motion)
+    if not same.effects:
+        return own
+    if bracket is None:
+        return np.concatenate([same.columns, own], axis=2)
+    places = np.linspace(bracket.low, bracket.high, _FINER + 2)[1:-1]
+    finer = [
+        model.columns_of(clone(effect).set_params(**{name: bracket.value(u)}))
+        for u in places
+    ]
+    return np.concatenate([same.columns, np.stack(finer, axis=2)], axis=2)
+
+
+def retuned(model, joint):
+    """Search the shapes of a joint's effects again, each beside the others."""
+    effects = list(model.effects)
+    chosen = [i for i, e in enumerate(effects) if e.joint == joint and e.continuous]
+    for i in chosen:
+        base = model.beside(e for k, e in enumerate(effects) if k != i)
+        effects[i] = refined(tuned_among(effects[i], base), base)
+    if not chosen:
+        return model
+    return linearised(SearchModel.of(model.view, effects, model), joint)
+
+
+def linearised(model, joint):
+    """Linearise a joint's effects at the coefficients that they have."""
+    for _ in range(_TANGENTS):
+        if not any(e.tangent for e in model.effects if e.joint == joint):
+            break
+        effects = [
+            e.at(model.coefficients(e)) if e.joint == joint and e.tangent else e
+            for e in model.effects
+        ]
+        model = SearchModel.of(model.view, effects, model)
+    return model
+
+
+def tuned_on(view, effects):
+    """Return effects with shapes that suit another recording, tuple of Effect."""
+    if not effects:
+        return ()
+    # The load of the declared model first, which that of the whole needs.
+    model = SearchModel.of(view, effects, SearchModel.of(view))
+    found = list(effects)
+    for i, effect in enumerate(effects):
+        base = model.beside(e for k, e in enumerate(found) if k != i)
+        if effect.jumping:
+            # It may lie in a stretch that was not searched.
+            effect = tuned_among(effect, base)
+        found[i] = refined(effect, base)
+    model = SearchModel.of(view, found, model)
+    for joint in sorted({effect.joint for effect in found}):
+        model = linearised(model, joint)
+    return model.effects

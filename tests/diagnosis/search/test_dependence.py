@@ -1,0 +1,58 @@
+"""Signals that a residual varies with."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
+from tests.diagnosis.search._searches import CLEAN, search
+
+VIEW = search(CLEAN.torque(), ["coulomb"]).view
+NAMES = ("base", "elbow")
+
+
+def signals():
+    motion = VIEW.motion(None)
+    return {
+        name: VIEW.filtered(values[:, None])[:, 0]
+        for name, values in motion_signals(motion, NAMES).items()
+    }
+
+
+def noise(seed=0):
+    return np.random.default_rng(seed).normal(size=VIEW.index.size)
+
+
+def test_signals_are_those_of_all_joints_and_the_time():
+    motion = VIEW.motion(None)
+    expected = {
+        f"{what} of {name}"
+        for what in ("position", "speed", "acceleration")
+        for name in NAMES
+    }
+    assert set(motion_signals(motion, NAMES)) == expected | {"time"}
+    loaded = VIEW.motion(np.ones(VIEW.Z.shape[2]))
+    assert "load of elbow" in motion_signals(loaded, NAMES)
+
+
+def test_what_a_residual_follows_is_named_first():
+    seen = signals()
+    position = seen["position of elbow"]
+    bend = np.cos(3 * position / np.abs(position).max())
+    residual = (bend - bend.mean()) / bend.std() + noise()
+    first, *_ = dependences(residual, VIEW.equations.weight[:, 1], seen, VIEW)
+    assert first.signal == "position of elbow"
+    assert first.share == pytest.approx(0.5, abs=0.1)
+    assert first.p_value < 0.01 / len(seen)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_white_noise_follows_nothing(seed):
+    weight = VIEW.equations.weight[:, 0]
+    assert dependences(noise(seed), weight, signals(), VIEW) == ()
+
+
+def test_without_rows_nothing_is_said():
+    nothing = np.zeros(VIEW.index.size)
+    assert dependences(noise(), nothing, signals(), VIEW) == ()

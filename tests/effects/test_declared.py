@@ -1,0 +1,71 @@
+"""Declared columns are those of the effects of the same names."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_array_equal
+
+from sklearn_vbjfa import effects
+from sklearn_vbjfa.effects import JointEffect, Motion, _declared
+from sklearn_vbjfa.effects._rest import Rest
+from tests.effects._arms import motion
+
+T, X = motion(2, duration=6.0, seed=3)
+Q, V, A = np.split(X, 3, axis=1)
+REST = Rest(speed=np.array([0.3, 0.1]), time=np.full(2, 0.1), noise=np.full(2, 0.01))
+
+
+def test_four_effects_can_be_declared():
+    names = ("viscous", "coulomb", "offset", "rotor_inertia")
+    assert _declared.available() == names
+    for effect in effects.resolve():
+        assert isinstance(effect, JointEffect) == (effect.name in names)
+
+
+@pytest.mark.parametrize("rest", [None, REST])
+@pytest.mark.parametrize("joint", [0, 1])
+def test_columns_are_those_of_the_effects(joint, rest):
+    names = _declared.available()
+    columns = _declared.columns(names, V, A, rest)
+    assert columns.shape == (*V.shape, len(names))
+    signals = Motion(q=Q, v=V, a=A, rest=rest)
+    for k, effect in enumerate(effects.resolve(names)):
+        own = effect.set_params(joint=joint).columns(signals)
+        assert_array_equal(columns[:, [joint], k], own)
+
+
+def test_nothing_declared_is_no_column():
+    assert _declared.columns((), V, A).shape == (*V.shape, 0)
+
+
+def test_units_and_signs_are_those_of_the_effects():
+    for effect in effects.resolve(_declared.available()):
+        ((revolute, prismatic),) = effect.units
+        assert _declared.unit(effect.name, False) == revolute
+        assert _declared.unit(effect.name, True) == prismatic
+        assert _declared.nonnegative(effect.name) == bool(effect.nonnegative)
+    assert not _declared.nonnegative("offset")
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (("viscous", "stiction"), r"Unknown friction.*stiction.*expected.*'viscous'"),
+        (("spring",), "Unknown friction"),
+        (("viscous", "viscous"), "names a column twice"),
+    ],
+)
+def test_other_names_are_refused(names, message):
+    with pytest.raises(ValueError, match=message):
+        _declared.check_names(names)
+
+
+def test_one_name_is_a_tuple_of_one():
+    assert _declared.check_names("coulomb") == ("coulomb",)
+
+
+def test_a_column_must_be_defined():
+    class Nothing(JointEffect):
+        name = "nothing"
+
+    with pytest.raises(NotImplementedError, match="Nothing must define column"):
+        Nothing().fit_transform(X)

@@ -1,0 +1,57 @@
+"""What the library says of its effects."""
+
+import pytest
+
+from sklearn_vbjfa import effects
+from sklearn_vbjfa.effects._library import closure, find
+
+
+def plain_label(joint):
+    return f"joint {joint + 1}"
+
+
+def test_effects_are_found_by_name():
+    assert find("spring") is effects.Spring
+    assert find("leak") is None
+
+
+def test_every_effect_says_what_reports_and_guide_need():
+    for effect in effects.resolve():
+        assert effect.label
+        assert effect.record
+        assert effect.formula
+        assert effect.describe({}, plain_label) == effect.label
+
+
+@pytest.mark.parametrize(
+    ("effect", "expected"),
+    [
+        (effects.Drift(of="coulomb"), "drift of the Coulomb friction with time"),
+        (effects.Drift(of="viscous"), "drift of the viscous friction with time"),
+        (effects.Drift(of="offset"), "drift of the offset with time"),
+        (effects.Coupling(other=1), "coupling to joint 2"),
+        (effects.Coupling(other=2, of="sum"), "coupling to joint 3 (sum)"),
+        (
+            effects.Coupling(other=0, of="difference"),
+            "coupling to joint 1 (difference)",
+        ),
+        (effects.Ripple(period=0.2), "torque ripple"),
+    ],
+)
+def test_labels_say_what_matters_of_the_shape(effect, expected):
+    assert effect.describe(effect.shape(), plain_label) == expected
+
+
+def test_an_effect_of_ones_own_is_called_by_its_name():
+    class Leak(effects.Effect):
+        name = "oil_leak"
+
+    assert Leak.describe({}, plain_label) == "oil leak"
+
+
+def test_closure_follows_what_is_contained():
+    library = effects.resolve()
+    assert closure(effects.Viscous(), library) == set()
+    assert closure(effects.Backlash(), library) == {"spring", "coulomb", "offset"}
+    # Of what the library does not hold nothing more is known.
+    assert closure(effects.Backlash(), ()) == {"spring", "coulomb"}

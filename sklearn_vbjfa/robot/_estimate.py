@@ -9,7 +9,7 @@ from sklearn.base import clone
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
-from sklearn_vbjfa.regression._base import BaseJointFactorRegressor
+from sklearn_vbjfa.regression._joint_factor import BaseJointFactorRegressor
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
 from sklearn_vbjfa.robot._weights import block_precisions, noise_weights

@@ -15,7 +15,7 @@ from sklearn_vbjfa.diagnosis.search._shapes import tuned_on
 from sklearn_vbjfa.diagnosis.search._split import split_in_time
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, Samples
 from sklearn_vbjfa.effects import resolve
-from sklearn_vbjfa.inspection._inspect import inspect_channels
+from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order

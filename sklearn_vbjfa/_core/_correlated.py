@@ -64,9 +64,9 @@ def infer_latent(S, n, psi, floor=1e-12):
             exact=True,
             clipped=np.array([]),
         )
-    values, vectors = linalg.eigh(covariance - psi)
-    clipped = values[values < -floor * max(values[-1], 0.0)]
-    Sigma_t = (vectors * np.maximum(values, 0.0)) @ vectors.T  # [C1]
+    eigen = scaled_eigen(covariance - psi, 0.0, scale=1.0)
+    clipped = eigen.values[eigen.values < -floor * max(eigen.values[-1], 0.0)]
+    Sigma_t = eigen.matrix()  # [C1]
     total = Sigma_t + psi
     # Exactly redundant columns make `total` singular; the pseudo-inverse keeps to
     # the span of the data, outside of which x never lies.
@@ -85,9 +85,9 @@ class LatentSums:
     bound: float
 
 
-def _given_beta(latent, G):
-    """H, P (d, d) and log det(I + P_0 G), beta having the covariance psi_y G, [C4]."""
-    lu = linalg.lu_factor(np.eye(G.shape[0]) + latent.P @ G)
+def _given_beta(latent, cov, s2=1.0):
+    """H, P (d, d) and log det(I + P_0 C / psi_y), beta of covariance C (d, d), [C4]."""
+    lu = linalg.lu_factor(np.eye(cov.shape[0]) + latent.P @ cov / s2)
     H, P = linalg.lu_solve(lu, latent.H), linalg.lu_solve(lu, latent.P)  # [C4]
     logdet = np.log(np.abs(np.diagonal(lu[0]))).sum()
     return H, 0.5 * (P + P.T), logdet
@@ -103,7 +103,7 @@ def expect_latent(moments, latent, state):
         value = -0.5 * (n * (_LOG_2PI + np.log(s2)) + (residual + spread) / s2)  # [C12]
         return LatentSums(S_tt=S, S_ty=xy, bound=value)
     # The uncertainty of beta acts as further precision beta_cov / s2 on t.
-    H, P, logdet = _given_beta(latent, state.beta_cov / s2)
+    H, P, logdet = _given_beta(latent, state.beta_cov, s2)
     P_beta = P @ beta
     q = s2 + beta @ P_beta  # [C5]
     k = P_beta / q  # [C5]
@@ -220,10 +220,8 @@ def mean_and_noise(moments, latent, G, start, alpha):
         curvature[:d, :d] += cross + cross.T + np.diag(alpha)
         curvature[:d, d] = curvature[d, :d] = s2 * (r / q**2 - on_qq * w)
         curvature[d, d] = 0.5 * penalty * s2 - on_q * s2 - on_qq * s2**2
-        unit = 1.0 / np.sqrt(np.append(np.diagonal(K) / q + alpha, 0.5 * n))
-        values, vectors = linalg.eigh(curvature * np.outer(unit, unit))
-        values = np.maximum(np.abs(values), d * np.finfo(float).eps * abs(values[-1]))
-        step = unit * (vectors @ ((vectors.T @ (unit * gradient)) / values))
+        unit = np.sqrt(np.append(np.diagonal(K) / q + alpha, 0.5 * n))
+        step = scaled_eigen(curvature, scale=unit).by_magnitude().solve(gradient)
         promised = gradient @ step
         # The exponential of the noise's logarithm must stay a number.
         length = min(1.0, _LARGEST_LOG / max(abs(step[d]), 1.0))

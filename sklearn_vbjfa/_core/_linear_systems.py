@@ -38,28 +38,11 @@ class UnitColumns:
 
 
 def unit_columns(X, weight, *, center):
-    """Centre the columns at their weighted means and scale them to unit length.
+    """Centre columns X (n, d) at their means of weights (n,) > 0, scale to unit length.
 
     Dividing by the largest magnitude first keeps squares from overflowing, and the
     second pass of the mean takes away the rounding of the first, so that columns in
     any unit and with any offset are treated alike.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, n_features)
-        Columns; not modified.
-
-    weight : ndarray of shape (n_samples,)
-        Strictly positive weights of the rows.
-
-    center : bool
-        Whether to subtract the weighted mean. Without it a column is constant only
-        if it is zero.
-
-    Returns
-    -------
-    UnitColumns
-        Columns of unit length, their means and scales.
     """
     total = weight.sum()
     magnitude = np.maximum(X.max(axis=0), -X.min(axis=0))
@@ -81,23 +64,6 @@ def unit_columns(X, weight, *, center):
     return UnitColumns(values=values, mean=mean * magnitude, scale=scale)
 
 
-@dataclass(frozen=True, kw_only=True)
-class TLSSolution:
-    """Outcome of :func:`mixed_tls`.
-
-    Attributes
-    ----------
-    coef : ndarray of shape (n_features,)
-        Coefficients of the columns that were passed.
-
-    rank : int
-        Number of directions of the columns that the solution uses.
-    """
-
-    coef: np.ndarray
-    rank: int
-
-
 def rank_tolerance(matrix):
     """Relative rounding of the singular values of a matrix of this shape."""
     return 10 * max(matrix.shape) * np.finfo(np.float64).eps
@@ -113,23 +79,30 @@ def orthonormal_basis(matrix):
     return U[:, s > rank_tolerance(matrix) * s[0]]
 
 
-def scaled_lstsq(matrix, target):
-    """Least squares, of minimum norm among the columns scaled to one length.
+@dataclass(frozen=True, kw_only=True)
+class ScaledSolution:
+    """Least squares in scaled columns.
 
-    Returns
-    -------
+    Attributes
+    ----------
     coef : ndarray of shape (n_features,)
         Solution.
-
     inverse : ndarray of shape (n_features, n_features)
-        Pseudo-inverse of ``matrix.T @ matrix`` for the scaled columns, scaled back.
-
+        Pseudo-inverse of the Gram matrix of the scaled columns, scaled back.
     identified : ndarray of shape (n_features,), dtype=bool
         Coefficients that are the same in all solutions.
-
     rank : int
         Rank of the scaled columns.
     """
+
+    coef: np.ndarray
+    inverse: np.ndarray
+    identified: np.ndarray
+    rank: int
+
+
+def scaled_lstsq(matrix, target):
+    """Least squares, of minimum norm among the columns scaled to one length."""
     length = np.linalg.norm(matrix, axis=0)
     length = np.where(length > 0, length, 1.0)
     U, s, Vt = np.linalg.svd(matrix / length, full_matrices=True)
@@ -138,31 +111,16 @@ def scaled_lstsq(matrix, target):
     coef = basis @ (U[:, :rank].T @ target) / length
     inverse = basis @ basis.T / np.outer(length, length)
     identified = np.linalg.norm(Vt[rank:], axis=0) <= np.sqrt(np.finfo(float).eps)
-    return coef, inverse, identified, rank
+    return ScaledSolution(coef=coef, inverse=inverse, identified=identified, rank=rank)
 
 
 def mixed_tls(columns, target, exact):
-    """Mixed least squares - total least squares in noise-scaled coordinates.
+    """Mixed least squares - total least squares; coefficients (d,) and rank.
 
-    Golub, Hoffman & Stewart (1987): the exact columns are eliminated by orthogonal
-    projection, what is left is a classical problem, and back-substitution gives the
-    coefficients of the exact columns.
-
-    Parameters
-    ----------
-    columns : ndarray of shape (n_rows, n_features)
-        Inputs; the noisy ones have noise of the variance of the target's.
-
-    target : ndarray of shape (n_rows,)
-        Output.
-
-    exact : ndarray of shape (n_features,), dtype=bool
-        Columns without noise.
-
-    Returns
-    -------
-    TLSSolution
-        Coefficients and rank.
+    The columns (n, d) have noise of the variance of the target's (n,), but for the
+    `exact` ones (d,). Golub, Hoffman & Stewart (1987): the exact columns are eliminated
+    by orthogonal projection, what is left is a classical problem, and back-substitution
+    gives their coefficients.
     """
     coef = np.zeros(columns.shape[1])
     basis = orthonormal_basis(columns[:, exact])
@@ -175,8 +133,9 @@ def mixed_tls(columns, target, exact):
         target - basis @ (basis.T @ target),
         floor,
     )
-    coef[exact] = scaled_lstsq(columns[:, exact], target - noisy @ coef[~exact])[0]
-    return TLSSolution(coef=coef, rank=rank + basis.shape[1])
+    rest = target - noisy @ coef[~exact]
+    coef[exact] = scaled_lstsq(columns[:, exact], rest).coef
+    return coef, rank + basis.shape[1]
 
 
 def _classical_tls(columns, target, floor):

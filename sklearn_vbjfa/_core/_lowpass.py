@@ -133,13 +133,13 @@ def _tap_matrix(taps, step, n_rows):
 def block_length(lowpass, row_bytes):
     """Return the number of rows of a block: a multiple of the decimation.
 
-    With a filter three quarters of its length, where the matrix of taps is neither
-    mostly zeros nor much larger than what it yields; without one what fits into the
-    cache.
+    With a filter a quarter of its length at least: few zeros in the matrix of taps,
+    and rows that are still in the cache when they are filtered; without one what fits
+    into the cache.
     """
     rows = _BLOCK_BYTES // row_bytes
     if lowpass.half:
-        rows = max(_MIN_ROWS, 3 * lowpass.half // 2)
+        rows = max(_MIN_ROWS, lowpass.half // 2)
     return lowpass.step * max(1, -(-rows // lowpass.step))
 
 

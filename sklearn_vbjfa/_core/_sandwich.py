@@ -50,21 +50,10 @@ class BlockVariance:
 def block_variance(grams, scores, place, noise=1.0):
     """Compare the scatter of scores between blocks with that of white residuals.
 
-    Parameters
-    ----------
-    grams : ndarray of shape (n_blocks, p, p)
-        Second moments of each block's rows, weighted.
-    scores : ndarray of shape (n_blocks, p)
-        Rows times residuals, weighted alike.
-    place : ndarray of shape (n_blocks, 2), int
-        Recording of a block and its number there, sorted.
-    noise : float, default=1.0
-        Weighted mean square of the residuals.
-
-    Returns
-    -------
-    BlockVariance
-        Factors of the variances, nan for what is not determined.
+    grams (n_blocks, p, p) : weighted second moments of each block's rows; scores
+    (n_blocks, p) : rows times residuals, weighted alike; place (n_blocks, 2) : the
+    recording of a block and its number there, sorted; noise : weighted mean square of
+    the residuals. What is not determined comes out as nan.
     """
     H = grams.sum(axis=0)
     used = np.diagonal(H) > 0

@@ -6,7 +6,7 @@ known where its value stands out from rounding: rank, pseudo-inverse and null sp
 do not depend on the units that somebody chose.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -60,6 +60,22 @@ class ScaledEigen:
         """Columns (p,), bool, of which the null space holds more than this share."""
         return (self.null_space**2).sum(axis=1) > share
 
+    def matrix(self):
+        """Return A without its null space, ndarray of shape (p, p)."""
+        values = np.where(self.known, self.values, 0.0)
+        scaled = (self.vectors * values) @ self.vectors.T
+        return scaled * np.outer(self.scale, self.scale)
+
+    def by_magnitude(self):
+        """Decomposition with the magnitudes of the eigenvalues, none below rounding.
+
+        A Newton step with it is an ascent, whatever the signs of the curvature.
+        """
+        size = np.abs(self.values)
+        floor = size.size * np.finfo(float).eps * size[-1]
+        known = np.ones(size.size, dtype=bool)
+        return replace(self, values=np.maximum(size, floor), known=known)
+
     def root(self):
         """F of shape (rank, p) with F'F = A without its null space."""
         return (self.known_vectors * np.sqrt(self.known_values)).T * self.scale
@@ -70,7 +86,8 @@ class ScaledEigen:
 
     def inverse(self):
         """Pseudo-inverse of A in scaled columns, ndarray of shape (p, p)."""
-        scaled = (self.known_vectors / self.known_values) @ self.known_vectors.T
+        V = self.known_vectors
+        scaled = (V * (1.0 / self.known_values)) @ V.T
         return scaled / np.outer(self.scale, self.scale)
 
     def solve(self, b):

@@ -160,9 +160,19 @@ def _upper_bands(matrix, size):
 MIN_SPECTRUM = 16
 
 
-def fft_length(longest):
+# A recording is read in windows of as many samples or seconds at least, evenly spread,
+# of which there are at most so many: some minutes of motion tell its spectrum.
+_WINDOW_SAMPLES, _WINDOW_SECONDS, _MOST_WINDOWS = 1 << 16, 60.0, 4
+
+
+def _window(dt):
+    """Return the most samples whose spectrum is taken as one."""
+    return max(_WINDOW_SAMPLES, round(_WINDOW_SECONDS / dt)) + 2
+
+
+def fft_length(longest, dt):
     """Length of the transforms of second differences, for the longest recording."""
-    return 1 << int(np.ceil(np.log2(longest - 2)))
+    return 1 << int(np.ceil(np.log2(min(longest, _window(dt)) - 2)))
 
 
 def acceleration_power(x, dt, n_fft):
@@ -185,8 +195,14 @@ def acceleration_power(x, dt, n_fft):
         Energy of the taper, which they are to be divided by.
     """
     columns = x.reshape(x.shape[0], -1)
-    if x.shape[0] < MIN_SPECTRUM:
+    n, window = x.shape[0], _window(dt)
+    if n < MIN_SPECTRUM:
         return np.zeros((n_fft // 2 + 1, *x.shape[1:])), 0.0
+    if n > window:
+        count = min(-(-n // window), _MOST_WINDOWS)
+        starts = np.linspace(0, n - window, count).astype(int)
+        parts = [acceleration_power(x[i : i + window], dt, n_fft) for i in starts]
+        return sum(power for power, _ in parts), sum(energy for _, energy in parts)
     # Second differences first: they whiten the enormous range between a slow motion
     # and the noise, which would leak through any taper.
     d = np.ascontiguousarray(np.diff(columns, 2, axis=0).T) / dt**2
@@ -221,7 +237,7 @@ def acceleration_spectra(segments, dt):
             "Choosing the cut-off from the data needs a recording of at least "
             f"{MIN_SPECTRUM} samples, got {longest}; give cutoff in Hz."
         )
-    n_fft = fft_length(longest)
+    n_fft = fft_length(longest, dt)
     power, energy = 0.0, 0.0
     for x in segments:
         more = acceleration_power(x, dt, n_fft)
@@ -251,7 +267,9 @@ def white_noise_variance(frequency, power, noise_gain):
     """
     ratio = (power / noise_gain)[frequency >= 0.5 * frequency[-1]]
     n_blocks = max(1, ratio.size // _BLOCK)
-    means = [block.mean() for block in np.array_split(ratio, n_blocks)]
+    size, larger = divmod(ratio.size, n_blocks)  # as np.array_split divides
+    sizes = np.r_[np.full(larger, size + 1), np.full(n_blocks - larger, size)]
+    means = np.add.reduceat(ratio, np.cumsum(sizes) - sizes) / sizes
     if n_blocks < 3:  # a mean, or as good as one
         return float(np.mean(means))
     return float(np.median(means) / (1 - 1 / (9 * _INDEPENDENT)) ** 3)

@@ -79,7 +79,7 @@ def low_gains(plant: Plant) -> Gains:
     return Gains(stiffness=stiffness, damping=damping)
 
 
-class Motion(NamedTuple):
+class Response(NamedTuple):
     """What the robots did, ndarrays of shape (n, n_copies, nv).
 
     True positions and velocities, torques behind the actuators, commands to them.
@@ -125,7 +125,7 @@ class ClosedLoop:
         self._past = np.zeros_like(q)  # low-pass of the controller
         self._first_speed = v
 
-    def run(self, reference, feedforward, noise) -> Motion:
+    def run(self, reference, feedforward, noise) -> Response:
         """Go on for as many periods as there are rows.
 
         Desired positions [rad or m], feedforward [N m or N] and errors of the encoders
@@ -137,7 +137,7 @@ class ClosedLoop:
             if self._first_speed is not None:
                 self._set_out(reference[:1] - noise[:1], feedforward[:1])
             self._advance(reference - noise, feedforward, self._n, *out)
-        return Motion(*out)
+        return Response(*out)
 
     def _set_out(self, seen, feedforward):
         """Find the velocity half a step before the start."""

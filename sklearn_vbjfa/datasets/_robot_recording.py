@@ -66,7 +66,7 @@ class SimulatedRecording(Recording):
         kept = super().select(*names_or_labels)
         labels = [self.group_names.index(name) for name in kept.group_names]
         rows = np.isin(self.groups, labels)
-        return replace(kept, states=self.states[rows], tau_clean=self.tau_clean[rows])
+        return replace(kept, tau_clean=self.tau_clean[rows])
 
     def theta(self, friction):
         """Return the true parameter vector for a choice of friction columns.

@@ -116,7 +116,7 @@ def fit_recordings(identifier, source):
 
     extent = sums(_measure, _merge_extents)
     longest = max(extent["lengths"])
-    n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM))
+    n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
     power = sums(_spectra, _add_pairs, dt, n_fft)
     spectra = _smoothing.spectrum(*power, n_fft, dt) if power[1] else None
     estimator = choose_states(

@@ -1,483 +1,67 @@
-"""What the errors-in-variables estimators share: data, noise, attributes, predict.
-
-Fitting of the independent-latent model, shared by the EM and the VB estimator.
-"""
-
-import warnings
-from dataclasses import dataclass
+"""The data at the door of all regressors, and the prediction of the linear ones."""
 
 import numpy as np
-from scipy import linalg
 from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core import _moments, _solver, _updates
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
-from sklearn_vbjfa._core._updates import VARIANCE_FLOOR, LinearModel, expect_hidden
+from sklearn_vbjfa._core._linear_systems import unit_columns
 from sklearn_vbjfa.regression._sklearn_compat import check_sample_weight
 
 
-@dataclass(frozen=True, kw_only=True)
-class IndependentFit:
-    """Solution in standardised units, with what the attributes are made of."""
+class BaseRegressor(RegressorMixin, BaseEstimator):
+    """Validation of parameters, rows and queries."""
 
-    solution: _solver.Solution
-    retained: np.ndarray
-    noisy: _updates.LinearModel
-    noiseless: _updates.LinearModel
-
-
-def noise_shares(noise, data, names):
-    """Turn a user's input noise into shares of the active columns' variances.
-
-    Returns None, or an array of shape (n_active,) in [0, 1]; a share of 1 marks an
-    input that holds no signal beyond its noise, of which the user is warned.
-    """
-    if noise is None:
-        return None
-    n_active = data.x_scale.shape[0]
-    if np.ndim(noise) == 0:
-        return np.full(n_active, noise)
-    if np.ndim(noise) == 2:
-        off = noise - np.diag(np.diagonal(noise))
-        if np.any(off):
-            raise ValueError(
-                "input_noise with covariances between inputs needs "
-                'latent="correlated"; with independent latents give the variances '
-                "alone, of shape (n_features,)."
-            )
-        noise = np.diagonal(noise)
-    share = noise[data.active] / data.x_scale**2
-    full = np.flatnonzero(data.active)[share >= 1.0]
-    if full.size:
-        shown = ", ".join(str(names[i]) for i in full[:10])
-        warnings.warn(
-            f"input_noise is at least the whole variance of {full.size} input(s) "
-            f"({shown}): they hold no signal beyond noise and get the coefficient 0. "
-            "Check the units of input_noise (variances, not standard deviations).",
-            UserWarning,
-            stacklevel=5,
-        )
-    return np.minimum(share, 1.0)
-
-
-def _coefficient_covariance(data, hidden, precision):
-    """Covariance of the noisy-query coefficients c, from the collapsed likelihood.
-
-    With z and t integrated out, y | x ~ N(c'x, s), so that c has the precision
-    S_xx / s plus that of its prior. The variational variances, conditional on the
-    private z of each input, would be far too small.
-    """
-    moments, s = data.moments, hidden.y_var
-    if moments.S is None:
-        # Woodbury with n < d; inputs without a prior have no finite variance.
-        if not np.all(precision > 0):
-            return np.full((moments.xx.size, moments.xx.size), np.inf)
-        rows = moments.root.R
-        scaled = rows / precision
-        inner = scaled @ rows.T
-        inner[np.diag_indices_from(inner)] += s
-        return np.diag(1.0 / precision) - scaled.T @ linalg.solve(
-            inner, scaled, assume_a="pos"
-        )
-    if np.all(precision > 0):
-        root = 1.0 / np.sqrt(precision)
-        A = moments.S * np.outer(root, root) / s
-        A[np.diag_indices_from(A)] += 1.0
-        factor = linalg.cholesky(A, lower=True)
-        half = linalg.solve_triangular(factor, np.diag(root), lower=True)
-        return half.T @ half
-    # Without a prior the null space of S_xx has no finite variance: the span's
-    # covariance is reported and the affected inputs are marked infinite.
-    eigen = scaled_eigen(moments.S / s, scale=1.0)
-    cov, lost = eigen.inverse(), eigen.lost(1e-8)
-    cov[lost, lost] = np.inf
-    return cov
-
-
-def fit_independent(data, prior, initial_noise, *, max_iter, tol, accelerate=True):
-    """Run the iteration and derive coefficients, covariances and noise.
-
-    Parameters
-    ----------
-    data : Standardised
-        Moments and scales.
-    prior : Prior
-        Priors and known noise.
-    initial_noise : float
-        Share of each input's variance that is noise at the start.
-    max_iter, tol : int, float
-        Stopping rule of the loop.
-    accelerate : bool
-        Whether to do quasi-Newton steps; otherwise the updates as they are printed.
-    """
-    moments = data.moments
-    d = moments.xx.shape[0]
-    state = _solver.start(moments, prior, np.full(d, initial_noise))
-    solution = _solver.solve(
-        moments, state, prior, max_iter=max_iter, tol=tol, accelerate=accelerate
-    )
-    state = solution.state
-    hidden = expect_hidden(moments, state)
-    gain_x = state.w_x_mean**2 > 4 * state.w_x_var
-    gain_z = state.w_z_mean**2 > 4 * state.w_z_var
-    if prior.ard:
-        retained = gain_x & gain_z
-        # c = w_z w_x / V, and w_z ~ N(0, 1/alpha): the prior precision of c
-        usable = np.maximum(state.w_x_mean**2, VARIANCE_FLOOR)
-        precision = state.E_alpha * (usable + state.psi_x) ** 2 / usable
-    else:
-        retained = state.w_x_mean**2 > VARIANCE_FLOOR
-        precision = np.zeros(d)
-    cov_noisy = _coefficient_covariance(data, hidden, precision)
-    if prior.psi_x_fixed is not None:
-        retained &= prior.psi_x_fixed < 1.0
-    # beta = c V / w_x^2, input by input; an input switched off keeps c's deviation
-    lift = np.ones(d)
-    w_x2 = state.w_x_mean[retained] ** 2
-    lift[retained] = (w_x2 + state.psi_x[retained]) / w_x2
-    finite = np.isfinite(np.diagonal(cov_noisy))
-    cov = np.where(np.outer(finite, finite), cov_noisy, 0.0) * np.outer(lift, lift)
-    cov[np.diag_indices_from(cov)] += np.where(finite, 0.0, np.inf)
-    return IndependentFit(
-        solution=solution,
-        retained=retained,
-        noisy=_updates.LinearModel(
-            coef=_updates.coefficients_noisy(state),
-            cov=cov_noisy,
-            noise=float(hidden.y_var),
-        ),
-        noiseless=_updates.LinearModel(
-            coef=_updates.coefficients_noiseless(state, retained),
-            cov=cov,
-            noise=float(state.psi_y + state.psi_z.sum()),
-        ),
-    )
-
-
-# Up to this many features the scatter matrix is cheap, however few the rows are.
-_GRAM_FEATURES = 256
-
-
-def resolve_input_noise(input_noise, n_features):
-    """Validate the user's input noise; return None, a fraction, (d,) or (d, d).
-
-    Parameters
-    ----------
-    input_noise : None, float or array-like
-        Fraction of each input's variance, variances (d,), or covariance (d, d).
-    n_features : int
-        Number of inputs d.
-    """
-    if input_noise is None:
-        return None
-    value = np.asarray(input_noise, dtype=float)
-    if not np.isfinite(value).all():
-        raise ValueError(
-            "input_noise must be finite, got NaN or infinity; give a fraction in "
-            "[0, 1), variances per feature, or a covariance."
-        )
-    if value.ndim == 0:
-        if not 0 <= value < 1:
-            raise ValueError(
-                f"input_noise as a number is a fraction of each input's variance in "
-                f"[0, 1), got {float(value):.6g}; give variances as an array."
-            )
-        return float(value)
-    if value.shape == (n_features,):
-        if value.min() < 0:
-            raise ValueError(
-                f"input_noise variances must not be negative, got {value.min():.6g} "
-                f"for feature {int(value.argmin())}; give 0 for an exact input."
-            )
-        return value
-    if value.shape == (n_features, n_features):
-        scale = np.sqrt(np.abs(np.diagonal(value)))
-        unit = np.outer(scale, scale)
-        asymmetry = np.abs(value - value.T) > 1e-8 * unit
-        if asymmetry.any():
-            i, j = np.argwhere(asymmetry)[0]
-            raise ValueError(
-                "input_noise as a covariance must be symmetric, got "
-                f"{value[i, j]:.6g} at ({i}, {j}) and {value[j, i]:.6g} at ({j}, {i})."
-            )
-        normal = value / np.where(unit > 0, unit, 1.0)
-        smallest = np.linalg.eigvalsh(0.5 * (normal + normal.T)).min()
-        if smallest < -1e-8 or (np.diagonal(value) < 0).any():
-            raise ValueError(
-                "input_noise as a covariance must be positive semidefinite, got a "
-                f"smallest eigenvalue of {smallest:.3g} in units of its diagonal."
-            )
-        return 0.5 * (value + value.T)
-    raise ValueError(
-        f"input_noise must be a fraction, variances of shape ({n_features},) or a "
-        f"covariance of shape ({n_features}, {n_features}) for {n_features} features, "
-        f"got an array of shape {value.shape}."
-    )
-
-
-def _warn_lost_digits(name):
-    warnings.warn(
-        f"{name}.partial_fit loses digits: the inputs so far are too dependent, or y "
-        "too free of noise, for their scatter matrix, and earlier rows are not at hand "
-        "for a QR decomposition; fit all rows at once, or begin with a larger chunk.",
-        UserWarning,
-        stacklevel=3,
-    )
-
-
-class BaseJointFactorRegressor(RegressorMixin, BaseEstimator):
-    """Validation, statistics, prediction; subclasses fit standardised moments."""
-
-    def fit(self, X, y, sample_weight=None):
-        """Fit the model.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Noisy inputs.
-        y : array-like of shape (n_samples,)
-            Noisy output.
-        sample_weight : array-like of shape (n_samples,), default=None
-            Weights; a weight of 2 is the row twice.
-
-        Returns
-        -------
-        self : object
-            Fitted estimator.
-        """
+    def _check_rows(self, X, y, sample_weight, *, min_samples=1, reset=True):
+        """Validate parameters and rows; return X, y, and weights or None."""
         self._validate_params()
         X, y = validate_data(
-            self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2
+            self,
+            X,
+            y,
+            dtype=np.float64,
+            y_numeric=True,
+            ensure_min_samples=min_samples,
+            reset=reset,
         )
-        weight = None
-        if sample_weight is not None:
-            weight = check_sample_weight(sample_weight, X)
-        wide = X.shape[1] > max(X.shape[0], _GRAM_FEATURES)
-        if wide and self._accepts_data_moments():
-            # Fewer rows than columns: the rows themselves are the smaller form.
-            self.statistics_ = None
-            return self._fit(
-                _moments.standardise_data(X, y, weight, centred=self.fit_intercept)
-            )
-        stats = _moments.accumulate(X, y, weight, centred=self.fit_intercept)
-        return self._fit_statistics(stats)
+        if sample_weight is None:
+            return X, y, None
+        return X, y, check_sample_weight(sample_weight, X)
 
-    def partial_fit(self, X, y, sample_weight=None):
-        """Add rows to those seen so far and refit from the merged statistics.
-
-        The result equals one `fit` on all rows together, in any chunking. With
-        `forgetting` below one, rows are in the order of time and count
-        ``forgetting ** age``, with the age in rows: the newest row has the age zero.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Further rows of inputs.
-        y : array-like of shape (n_samples,)
-            Their outputs.
-        sample_weight : array-like of shape (n_samples,), default=None
-            Weights.
-
-        Returns
-        -------
-        self : object
-            Fitted estimator.
-        """
-        self._validate_params()
-        first = getattr(self, "statistics_", None) is None
-        if first and hasattr(self, "coef_"):
-            raise ValueError(
-                "partial_fit cannot continue a fit with fewer samples than features, "
-                "which keeps no statistics; start with partial_fit instead of fit."
-            )
-        X, y = validate_data(self, X, y, dtype=np.float64, y_numeric=True, reset=first)
-        weight = None
-        if sample_weight is not None:
-            weight = check_sample_weight(sample_weight, X)
-        n = X.shape[0]
-        if self.forgetting < 1.0:
-            age = self.forgetting ** np.arange(n - 1.0, -1.0, -1.0)
-            weight = age if weight is None else age * weight
-        old = None if first else self.statistics_
-        centred = self.fit_intercept
-        new = _moments.accumulate(X, y, weight, centred=centred, before=old)
-        total = None if first else old.faded(self.forgetting**n)
-        if new is not None:
-            total = new if first else total + new
-            if _moments.loses_digits(total, X, y, weight, centred=centred):
-                _warn_lost_digits(type(self).__name__)
-        return self._fit_statistics(total)
-
-    def _accepts_data_moments(self):
-        return True
-
-    def _fit_statistics(self, stats):
-        """Fit accumulated statistics; what pipelines that never hold X call."""
-        self.statistics_ = stats
-        self.n_features_in_ = stats.n_features
-        return self._fit(_moments.standardise(stats, centred=self.fit_intercept))
-
-    def _feature_labels(self):
-        """Names for messages: the columns' names, or their numbers."""
-        names = getattr(self, "feature_names_in_", None)
-        return range(self.n_features_in_) if names is None else names
-
-    def _fit_independent(self, data, prior, initial_noise):
-        """Fit the independent-latent model and set what it determines."""
-        if data.is_degenerate:
-            return self._fit_constant(data)
-        result = fit_independent(
-            data,
-            prior,
-            initial_noise,
-            max_iter=self.max_iter,
-            tol=self.tol,
-            accelerate=self.solver == "accelerated",
-        )
-        state = result.solution.state
-        units = np.log(data.y_scale) + np.log(data.x_scale).sum()
-        self._set_loop_attributes(result.solution, data, units)
-        self._set_linear_models(result.noisy, result.noiseless, data)
-        x2, y2 = data.x_scale**2, data.y_scale**2
-        self.input_noise_ = data.expand(state.psi_x * x2)
-        self.psi_y_ = state.psi_y * y2
-        self.psi_z_ = data.expand(state.psi_z * y2)
-        self.w_x_mean_ = data.expand(state.w_x_mean * data.x_scale)
-        self.w_z_mean_ = data.expand(state.w_z_mean * data.y_scale)
-        if prior.ard:
-            self.relevant_ = data.expand(result.retained).astype(bool)
-            # w_z in the unit of y: a standardised precision over y's variance
-            self.alpha_ = data.expand(state.E_alpha / y2, fill=np.inf)
-            self.w_x_var_ = data.expand(state.w_x_var * x2)
-            self.w_z_var_ = data.expand(state.w_z_var * y2)
-        self._warn_at_floor(result.solution.at_floor, data)
-        return self
-
-    def _warn_at_floor(self, at_floor, data):
-        self.heywood_ = data.expand(np.zeros(data.x_scale.size)).astype(bool)
-        if "psi_x" not in at_floor:
-            return
-        where = np.flatnonzero(data.active)[at_floor["psi_x"]]
-        self.heywood_[where] = True
-        labels = self._feature_labels()
-        shown = ", ".join(str(labels[i]) for i in where[:10])
-        warnings.warn(
-            f"The input-noise variance of {where.size} input(s) ({shown}) went to "
-            "zero, the smallest that the data resolve (a Heywood case): for these "
-            "the fit says exact input. See heywood_; give input_noise where known.",
-            UserWarning,
-            stacklevel=5,
-        )
-
-    def _fit_constant(self, data):
-        """Y or all inputs are constant: the intercept is all there is."""
-        d = data.active.shape[0]
-        zero = np.zeros(data.x_scale.size)
-        cov = np.zeros((zero.size, zero.size))
-        model = LinearModel(coef=zero, cov=cov, noise=float(data.y_scale > 0))
-        self._set_linear_models(model, model, data)
-        self.input_noise_, self.psi_z_ = np.zeros(d), np.zeros(d)
-        self.w_x_mean_, self.w_z_mean_ = np.zeros(d), np.zeros(d)
-        self.psi_y_ = data.y_scale**2
-        self.relevant_ = np.zeros(d, dtype=bool)
-        self.heywood_ = np.zeros(d, dtype=bool)
-        self.alpha_ = np.full(d, np.inf)
-        self.w_x_var_, self.w_z_var_ = np.zeros(d), np.zeros(d)
-        self.elbo_history_ = np.array([])
-        self.n_iter_, self.converged_, self.status_ = 1, True, "converged"
-        return self
-
-    def _set_loop_attributes(self, solution, data, log_units):
-        # log-density of what the bound is of in its own units, not standardised
-        n = data.moments.n
-        self.elbo_history_ = solution.history - n * log_units
-        self.n_iter_ = solution.n_iter
-        self.converged_ = solution.status == "converged"
-        self.status_ = solution.status
-        if solution.status == "bound_decreased":
-            warnings.warn(
-                f"The bound fell by {solution.fall:.3g} at iteration "
-                f"{solution.n_iter} of {type(self).__name__}, more than rounding can "
-                "explain; the last state before it is kept. Check the scaling and "
-                "the rank of X.",
-                ConvergenceWarning,
-                stacklevel=4,
-            )
-        elif solution.status == "max_iter":
-            gain = np.diff(solution.history[-2:])
-            reached = f"{gain[0] / n:.3g}" if gain.size else "unknown"
-            warnings.warn(
-                f"{type(self).__name__} stopped after max_iter={self.max_iter} "
-                f"iterations with a gain of {reached} per sample, tol={self.tol:.3g}; "
-                "increase max_iter or tol.",
-                ConvergenceWarning,
-                stacklevel=4,
-            )
-
-    def _set_linear_models(self, noisy, noiseless, data):
-        """Set what the two kinds of queries need, and which of them `predict` takes."""
-        unit = data.y_scale / data.x_scale
-        y2 = data.y_scale**2
-        self.coef_noisy_ = data.expand(noisy.coef * unit)
-        self.coef_noiseless_ = data.expand(noiseless.coef * unit)
-        self.output_noise_ = noiseless.noise * y2
-        answer = noisy if self.query == "noisy" else noiseless
-        self.coef_ = (
-            self.coef_noisy_ if self.query == "noisy" else self.coef_noiseless_
-        ).copy()
-        # A column without variation tells nothing of its coefficient.
-        d = data.active.shape[0]
-        self.coef_cov_ = np.zeros((d, d))
-        self.coef_cov_[~data.active, ~data.active] = np.inf
-        self.coef_cov_[np.ix_(data.active, data.active)] = answer.cov * np.outer(
-            unit, unit
-        )
-        # Without noise a variance is zero to rounding, on either side.
-        self.coef_std_ = np.sqrt(np.maximum(np.diagonal(self.coef_cov_), 0.0))
-        self.intercept_, self.intercept_noisy_, self.intercept_noiseless_ = (
-            float(data.y_offset - data.x_offset @ coef)
-            for coef in (self.coef_, self.coef_noisy_, self.coef_noiseless_)
-        )
-        self._x_offset = data.x_offset
-        self._query_noise = answer.noise * y2
-        # The mean of y is known from n samples.
-        self._mean_variance = 0.0
-        if self.fit_intercept:
-            self._mean_variance = self._query_noise / data.moments.n
-
-    def predict(self, X, return_std=False):
-        """Predict the output.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Query inputs: as noisy as those of the fit with ``query="noisy"``,
-            noiseless ones with ``query="noiseless"``.
-        return_std : bool, default=False
-            Whether to return the standard deviation of the predicted outputs too.
-
-        Returns
-        -------
-        y_mean : ndarray of shape (n_samples,)
-            Predicted outputs.
-        y_std : ndarray of shape (n_samples,)
-            Standard deviations of new outputs, from the uncertainty of coefficients
-            and intercept and the noise together; only with `return_std`.
-        """
+    def _check_queries(self, X):
+        """Validate the inputs (n_samples, n_features) of a prediction."""
         check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
-        mean = X @ self.coef_ + self.intercept_
-        if not return_std:
-            return mean
-        Xc = X - self._x_offset
-        # An input that never varied has no finite deviation, but at the value that
-        # it always had it does not matter either.
-        finite = np.isfinite(self.coef_std_)
-        known = Xc[:, finite]
-        cov = self.coef_cov_[np.ix_(finite, finite)]
-        parameters = np.einsum("ij,ij->i", known @ cov, known)
-        parameters = np.where(Xc[:, ~finite].any(axis=1), np.inf, parameters)
-        noise = self._query_noise + self._mean_variance
-        return mean, np.sqrt(np.maximum(parameters, 0.0) + noise)
+        return validate_data(self, X, dtype=np.float64, reset=False)
+
+
+class LinearRegressor(BaseRegressor):
+    """Coefficients and intercept on columns of unit length."""
+
+    def predict(self, X):
+        """Predict the output for inputs as they are.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, n_features)
+            Inputs.
+
+        Returns
+        -------
+        ndarray of shape (n_samples,)
+            Predicted output [unit of y].
+        """
+        return self._check_queries(X) @ self.coef_ + self.intercept_
+
+    def _unit_columns(self, blocks, weight):
+        """Columns of the blocks, side by side, of unit length; (columns, sum of w)."""
+        rows = np.column_stack(blocks)
+        if weight is None:
+            weight = np.ones(rows.shape[0])
+        used = weight > 0
+        columns = unit_columns(rows[used], weight[used], center=self.fit_intercept)
+        return columns, weight.sum()
+
+    def _set_coefficients(self, coef, mean):
+        """Set coefficients (d,) and the intercept, given the means of [X y ...]."""
+        d = coef.size
+        self.coef_ = coef
+        self.intercept_ = float(mean[d] - mean[:d] @ coef)

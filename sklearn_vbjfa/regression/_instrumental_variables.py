@@ -1,25 +1,13 @@
 """Instrumental variables by two-stage least squares."""
 
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.utils.validation import (
-    check_array,
-    check_consistent_length,
-    check_is_fitted,
-    validate_data,
-)
+from sklearn.utils.validation import check_array, check_consistent_length
 
-from sklearn_vbjfa._core._linear_systems import (
-    orthonormal_basis,
-    scaled_lstsq,
-    unit_columns,
-)
-from sklearn_vbjfa.regression._sklearn_compat import _fit_context, check_sample_weight
-
-__all__ = ["InstrumentalVariables"]
+from sklearn_vbjfa._core._linear_systems import orthonormal_basis, scaled_lstsq
+from sklearn_vbjfa.regression._base import LinearRegressor
 
 
-class InstrumentalVariables(RegressorMixin, BaseEstimator):
+class InstrumentalVariables(LinearRegressor):
     r"""Two-stage least squares: inputs seen through instruments free of their noise.
 
     Parameters
@@ -115,7 +103,6 @@ class InstrumentalVariables(RegressorMixin, BaseEstimator):
     def __init__(self, *, fit_intercept=True):
         self.fit_intercept = fit_intercept
 
-    @_fit_context(prefer_skip_nested_validation=True)
     def fit(self, X, y, *, instruments=None, sample_weight=None):
         """Fit the coefficients.
 
@@ -139,8 +126,7 @@ class InstrumentalVariables(RegressorMixin, BaseEstimator):
         self : InstrumentalVariables
             Fitted estimator.
         """
-        X, y = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
-        weight = check_sample_weight(sample_weight, X)
+        X, y, weight = self._check_rows(X, y, sample_weight)
         n_features = X.shape[1]
         blocks = [X, y]
         if instruments is not None:
@@ -155,10 +141,7 @@ class InstrumentalVariables(RegressorMixin, BaseEstimator):
                     "such as the features that are known exactly."
                 )
             blocks.append(instruments)
-        used = weight > 0
-        columns = unit_columns(
-            np.column_stack(blocks)[used], weight[used], center=self.fit_intercept
-        )
+        columns, total = self._unit_columns(blocks, weight)
         factor = np.linalg.qr(columns.values, mode="r")
         inputs, output = factor[:, :n_features], factor[:, n_features]
         if instruments is None:
@@ -166,35 +149,16 @@ class InstrumentalVariables(RegressorMixin, BaseEstimator):
         else:
             basis = orthonormal_basis(factor[:, n_features + 1 :])
             projected, target = basis.T @ inputs, basis.T @ output
-        coef, inverse, identified, rank = scaled_lstsq(projected, target)
+        found = scaled_lstsq(projected, target)
 
         scale = columns.scale[n_features] / columns.scale[:n_features]
-        self.coef_ = coef * scale
-        mean = columns.mean
-        self.intercept_ = float(mean[n_features] - mean[:n_features] @ self.coef_)
-        self.rank_ = rank
-        residual = output - inputs @ coef
-        dof = weight.sum() - rank - bool(self.fit_intercept)
+        self._set_coefficients(found.coef * scale, columns.mean)
+        self.rank_ = found.rank
+        residual = output - inputs @ found.coef
+        dof = total - found.rank - bool(self.fit_intercept)
         if dof > 0:
-            std = np.sqrt(residual @ residual / dof * np.diag(inverse)) * scale
-            self.coef_std_ = np.where(identified, std, np.inf)
+            std = np.sqrt(residual @ residual / dof * np.diag(found.inverse)) * scale
+            self.coef_std_ = np.where(found.identified, std, np.inf)
         else:
             self.coef_std_ = np.full(n_features, np.nan)
         return self
-
-    def predict(self, X):
-        """Predict the output.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Inputs.
-
-        Returns
-        -------
-        ndarray of shape (n_samples,)
-            Predicted output [unit of y].
-        """
-        check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
-        return X @ self.coef_ + self.intercept_

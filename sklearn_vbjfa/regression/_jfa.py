@@ -1,14 +1,11 @@
 """Joint factor analysis regression by expectation-maximisation."""
 
-from numbers import Integral, Real
-
 from sklearn_vbjfa._core._updates import Prior
-from sklearn_vbjfa.regression._base import (
+from sklearn_vbjfa.regression._joint_factor import (
     BaseJointFactorRegressor,
     noise_shares,
     resolve_input_noise,
 )
-from sklearn_vbjfa.regression._sklearn_compat import Interval, StrOptions
 
 
 class JFARegressor(BaseJointFactorRegressor):
@@ -141,17 +138,6 @@ class JFARegressor(BaseJointFactorRegressor):
     >>> model.coef_noiseless_.round(1)
     array([ 1., -2.])
     """
-
-    _parameter_constraints: dict = {  # noqa: RUF012
-        "input_noise": [None, Real, "array-like"],
-        "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
-        "fit_intercept": ["boolean"],
-        "query": [StrOptions({"noiseless", "noisy"})],
-        "solver": [StrOptions({"accelerated", "plain"})],
-        "max_iter": [Interval(Integral, 1, None, closed="left")],
-        "tol": [Interval(Real, 0, None, closed="left")],
-        "forgetting": [Interval(Real, 0, 1, closed="right")],
-    }
 
     def __init__(
         self,

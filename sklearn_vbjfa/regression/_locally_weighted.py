@@ -3,14 +3,10 @@
 from numbers import Integral, Real
 
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.base import clone
 
-from sklearn_vbjfa.regression._sklearn_compat import (
-    Interval,
-    StrOptions,
-    check_sample_weight,
-)
+from sklearn_vbjfa.regression._base import BaseRegressor
+from sklearn_vbjfa.regression._sklearn_compat import Interval, StrOptions
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 
 # Samples further than this many bandwidths from a centre weigh less than 0.4 % there
@@ -18,7 +14,7 @@ from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 _REACH = 3.3
 
 
-class LocallyWeightedRegressor(RegressorMixin, BaseEstimator):
+class LocallyWeightedRegressor(BaseRegressor):
     r"""Piecewise linear regression: local models, blended by their distance.
 
     The extension that section 6 of [1]_ names: linear models around centres
@@ -111,11 +107,9 @@ class LocallyWeightedRegressor(RegressorMixin, BaseEstimator):
         self : object
             Fitted estimator.
         """
-        self._validate_params()
-        X, y = validate_data(
-            self, X, y, dtype=np.float64, y_numeric=True, ensure_min_samples=2
-        )
-        weight = check_sample_weight(sample_weight, X)
+        X, y, weight = self._check_rows(X, y, sample_weight, min_samples=2)
+        if weight is None:
+            weight = np.ones(X.shape[0])
         used = weight > 0
         mean = np.average(X, axis=0, weights=weight)
         spread = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weight))
@@ -172,8 +166,7 @@ class LocallyWeightedRegressor(RegressorMixin, BaseEstimator):
         ndarray of shape (n_samples,)
             Predicted outputs.
         """
-        check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
+        X = self._check_queries(X)
         centers = self.centers_ / self.scale_
         squares = ((X / self.scale_)[:, None] - centers[None]) ** 2
         exponent = -0.5 * squares.sum(axis=-1) / self.bandwidth_**2

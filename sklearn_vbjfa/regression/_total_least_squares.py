@@ -3,20 +3,15 @@
 from numbers import Real
 
 import numpy as np
-from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.utils.validation import check_array, check_is_fitted, validate_data
+from sklearn.utils.validation import check_array
 
-from sklearn_vbjfa._core._linear_systems import mixed_tls, unit_columns
-from sklearn_vbjfa.regression._sklearn_compat import (
-    Interval,
-    _fit_context,
-    check_sample_weight,
-)
-
-__all__ = ["TotalLeastSquares"]
+from sklearn_vbjfa._core._linear_systems import mixed_tls
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa.regression._base import LinearRegressor
+from sklearn_vbjfa.regression._sklearn_compat import Interval
 
 
-class TotalLeastSquares(RegressorMixin, BaseEstimator):
+class TotalLeastSquares(LinearRegressor):
     r"""Orthogonal regression: noise in X and y, of known ratios of variances.
 
     Parameters
@@ -139,7 +134,6 @@ class TotalLeastSquares(RegressorMixin, BaseEstimator):
         self.input_noise = input_noise
         self.output_noise = output_noise
 
-    @_fit_context(prefer_skip_nested_validation=True)
     def fit(self, X, y, sample_weight=None):
         """Fit the coefficients.
 
@@ -159,39 +153,19 @@ class TotalLeastSquares(RegressorMixin, BaseEstimator):
         self : TotalLeastSquares
             Fitted estimator.
         """
-        X, y = validate_data(self, X, y, dtype=np.float64, y_numeric=True)
-        weight = check_sample_weight(sample_weight, X)
+        X, y, weight = self._check_rows(X, y, sample_weight)
         whiten, exact, output_std = self._noise_coordinates(X.shape[1])
-        used = weight > 0
-        columns = unit_columns(
-            np.column_stack([X, y])[used], weight[used], center=self.fit_intercept
-        )
+        columns, _ = self._unit_columns([X, y], weight)
         # Column scales commute with the orthogonal factor; with them taken out the
         # reduction is as accurate for small columns as for large ones.
         factor = np.linalg.qr(columns.values, mode="r") * columns.scale
-        solution = mixed_tls(factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact)
-        self.coef_ = output_std * (whiten @ solution.coef)
-        self.intercept_ = float(columns.mean[-1] - columns.mean[:-1] @ self.coef_)
-        self.rank_ = solution.rank
-        self.generic_ = solution.rank == X.shape[1]
+        coef, rank = mixed_tls(
+            factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact
+        )
+        self._set_coefficients(output_std * (whiten @ coef), columns.mean)
+        self.rank_ = rank
+        self.generic_ = rank == X.shape[1]
         return self
-
-    def predict(self, X):
-        """Predict the output for noiseless inputs.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Inputs.
-
-        Returns
-        -------
-        ndarray of shape (n_samples,)
-            Predicted output [unit of y].
-        """
-        check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
-        return X @ self.coef_ + self.intercept_
 
     def _noise_coordinates(self, n_features):
         """Coordinates with independent noise of unit variance, or without noise.
@@ -243,19 +217,18 @@ class TotalLeastSquares(RegressorMixin, BaseEstimator):
         if noise.ndim == 1:
             return np.diag(1 / std), exact, output_std
 
-        scaled = noise / np.outer(std, std)
         tolerance = 10 * n_features * np.finfo(np.float64).eps
-        eigenvalues, vectors = np.linalg.eigh((scaled + scaled.T) / 2)
-        if np.abs(scaled - scaled.T).max() > np.sqrt(tolerance) or eigenvalues[
-            0
-        ] < -np.sqrt(tolerance):
+        asymmetry = np.abs((noise - noise.T) / np.outer(std, std)).max()
+        eigen = scaled_eigen((noise + noise.T) / 2, tolerance, relative=False)
+        smallest = eigen.values[0]
+        if asymmetry > np.sqrt(tolerance) or smallest < -np.sqrt(tolerance):
             raise ValueError(
                 "input_noise must be a symmetric covariance without negative "
-                f"eigenvalue, got a smallest eigenvalue of {eigenvalues[0]:.6g} "
+                f"eigenvalue, got a smallest eigenvalue of {smallest:.6g} "
                 "(features scaled to unit variance) and an asymmetry of "
-                f"{np.abs(scaled - scaled.T).max():.6g}. Symmetrise the matrix or "
+                f"{asymmetry:.6g}. Symmetrise the matrix or "
                 "give its diagonal only."
             )
-        exact = eigenvalues <= tolerance
-        whiten = vectors / np.sqrt(np.where(exact, 1.0, eigenvalues))
+        exact = ~eigen.known
+        whiten = eigen.vectors / np.sqrt(np.where(exact, 1.0, eigen.values))
         return whiten / std[:, np.newaxis], exact, output_std

@@ -1,20 +1,26 @@
 """Variational Bayesian joint factor analysis regression.
 
-Fitting of the correlated-latent model: dependencies, relevance, noise.
+The estimator, and below it how the correlated-latent model is fitted: dependencies,
+relevance, noise. Tags such as [C18] are equations of the guide.
 """
 
 import warnings
 from dataclasses import dataclass
-from numbers import Integral, Real
+from functools import partial
+from numbers import Real
 
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa._core import _correlated
+from sklearn_vbjfa._core._correlated import (
+    CorrelatedSolution,
+    posterior_covariance,
+    solve_correlated,
+)
 from sklearn_vbjfa._core._dependencies import find_dependencies
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa._core._updates import LinearModel, Prior
-from sklearn_vbjfa.regression._base import (
+from sklearn_vbjfa.regression._joint_factor import (
     BaseJointFactorRegressor,
     noise_shares,
     resolve_input_noise,
@@ -27,258 +33,6 @@ RELEVANT_DEVIATIONS = 2.0
 # Largest fraction of an input's variance that the prior takes for noise: an input that
 # someone measured in order to predict with it is signal for two thirds at least.
 LARGEST_FRACTION = 1 / 3
-
-
-@dataclass(frozen=True, kw_only=True)
-class CorrelatedFit:
-    """Solutions in standardised units, spread over all active columns.
-
-    `noisy` and `noiseless` are the linear models for the two kinds of queries, with
-    the solutions that they come from; alpha, relevant (d,) and psi (d, d) are the
-    precisions, the relevant inputs and the input noise.
-    """
-
-    noisy: LinearModel
-    noiseless: LinearModel
-    noisy_solution: _correlated.CorrelatedSolution
-    noiseless_solution: _correlated.CorrelatedSolution
-    alpha: np.ndarray
-    relevant: np.ndarray
-    psi: np.ndarray
-    rule: str
-
-
-def largest_noise_fraction(R, r):
-    """Largest input-noise fraction that correlations R (d, d), r (d,) admit.
-
-    Without noise in the inputs' covariance R and in the output what is left must be
-    positive semidefinite: no common fraction can exceed the smallest eigenvalue of
-    R - r r', the covariance of the inputs given an output that is all signal.
-    """
-    given_output = R - np.outer(r, r)
-    smallest = linalg.eigvalsh(given_output, subset_by_index=[0, 0])[0]
-    return float(min(LARGEST_FRACTION, max(smallest, 0.0)))  # [C18]
-
-
-def fit_correlated(data, noise, labels, *, select, settings, dof=np.inf):
-    """Fit the model.
-
-    Parameters
-    ----------
-    data : Standardised
-        Moments as a scatter matrix, and scales.
-    noise : None, float, ndarray of shape (d,) or (d, d)
-        The user's input noise, already validated; None estimates it.
-    labels : sequence
-        Names of the columns for messages.
-    select : bool
-        For noiseless queries: reduce exactly dependent inputs to their generators and
-        fit only relevant ones, with one precision in common. Noisy queries are then
-        answered by all inputs as they are, see `_average`.
-    settings : dict
-        common, ard_shape, ard_rate, max_iter, tol, accelerate; `common` is one
-        precision for all inputs.
-    dof : float
-        Degrees of freedom with which the user's noise was estimated.
-    """
-    m = data.moments
-    d = m.xx.size
-    psi = _standard_noise(noise, data)
-    if psi is not None:
-        _warn_excess(m.S / m.n, psi, data, labels)
-    if not select:
-        return _fit_all(m, np.zeros((d, d)) if psi is None else psi, settings, dof)
-    R, r = m.S / m.n, m.xy / m.n
-    as_they_are = _solve(m, np.zeros((d, d)), settings)
-    found = find_dependencies(R)
-    basis = found.basis
-    kept = _relevant_inputs(m, basis, as_they_are, settings)
-    at = basis[kept]
-    largest = 0.0
-    if psi is None:
-        largest = largest_noise_fraction(R[np.ix_(at, at)], r[at])
-        psi = np.zeros((d, d))
-        psi[at, at] = 0.5 * largest
-    solution = _solve(m.columns(at), psi[np.ix_(at, at)], {**settings, "common": True})
-    coef = np.zeros(basis.size)
-    coef[kept] = solution.state.beta_mean
-    # The inputs that were switched off belong to what is not known.
-    psi_basis = psi[np.ix_(basis, basis)]
-    in_common = _solve(m.columns(basis), psi_basis, {**settings, "common": True})
-    cov = _uncertainty(m.columns(basis), psi_basis, coef, in_common, dof)
-    cov[np.ix_(kept, kept)] += _fraction_covariance(solution, largest)
-    spread = _spread(R, basis, found.copies)
-    relevant = np.zeros(d, dtype=bool)
-    relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
-    return CorrelatedFit(
-        noisy=_average(m, as_they_are, settings),
-        noiseless=LinearModel(
-            coef=spread @ coef,
-            cov=spread @ cov @ spread.T,
-            noise=solution.state.psi_y,
-        ),
-        noisy_solution=as_they_are,
-        noiseless_solution=solution,
-        alpha=as_they_are.state.E_alpha,
-        relevant=relevant,
-        psi=psi,
-        rule=found.rule,
-    )
-
-
-def _solve(m, psi, settings):
-    """Fit all inputs of the moments with a known noise covariance (d, d)."""
-    return _correlated.solve_correlated(m, psi, **settings)
-
-
-def _fit_all(m, psi, settings, dof=np.inf):
-    """Fit all inputs with a known noise covariance (d, d), for both queries."""
-    solution = _solve(m, psi, settings)
-    state, latent = solution.state, solution.latent
-    in_common = _in_common(m, psi, solution, settings)
-    cov = _uncertainty(m, psi, state.beta_mean, in_common, dof)
-    noiseless = LinearModel(coef=state.beta_mean, cov=cov, noise=state.psi_y)
-    noisy = noiseless
-    if not latent.exact:
-        noisy = _noisy_model(m, solution, settings)
-    variance = np.diagonal(_correlated.posterior_covariance(m.n, psi, solution, dof))
-    return CorrelatedFit(
-        noisy=noisy,
-        noiseless=noiseless,
-        noisy_solution=solution,
-        noiseless_solution=solution,
-        alpha=state.E_alpha,
-        relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
-        psi=psi,
-        rule="all inputs",
-    )
-
-
-def _in_common(m, psi, solution, settings):
-    """Solution with one precision in common, which `solution` may be already."""
-    if settings["common"]:
-        return solution
-    return _solve(m, psi, {**settings, "common": True})
-
-
-def _uncertainty(m, psi, coef, in_common, dof=np.inf):
-    """Second moment (d, d) about `coef` of the posterior with one precision in common.
-
-    A posterior under automatic relevance determination takes the precisions for known:
-    of a coefficient that it has switched off, or nearly, it says that it is zero. One
-    precision, known from all coefficients together, does not. What both disagree in
-    belongs to what is not known.
-    """
-    cov = _correlated.posterior_covariance(m.n, psi, in_common, dof)
-    return cov + _square(in_common.state.beta_mean - coef)
-
-
-def _noisy_model(m, solution, settings):
-    """Model of y given noisy inputs, c = H'beta, with its variance v and uncertainty.
-
-    v is psi_y + beta'P beta. That of c is what a regression on the inputs as they are
-    leaves open, see `_uncertainty`.
-    """
-    beta, latent = solution.state.beta_mean, solution.latent
-    coef = latent.H.T @ beta  # [C5]
-    exact = np.zeros_like(m.S)
-    in_common = _solve(m, exact, {**settings, "common": True})
-    return LinearModel(
-        coef=coef,
-        cov=_uncertainty(m, exact, coef, in_common),
-        noise=solution.state.psi_y + beta @ latent.P @ beta,  # [C5]
-    )
-
-
-def _square(x):
-    return np.outer(x, x)
-
-
-def _fraction_covariance(solution, largest):
-    """Covariance (d, d) of the coefficients over a fraction uniform on [0, largest].
-
-    From (R - f I) beta_f = R beta_0, the same for all f, follows the slope
-    (R - f I)^-1 beta_f; the variance of f is largest^2 / 12.
-    """
-    beta = solution.state.beta_mean
-    slope = scaled_eigen(solution.latent.Sigma_t).solve(beta)  # [C19]
-    return _square(slope) * largest**2 / 12
-
-
-def _average(m, solution, settings):
-    """Answer to noisy queries: the mean of two regressions on the inputs as they are.
-
-    One gives each input a precision of its own, which suits few relevant inputs; the
-    other one precision to all, which suits many. Nothing tells beforehand which suits;
-    their mean is nearly as good as the better one, and half of what they differ in is
-    not known.
-    """
-    exact = np.zeros_like(m.S)
-    other = _in_common(m, exact, solution, settings)
-    both = [one.state for one in (solution, other)]
-    coef = 0.5 * sum(state.beta_mean for state in both)
-    return LinearModel(
-        coef=coef,
-        cov=_uncertainty(m, exact, coef, other),
-        noise=0.5 * sum(state.psi_y for state in both),
-    )
-
-
-def _standard_noise(noise, data):
-    """Noise covariance (d, d) of the standardised active columns; None is unknown."""
-    if noise is None:
-        return None
-    if np.ndim(noise) == 0:
-        return noise * np.eye(data.x_scale.size)
-    full = np.diag(noise) if np.ndim(noise) == 1 else noise
-    unit = np.outer(data.x_scale, data.x_scale)
-    return full[np.ix_(data.active, data.active)] / unit
-
-
-def _warn_excess(R, psi, data, labels):
-    """Name the columns whose noise alone exceeds what was measured."""
-    over = np.flatnonzero(np.diagonal(psi) > np.diagonal(R) * (1 + 1e-9))
-    if over.size:
-        shown = ", ".join(
-            str(labels[i]) for i in np.flatnonzero(data.active)[over][:10]
-        )
-        warnings.warn(
-            f"input_noise exceeds the whole variance of {over.size} input(s) "
-            f"({shown}): no signal is left in them. Check the units of input_noise "
-            "(variances, not standard deviations).",
-            UserWarning,
-            stacklevel=6,
-        )
-
-
-def _relevant_inputs(m, basis, as_they_are, settings):
-    """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations.
-
-    Asked of the noisy inputs on purpose: an input that has nothing to do with y has a
-    zero coefficient there too, and the test has not lost power to the correction.
-    """
-    state = as_they_are.state
-    if basis.size < m.xx.size:
-        exact = np.zeros((basis.size, basis.size))
-        state = _solve(m.columns(basis), exact, settings).state
-    score = state.beta_mean**2 / np.diagonal(state.beta_cov)
-    kept = score > RELEVANT_DEVIATIONS**2
-    if not kept.any():
-        kept[np.argmax(score)] = True
-    return kept
-
-
-def _spread(R, at, copies):
-    """Matrix (d, k) that gives the columns `at` and their exact copies their shares.
-
-    Nothing tells copies apart: in standardised columns each takes the same part, with
-    the sign of its correlation.
-    """
-    spread = np.zeros((R.shape[0], at.size))
-    for k, (j, group) in enumerate(zip(at, copies)):
-        sign = np.ones(1) if group.size == 1 else np.sign(R[j, group])
-        spread[group, k] = sign / group.size
-    return spread
 
 
 # The default prior on the input noise: inverse-gamma on each variance psi_x with its
@@ -493,19 +247,12 @@ class VBJFARegressor(BaseJointFactorRegressor):
     """
 
     _parameter_constraints: dict = {  # noqa: RUF012
+        **BaseJointFactorRegressor._parameter_constraints,
         "latent": [StrOptions({"auto", "independent", "correlated"})],
         "selection": [StrOptions({"auto"}), "boolean"],
         "prior": [StrOptions({"noise", "paper"})],
-        "input_noise": [None, Real, "array-like"],
-        "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
         "ard_shape": [Interval(Real, 0, None, closed="neither")],
         "ard_rate": [Interval(Real, 0, None, closed="neither")],
-        "fit_intercept": ["boolean"],
-        "query": [StrOptions({"noiseless", "noisy"})],
-        "solver": [StrOptions({"accelerated", "plain"})],
-        "max_iter": [Interval(Integral, 1, None, closed="left")],
-        "tol": [Interval(Real, 0, None, closed="left")],
-        "forgetting": [Interval(Real, 0, 1, closed="right")],
     }
 
     def __init__(
@@ -590,20 +337,22 @@ class VBJFARegressor(BaseJointFactorRegressor):
             self._fit_constant(data)
             self.input_noise_ = np.zeros((d, d))
             return self
+        solve = partial(
+            solve_correlated,
+            # Hardly more samples than inputs do not tell a precision for each.
+            common=not self._enough_samples(data),
+            ard_shape=self.ard_shape,
+            ard_rate=self.ard_rate,
+            max_iter=self.max_iter,
+            tol=self.tol,
+            accelerate=self.solver == "accelerated",
+        )
         result = fit_correlated(
             data,
             noise,
             self._feature_labels(),
+            solve,
             select=self._resolve_selection(noise, data),
-            settings={
-                # Hardly more samples than inputs do not tell a precision for each.
-                "common": not self._enough_samples(data),
-                "ard_shape": self.ard_shape,
-                "ard_rate": self.ard_rate,
-                "max_iter": self.max_iter,
-                "tol": self.tol,
-                "accelerate": self.solver == "accelerated",
-            },
             dof=getattr(self.input_noise, "dof", np.inf),
         )
         y2 = data.y_scale**2
@@ -620,3 +369,243 @@ class VBJFARegressor(BaseJointFactorRegressor):
         self.heywood_ = np.zeros(d, dtype=bool)
         self.basis_rule_ = result.rule
         return self
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrelatedFit:
+    """Solutions in standardised units, spread over all active columns.
+
+    `noisy` and `noiseless` are the linear models for the two kinds of queries, with
+    the solutions that they come from; alpha, relevant (d,) and psi (d, d) are the
+    precisions, the relevant inputs and the input noise.
+    """
+
+    noisy: LinearModel
+    noiseless: LinearModel
+    noisy_solution: CorrelatedSolution
+    noiseless_solution: CorrelatedSolution
+    alpha: np.ndarray
+    relevant: np.ndarray
+    psi: np.ndarray
+    rule: str
+
+
+def largest_noise_fraction(R, r):
+    """Largest input-noise fraction that correlations R (d, d), r (d,) admit, [C18]."""
+    given_output = R - np.outer(r, r)
+    smallest = linalg.eigvalsh(given_output, subset_by_index=[0, 0])[0]
+    return float(min(LARGEST_FRACTION, max(smallest, 0.0)))  # [C18]
+
+
+def fit_correlated(data, noise, labels, solve, *, select, dof=np.inf):
+    """Fit the model to standardised data.
+
+    Parameters
+    ----------
+    data : Standardised
+        Moments as a scatter matrix, and scales.
+    noise : None, float, ndarray of shape (d,) or (d, d)
+        The user's input noise, already validated; None estimates it.
+    labels : sequence
+        Names of the columns for messages.
+    solve : callable
+        `solve_correlated` with its settings, of moments and a noise covariance.
+    select : bool
+        For noiseless queries: reduce exactly dependent inputs to their generators and
+        fit only relevant ones, with one precision in common. Noisy queries are then
+        answered by all inputs as they are, see `_average`.
+    dof : float
+        Degrees of freedom with which the user's noise was estimated.
+    """
+    m = data.moments
+    d = m.xx.size
+    psi = _standard_noise(noise, data)
+    if psi is not None:
+        _warn_excess(m.S / m.n, psi, data, labels)
+    if not select:
+        return _fit_all(m, np.zeros((d, d)) if psi is None else psi, solve, dof)
+    R, r = m.S / m.n, m.xy / m.n
+    as_they_are = solve(m, np.zeros((d, d)))
+    found = find_dependencies(R)
+    basis = found.basis
+    kept = _relevant_inputs(m, basis, as_they_are, solve)
+    at = basis[kept]
+    largest = 0.0
+    if psi is None:
+        largest = largest_noise_fraction(R[np.ix_(at, at)], r[at])
+        psi = np.zeros((d, d))
+        psi[at, at] = 0.5 * largest
+    solution = solve(m.columns(at), psi[np.ix_(at, at)], common=True)
+    coef = np.zeros(basis.size)
+    coef[kept] = solution.state.beta_mean
+    # The inputs that were switched off belong to what is not known.
+    psi_basis = psi[np.ix_(basis, basis)]
+    in_common = solve(m.columns(basis), psi_basis, common=True)
+    cov = _uncertainty(m.columns(basis), psi_basis, coef, in_common, dof)
+    cov[np.ix_(kept, kept)] += _fraction_covariance(solution, largest)
+    spread = _spread(R, basis, found.copies)
+    relevant = np.zeros(d, dtype=bool)
+    relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
+    return CorrelatedFit(
+        noisy=_average(m, as_they_are, solve),
+        noiseless=LinearModel(
+            coef=spread @ coef,
+            cov=spread @ cov @ spread.T,
+            noise=solution.state.psi_y,
+        ),
+        noisy_solution=as_they_are,
+        noiseless_solution=solution,
+        alpha=as_they_are.state.E_alpha,
+        relevant=relevant,
+        psi=psi,
+        rule=found.rule,
+    )
+
+
+def _fit_all(m, psi, solve, dof=np.inf):
+    """Fit all inputs with a known noise covariance (d, d), for both queries."""
+    solution = solve(m, psi)
+    state, latent = solution.state, solution.latent
+    in_common = _in_common(m, psi, solution, solve)
+    cov = _uncertainty(m, psi, state.beta_mean, in_common, dof)
+    noiseless = LinearModel(coef=state.beta_mean, cov=cov, noise=state.psi_y)
+    noisy = noiseless
+    if not latent.exact:
+        noisy = _noisy_model(m, solution, solve)
+    variance = np.diagonal(posterior_covariance(m.n, psi, solution, dof))
+    return CorrelatedFit(
+        noisy=noisy,
+        noiseless=noiseless,
+        noisy_solution=solution,
+        noiseless_solution=solution,
+        alpha=state.E_alpha,
+        relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
+        psi=psi,
+        rule="all inputs",
+    )
+
+
+def _in_common(m, psi, solution, solve):
+    """Solution with one precision in common, which `solution` may be already."""
+    if solve.keywords["common"]:
+        return solution
+    return solve(m, psi, common=True)
+
+
+def _uncertainty(m, psi, coef, in_common, dof=np.inf):
+    """Second moment (d, d) about `coef` of the posterior with one precision in common.
+
+    A posterior under automatic relevance determination takes the precisions for known:
+    of a coefficient that it has switched off, or nearly, it says that it is zero. One
+    precision, known from all coefficients together, does not. What both disagree in
+    belongs to what is not known.
+    """
+    cov = posterior_covariance(m.n, psi, in_common, dof)
+    return cov + _square(in_common.state.beta_mean - coef)
+
+
+def _noisy_model(m, solution, solve):
+    """Model of y given noisy inputs, c = H'beta, with its variance v and uncertainty.
+
+    v is psi_y + beta'P beta. That of c is what a regression on the inputs as they are
+    leaves open, see `_uncertainty`.
+    """
+    beta, latent = solution.state.beta_mean, solution.latent
+    coef = latent.H.T @ beta  # [C5]
+    exact = np.zeros_like(m.S)
+    in_common = solve(m, exact, common=True)
+    return LinearModel(
+        coef=coef,
+        cov=_uncertainty(m, exact, coef, in_common),
+        noise=solution.state.psi_y + beta @ latent.P @ beta,  # [C5]
+    )
+
+
+def _square(x):
+    return np.outer(x, x)
+
+
+def _fraction_covariance(solution, largest):
+    """Covariance (d, d) of the coefficients over a fraction uniform on [0, largest].
+
+    The slope in f follows from [C19]; the variance of f is largest^2 / 12.
+    """
+    beta = solution.state.beta_mean
+    slope = scaled_eigen(solution.latent.Sigma_t).solve(beta)  # [C19]
+    return _square(slope) * largest**2 / 12
+
+
+def _average(m, solution, solve):
+    """Answer to noisy queries: the mean of two regressions on the inputs as they are.
+
+    One gives each input a precision of its own, which suits few relevant inputs; the
+    other one precision to all, which suits many. Nothing tells beforehand which suits;
+    their mean is nearly as good as the better one, and half of what they differ in is
+    not known.
+    """
+    exact = np.zeros_like(m.S)
+    other = _in_common(m, exact, solution, solve)
+    both = [one.state for one in (solution, other)]
+    coef = 0.5 * sum(state.beta_mean for state in both)
+    return LinearModel(
+        coef=coef,
+        cov=_uncertainty(m, exact, coef, other),
+        noise=0.5 * sum(state.psi_y for state in both),
+    )
+
+
+def _standard_noise(noise, data):
+    """Noise covariance (d, d) of the standardised active columns; None is unknown."""
+    if noise is None:
+        return None
+    if np.ndim(noise) == 0:
+        return noise * np.eye(data.x_scale.size)
+    full = np.diag(noise) if np.ndim(noise) == 1 else noise
+    unit = np.outer(data.x_scale, data.x_scale)
+    return full[np.ix_(data.active, data.active)] / unit
+
+
+def _warn_excess(R, psi, data, labels):
+    """Name the columns whose noise alone exceeds what was measured."""
+    over = np.flatnonzero(np.diagonal(psi) > np.diagonal(R) * (1 + 1e-9))
+    if over.size:
+        shown = ", ".join(
+            str(labels[i]) for i in np.flatnonzero(data.active)[over][:10]
+        )
+        warnings.warn(
+            f"input_noise exceeds the whole variance of {over.size} input(s) "
+            f"({shown}): no signal is left in them. Check the units of input_noise "
+            "(variances, not standard deviations).",
+            UserWarning,
+            stacklevel=6,
+        )
+
+
+def _relevant_inputs(m, basis, as_they_are, solve):
+    """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations.
+
+    Asked of the noisy inputs on purpose: an input that has nothing to do with y has a
+    zero coefficient there too, and the test has not lost power to the correction.
+    """
+    state = as_they_are.state
+    if basis.size < m.xx.size:
+        exact = np.zeros((basis.size, basis.size))
+        state = solve(m.columns(basis), exact).state
+    score = state.beta_mean**2 / np.diagonal(state.beta_cov)
+    kept = score > RELEVANT_DEVIATIONS**2
+    if not kept.any():
+        kept[np.argmax(score)] = True
+    return kept
+
+
+def _spread(R, at, copies):
+    """Matrix (d, k) that gives the columns `at` and their exact copies their shares.
+
+    Nothing tells copies apart: in standardised columns each takes the same part, with
+    the sign of its correlation.
+    """
+    spread = np.zeros((R.shape[0], at.size))
+    for k, (j, group) in enumerate(zip(at, copies)):
+        sign = np.ones(1) if group.size == 1 else np.sign(R[j, group])
+        spread[group, k] = sign / group.size
+    return spread

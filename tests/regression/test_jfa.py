@@ -11,7 +11,7 @@ from scipy.stats import multivariate_normal
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_vbjfa import JFARegressor
-from sklearn_vbjfa.regression import _base
+from sklearn_vbjfa.regression import _joint_factor
 from tests.reference import paper_jfa as ref
 from tests.regression._problems import assert_same_fit, least_squares, make_regression
 
@@ -254,7 +254,7 @@ def test_constant_output_is_the_intercept(value):
 
 
 def test_more_features_than_samples_keeps_rows_and_no_statistics(monkeypatch):
-    monkeypatch.setattr(_base, "_GRAM_FEATURES", 0)
+    monkeypatch.setattr(_joint_factor, "_GRAM_FEATURES", 0)
     X, y, _ = make_regression(15, 10, 15)
     model = JFARegressor(query="noiseless", input_noise=0.2).fit(X, y)
     assert model.statistics_ is None

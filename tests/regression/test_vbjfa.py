@@ -9,7 +9,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils._param_validation import InvalidParameterError
 
 from sklearn_vbjfa import VBJFARegressor
-from sklearn_vbjfa.regression import _base
+from sklearn_vbjfa.regression import _joint_factor
 from tests.reference import paper_jfa as ref
 from tests.regression._problems import assert_same_fit, least_squares, make_regression
 
@@ -305,7 +305,7 @@ def test_constant_output_is_the_intercept(kind, value):
 @unconverged
 @pytest.mark.parametrize("kind", INDEPENDENT)
 def test_rows_and_statistics_give_the_same_fit(monkeypatch, kind):
-    monkeypatch.setattr(_base, "_GRAM_FEATURES", 0)
+    monkeypatch.setattr(_joint_factor, "_GRAM_FEATURES", 0)
     X, y, _ = make_regression(14, 12, 18)
     rows = make_model(kind, **ALIKE).fit(X, y)
     gram = make_model(kind, **ALIKE).partial_fit(X, y)

@@ -167,8 +167,8 @@ class NoiseDisplay(Display):
                 "features and keeps no variances, of which the noise could be a "
                 "share: give units, for standard deviations."
             )
-        S_xx, _, S_yy = stats.about(centred=regressor.fit_intercept)
-        found = np.append(np.diagonal(S_xx), S_yy) / stats.n_samples
+        scatter = stats.scatter_about(centred=regressor.fit_intercept)
+        found = np.diagonal(scatter) / stats.n_samples
         return np.where(found > 0, found, np.nan)
 
     @property

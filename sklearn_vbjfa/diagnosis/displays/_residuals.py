@@ -266,18 +266,7 @@ class ResidualDisplay(Display):
 
 
 def running_median(x, y):
-    """Medians of y in bins of x that hold as many samples each.
-
-    Parameters
-    ----------
-    x, y : ndarray of shape (m,)
-        Samples; nan is left out.
-
-    Returns
-    -------
-    x, y : ndarray
-        Medians of both in each bin.
-    """
+    """Medians of x and y in bins of x that hold as many samples each, without nan."""
     used = np.isfinite(x) & np.isfinite(y)
     x, y = x[used], y[used]
     count = min(_BINS, x.size // _FEWEST)
@@ -303,16 +292,17 @@ def _signals(robot, X, groups, t, index, joints):
     motion = make_motion(
         robot.features_, states_of(robot, X, groups), clock, parts, rigid, robot.cutoff_
     )
-    kinds = motion.prismatic[joints]
-    angle = "m" if kinds.all() else "rad" if not kinds.any() else "rad or m"
-    torque = "N" if kinds.all() else "N m" if not kinds.any() else "N m or N"
+    kinds, load = motion.prismatic[joints], motion.load[index][:, joints]
     signals = {
-        f"velocity [{angle}/s]" if "or" not in angle else "velocity [rad/s or m/s]": (
-            motion.v[index][:, joints]
-        ),
-        f"position [{angle}]": motion.q[index][:, joints],
-        f"rigid-body torque [{torque}]": motion.load[index][:, joints],
+        f"velocity [{_unit(kinds, 'rad/s', 'm/s')}]": motion.v[index][:, joints],
+        f"position [{_unit(kinds, 'rad', 'm')}]": motion.q[index][:, joints],
+        f"rigid-body torque [{_unit(kinds, 'N m', 'N')}]": load,
     }
     if clock is not None:
         signals["time [s]"] = clock[index]
     return signals, motion.prismatic
+
+
+def _unit(kinds, turning, sliding):
+    """Return the unit of what the joints of some kinds share, or both units."""
+    return " or ".join(dict.fromkeys(sliding if kind else turning for kind in kinds))

@@ -9,14 +9,14 @@ from tabulate import tabulate
 
 from sklearn_vbjfa.diagnosis.report._pictures import HEIGHT, WIDTH
 
-# Characters of a terminal's line, and of the narrowest column that is wrapped.
-_TERMINAL, _NARROWEST = 80, 8
+# Characters of a terminal's line, and of the longest word that a table leaves whole.
+_TERMINAL, _LONG = 80, 20
 # How the entries of a list begin.
 _MARKS = ("- ", "? ")
 # Spaces at which no line is broken.
 _UNIT = re.compile(
-    r"(?<=\d) (?=%|x\b|Hz|N\b|m\b|rad|kg|s\b)|(?<=\bN) (?=m\b)| (?=\+-)|(?<=\+-) |"
-    r"(?<=joint) (?=\d)|(?<=[<>=]) (?=\d)"
+    r"(?<=\d) (?=%|x\b|Hz|N\b|m\b|rad|kg|s\b)|(?<=\bN) (?=m\b)|(?<=kg) (?=m)| (?=s/)|"
+    r" (?=\+-)|(?<=\+-) | (?==)|(?<=[<>=]) (?=\d)|(?<=joint) (?=\d)"
 )
 
 
@@ -54,11 +54,14 @@ def text_table(heads, rows, *, numbers):
     widths = [max(map(len, column)) for column in zip(*cells)]
     last = len(widths) - 1
     flexible = [0, last] if numbers else range(last + 1)
+    # No word is broken unless it is very long.
+    words = [" ".join(column).split() for column in zip(*cells)]
+    least = [min(max(map(len, column), default=0), _LONG) for column in words]
     while sum(widths) + 2 * last > _TERMINAL:
-        widest = max(flexible, key=widths.__getitem__)
-        if widths[widest] <= _NARROWEST:
+        wrapped = [k for k in flexible if widths[k] > least[k]]
+        if not wrapped:
             break
-        widths[widest] -= 1
+        widths[max(wrapped, key=widths.__getitem__)] -= 1
     table = tabulate(
         cells,
         tablefmt="plain",

@@ -270,7 +270,7 @@ def _effects(outcome, verdict):
         label = words.effect_label(e.name, e.parameters, names)
         parameters = words.parameter_text(e)
         gain, p = words.whole_percent(e.evidence.gain), e.evidence.p_value
-        rivals = [words.PLAIN_NAMES.get(r, r) for r in e.rivals]
+        rivals = [words.effect_label(rival) for rival in e.rivals]
         evidence = f"saves {gain}, {words.p_text(p)}"
         told = [", ".join([f"- {joint}: {label}", *parameters]), evidence]
         if rivals:
@@ -440,10 +440,9 @@ def _steps(outcome, verdict):
     for i, step in enumerate(outcome.rounds, 1):
         action = _ACTIONS.get(step.action, step.action)
         if step.replaced:
-            old = words.PLAIN_NAMES.get(step.replaced, step.replaced)
-            action = f"replaced {old}"
+            action = f"replaced {words.effect_label(step.replaced)}"
         j, evidence = step.joint, step.evidence
-        rivals = [words.PLAIN_NAMES.get(t.name, t.name) for t in step.rivals]
+        rivals = [words.effect_label(trial.name) for trial in step.rivals]
         before, after = step.error_before[j], step.error_after[j]
         rows.append(
             (
@@ -563,8 +562,10 @@ def _split(settings):
         text += f"; search: {settings['n_blocks']} blocks of {seconds} s, "
         text += f"{settings.get('n_folds', '?')} folds"
     if "correlation_seconds" in settings:
-        seconds = words.number(settings["correlation_seconds"], 2)
-        text += f"; residual correlated for {seconds} s"
+        seconds = settings["correlation_seconds"]
+        known = math.isfinite(seconds)
+        length = f"for {words.number(seconds, 2)} s" if known else "throughout"
+        text += f"; residual correlated {length}"
     return f"{text}."
 
 

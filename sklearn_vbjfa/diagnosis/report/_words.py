@@ -4,11 +4,8 @@ import functools
 import math
 import re
 
-from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.effects._library import find
 
-# What an engineer calls the effects of the library.
-PLAIN_NAMES = {effect.name: effect.label for effect in resolve("all")}
 # What to record where a residual varies with a signal.
 _RECORD_SIGNAL = {
     "position": "slow motion over the whole range, both ways",

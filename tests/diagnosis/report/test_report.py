@@ -1,6 +1,7 @@
 import json
 import re
 from dataclasses import replace
+from html import escape
 from html.parser import HTMLParser
 
 import numpy as np
@@ -9,6 +10,8 @@ import pytest
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
+from sklearn_vbjfa.diagnosis.report._sections import sections
+from sklearn_vbjfa.diagnosis.report._verdict import judge
 from sklearn_vbjfa.effects import Coulomb, available
 from tests.diagnosis.report._outcomes import (
     finding,
@@ -71,6 +74,24 @@ def test_six_effects_take_about_forty_lines_and_further_ones_a_line_each():
     )
     assert len(few) <= 46
     assert len(many) == len(few) + 6
+
+
+def test_every_format_shows_the_same_sections(outcome):
+    report = Report(outcome)
+    shown = sections(outcome, judge(outcome))
+    text, page = (" ".join(x.split()) for x in (str(report), report.to_html()))
+    marked = " ".join(report.to_markdown().replace("\\", "").split())
+    for section in shown:
+        assert escape(section.heading) in page
+        if section.sentences or section.table:
+            assert f"# {section.heading}" in marked
+        for sentence in section.sentences[1 if section is shown[0] else 0 :]:
+            assert " ".join(sentence.split()).replace("+-", "±") in marked
+        for line in section.terminal:
+            if isinstance(line, str):
+                assert "".join(line.split()) in "".join(text.split())
+    headings = re.findall("<h2>(.*?)</h2>", page)
+    assert headings == [section.heading for section in shown[1:]]
 
 
 def test_text_begins_with_the_verdict(outcome):
@@ -466,7 +487,7 @@ def test_next_recording_is_named():
 
 def test_every_effect_has_a_plain_name_and_a_remedy():
     for name in available():
-        assert name in words.PLAIN_NAMES
+        assert words.effect_label(name)
         assert words.record_for(name)
 
 

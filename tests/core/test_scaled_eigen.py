@@ -1,0 +1,98 @@
+"""The scaled eigen-decomposition: no unit decides, and each result against NumPy's."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+
+UNITS = 10.0 ** np.array([-6.0, 0.0, 3.0, 6.0, -3.0])
+
+
+def make_gram(seed, *, dependent=False):
+    """Gram matrix of 50 rows in five columns of very different units, and the rows."""
+    rng = np.random.default_rng(seed)
+    rows = rng.normal(size=(50, 5))
+    if dependent:
+        rows[:, 4] = rows[:, 0] - 2 * rows[:, 2]
+    rows = rows * UNITS
+    return rows.T @ rows, rows
+
+
+@pytest.mark.parametrize("dependent", [True, False])
+def test_rank_does_not_depend_on_units(dependent):
+    A, _ = make_gram(0, dependent=dependent)
+    assert scaled_eigen(A).rank == 5 - dependent
+    assert scaled_eigen(A / np.outer(UNITS, UNITS)).rank == 5 - dependent
+    # As it is, what is small in this unit looks like nothing.
+    assert scaled_eigen(A, scale=1.0).rank < 4
+
+
+def test_full_rank_is_the_inverse():
+    A, rows = make_gram(1)
+    eigen = scaled_eigen(A)
+    unit = np.outer(UNITS, UNITS)
+    assert_allclose(eigen.inverse() * unit, np.linalg.inv(A / unit), rtol=1e-9)
+    L = eigen.inverse_root()
+    assert_allclose(L @ L.T * unit, np.linalg.inv(A / unit), rtol=1e-9)
+    F = eigen.root()
+    assert_allclose(F.T @ F / unit, A / unit, atol=1e-12 * 50)
+    b = rows.T @ np.arange(50.0)
+    expected = np.linalg.lstsq(rows / UNITS, np.arange(50.0), rcond=None)[0] / UNITS
+    assert_allclose(eigen.solve(b), expected, rtol=1e-9)
+    both = eigen.solve(np.column_stack([b, -2 * b]))
+    assert_allclose(both, np.column_stack([expected, -2 * expected]), rtol=1e-9)
+    assert eigen.null_space.shape == (5, 0)
+
+
+def test_singular_is_the_least_norm_in_scaled_columns():
+    A, rows = make_gram(2, dependent=True)
+    eigen = scaled_eigen(A)
+    scaled = rows / eigen.scale
+    y = np.sin(np.arange(50.0))
+    expected = np.linalg.lstsq(scaled, y, rcond=1e-12)[0] / eigen.scale
+    assert_allclose(eigen.solve(rows.T @ y), expected, rtol=1e-7)
+    inverse = np.linalg.pinv(scaled, rcond=1e-12)
+    assert_allclose(
+        eigen.inverse() * np.outer(eigen.scale, eigen.scale),
+        inverse @ inverse.T,
+        atol=1e-9,
+    )
+    unit = np.outer(UNITS, UNITS)
+    assert_allclose(eigen.matrix() / unit, A / unit, atol=1e-10)
+    # The dependency, in scaled coordinates: columns 0, 2 and 4 and no other.
+    assert eigen.null_space.shape == (5, 1)
+    assert_allclose(scaled @ eigen.null_space, 0.0, atol=1e-7)
+    assert_array_equal(eigen.lost(1e-6), [True, False, True, False, True])
+
+
+def test_columns_of_zeros_are_not_known():
+    A, _ = make_gram(3)
+    A[1], A[:, 1] = 0.0, 0.0
+    eigen = scaled_eigen(A)
+    assert eigen.rank == 4
+    assert eigen.scale[1] == 1.0
+    assert_array_equal(eigen.lost(0.5), [False, True, False, False, False])
+    x = eigen.solve(np.ones(5))
+    assert abs(x[1]) < 1e-12 * np.abs(x).max()
+
+
+def test_tolerance_is_a_share_or_a_bound():
+    A = np.diag([1.0, 1e-3, 1e-6])
+    assert scaled_eigen(A, 1e-4, scale=1.0).rank == 2
+    assert scaled_eigen(10 * A, 1e-4, scale=1.0).rank == 2
+    assert scaled_eigen(10 * A, 1e-6, scale=1.0, relative=False).rank == 3
+    assert scaled_eigen(-A, scale=1.0).rank == 0
+
+
+def test_magnitudes_make_an_ascent_of_any_step():
+    rng = np.random.default_rng(4)
+    A = rng.normal(size=(5, 5))
+    A = A + A.T
+    gradient = rng.normal(size=5)
+    eigen = scaled_eigen(A, scale=0.5).by_magnitude()
+    assert eigen.rank == 5
+    assert gradient @ eigen.solve(gradient) > 0
+    definite = A @ A + np.eye(5)
+    step = scaled_eigen(definite).by_magnitude().solve(gradient)
+    assert_allclose(step, np.linalg.solve(definite, gradient), rtol=1e-9)

@@ -325,7 +325,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             made = segments(recording, states, one, self.features_, theta=self._load)
             self._set(self._estimate(made))
         if periods is None and self.torque_noise is None:
-            X = recording.q if recording.states is None else recording.states
+            X = recording.inputs
             clock = plan.clock(recording)
             facts = noise_of(self, X, recording.tau, recording.segments, clock)
             tell_noise(self, facts)

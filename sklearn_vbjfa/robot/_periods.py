@@ -401,7 +401,7 @@ def measure_periods(settings, recording, effects):
             "not know; identify with period=None."
         )
     n_period = period_samples(settings.period, recording.dt)
-    X = recording.q if recording.states is None else recording.states
+    X = recording.inputs
     periods = average_periods(
         X, recording.tau, n_period, recording.groups, recording.weight
     )

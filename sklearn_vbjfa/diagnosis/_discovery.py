@@ -241,9 +241,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             judgement = judge(self.declared_, self.judged_, found, split, whole)
             final = self._hand_over(found, whole, silent)
         models = Models(declared=self.declared_, judged=self.judged_, final=final)
-        asked = {
-            name: getattr(self, name) for name in ("test_size", "alpha", "random_state")
-        }
+        asked = self.get_params(deep=False)
         return self._set(make_outcome(found, models, judgement, channels, asked))
 
     # -- stages ---------------------------------------------------------------------

@@ -157,10 +157,8 @@ def _collect(identifier, view, base):
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
     torque = view.equations.tau
     with np.errstate(divide="ignore", invalid="ignore"):
-        total = weight.sum(axis=0)
-        rms = np.sqrt((weight * residual**2).sum(axis=0) / total)
-        mean = (weight * torque).sum(axis=0) / total
-        spread = np.sqrt((weight * (torque - mean) ** 2).sum(axis=0) / total)
+        rms = np.sqrt((weight * residual**2).sum(axis=0) / weight.sum(axis=0))
+        spread = view.spread()
         error = np.where(spread > 0, rms / spread, np.nan)
     one = [slice(j, j + 1) for j in range(view.nv)]
     return ResidualAnalysis(

@@ -222,7 +222,11 @@ class Effect(TransformerMixin, BaseEstimator):
         return [{}]
 
     def applies(self, motion):
-        """Say why the effect cannot be looked for, or return an empty string."""
+        """Say why the effect cannot be looked for, or return an empty string.
+
+        A reason that begins with "needs" names a signal that another recording may
+        have: a report lists the effect as hidden.
+        """
         for need in self.needs:
             if need == "time" and motion.t is None:
                 return "needs time stamps"

@@ -1,4 +1,8 @@
-"""Nominal robot models of the measured sets."""
+"""Nominal robot models of the measured sets.
+
+A set comes with a URDF of its own, has one in a public collection, or is simple enough
+to be built here from what its publishers say of it.
+"""
 
 import importlib
 import importlib.metadata

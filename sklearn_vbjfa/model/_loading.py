@@ -1,4 +1,9 @@
-"""Robot models: loading, and what this package asks of them."""
+"""Robot models: a URDF made safe to parse, built by Pinocchio, and asked about.
+
+A description is checked before Pinocchio sees it, since its parser neither limits the
+depth of the XML nor says which link is wrong, and what of it does not enter the model
+is said in one warning.
+"""
 
 import os
 import warnings
@@ -12,13 +17,13 @@ import numpy as np
 from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
-# below which the body has next to no extension in some direction; and below which it is
-# told of. (What was identified and projected lies between the two.)
+# below which the body has next to no extension in some direction; and below which a
+# warning says so. (What was identified and projected lies between the two.)
 _SOLID, _POSSIBLE = 1e-6, 1e-12
 # Robots of a hundred joints stay far below.
 _DEEPEST, _MOST_ELEMENTS, _MOST_ATTRIBUTES = 100, 200_000, 1000
 _MOST_JOINTS = 200
-# What a joint has no use for once it is fixed.
+# Kinds of joints that have an axis, and elements that a fixed joint has no use for.
 _AXIAL = ("revolute", "continuous", "prismatic")
 _MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
 

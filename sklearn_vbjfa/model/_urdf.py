@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa.model._loading import joint_names
+from sklearn_vbjfa.physical import inertia_matrix
 
 
 def _body(phi):
@@ -19,15 +20,9 @@ def _body(phi):
             'can be written as URDF. Use projector="default".'
         )
     com = phi[1:4] / mass
-    about_joint = np.array(
-        [
-            [phi[4], phi[5], phi[7]],
-            [phi[5], phi[6], phi[8]],
-            [phi[7], phi[8], phi[9]],
-        ]
-    )
     # parallel axes
-    return mass, com, about_joint - mass * (com @ com * np.eye(3) - np.outer(com, com))
+    shift = mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return mass, com, inertia_matrix(phi) - shift
 
 
 def _set_inertial(link, phi):
@@ -61,7 +56,7 @@ def write_urdf(source, target, model, parameters, friction):
     model : pinocchio.Model
         Model of the source.
     parameters : ndarray of shape (nv, 10 + n_friction)
-        Parameters of each joint.
+        Inertial parameters [kg, kg m, kg m^2] and friction of each joint.
     friction : tuple of str
         Names of the friction columns; "viscous" and "coulomb" go to the joint's
         dynamics, others have no place in URDF.
@@ -101,7 +96,7 @@ def write_urdf(source, target, model, parameters, friction):
         dynamics.set("friction", repr(float(values.get("coulomb", 0.0))))
     ElementTree.indent(tree)
     target = Path(target)
-    # Written beside the target and moved: an interrupted run leaves no half a file.
+    # Written beside the target and moved: an interrupted run leaves no half of a file.
     handle, temporary = tempfile.mkstemp(dir=target.parent, suffix=".urdf")
     try:
         with os.fdopen(handle, "wb") as file:
@@ -126,11 +121,11 @@ def write_identified(source, path, model, bodies, friction, min_eigenvalues):
     model : pinocchio.Model
         Robot.
     bodies : ndarray of shape (nv, 10 + len(friction))
-        Parameters.
+        Inertial parameters and friction of each joint.
     friction : tuple of str
         Names of the friction columns.
     min_eigenvalues : ndarray of shape (nv,)
-        Consistency of the bodies.
+        Smallest pseudo-inertia eigenvalue of each body, positive where it can exist.
     """
     if not isinstance(source, (str, os.PathLike)):
         raise ValueError(

@@ -353,7 +353,14 @@ def _used(rows):
 
     A joint's torque does not depend on bodies below it in the tree.
     """
-    columns = np.flatnonzero(rows.any(axis=0))
+    # Some rows tell, as a rule; a look at the rest is faster than one column by column.
+    columns = np.flatnonzero(rows[:: len(rows) // 8 + 1].any(axis=0))
+    if (
+        not columns.size
+        or rows[:, : columns[0]].any()
+        or rows[:, columns[-1] + 1 :].any()
+    ):
+        columns = np.flatnonzero(rows.any(axis=0))
     return slice(int(columns[0]), int(columns[-1]) + 1) if columns.size else slice(0, 0)
 
 

@@ -28,8 +28,7 @@ _POINTS = 4000
 def make_outcome(search, models, judgement, channels, asked):
     """Collect what `Report` shows.
 
-    `asked` are the parameters of the loop that the report repeats: "test_size",
-    "alpha", "random_state".
+    `asked` are the parameters of the loop, of which the report repeats some.
     """
     robot = models.declared
     features, names = robot.features_, robot.joint_names_
@@ -162,31 +161,29 @@ def _named(effect, estimate):
 def _rounds(search, names):
     """Yield each `Round`, with errors over the spread of the torque."""
     view = search.model.view
-    rows, torque, weight = view.rows, view.equations.tau, view.equations.weight
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = (weight * torque).sum(axis=0) / rows
-        spread = np.sqrt((weight * (torque - mean) ** 2).sum(axis=0) / rows)
+    rows, spread = view.rows, view.spread()
 
-        def error(squares):
+    def error(squares):
+        with np.errstate(divide="ignore", invalid="ignore"):
             return np.sqrt(squares / rows) / spread
 
-        for step in search.steps:
-            yield Round(
-                action=step.action,
-                name=step.effect.name,
-                joint=step.effect.joint,
-                joint_name=names[step.effect.joint],
-                shape=step.effect.shape(),
-                replaced="" if step.replaced is None else step.replaced.name,
-                evidence=step.evidence,
-                rule=step.rule.name,
-                level=step.rule.level,
-                n_tests=step.rule.n_tests,
-                rivals=tuple(_trial(c) for c in step.rivals),
-                tried=tuple(_trial(c) for c in step.tried),
-                error_before=error(step.squares_before),
-                error_after=error(step.squares_after),
-            )
+    for step in search.steps:
+        yield Round(
+            action=step.action,
+            name=step.effect.name,
+            joint=step.effect.joint,
+            joint_name=names[step.effect.joint],
+            shape=step.effect.shape(),
+            replaced="" if step.replaced is None else step.replaced.name,
+            evidence=step.evidence,
+            rule=step.rule.name,
+            level=step.rule.level,
+            n_tests=step.rule.n_tests,
+            rivals=tuple(_trial(c) for c in step.rivals),
+            tried=tuple(_trial(c) for c in step.tried),
+            error_before=error(step.squares_before),
+            error_after=error(step.squares_after),
+        )
 
 
 def _trial(candidate):

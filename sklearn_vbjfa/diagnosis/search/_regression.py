@@ -21,41 +21,24 @@ SPAN = 1e-6
 _ONE = np.ones((1, 1, 1))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Equations:
-    """Filtered equations of all joints.
+def reduced(equations, precision):
+    """Express a regressor in the directions that the data determine.
 
-    Attributes
-    ----------
-    Phi : ndarray of shape (m, nv, p)
-        Regressor.
-    tau : ndarray of shape (m, nv)
-        Torques.
-    weight : ndarray of shape (m, nv)
-        Weights; zero leaves an equation out.
+    Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
+    weight, and the matrix (p, r) that leads back to the parameters.
     """
-
-    Phi: np.ndarray
-    tau: np.ndarray
-    weight: np.ndarray
-
-    def reduce(self, precision):
-        """Express the regressor in the directions that the data determine.
-
-        Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
-        weight, and the matrix (p, r) that leads back to the parameters.
-        """
-        root = np.sqrt(self.weight).T[:, :, None]
-        rows = self.Phi.transpose(1, 0, 2) * root
-        G = np.einsum("j,jmp,jmq->pq", precision, rows, rows, optimize=True)
-        scale = np.sqrt(np.diagonal(G))
-        used = scale > 0
-        unit = np.where(used, scale, 1.0)
-        values, vectors = linalg.eigh(G / np.outer(unit, unit))
-        keep = values > _RANK * values[-1]
-        back = np.where(used[:, None], vectors[:, keep] / unit[:, None], 0.0)
-        back *= np.sqrt(max(float((self.weight * precision).sum()), 1.0))
-        return rows @ back, back
+    weight = equations.weight
+    root = np.sqrt(weight).T[:, :, None]
+    rows = equations.Phi.transpose(1, 0, 2) * root
+    G = np.einsum("j,jmp,jmq->pq", precision, rows, rows, optimize=True)
+    scale = np.sqrt(np.diagonal(G))
+    used = scale > 0
+    unit = np.where(used, scale, 1.0)
+    values, vectors = linalg.eigh(G / np.outer(unit, unit))
+    keep = values > _RANK * values[-1]
+    back = np.where(used[:, None], vectors[:, keep] / unit[:, None], 0.0)
+    back *= np.sqrt(max(float((weight * precision).sum()), 1.0))
+    return rows @ back, back
 
 
 class FoldMoments:

@@ -59,7 +59,7 @@ class Transfer:
         widths = [equations.Phi.shape[2], *(c.shape[2] for c in columns)]
         self._edges = np.cumsum(widths)
         label = stretches(view.blocks, view.recording)
-        self._stats = [
+        self._moments = [
             joint_moments(Phi[rows], equations.tau[rows], equations.weight[rows])
             for rows in (label == k for k in np.unique(label))
         ]
@@ -75,10 +75,10 @@ class Transfer:
             if id(effect) in there:
                 pieces.append(np.arange(self._edges[i], self._edges[i + 1]))
         chosen = np.concatenate(pieces)
-        stats = [one.columns(chosen) for one in self._stats]
+        moments = [one.columns(chosen) for one in self._moments]
         out = []
-        for k, kept in enumerate(stats):
-            others = [one for i, one in enumerate(stats) if i != k]
+        for k, kept in enumerate(moments):
+            others = [one for i, one in enumerate(moments) if i != k]
             total = sum(others[1:], start=others[0])
             theta = _consistent_parameters(total, self._precision, self._robot)
             out.append(kept.residual_squares(theta))

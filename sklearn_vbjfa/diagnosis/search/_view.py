@@ -11,7 +11,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     correlation_time,
     make_blocks,
 )
-from sklearn_vbjfa.diagnosis.search._regression import Equations, FoldMoments
+from sklearn_vbjfa.diagnosis.search._regression import FoldMoments, reduced
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._equations import make_motion
@@ -159,7 +159,7 @@ class RecordingView:
     precision : ndarray of shape (nv,)
         Weights of the joints in the fit of the declared model.
     Z, back : ndarray of shape (nv, m, r) and (p, r)
-        Regressor in reduced coordinates, see `Equations.reduce`.
+        Regressor in reduced coordinates, see `reduced`.
     moments : FoldMoments
         Second moments of Z.
     size : float
@@ -192,12 +192,11 @@ class RecordingView:
     def _set_equations(self, samples, weight):
         """Make the filtered equations of the declared model."""
         robot = self.robot
-        made = equations_of(
+        self.equations = equations_of(
             robot, samples.X, samples.y, samples.groups, weight, self.clock
         )
-        self.index, Phi, tau, weight = made.index, made.Phi, made.tau, made.weight
-        self.equations = Equations(Phi=Phi, tau=tau, weight=weight)
-        self.root = np.sqrt(weight)
+        self.index, tau = self.equations.index, self.equations.tau
+        self.root = np.sqrt(self.equations.weight)
         self.target = (tau * self.root).T
         self.nv = tau.shape[1]
         self.step = (robot.dt or 1.0) * self._lowpass.step
@@ -216,7 +215,7 @@ class RecordingView:
         self.blocks = make_blocks(
             self.index * (robot.dt or 1.0), self.starts, correlation, length
         )
-        self.Z, self.back = self.equations.reduce(self.precision)
+        self.Z, self.back = reduced(self.equations, self.precision)
         self.moments = FoldMoments(self.Z, self.target, self.blocks.folds())
         # Effects' columns are brought to the size of the declared ones.
         self.size = np.sqrt(np.mean(self.Z**2) * self.Z.shape[0]) or 1.0
@@ -225,6 +224,17 @@ class RecordingView:
     def rows(self):
         """Weight of each joint's rows together, (nv,)."""
         return (self.root.T**2).sum(axis=1)
+
+    def spread(self):
+        """Return the standard deviation of the torques that count, (nv,) [N m or N].
+
+        nan for a joint without rows.
+        """
+        tau, weight = self.equations.tau, self.equations.weight
+        with np.errstate(divide="ignore", invalid="ignore"):
+            total = weight.sum(axis=0)
+            mean = (weight * tau).sum(axis=0) / total
+            return np.sqrt((weight * (tau - mean) ** 2).sum(axis=0) / total)
 
     def whitening(self, residual, root=None):
         """Return what takes the memory of residuals (nv, m) out of rows.

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa.diagnosis.search._blocks import Blocks
-from sklearn_vbjfa.diagnosis.search._regression import BlockRegression, Equations
+from sklearn_vbjfa.diagnosis.search._regression import BlockRegression, reduced
+from sklearn_vbjfa.robot._equations import Equations
 
 NV, M, R = 2, 240, 4
 PRECISION = np.array([1.0, 7.0])
@@ -259,7 +260,7 @@ def test_reduced_coordinates_give_the_same_torques():
     weight = rng.uniform(0, 1, size=(M, NV))
     weight[::9] = 0.0
     tau = rng.normal(size=(M, NV))
-    Z, back = Equations(Phi=Phi, tau=tau, weight=weight).reduce(PRECISION)
+    Z, back = reduced(Equations(Phi=Phi, tau=tau, weight=weight), PRECISION)
     assert Z.shape == (NV, M, 4)
     assert back.shape == (6, 4)
     u = rng.normal(size=4)

@@ -141,6 +141,50 @@ def test_the_walk_sees_what_is_there():
     assert all(modules_of(room) for room in ROOMS)
 
 
+def private_names_of(tree):
+    """Names with a leading underscore that a module reads of another object."""
+    modules = {
+        alias.asname or alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.Import, ast.ImportFrom))
+        for alias in node.names
+    }
+    own = {
+        node.name
+        for node in ast.walk(tree)
+        if isinstance(node, (ast.FunctionDef, ast.ClassDef))
+    }
+    own |= {
+        node.attr
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.ctx, ast.Store)
+        and ast.unparse(node.value) in {"self", "made"}
+    }
+    return [
+        ast.unparse(node)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and node.attr.startswith("_")
+        and not node.attr.startswith("__")
+        and ast.unparse(node.value) not in {"self", "cls", "super()"} | modules
+        and node.attr not in own
+    ]
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_no_module_reaches_into_another_ones_objects(path):
+    # scikit-learn's own step of every fit has this name.
+    allowed = "_validate_params"
+    found = private_names_of(ast.parse(path.read_text(encoding="utf-8")))
+    assert [name for name in found if not name.endswith(f".{allowed}")] == []
+
+
+def test_the_search_for_private_names_finds_them():
+    code = "from a import b\n\ndef _f(x):\n    return x._g, x._f, b._h, x.y._z"
+    assert private_names_of(ast.parse(code)) == ["x._g", "x.y._z"]
+
+
 @pytest.mark.parametrize("path", MODULES, ids=name_of)
 def test_optional_packages_only_inside_functions(path):
     roots = {

@@ -5,7 +5,10 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _moments
 from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
-from sklearn_vbjfa.regression._joint_factor import BaseJointFactorRegressor
+from sklearn_vbjfa.regression._joint_factor import (
+    BaseJointFactorRegressor,
+    fit_moments,
+)
 from sklearn_vbjfa.regression._sklearn_compat import check_sample_weight
 
 
@@ -99,7 +102,7 @@ def fit_array(estimator, X, y, sample_weight=None):
             "X must have at least 2 rows that count, got "
             f"{0 if total is None else total.n_rows}."
         )
-    return estimator._fit_statistics(total)
+    return fit_moments(estimator, total)
 
 
 def _check_shapes(arrays):

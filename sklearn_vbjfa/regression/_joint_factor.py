@@ -63,7 +63,7 @@ class BaseJointFactorRegressor(BaseRegressor):
                 _moments.standardise_data(X, y, weight, centred=self.fit_intercept)
             )
         stats = _moments.accumulate(X, y, weight, centred=self.fit_intercept)
-        return self._fit_statistics(stats)
+        return self._fit_moments(stats)
 
     def partial_fit(self, X, y, sample_weight=None):
         """Add rows to those seen so far and refit from the merged statistics.
@@ -105,16 +105,15 @@ class BaseJointFactorRegressor(BaseRegressor):
             total = new if first else total + new
             if _moments.loses_digits(total, X, y, weight, centred=centred):
                 _warn_lost_digits(type(self).__name__)
-        return self._fit_statistics(total)
+        return self._fit_moments(total)
 
     def _accepts_data_moments(self):
         return True
 
-    def _fit_statistics(self, stats):
-        """Fit accumulated statistics; what pipelines that never hold X call."""
-        self.statistics_ = stats
-        self.n_features_in_ = stats.n_features
-        return self._fit(_moments.standardise(stats, centred=self.fit_intercept))
+    def _fit_moments(self, moments):
+        self.statistics_ = moments
+        self.n_features_in_ = moments.n_features
+        return self._fit(_moments.standardise(moments, centred=self.fit_intercept))
 
     def _feature_labels(self):
         """Names for messages: the columns' names, or their numbers."""
@@ -462,3 +461,17 @@ def _coefficient_covariance(moments, s, precision):
     cov, lost = eigen.inverse(), eigen.lost(1e-8)
     cov[lost, lost] = np.inf
     return cov
+
+
+def fit_moments(estimator, moments):
+    """Fit an estimator to second moments of rows that it never sees.
+
+    Parameters
+    ----------
+    estimator : BaseJointFactorRegressor
+        Estimator; it is fitted itself.
+    moments : Moments
+        Second moments of inputs and output.
+    """
+    estimator._validate_params()
+    return estimator._fit_moments(moments)

@@ -3,13 +3,16 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import linalg
 from sklearn.base import clone
 
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
-from sklearn_vbjfa.regression._joint_factor import BaseJointFactorRegressor
+from sklearn_vbjfa.regression._joint_factor import (
+    BaseJointFactorRegressor,
+    fit_moments,
+)
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
 from sklearn_vbjfa.robot._weights import block_precisions, noise_weights
@@ -17,6 +20,8 @@ from sklearn_vbjfa.robot._weights import block_precisions, noise_weights
 # Directions of parameter space that the data determine less than this, relative to
 # the best determined one in scaled columns, count as not identifiable.
 _IDENTIFIABLE = 1e-9
+# ... and a parameter of which such directions hold more than this share.
+_LOST = 1e-6
 # Rows of a block of constant noise: 2.5 periods of the cut-off.
 _BLOCK_ROWS = 10
 # Student's t has a deviation from three degrees of freedom on.
@@ -198,8 +203,7 @@ def _fit_moments(regressor, total, noise):
         # without its noise.
         measured = 0.0 if noise is None else noise
         regressor.set_params(input_noise=measured, query="noiseless")
-    regressor._validate_params()
-    regressor._fit_statistics(total)
+    fit_moments(regressor, total)
     return regressor.coef_.copy(), regressor.coef_std_.copy()
 
 
@@ -269,11 +273,11 @@ def _denoised(total, noise):
     """
     scale = np.sqrt(np.diagonal(total.S_xx))
     unit = np.where(scale > 0, scale, 1.0)
-    signal = (total.S_xx - total.n_samples * noise) / np.outer(unit, unit)
-    values, vectors = np.linalg.eigh(0.5 * (signal + signal.T))
-    clean = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    signal = total.S_xx - total.n_samples * noise
+    root = scaled_eigen(0.5 * (signal + signal.T), 0.0, scale=unit).root()
     # by the scale and not the unit: a column of zeros stays one to the last bit
-    return clean * np.outer(scale, scale)
+    root *= scale > 0
+    return root.T @ root
 
 
 def _mirror(rows):
@@ -368,6 +372,8 @@ def _complete(bodies, length):
 # Directions of parameter space that the data determine less than this, relative to
 # the best determined one in scaled columns, count as not identifiable.
 _IDENTIFIABLE = 1e-9
+# ... and a parameter of which such directions hold more than this share.
+_LOST = 1e-6
 
 
 def fit_projector(projector, model, theta, metric, friction):
@@ -430,15 +436,11 @@ def _same(value, unset):
 
 def identifiable(metric):
     """Parameters whose unit vector lies in the span that the data determine."""
-    scale = np.sqrt(np.diagonal(metric))
-    moved = scale > 0
-    result = np.zeros(scale.size, dtype=bool)
-    if not moved.any():
-        return result
-    unit = scale[moved]
-    values, vectors = linalg.eigh(metric[np.ix_(moved, moved)] / np.outer(unit, unit))
-    null = vectors[:, values < _IDENTIFIABLE * values[-1]]
-    result[moved] = (null**2).sum(axis=1) < 1e-6
+    moved = np.diagonal(metric) > 0
+    result = np.zeros(moved.size, dtype=bool)
+    if moved.any():
+        found = scaled_eigen(metric[np.ix_(moved, moved)], _IDENTIFIABLE)
+        result[moved] = ~found.lost(_LOST)
     return result
 
 
@@ -464,16 +466,8 @@ def project_beside(projector, model, theta, metric, friction):
     rigid = theta[:p]
     fitted = fit_projector(projector, model, rigid, metric[:p, :p], friction)
     projected = fitted.transform(rigid[None])[0]
-    follow = _pseudo_solve(metric[p:, p:], metric[p:, :p])
+    follow = scaled_eigen(metric[p:, p:]).solve(metric[p:, :p])
     return fitted, np.concatenate([projected, theta[p:] - follow @ (projected - rigid)])
-
-
-def _pseudo_solve(A, B):
-    """Minimum-norm A^-1 B for a Gram matrix A, in columns of unit length."""
-    scale = np.sqrt(np.diagonal(A))
-    unit = np.where(scale > 0, scale, 1.0)
-    inverse = linalg.pinvh(A / np.outer(unit, unit))
-    return inverse @ (B / unit[:, None]) / unit[:, None]
 
 
 def min_eigenvalues(bodies):

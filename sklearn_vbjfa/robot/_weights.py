@@ -3,17 +3,13 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy import linalg
+
+from sklearn_vbjfa._core._scaled_eigen import ROUNDING, scaled_eigen
 
 
 def least_squares(G, g):
     """Minimum-norm solution in columns scaled to unit diagonal."""
-    scale = np.sqrt(np.diagonal(G))
-    unit = np.where(scale > 0, scale, 1.0)
-    values, vectors = linalg.eigh(G / np.outer(unit, unit))
-    keep = values > max(values[-1], 0.0) * values.size * np.finfo(float).eps * 8
-    V = vectors[:, keep]
-    return V @ ((V.T @ (g / unit)) / values[keep]) / unit
+    return scaled_eigen(G, 2 * ROUNDING * G.shape[0]).solve(g)
 
 
 def noise_weights(moments, max_iter=30, tol=1e-6):

@@ -339,7 +339,7 @@ class Segment:
 
         With halves their difference, and with a `Numbering` their blocks of time.
         """
-        chosen = lowpass.centres(self.n_rows)[outputs]
+        chosen = lowpass.centres(self.n_rows, outputs)
         seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
         made = () if self.rows is None else (self.rows,)
         made += self.halves or ()

@@ -79,7 +79,7 @@ class ResidualAnalysis:
                     words.join(signals, _SHOWN) or "-",
                 ]
             )
-        heads = ["", "residual", "floor", "error %", "correlated\nms", "varies with"]
+        heads = ["", "residual", "floor", "error %", "memory ms", "varies with"]
         return (
             f"{text_table(heads, rows, numbers=True)}\n"
             f"Out of sample: {self.n_blocks} blocks of time in {self.n_folds} folds."

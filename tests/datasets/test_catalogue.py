@@ -51,7 +51,7 @@ def test_a_protocol_splits_in_time_or_by_recording():
 def test_protocols_name_loaders_and_known_friction():
     known = protocols()
     assert next(iter(known)) == "demo"
-    assert len(known) == 11
+    assert len(known) == len(CATALOGUE) + 1
     for protocol in known.values():
         assert callable(protocol.load)
         assert set(protocol.friction) <= set(ALL)

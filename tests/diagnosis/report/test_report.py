@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.diagnosis.report import _render
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis.report._sections import sections
@@ -21,6 +22,17 @@ from tests.diagnosis.report._outcomes import (
     make_round,
 )
 
+# Lines of a terminal that sections take for six effects, about 40 in all; one that is
+# not named here takes one line.
+LINES = {
+    "What the declared model of arm lacks": 3,
+    "Error of each joint on untouched data": 12,
+    "Effects that were missing": 13,
+    "Record next": 4,
+    "Not visible in this recording": 4,
+    "Channels": 2,
+    "Settings": 5,
+}
 SUCCESS = ("Nothing is missing", "what remains is")
 NAMES = tuple(f"joint{j + 1}" for j in range(6))
 CASES = {
@@ -69,11 +81,15 @@ def test_text_fits_a_terminal(outcome):
 
 def test_six_effects_take_about_forty_lines_and_further_ones_a_line_each():
     effects = tuple(make_effect(i, i % 6, NAMES) for i in range(12))
-    few, many = (
-        str(Report(make_outcome(effects=effects[:count]))).splitlines()
-        for count in (6, 12)
-    )
-    assert len(few) <= 46
+    few, many = (make_outcome(effects=effects[:count]) for count in (6, 12))
+    shown = sections(few, judge(few))
+    for section in shown:
+        lines = _render.text((section,)).splitlines()
+        assert len(lines) <= LINES.get(section.heading, 1), section.heading
+    assert set(LINES) <= {section.heading for section in shown}
+    few, many = (str(Report(outcome)).splitlines() for outcome in (few, many))
+    # Empty lines around the table and the list, and none besides.
+    assert few.count("") == 3
     assert len(many) == len(few) + 6
 
 

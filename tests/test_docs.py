@@ -11,9 +11,25 @@ from pathlib import Path
 import pytest
 
 import sklearn_vbjfa
-from sklearn_vbjfa import datasets, diagnosis, distributed, effects, physical
+from sklearn_vbjfa import (
+    datasets,
+    diagnosis,
+    distributed,
+    effects,
+    inspection,
+    physical,
+)
 from tests.test_imports import APART, ROOMS
 
+PUBLIC_MODULES = (
+    sklearn_vbjfa,
+    datasets,
+    diagnosis,
+    distributed,
+    effects,
+    inspection,
+    physical,
+)
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 SETUP = [
@@ -103,7 +119,7 @@ def test_own_tags_are_read():
 
 
 def test_every_public_name_is_in_api_once():
-    modules = (sklearn_vbjfa, datasets, diagnosis, distributed, effects, physical)
+    modules = PUBLIC_MODULES
     public = {name for module in modules for name in module.__all__}
     blocks = re.findall(
         r"\.\. autosummary::\n(?:    :.*\n)*\n((?:    \S+\n)+)", read(DOCS / "api.rst")
@@ -114,7 +130,7 @@ def test_every_public_name_is_in_api_once():
 
 
 def test_names_in_api_are_where_it_says():
-    modules = (sklearn_vbjfa, datasets, diagnosis, distributed, effects, physical)
+    modules = PUBLIC_MODULES
     module = None
     for line in read(DOCS / "api.rst").splitlines():
         if line.startswith(".. currentmodule:: "):

@@ -600,7 +600,7 @@ class _Anderson:
         return image - further
 
 
-class FixedPointSteps:
+class FixedPointSteps(PlainSteps):
     """Steps to the fixed point: joint maxima, and extrapolated plain steps.
 
     Where the bound gains less than `tol` the ends still differ by the length of a step,
@@ -610,8 +610,8 @@ class FixedPointSteps:
     """
 
     def __init__(self, problem, tol, *, joint):
-        self.problem, self.tol, self.joint = problem, tol, joint
-        self.fast, self.converged = joint, False
+        super().__init__(problem, tol)
+        self.joint = self.fast = joint
         self.anderson, self.at = _Anderson(problem.d + 1), None
         self.smallest, self.idle = np.inf, 0
 
@@ -624,10 +624,6 @@ class FixedPointSteps:
             self.fast = False  # this once
             return None, 1
         return new, 1
-
-    def judge(self, point, new):
-        """Whether the bound fell, and whether it gained next to nothing."""
-        return self.problem.judge(point, new, self.tol)
 
     def retry(self):
         """After a fall: extrapolated too far, from the best point on again."""

@@ -54,9 +54,10 @@ class Lowpass:
         """
         return float(self.step * (self.taps @ self.taps)) if self.half else 1.0
 
-    def centres(self, n):
-        """Return the samples at which outputs stand, for a recording of n."""
-        return np.arange(self.half, n - self.half, self.step)
+    def centres(self, n, outputs=slice(None)):
+        """Return the samples at which (some of the) outputs stand, for n samples."""
+        chosen = range(self.half, n - self.half, self.step)[outputs]
+        return np.arange(chosen.start, chosen.stop, chosen.step)
 
     def __call__(self, x):
         """Filter the rows of x (n, ...) and keep every `step`-th."""

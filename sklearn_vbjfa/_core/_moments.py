@@ -498,10 +498,10 @@ def _is_exact(moments, data, directions, X, y, weight):
     # Inactive columns are not asked, and neither is y.
     scaled = np.zeros((data.active.size + 1, directions.shape[1]))
     scaled[:-1][data.active] = directions / data.x_scale[:, None]
-    left = 0.0
-    for rows in _centred_blocks(moments, X, y, weight):
-        along = rows @ scaled
-        left = left + np.einsum("ij,ij->j", along, along)
+    left, shift = 0.0, (moments.mean_low * np.ones(scaled.shape[0])) @ scaled
+    for rows, w in _blocks(*_with_weight(X, y, weight), moments.mean):
+        squares = (rows @ scaled - shift) ** 2
+        left = left + (squares.sum(axis=0) if w is None else w @ squares)
     offset = moments.x_mean[data.active] / data.x_scale
     unit = _EPS * np.sqrt(data.x_scale.size * (1.0 + np.max(offset**2, initial=0.0)))
     total = X.shape[0] if weight is None else weight.sum()

@@ -391,7 +391,7 @@ class Curvature:
         return found if found @ slope.gradient > 0 else None
 
 
-class QuasiNewtonSteps:
+class QuasiNewtonSteps(PlainSteps):
     """Quasi-Newton steps where they raise the bound, else the plain one.
 
     The plain iteration crawls along flat directions. Its step is that of a Newton
@@ -400,7 +400,7 @@ class QuasiNewtonSteps:
     """
 
     def __init__(self, problem, tol):
-        self.problem, self.tol, self.converged = problem, tol, False
+        super().__init__(problem, tol)
         self.curvature, self.here, self.quiet = Curvature(), None, 0
 
     def propose(self, point, budget):
@@ -442,10 +442,6 @@ class QuasiNewtonSteps:
         """Whether the bound fell, and whether it gained next to nothing."""
         fell, _ = self.problem.judge(point, new, self.tol)
         return fell, new.value - point.value <= self.tol * self.problem.moments.n
-
-    def retry(self):
-        """There is no other way after a fall."""
-        return False
 
     def accept(self, point, new, quiet):
         """Learn from the step; one short step may be a poor direction, two the end."""

@@ -13,13 +13,13 @@ from sklearn_vbjfa.diagnosis.search._outcome import Models, make_outcome
 from sklearn_vbjfa.diagnosis.search._search import EffectSearch
 from sklearn_vbjfa.diagnosis.search._shapes import tuned_on
 from sklearn_vbjfa.diagnosis.search._split import split_in_time
-from sklearn_vbjfa.diagnosis.search._view import RecordingView, Samples
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import resolve
-from sklearn_vbjfa.inspection._inspect import inspect_channels
+from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
-from sklearn_vbjfa.recording._recording import check_clock, check_dt
+from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
 from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
@@ -218,17 +218,19 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """
         library = self._check_parameters()
         model = load_model(self.identifier.model)
-        whole = self._samples(model, X, y, groups, sample_weight, t)
+        whole = self._recording(model, X, y, groups, sample_weight, t)
         with progress_bar(self.verbose) as say:
             say(0, "declared model")
             channels, silent = self._check_channels(model, whole)
             split = split_in_time(
-                self.identifier, whole.X, whole.groups, self.test_size
+                self.identifier, whole.inputs, whole.groups, self.test_size
             )
             part = split.searched(whole)
-            self.declared_ = part.fit(clone(self.identifier))
+            self.declared_ = _fitted(clone(self.identifier), part)
+            begins = tuple(whole.t[rows.start] for rows in whole.segments)
+            view = RecordingView(self.declared_, part, silent, split.origin, begins)
             found = EffectSearch(
-                view=RecordingView(self.declared_, part, leave_out=silent),
+                view=view,
                 library=library,
                 alpha=float(self.alpha),
                 max_effects=self.max_effects,
@@ -237,7 +239,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             say(len(found.effects), "final model")
             self.judged_ = self.declared_
             if found.effects:
-                self.judged_ = part.fit(self._with(found.effects))
+                self.judged_ = _fitted(self._with(found.effects), part)
             judgement = judge(self.declared_, self.judged_, found, split, whole)
             final = self._hand_over(found, whole, silent)
         models = Models(declared=self.declared_, judged=self.judged_, final=final)
@@ -271,30 +273,25 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
         return resolve(self.effects)
 
-    def _samples(self, model, X, y, groups, sample_weight, t):
-        """Validate a recording."""
+    def _recording(self, model, X, y, groups, sample_weight, t):
+        """Make a `Recording` of the arguments of a fit, with weights and a clock."""
         self.joint_names_ = names = joint_names(model)
         X, y = positions_in_order(X, names), torques_in_order(y, names)
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
         )
-        n = X.shape[0]
-        y = np.asarray(y, dtype=float).reshape(n, -1)
-        return Samples(
-            X=X,
-            y=y,
-            groups=np.zeros(n, int) if groups is None else np.asarray(groups),
-            weight=check_weight(sample_weight, y.shape),
-            clock=check_clock(t, n, check_dt(self.identifier.dt)),
-        )
+        y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
+        weight = check_weight(sample_weight, y.shape)
+        dt = check_dt(self.identifier.dt)
+        clock = check_clock(t, X.shape[0], dt)
+        check_widths(names, X, y)
+        return take_arrays(X, y, groups, weight, clock, dt=dt, joint_names=names)
 
     def _check_channels(self, model, whole):
         """Refuse wrong channels; return findings, and joints to leave out."""
-        X, y = whole.X, whole.y
-        check_widths(self.joint_names_, X, y)
-        if X.shape[1] != model.nv:
+        if whole.states is not None:
             return (), []
-        findings = inspect_channels(model, X, y, self.identifier.dt, whole.groups)
+        findings = inspect_channels(model, whole.q, whole.tau, whole.dt, whole.groups)
         errors = [f.message for f in findings if f.severity == "error"]
         if errors:
             raise ValueError(" ".join(errors))
@@ -314,9 +311,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["cutoff"] = cutoff if np.isfinite(cutoff) else None
         if isinstance(self.identifier.standstill, str):
             band["standstill"] = self.judged_.standstill_
-        view = RecordingView(self.declared_, whole, leave_out=silent)
+        view = RecordingView(self.declared_, whole, silent)
         effects = tuned_on(view, found.effects)
-        self.identifier_ = whole.fit(self._with(effects).set_params(**band))
+        self.identifier_ = _fitted(self._with(effects).set_params(**band), whole)
         return FinalFit(self.declared_, self.identifier_, view, effects)
 
     def _set(self, outcome):
@@ -350,3 +347,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         X = positions_in_order(X, self.identifier_.joint_names_)
         X = check_array(X, dtype=np.float64)
         return self.identifier_.predict(X, groups=groups, t=t)
+
+
+def _fitted(identifier, recording):
+    """Fit an identifier to a recording and return it."""
+    return identifier.fit(
+        recording.inputs,
+        recording.tau,
+        recording.groups,
+        recording.weight,
+        t=recording.t,
+    )

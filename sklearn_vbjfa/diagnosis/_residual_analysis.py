@@ -11,7 +11,8 @@ from sklearn_vbjfa.diagnosis.report._render import text_table
 from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
 from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
-from sklearn_vbjfa.diagnosis.search._view import RecordingView, Samples
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.recording._recording import check_clock, take_arrays
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._recording_checks import check_weight
 
@@ -78,7 +79,7 @@ class ResidualAnalysis:
                     words.join(signals, _SHOWN) or "-",
                 ]
             )
-        heads = ["", "residual", "floor", "error %", "correlated\nms", "varies with"]
+        heads = ["", "residual", "floor", "error %", "memory ms", "varies with"]
         return (
             f"{text_table(heads, rows, numbers=True)}\n"
             f"Out of sample: {self.n_blocks} blocks of time in {self.n_folds} folds."
@@ -142,8 +143,16 @@ def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=No
     weight = check_weight(sample_weight, y.shape)
     if not hasattr(identifier, "theta_"):
         identifier = clone(identifier).fit(X, y, groups, weight, t=t)
-    samples = Samples(X=X, y=y, groups=groups, weight=weight, clock=t)
-    view = RecordingView(identifier, samples)
+    recording = take_arrays(
+        X,
+        y,
+        groups,
+        weight,
+        check_clock(t, X.shape[0], identifier.dt),
+        dt=identifier.dt,
+        joint_names=identifier.joint_names_,
+    )
+    view = RecordingView(identifier, recording)
     base = BlockRegression(view.Z, view.target, view.precision, view.blocks)
     return _collect(identifier, view, base)
 

@@ -15,10 +15,44 @@ from sklearn_vbjfa.recording._faults import (
 )
 from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
 
-__all__ = ["ChannelFinding", "inspect_channels"]
+__all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
 
 # Shorter recordings are skipped [samples].
 _MIN_SAMPLES = 64
+
+
+def inspect_recording(recording, model=None):
+    """Look for channels of a recording that cannot be what their names say.
+
+    Parameters
+    ----------
+    recording : Recording
+        Positions and torques.
+    model : str, os.PathLike or pinocchio.Model, default=None
+        Robot; None is `Recording.robot_model`.
+
+    Returns
+    -------
+    findings : tuple of ChannelFinding
+        Findings, the worst first; see `inspect_channels`.
+
+    Examples
+    --------
+    >>> from dataclasses import replace
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> from sklearn_vbjfa.inspection import inspect_recording
+    >>> recording = load_demo_recording()
+    >>> inspect_recording(recording)
+    ()
+    >>> wrong = recording.tau.copy()
+    >>> wrong[:, 1] *= -1.0
+    >>> [f.kind for f in inspect_recording(replace(recording, tau=wrong))]
+    ['torque_sign']
+    """
+    robot = recording.robot_model() if model is None else model
+    return inspect_channels(
+        robot, recording.q, recording.tau, recording.dt, recording.groups
+    )
 
 
 def inspect_channels(model, q, tau, dt, groups=None):
@@ -73,7 +107,7 @@ def inspect_channels(model, q, tau, dt, groups=None):
     Examples
     --------
     >>> from sklearn_vbjfa.datasets import load_demo_recording
-    >>> from sklearn_vbjfa.inspection._inspect import inspect_channels
+    >>> from sklearn_vbjfa.inspection import inspect_channels
     >>> arm = load_demo_recording()
     >>> tau = arm.tau.copy()
     >>> tau[:, 1] *= -1

@@ -233,6 +233,11 @@ class Recording:
         """Number of joints."""
         return self.q.shape[1]
 
+    @property
+    def inputs(self) -> np.ndarray:
+        """States where they are given, else positions: what a fit takes as X."""
+        return self.q if self.states is None else self.states
+
     @cached_property
     def segments(self) -> tuple[slice, ...]:
         """Rows of each recording: nothing is filtered across their borders."""
@@ -372,6 +377,32 @@ def take_arrays(X, y, groups=None, weight=None, t=None, *, dt, joint_names):
         torque_units=nv * ("",),
         states=X if X.shape[1] == 3 * nv else None,
         weight=weight,
+    )
+
+
+def take_rows(recording, rows, groups):
+    """Make a recording of some rows of another, in pieces of their own.
+
+    Parameters
+    ----------
+    recording : Recording
+        Recording.
+    rows : ndarray of int
+        Rows to keep, rising.
+    groups : ndarray of shape (n_kept,)
+        Labels of the pieces in any form.
+    """
+    t, weight = (
+        None if x is None else x[rows] for x in (recording.t, recording.weight)
+    )
+    return take_arrays(
+        recording.inputs[rows],
+        recording.tau[rows],
+        groups,
+        weight,
+        t,
+        dt=recording.dt,
+        joint_names=recording.joint_names,
     )
 
 

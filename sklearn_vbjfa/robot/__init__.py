@@ -1,1 +1,15 @@
-"""Robots: states, features, identification. Pinocchio is imported here alone."""
+"""Robots: from recordings to states, equations, and an identified model."""
+
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._identifier import RobotIdentifier
+from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._residuals import TorqueResiduals
+from sklearn_vbjfa.robot._states import StateEstimator
+
+__all__ = [
+    "JointTorqueRegressor",
+    "RigidBodyFeatures",
+    "RobotIdentifier",
+    "StateEstimator",
+    "TorqueResiduals",
+]

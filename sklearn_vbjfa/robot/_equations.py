@@ -35,6 +35,8 @@ _SPAN_ROWS = 4096
 _BLOCK_ROWS = 256
 # Filtered rows of the feature matrix that are in memory at once.
 CHUNK_BYTES = 32 << 20
+# The same without a filter, whose pieces do not overlap: they stay in the cache.
+_UNFILTERED_BYTES = 8 << 20
 # Rows of the feature matrix that are in memory at once while loads are computed.
 _LOAD_BYTES = 64 << 20
 
@@ -354,7 +356,7 @@ class Segment:
         return self.weight[rows] * moves * inside[:, None]
 
     def pieces(self, lowpass):
-        """Divide into slices of filtered rows of at most `CHUNK_BYTES`.
+        """Divide into slices of rows of at most `CHUNK_BYTES`, unfiltered ones of less.
 
         Pieces overlap by the filter's length in the rows that they are made from, so
         that their size does not matter; none is shorter than twice the filter.
@@ -362,7 +364,8 @@ class Segment:
         one = self.rows if self.rows is not None else self.halves[0]
         kinds = (self.rows is not None) + 2 * (self.halves is not None)
         per_output = 8 * kinds * one.n_joints * one.n_parameters
-        count = max(CHUNK_BYTES // per_output, 4 * lowpass.half // lowpass.step, 1)
+        size = CHUNK_BYTES if lowpass.half else min(CHUNK_BYTES, _UNFILTERED_BYTES)
+        count = max(size // per_output, 4 * lowpass.half // lowpass.step, 1)
         total = lowpass.centres(self.n_rows).size
         return [slice(i, min(i + count, total)) for i in range(0, total, count)]
 
@@ -371,7 +374,7 @@ class Segment:
 
         With halves their difference, and with a `Numbering` their blocks of time.
         """
-        chosen = lowpass.centres(self.n_rows)[outputs]
+        chosen = lowpass.centres(self.n_rows, outputs)
         seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
         made = () if self.rows is None else (self.rows,)
         made += self.halves or ()

@@ -33,16 +33,13 @@ from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
-    MotionFacts,
     Plan,
     check_effects,
     effect_names,
-    fastest_period,
     make_plan,
-    n_fastest,
     needs_load,
+    observe,
     resolve_standstill,
-    smooth,
     takes_moments,
 )
 from sklearn_vbjfa.robot._recording_checks import (
@@ -160,6 +157,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         `noise_floor_`. None measures it in the torques of the fit, above the band of
         the low-pass; where rows were interpolated, which takes noise away, give the
         `torque_noise` of the recording. With `period` it is always measured.
+    n_jobs : int, default=None
+        Recordings, and pieces of them, that are worked on at the same time, in threads
+        unless a `joblib.parallel_config` says otherwise; None is one, -1 all
+        processors. The result does not depend on it.
+    forgetting : float, default=1.0
+        For `partial_fit`: weight in (0, 1] that a row keeps with each further one.
 
     Attributes
     ----------
@@ -325,7 +328,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             made = segments(recording, states, one, self.features_, theta=self._load)
             self._set(self._estimate(made))
         if periods is None and self.torque_noise is None:
-            X = recording.q if recording.states is None else recording.states
+            X = recording.inputs
             clock = plan.clock(recording)
             facts = noise_of(self, X, recording.tau, recording.segments, clock)
             tell_noise(self, facts)
@@ -379,42 +382,34 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     def _prepare(self, recording, periods):
         """Plan the fit; return the plan, what it is of, and the states of that."""
-        lengths = [rows.stop - rows.start for rows in recording.segments]
-        estimator, nv = None, recording.nv
+        estimator = None
         if recording.states is None:
             source = recording.q, recording.groups
             if periods is not None:
                 source = periods.both_starts()
             estimator = fit_states(check_dt(self.dt), self.state_cutoff, *source)
         halves = self.input_noise is not None
-        keep, fastest = n_fastest(recording.n_samples), None
-        if periods is None and estimator is not None:
-            states, facts = smooth(recording, estimator, halves, keep, self.n_jobs)
-        else:
-            both = None
-            whole = recording.states
-            if periods is not None:
-                both = periods.states(estimator)
-                # smoothing is linear: these are the states of the mean
-                whole = 0.5 * (both[0] + both[1])
-                keep = n_fastest(whole.shape[0])
-            facts = MotionFacts.of(whole[:, :nv], whole[:, nv : 2 * nv], keep)
-            fastest = fastest_period(whole)
+        states, facts = observe(recording, estimator, periods, halves, self.n_jobs)
         if estimator is not None:
             travel = facts.highest - facts.lowest
             check_speed(self.dt, facts.fast(), travel, self.features_.model_)
         ranges = np.stack([facts.lowest, facts.highest])
         check_channels(self.joint_names_, ranges, recording.tau)
-        plan = make_plan(self, self.effects_, lengths, estimator, facts)
+        plan = make_plan(
+            self,
+            self.effects_,
+            [rows.stop - rows.start for rows in recording.segments],
+            estimator,
+            facts,
+        )
         plan.clock(recording)  # refuses stamps that effects cannot do with
-        plan = replace(plan, fastest_period=fastest, repeats=periods is not None)
         if periods is None:
             check_length(recording.segments, plan.lowpass, plan.cutoff)
-            if estimator is None:
-                states = RecordingStates.of_rows(recording.segments, whole)
             return plan, recording, states
-        both = both if halves else None
-        return plan, *periods.extended(recording, whole, both, plan.lowpass.half)
+        return (
+            replace(plan, repeats=True),
+            *periods.extended(recording, states, plan.lowpass.half),
+        )
 
     def _adopt(self, plan):
         self._plan = plan

@@ -147,7 +147,23 @@ class PeriodAverages:
             for positions in (self.even, self.odd)
         )
 
-    def extended(self, recording, states, halves, margin):
+    def mean_states(self, estimator, halves):
+        """Estimate the `RecordingStates` of the mean periods.
+
+        Parameters
+        ----------
+        estimator : StateEstimator or None
+            Fitted estimator; None if the columns are states.
+        halves : bool
+            Whether those of `even` and `odd` are asked for.
+        """
+        both = self.states(estimator)
+        _, parts = self.repeated(0)
+        # smoothing is linear: these are the states of the mean
+        mean = 0.5 * (both[0] + both[1])
+        return RecordingStates.of_rows(parts, mean, both if halves else None)
+
+    def extended(self, recording, states, margin):
         """Extend the mean period by itself on either side, for what is filtered.
 
         The filter's outputs then stand on each sample of the period once.
@@ -156,10 +172,8 @@ class PeriodAverages:
         ----------
         recording : Recording
             What the periods are of.
-        states : ndarray of shape (n_recordings * n_period, 3 * nv)
-            States of the mean.
-        halves : tuple of ndarray or None
-            States of `even` and `odd`.
+        states : RecordingStates
+            `mean_states`.
         margin : int
             Samples on either side: half the filter.
 
@@ -171,18 +185,25 @@ class PeriodAverages:
             The same states, and those of the halves.
         """
         rows, parts = self.repeated(margin)
-        if halves is not None:
-            halves = tuple(half[rows] for half in halves)
+        one = rows[parts[0]]
+
+        def extend(segments):
+            return [segment[one] for segment in segments]
+
+        states = RecordingStates(
+            own=extend(states.own),
+            halves=states.halves and tuple(map(extend, states.halves)),
+        )
         groups = np.repeat(np.arange(len(parts)), parts[0].stop)
         mean = take_arrays(
-            states[rows],
+            np.concatenate(states.own),
             self.torque[rows],
             groups,
             self.weight[rows],
             dt=recording.dt,
             joint_names=recording.joint_names,
         )
-        return mean, RecordingStates.of_rows(parts, states[rows], halves)
+        return mean, states
 
     def filtered_torque_noise(self, lowpass):
         """Measure the noise of the filtered torques: standard deviations [N m or N].
@@ -401,7 +422,7 @@ def measure_periods(settings, recording, effects):
             "not know; identify with period=None."
         )
     n_period = period_samples(settings.period, recording.dt)
-    X = recording.q if recording.states is None else recording.states
+    X = recording.inputs
     periods = average_periods(
         X, recording.tau, n_period, recording.groups, recording.weight
     )

@@ -129,6 +129,7 @@ def make_plan(settings, effects, lengths, estimator, facts):
         standstill=resolve_standstill(settings.standstill, facts.fast()),
         effects=effects,
         corrects_noise=corrects_noise(settings.regressor),
+        fastest_period=facts.period,
     )
 
 
@@ -205,12 +206,15 @@ class MotionFacts:
         Range of the positions [rad or m].
     fastest : ndarray of shape (k, nv)
         The largest speeds of each joint [rad/s or m/s], in any order.
+    period : ndarray of shape (nv,) or None
+        `fastest_period` [s], where all states were looked at together.
     """
 
     n: int
     lowest: np.ndarray
     highest: np.ndarray
     fastest: np.ndarray
+    period: np.ndarray | None = None
 
     @classmethod
     def of(cls, positions, velocities, keep):
@@ -264,10 +268,47 @@ def fastest_period(states):
     ndarray of shape (nv,)
         2 pi times the fastest speed over the strongest acceleration; zero without.
     """
-    _, v, a = np.split(np.abs(states), 3, axis=1)
-    fast, strong = (np.quantile(x, _FAST, axis=0) for x in (v, a))
+    # Joint by joint in memory, which is what a partition takes its time by.
+    _, v, a = (np.abs(x, order="C") for x in np.split(states.T, 3))
+    fast, strong = (np.quantile(x, _FAST, axis=1, overwrite_input=True) for x in (v, a))
     out = np.zeros_like(fast)
     return np.divide(2 * np.pi * fast, strong, out=out, where=strong > 0)
+
+
+def observe(recording, estimator, periods, halves, n_jobs):
+    """Make the states of a recording, and see how it moves.
+
+    Parameters
+    ----------
+    recording : Recording
+        Positions, or states.
+    estimator : StateEstimator or None
+        Fitted estimator; None if states are given.
+    periods : PeriodAverages or None
+        What to take instead of the recording: its mean period.
+    halves : bool
+        Whether the states of half of the samples, or periods, are asked for.
+    n_jobs : int or None
+        Number of segments at a time.
+
+    Returns
+    -------
+    states : RecordingStates
+        States of the recording, or of its mean period.
+    facts : MotionFacts
+        Range and speeds.
+    """
+    if periods is not None:
+        states = periods.mean_states(estimator, halves)
+    elif estimator is None:
+        states = RecordingStates.of_rows(recording.segments, recording.states)
+    else:
+        keep = n_fastest(recording.n_samples)
+        return smooth(recording, estimator, halves, keep, n_jobs)
+    whole = np.concatenate(states.own)
+    q, v, _ = np.split(whole, 3, axis=1)
+    facts = MotionFacts.of(q, v, n_fastest(whole.shape[0]))
+    return states, replace(facts, period=fastest_period(whole))
 
 
 def smooth(recording, estimator, halves, keep, n_jobs):

@@ -61,8 +61,10 @@ def test_numbers_agree_with_the_residuals(found):
 
 def test_text_is_a_short_table(found):
     lines = str(found).splitlines()
-    assert len(lines) == len(found.joint_names) + 2
-    assert max(map(len, lines)) < 110
+    # one row a joint, of which only the last column may go on below itself
+    rows = [line for line in lines[1:-1] if not line.startswith(10 * " ")]
+    assert len(rows) == len(found.joint_names)
+    assert max(map(len, lines)) <= 80
     assert "its speed" in lines[1]
 
 

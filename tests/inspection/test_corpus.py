@@ -11,7 +11,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.inspection._inspect import inspect_channels
+from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model._loading import is_prismatic
 from tests.inspection._channel_faults import FAULTS, visible
 from tests.model._robots import random_tree

@@ -10,7 +10,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.inspection._inspect import ChannelFinding, inspect_channels
+from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels
 
 # What the notes on the measured sets say of their channels: the currents of the last
 # three joints of TIAGo take some forty values.

@@ -8,7 +8,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.inspection._inspect import inspect_channels
+from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.robot._recording_checks import warn_of_disorder
 

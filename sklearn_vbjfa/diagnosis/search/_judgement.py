@@ -70,15 +70,16 @@ def judge(declared, completed, found, split, whole):
     model, dt = found.model, declared.dt
     memory = max(model.memory_seconds(), default=0.0)
     # Of a memory without end nothing is far enough.
-    guard = int(min(memory / dt, whole.X.shape[0]))
+    guard = int(min(memory / dt, whole.n_samples))
     instants = [getattr(e, name) for e in found.effects for name in e.jumping]
     count = len(split.stretches)
-    split = split.decided(whole.clock, instants).guarded(guard)
+    split = split.decided(whole.t, instants).guarded(guard)
     rows = split.test
     rest = split.untouched(whole)
 
     def errors(**band):
-        return tuple(rest.residuals(one, **band) for one in (declared, completed))
+        given = rest.inputs, rest.tau, rest.groups, rest.weight, rest.t
+        return tuple(one.residuals(*given, **band) for one in (declared, completed))
 
     before, after = (_numbered(part, rows) for part in errors())
     fitted = FinalFit(declared, completed, model.view, found.effects).residuals()

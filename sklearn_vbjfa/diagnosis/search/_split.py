@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.recording._recording import contiguous_groups
+from sklearn_vbjfa.recording._recording import contiguous_groups, take_rows
 from sklearn_vbjfa.robot._plan import (
     MotionFacts,
     n_fastest,
@@ -49,7 +49,7 @@ class Split:
     pieces : ndarray of int
         Label of each of them: nothing is filtered or differentiated from one piece to
         the next.
-    recording : ndarray of int
+    origin : ndarray of int
         Number of the recording that each of them is from.
     stretches : tuple of slice
         Untouched rows.
@@ -61,18 +61,18 @@ class Split:
 
     search: np.ndarray
     pieces: np.ndarray
-    recording: np.ndarray
+    origin: np.ndarray
     stretches: tuple
     borders: tuple
     amount: object
 
-    def searched(self, samples):
-        """Return the rows of the search of a recording's `Samples`."""
-        return samples.take(self.search, self.pieces, self.recording)
+    def searched(self, recording):
+        """Return the rows of a recording that are searched, as a recording."""
+        return take_rows(recording, self.search, self.pieces)
 
-    def untouched(self, samples):
-        """Return the untouched rows of a recording's `Samples`."""
-        return samples.take(self.test, self.test_pieces)
+    def untouched(self, recording):
+        """Return the untouched rows of a recording, as a recording."""
+        return take_rows(recording, self.test, self.test_pieces)
 
     @property
     def test(self):
@@ -361,7 +361,7 @@ def _described(amount, parts, stretches):
     return Split(
         search=search,
         pieces=pieces[search],
-        recording=recording[search],
+        origin=recording[search],
         stretches=tuple(stretches),
         borders=tuple(borders),
         amount=amount,

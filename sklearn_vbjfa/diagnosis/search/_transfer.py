@@ -58,7 +58,7 @@ class Transfer:
         Phi = np.concatenate([equations.Phi, *columns], axis=2)
         widths = [equations.Phi.shape[2], *(c.shape[2] for c in columns)]
         self._edges = np.cumsum(widths)
-        label = stretches(view.blocks, view.recording)
+        label = stretches(view.blocks, view.origin)
         self._moments = [
             joint_moments(Phi[rows], equations.tau[rows], equations.weight[rows])
             for rows in (label == k for k in np.unique(label))

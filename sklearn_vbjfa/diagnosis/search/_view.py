@@ -13,72 +13,9 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
 )
 from sklearn_vbjfa.diagnosis.search._regression import FoldMoments, reduced
 from sklearn_vbjfa.effects import Effect
-from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
+from sklearn_vbjfa.recording._recording import check_clock
 from sklearn_vbjfa.robot._equations import make_motion
 from sklearn_vbjfa.robot._identifier import equations_of, states_of
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Samples:
-    """What is measured, row by row.
-
-    Attributes
-    ----------
-    X : ndarray of shape (n, nv) or (n, 3 * nv)
-        Positions or states.
-    y : ndarray of shape (n, nv)
-        Torques [N m or N].
-    groups : ndarray of shape (n,) or None
-        Labels of recordings.
-    weight : ndarray of shape (n, nv)
-        What the torques count.
-    clock : ndarray of shape (n,) or None
-        Time [s].
-    recording : ndarray of shape (n,) or None
-        Number of the recording that each row is from, where the groups cut recordings
-        in pieces; None where they do not.
-    begins : tuple of float or None
-        When recordings begin [s], if their first rows are not among these.
-    """
-
-    X: np.ndarray
-    y: np.ndarray
-    groups: np.ndarray | None
-    weight: np.ndarray
-    clock: np.ndarray | None
-    recording: np.ndarray | None = None
-    begins: tuple | None = None
-
-    @property
-    def parts(self):
-        """Recordings, list of slice."""
-        return contiguous_groups(self.groups, self.X.shape[0])
-
-    def take(self, rows, groups, recording=None):
-        """Return some rows with labels of their own, and where they are from."""
-        clock, begins = self.clock, None
-        if clock is not None:
-            begins = tuple(clock[part.start] for part in self.parts)
-            clock = clock[rows]
-        return Samples(
-            X=self.X[rows],
-            y=self.y[rows],
-            groups=groups,
-            weight=self.weight[rows],
-            clock=clock,
-            recording=recording,
-            begins=begins,
-        )
-
-    def fit(self, identifier):
-        """Fit an identifier and return it."""
-        return identifier.fit(self.X, self.y, self.groups, self.weight, t=self.clock)
-
-    def residuals(self, identifier, **band):
-        """Residuals of a fitted identifier, see `RobotIdentifier.residuals`."""
-        return identifier.residuals(
-            self.X, self.y, self.groups, self.weight, t=self.clock, **band
-        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,10 +58,15 @@ class RecordingView:
     ----------
     robot : RobotIdentifier
         Fitted to the recording with the declared model.
-    samples : Samples
-        Recording.
+    recording : Recording
+        What is measured, with its weights and its time.
     leave_out : sequence of int
         Joints whose torque channel carries no information.
+    origin : ndarray of shape (n,) or None
+        Number of the recording that each row is from, where these are pieces of
+        recordings; None where they are whole.
+    begins : tuple of float or None
+        When recordings begin [s], if their first rows are not among these.
 
     Attributes
     ----------
@@ -152,8 +94,8 @@ class RecordingView:
         Time between filtered rows [s].
     starts : ndarray of int
         First filtered row of each part.
-    recording : ndarray of shape (m,)
-        Recording of each filtered row.
+    origin : ndarray of shape (m,)
+        Number of the recording that each filtered row is from.
     blocks : Blocks
         Blocks of time.
     precision : ndarray of shape (nv,)
@@ -166,40 +108,41 @@ class RecordingView:
         Root mean square of a column of Z.
     """
 
-    def __init__(self, robot, samples, leave_out=()):
+    def __init__(self, robot, recording, leave_out=(), origin=None, begins=None):
         self.robot = robot
         self.declared = robot.features_.friction_
         self.floor = robot.noise_floor_**2
-        self.parts = samples.parts
-        self.clock = check_clock(samples.clock, samples.X.shape[0], robot.dt)
-        self.states = states_of(robot, samples.X, samples.groups)
+        self.parts = recording.segments
+        self.clock = check_clock(recording.t, recording.n_samples, robot.dt)
+        self.states = states_of(robot, recording.inputs, recording.groups)
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
-        self._begins = samples.begins
+        self._begins = begins
         self._families, self._columns = {}, {}
-        weight = np.array(samples.weight, dtype=float)
-        weight[:, list(leave_out)] = 0.0
-        self._set_equations(samples, weight)
+        self._set_equations(recording, leave_out)
         edges = np.array([part.start for part in self.parts])
         self.starts = np.unique(np.searchsorted(self.index, edges))
         self.starts = self.starts[self.starts < self.index.size]
-        recording = samples.recording
-        if recording is None:
-            sizes = [part.stop - part.start for part in self.parts]
-            recording = np.repeat(np.arange(len(self.parts)), sizes)
-        self.recording = recording[self.index]
+        origin = recording.groups if origin is None else origin
+        self.origin = origin[self.index]
         self._set_blocks()
 
-    def _set_equations(self, samples, weight):
+    def _set_equations(self, recording, leave_out):
         """Make the filtered equations of the declared model."""
-        robot = self.robot
+        weight = recording.weight.astype(float)
+        weight[:, list(leave_out)] = 0.0
         self.equations = equations_of(
-            robot, samples.X, samples.y, samples.groups, weight, self.clock
+            self.robot,
+            recording.inputs,
+            recording.tau,
+            recording.groups,
+            weight,
+            self.clock,
         )
         self.index, tau = self.equations.index, self.equations.tau
         self.root = np.sqrt(self.equations.weight)
         self.target = (tau * self.root).T
         self.nv = tau.shape[1]
-        self.step = (robot.dt or 1.0) * self._lowpass.step
+        self.step = (self.robot.dt or 1.0) * self._lowpass.step
 
     def _set_blocks(self):
         """Take blocks, joint weights and coordinates from the declared model."""

@@ -12,7 +12,7 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     Trial,
     Unexplained,
 )
-from sklearn_vbjfa.inspection._inspect import ChannelFinding
+from sklearn_vbjfa.inspection import ChannelFinding
 
 EVIDENCE = Evidence(gain=0.46, gain_std=0.04, p_value=2.3e-9, n_blocks=52, helped=0.9)
 KINDS = (

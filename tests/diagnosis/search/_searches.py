@@ -4,7 +4,8 @@ import numpy as np
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis.search._search import EffectSearch
-from sklearn_vbjfa.diagnosis.search._view import RecordingView, Samples
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.recording._recording import take_arrays
 from tests.diagnosis._recordings import record
 
 CLEAN = record("ZY", seed=2)
@@ -31,11 +32,17 @@ def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
     groups = np.zeros(torque.shape[0], int) if groups is None else groups
     robot.fit(recording.position, torque, groups=groups)
     weight = np.ones_like(torque)
-    samples = Samples(
-        X=recording.position, y=torque, groups=groups, weight=weight, clock=recording.t
+    measured = take_arrays(
+        recording.position,
+        torque,
+        groups,
+        weight,
+        recording.t,
+        dt=robot.dt,
+        joint_names=robot.joint_names_,
     )
     return EffectSearch(
-        view=RecordingView(robot, samples),
+        view=RecordingView(robot, measured),
         library=effects.resolve(library),
         **{"alpha": 0.05, **given},
     )

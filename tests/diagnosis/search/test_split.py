@@ -46,7 +46,7 @@ def whole(split, n):
     # Nothing is filtered across a cut.
     cut = np.diff(split.search) > 1
     assert np.all(np.diff(split.pieces)[cut] != 0)
-    assert np.all(np.diff(split.pieces)[~cut & (np.diff(split.recording) == 0)] == 0)
+    assert np.all(np.diff(split.pieces)[~cut & (np.diff(split.origin) == 0)] == 0)
 
 
 def test_several_stretches_of_a_single_recording():
@@ -71,7 +71,7 @@ def test_both_ends_of_each_of_several_recordings():
     assert [b for _, b in edges[1::2]] == [2000, 3000, 4500]
     lengths = [b - a for a, b in edges]
     assert_allclose(lengths, [250, 250, 125, 125, 188, 188], rtol=0.2)
-    assert_array_equal(np.unique(split.recording), [0, 1, 2])
+    assert_array_equal(np.unique(split.origin), [0, 1, 2])
     assert split.borders == ((False, True), (True, False)) * 3
 
 

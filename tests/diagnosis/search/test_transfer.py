@@ -48,7 +48,7 @@ def test_squares_are_those_of_models_that_did_not_see_the_stretch():
     extra[:, 0] = columns
     Phi = np.concatenate([view.equations.Phi, extra], axis=2)
     tau, weight = view.equations.tau, view.equations.weight
-    third = stretches(view.blocks, view.recording)
+    third = stretches(view.blocks, view.origin)
     for k in range(3):
         kept, rest = third == k, third != k
         model = JointTorqueRegressor(joint_weights=view.precision)

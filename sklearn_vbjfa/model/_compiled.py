@@ -19,8 +19,9 @@ from sklearn_vbjfa.model._lanes import WIDTH, load, spread, store
 _compiled = numba.njit(
     nogil=True, cache=True, error_model="numpy", fastmath={"contract"}
 )
-# Rows of a body's state: axes, origin, its acceleration, angular velocity and
-# acceleration, and the joint's screw, moments last.
+# First rows of what is known of a body: its three axes, origin, the origin's
+# acceleration, angular velocity and acceleration, and its joint's screw: three rows by
+# which forces do work, then three for moments.
 _AXES, _ORIGIN, _FIELD, _SPEED, _GAIN, _SCREW = 0, 9, 12, 15, 18, 21
 _STATE = 27
 # Numbers near it are whole.

@@ -14,7 +14,8 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
 
-# As many as the processor has registers for; more are computed by halves.
+# As many as a register of the processor holds; where it holds fewer than four the
+# compiler takes several registers.
 WIDTH = 8 if binding.get_host_cpu_features().get("avx512f") else 4
 
 _VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)

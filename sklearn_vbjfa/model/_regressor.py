@@ -6,8 +6,8 @@ world coordinates, and accelerates with ``a + xi_1 d_1 + xi_2 d_2 + xi_3 d_3``. 
 mass times acceleration, and its moment, over the points gives all ten columns of a
 body's regressor as cross products of two lists of four vectors, (p, e_1, e_2, e_3) and
 (a, d_1, d_2, d_3).  The torque of a joint is its screw times the forces on the bodies
-that it carries.  `sklearn_vbjfa.model._compiled` does this sample by sample; without
-Numba Pinocchio does, by its recursion.
+that it carries.  `sklearn_vbjfa.model._compiled` does this for some samples at a
+time; without Numba Pinocchio does, by its recursion.
 """
 
 import functools
@@ -137,8 +137,8 @@ class TreeRegressor:
         Robot with a fixed base whose joints have one degree of freedom each; see
         `load_model`.
     compiled : bool, default=None
-        Whether a loop compiled by Numba computes the regressors, four times as fast as
-        Pinocchio called for each sample; None does so where Numba is installed.
+        Whether a loop compiled by Numba computes the regressors, several times as fast
+        as Pinocchio called for each sample; None does so where Numba is installed.
 
     Attributes
     ----------

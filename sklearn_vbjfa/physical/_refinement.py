@@ -9,8 +9,8 @@ the barrier, not by the anchor.
 Here the slack matrices are eliminated, which leaves one positive definite system of the
 size of the parameter vector.  Three things take the gap down to 1e-9 and less: the
 system is formed from the square roots of its parts, so that it is symmetric and
-semidefinite to the last digit; its solutions are corrected; and the multipliers' step is
-made to balance the gradient, which the formula for it does only in exact arithmetic.
+semidefinite to the last digit; its solutions are corrected; and the multipliers' step
+is made to balance the gradient, which the formula for it does only in exact arithmetic.
 The path ends at a gap that is set beforehand, with Newton's steps to the one point that
 belongs to it, from which one more step leads to the optimum: the answer is the same
 whatever the start and the rounding on the way.

@@ -16,7 +16,7 @@ from sklearn_vbjfa.physical._refinement import clipped_starts, refine
 
 # The certified gap that ends the search for a better answer, relative to the squared
 # distance, and the one up to which an answer is accepted.
-_GAP_TARGET = 1e-8
+_GAP_TARGET = 1e-9
 _GAP_LIMIT = 1e-4
 
 

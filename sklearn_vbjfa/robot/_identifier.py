@@ -769,7 +769,7 @@ def states_of(identifier, X, groups=None):
 
 
 def equations_of(identifier, X, y, groups, weight, t=None):
-    """Filtered `Equations` of a recording, processed as by a fitted identifier.
+    """Return the filtered `Equations` of a recording, as in a fitted identifier.
 
     Their `index` gives the row at the centre of each.
     """

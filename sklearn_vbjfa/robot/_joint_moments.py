@@ -205,7 +205,7 @@ class JointMoments:
         )
 
     def zeroed(self, entries):
-        """Return the moments with entries (nv, p), bool, of the regressor set to zero."""
+        """Return the moments with regressor entries (nv, p), bool, set to zero."""
         keep = ~entries
         both = keep[:, :, None] * keep[:, None, :]
         noise = None if self.noise is None else self.noise * both
@@ -241,7 +241,7 @@ class JointMoments:
         return np.sqrt(through), np.sqrt(np.maximum(rest, 0.0))
 
     def total(self, weight):
-        """Return the weighted moments about zero of the rows of all joints, weight (nv,)."""
+        """Return the moments about zero of all joints' rows, with weights (nv,)."""
         p = self.g.shape[1]
         used = weight > 0
         scatter = np.empty((p + 1, p + 1))

@@ -14,14 +14,18 @@ from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups, take_arrays
 from sklearn_vbjfa.robot._states import RecordingStates
 
-# Shortest period, in samples, from which states can be estimated. _MIN_PERIOD = 16 #
-Largest slip of the last period against the first, in samples: noise of a twentieth of #
-the motion within one sample. _LARGEST_SLIP = 0.05 # Noise between periods may be
-coloured, and so exceed its white level in the upper half # of the spectrum; encoder
-noise never exceeds it by this factor and is at the same time # this fraction of the
-motion. _NOISE_RATIO, _NOISE_SHARE = 10.0, 0.01 # Reach of the smoother: its slowest
-mode decays by exp(-1.94) per period of the cut-off, # to 2e-7 over these; without
-smoothing the spline's decays by 0.43 per sample. _PERIODS_SEEN, _SAMPLES_SEEN = 8.0, 60
+# Shortest period, in samples, from which states can be estimated.
+_MIN_PERIOD = 16
+# Largest slip of the last period against the first, in samples: noise of a twentieth of
+# the motion within one sample.
+_LARGEST_SLIP = 0.05
+# Noise between periods may be coloured, and so exceed its white level in the upper half
+# of the spectrum; encoder noise never exceeds it by this factor and is at the same time
+# this fraction of the motion.
+_NOISE_RATIO, _NOISE_SHARE = 10.0, 0.01
+# Reach of the smoother: its slowest mode decays by exp(-1.94) per period of the
+# cut-off, to 2e-7 over these; without smoothing the spline's decays by 0.43 per sample.
+_PERIODS_SEEN, _SAMPLES_SEEN = 8.0, 60
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +134,7 @@ class PeriodAverages:
         return RecordingStates.of_rows(parts, mean, both if halves else None)
 
     def extended(self, recording, states, margin):
-        """Extend the mean period by itself by `margin` samples on either side, for filtering.
+        """Extend the mean period by `margin` samples on either side, for filtering.
 
         With half the filter as margin, the filter is centred on each sample of the
         period once. Returns a `Recording` of one extended period per recording, and its
@@ -158,7 +162,7 @@ class PeriodAverages:
         return mean, states
 
     def filtered_torque_noise(self, lowpass):
-        """Measure the noise of the filtered torques: standard deviations (nv,) [N m or N].
+        """Measure the noise of filtered torques: standard deviations (nv,) [N m or N].
 
         nan for a joint whose even and odd periods never both have weight.
         """
@@ -325,7 +329,7 @@ def check_periodic(recording, n_period, counts):
 
 
 def measure_periods(settings, recording, effects):
-    """Average the periods of a recording, if the identifier's settings declare a period.
+    """Average the periods of a recording, if the settings declare a period.
 
     Returns `PeriodAverages`, or None without a period.
     """

@@ -17,15 +17,19 @@ from sklearn_vbjfa.robot._estimate import from_moments
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._states import RecordingStates, smooth_segment
 
-# Quantile that defines a joint's top speed: the fastest, without outliers. _FAST =
-0.995 # Parallel filtering after Gautier: the low-pass lies at five times the bandwidth
-of the # motion, high enough for friction at reversals, low enough to reject vibration.
-CUTOFF_PER_BANDWIDTH = 5.0 # ... but its length must remain a small fraction of the
-longest recording. SHORTEST_CUTOFF_PERIODS = 36.0 # Below this fraction of its top speed
-a joint counts as standing still: its friction may # then take any value inside the
-stiction band. STANDSTILL_SHARE = 0.02 # Fits until the load in the effects' columns
-agrees with the parameters: the load is # mostly gravity and inertia, which a first fit
-without those effects gets right. _LOAD_PASSES = 3
+# Quantile that defines a joint's top speed: the fastest, without outliers.
+_FAST = 0.995
+# Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of the
+# motion, high enough for friction at reversals, low enough to reject vibration.
+CUTOFF_PER_BANDWIDTH = 5.0
+# ... but its length must remain a small fraction of the longest recording.
+SHORTEST_CUTOFF_PERIODS = 36.0
+# Below this fraction of its top speed a joint counts as standing still: its friction
+# may then take any value inside the stiction band.
+STANDSTILL_SHARE = 0.02
+# Fits until the load in the effects' columns agrees with the parameters: the load is
+# mostly gravity and inertia, which a first fit without those effects gets right.
+_LOAD_PASSES = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -76,14 +80,14 @@ class Plan:
         return recording.clock(stamped=timed)
 
     def passes(self):
-        """Plans of successive fits: effects that need the load come after a first fit."""
+        """Plans of successive fits: effects that need the load are left to later ones."""
         if not needs_load(self.effects):
             return [self]
         plain = tuple(e for e in self.effects if "load" not in e.needs)
         return [replace(self, effects=plain)] + (_LOAD_PASSES - 1) * [self]
 
     def rest(self, noise):
-        """Return the `Rest` for velocity noise (nv,), which gives mean velocity signs."""
+        """Return the `Rest`, for mean velocity signs, of velocity noise (nv,)."""
         time = np.full(self.standstill.size, CUTOFF_PER_BANDWIDTH / self.cutoff)
         if not np.isfinite(self.cutoff) and self.fastest_period is not None:
             # unknown for rows of a running robot
@@ -93,7 +97,7 @@ class Plan:
 
 
 def make_plan(settings, effects, lengths, estimator, facts):
-    """Resolve the settings of a fit (`dt`, `cutoff`, `standstill`, `regressor`) to a `Plan`.
+    """Resolve the settings of a fit to a `Plan`.
 
     lengths : rows of each recording; facts : `MotionFacts` of all recordings.
     """
@@ -235,7 +239,7 @@ def merge_all(facts, keep):
 
 
 def fastest_period(states):
-    """Return the period (nv,) [s] of a sine with the top speed and acceleration of each joint.
+    """Return the period (nv,) [s] of a sine of each joint's top speed and acceleration.
 
     That is 2 pi times top speed over top acceleration of states (n, 3 nv); zero
     without.

@@ -7,13 +7,14 @@ import numpy as np
 from sklearn_vbjfa.recording._faults import position_jumps, shuffled_rows
 
 # A sample period [s] too long for any robot; one too long if the fastest joint is
-slower # than this [rad/s or m/s], as it appears if time is not in seconds.
-_SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02 # Speeds beyond the robot's
-limit by this factor: degrees for radians make 57, and are # reported elsewhere. Where
-the robot has no limit [rad/s or m/s]. _TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0,
-100.0, 1e4 # A joint that stays within a turn moves back and forth, hence more slowly
-still; in # degrees its range would be hundreds. _TURN, _TOO_FAST_NEAR,
-_LARGEST_NEAR_SPEED = 2 * np.pi, 3.0, 50.0
+# slower than this [rad/s or m/s], as it appears if time is not in seconds.
+_SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02
+# Speeds beyond the robot's limit by this factor: degrees for radians make 57, and are
+# reported elsewhere. Where the robot has no limit [rad/s or m/s].
+_TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
+# A joint that stays within a turn moves back and forth, hence more slowly still; in
+# degrees its range would be hundreds.
+_TURN, _TOO_FAST_NEAR, _LARGEST_NEAR_SPEED = 2 * np.pi, 3.0, 50.0
 
 
 def check_widths(names, X, y=None):

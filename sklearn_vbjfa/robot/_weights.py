@@ -45,7 +45,7 @@ _STUDENT_FREEDOM = 4.0
 
 
 def block_precisions(pieces, blocks, max_iter=20, tol=1e-3):
-    """Relative precision of each joint's noise in each block of time, EM to convergence.
+    """Relative precision of each joint's noise in each block of time, by EM.
 
     Residuals are Gaussian with a precision of their own in every block, Gamma(nu/2,
     nu/2) times the joint's: a multivariate Student t. Model errors (stiction,

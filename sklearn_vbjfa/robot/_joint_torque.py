@@ -151,10 +151,10 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     Notes
     -----
     `sample_weight` weights the equations, whether or not the regressor supports
-    weights. With metadata routing enabled (`sklearn.set_config`) a regressor that requests
-    `sample_weight` gets the weights of the equations instead, and one that requests
-    `groups`, such as ``LassoCV(cv=GroupKFold())``, the label of each equation's
-    recording.
+    weights. With metadata routing enabled (`sklearn.set_config`), a regressor that
+    requests `sample_weight` gets the weights of the equations instead, and one that
+    requests `groups`, such as ``LassoCV(cv=GroupKFold())``, the label of each
+    equation's recording.
 
     Examples
     --------

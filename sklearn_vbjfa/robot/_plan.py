@@ -80,7 +80,7 @@ class Plan:
         return recording.clock(stamped=timed)
 
     def passes(self):
-        """Plans of successive fits: effects that need the load are left to later ones."""
+        """Plans of successive fits: effects that need the load come later."""
         if not needs_load(self.effects):
             return [self]
         plain = tuple(e for e in self.effects if "load" not in e.needs)

@@ -215,7 +215,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return halves[0].reshape(n, -1), halves[1].reshape(n, -1)
 
     def velocity_noise(self):
-        """Standard deviation of the velocity noise [rad/s or m/s], ndarray (nv,).
+        """Velocity noise (nv,), as a standard deviation [rad/s or m/s].
 
         Due to white encoder noise after the smoother; zero where it is not known.
         """

@@ -412,7 +412,7 @@ class CorrelatedProblem:
         return self._start_from(alpha, (left @ left + root.rest) / self.n, fast=fast)
 
     def _observed(self):
-        """Sums with the observed inputs in place of the latent ones."""
+        """Return sums with the observed inputs in place of the latent ones."""
         return LatentSums(S_tt=self.moments.S, S_ty=self.moments.xy, bound=np.nan)
 
     def _start_from(self, alpha, s2, *, fast):

@@ -145,7 +145,7 @@ def report_forms(sizes=(1, 6, 10), condition=1e8, noise=1e-5, n_problems=6):
         f"{n_problems} problems; metrics of condition {condition:.0e}, that of the "
         f"rods 1e+04 with noise of {noise:.0e}. clarabel solves each problem twice, "
         "the second time in units of the distance found. Forms of the distance "
-        "|T x - c|: the quadratic form T'T, the residual as unknowns of its own, a "
+        "(the norm of T x - c): the quadratic form T'T, the residual as unknowns of its own, a "
         "second-order cone, a rotated one, and the unknowns T x - c. The settings: its "
         "tolerances of 1e-8; 1e-13; with its iterative refinement to 1e-15 besides; "
         "without equilibration; with a regularisation of 1e-12 instead of 1e-8. nan is "

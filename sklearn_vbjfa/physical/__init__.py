@@ -1,6 +1,5 @@
 """Physical consistency of rigid-body parameters: what it is and how to restore it."""
 
-from sklearn_vbjfa.physical._interior_point import ProjectionError
 from sklearn_vbjfa.physical._layout import ParameterLayout, resolve_layout
 from sklearn_vbjfa.physical._projection import ProjectionResult, project
 from sklearn_vbjfa.physical._projector import PhysicalProjector
@@ -15,6 +14,7 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     pseudo_inertia,
     spatial_inertia,
 )
+from sklearn_vbjfa.physical._solver import ProjectionError
 
 __all__ = [
     "ParameterLayout",

@@ -31,6 +31,39 @@ _RESOLUTION = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)
+class PrimalDual:
+    """A vector with multipliers of its constraints, or a step from one to another.
+
+    Attributes
+    ----------
+    vector : ndarray of shape (n_features,)
+        Vector in scaled units.
+    duals : ndarray of shape (n_bodies, n, n)
+        Multipliers of the bodies' matrices.
+    multipliers : ndarray of shape (n_nonnegative,)
+        Multipliers of the non-negative columns.
+    """
+
+    vector: np.ndarray
+    duals: np.ndarray
+    multipliers: np.ndarray
+
+    @property
+    def is_finite(self):
+        """Whether all of it is a number."""
+        parts = self.vector, self.duals, self.multipliers
+        return all(np.isfinite(part).all() for part in parts)
+
+    def moved(self, step, share):
+        """Return the point a share of a step away."""
+        return PrimalDual(
+            vector=self.vector + share * step.vector,
+            duals=self.duals + share * step.duals,
+            multipliers=self.multipliers + share * step.multipliers,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Programme:
     """The projection in scaled variables.
 
@@ -143,7 +176,7 @@ class Programme:
         """Return the point with eigenvalues raised to `floor`, a start of a path."""
         vector = self.point.copy()
         J = constraint_matrix(vector[self.body_columns], "pseudo-inertia")
-        vector[self.body_columns] = inertial_parameters(_raised(J, floor))
+        vector[self.body_columns] = inertial_parameters(raised(J, floor))
         return self.lift(vector, floor)
 
     def relative_gap(self, vector, duals, multipliers):
@@ -175,7 +208,7 @@ class Programme:
             Upper bound on the excess of the squared distance, relative to it (or to
             the square of the resolution, where that is larger).
         """
-        duals, multipliers = _raised(duals, 0.0), np.maximum(multipliers, 0.0)
+        duals, multipliers = raised(duals, 0.0), np.maximum(multipliers, 0.0)
         residual = self.residual(vector)
         complementarity = np.sum(duals * self.slack(vector))
         complementarity += multipliers @ vector[self.nonnegative]
@@ -190,7 +223,7 @@ class Programme:
         return float(excess / max(residual @ residual, least))
 
 
-def _raised(matrices, floor):
+def raised(matrices, floor):
     """Return symmetric matrices with eigenvalues of at least `floor`."""
     eigenvalue, basis = np.linalg.eigh(matrices)
     eigenvalue = np.maximum(eigenvalue, floor)

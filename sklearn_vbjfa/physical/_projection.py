@@ -6,7 +6,6 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from sklearn_vbjfa.physical._interior_point import ProjectionError, solve
 from sklearn_vbjfa.physical._layout import ParameterLayout, resolve_layout
 from sklearn_vbjfa.physical._programme import Programme
 from sklearn_vbjfa.physical._pseudo_inertia import (
@@ -15,6 +14,7 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     min_eigenvalue,
     parameter_units,
 )
+from sklearn_vbjfa.physical._solver import ProjectionError, solve
 from sklearn_vbjfa.physical._threads import one_blas_thread
 
 # How many times longer than the visible part of a vector its hidden part may be before
@@ -195,10 +195,10 @@ class ProjectionResult:
         pulled then; nan if the solve with less pull fails.
     iterations : int
         Iterations of the solver, all passes together.
-    solver : {"none", "interior-point"}
+    solver : {"none", "clarabel"}
         What found the vector.
     message : str
-        How the solver ended.
+        The solver's own status.
     mass_scale : ndarray of shape (n_bodies,)
         Unit of mass of each body [kg].
     length_scale : ndarray of shape (n_bodies,)
@@ -424,7 +424,7 @@ class Projection:
             relative_gap=solution.gap,
             anchor_cost=cost,
             iterations=solution.n_iter,
-            solver="interior-point",
+            solver="clarabel",
             message=solution.status,
         )
 

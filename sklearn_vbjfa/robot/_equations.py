@@ -30,6 +30,8 @@ from sklearn_vbjfa.robot._parallel import run
 _EDGE_PERIODS = 1.0
 # Rows whose states are evaluated together; blocks of regressor matrices are shorter.
 _SPAN_ROWS = 4096
+# Rows of the regressor per block of a prediction.
+_BLOCK_ROWS = 256
 # Memory for filtered rows of the regressor.
 CHUNK_BYTES = 32 << 20
 # The same without a filter: pieces do not overlap and stay in the cache.
@@ -162,6 +164,8 @@ class RegressorRows:
         Size of a regressor matrix.
     support : ndarray of shape (n_joints, n_parameters), bool
         Entries that are nonzero in some motion.
+    used : ndarray of shape (n_entries,)
+        Their positions in a flattened matrix, the features' first.
     """
 
     def __init__(self, features, states, columns=(), rest=None):
@@ -173,11 +177,15 @@ class RegressorRows:
         self.support = np.zeros((self.n_joints, self.n_parameters), dtype=bool)
         self.support[:, : features.n_parameters_] = features.support_
         at = features.n_parameters_
+        used = [np.flatnonzero(self.support)]
         for effect, values in self._columns:
             stop = at + values.shape[-1]
-            joints = slice(None) if effect.whole_robot else effect.joint
-            self.support[joints, at:stop] = True
+            joints = np.arange(self.n_joints) if effect.whole_robot else [effect.joint]
+            own = np.ix_(joints, np.arange(at, stop))
+            self.support[own] = True
+            used.append(np.ravel_multi_index(own, self.support.shape).ravel())
             at = stop
+        self.used = np.concatenate(used)
 
     @classmethod
     def with_effects(cls, features, states, effects, motion, rest=None):
@@ -213,12 +221,39 @@ class RegressorRows:
             at = stop
         return out
 
+    def entries(self, piece):
+        """Entries of the support for a slice of rows, (n_entries, n)."""
+        entries = self._features.entries(self._states[piece], self._rest)
+        if not self._columns:
+            return entries
+        n = entries.shape[1]
+        columns = [values[piece].reshape(n, -1).T for _, values in self._columns]
+        return np.concatenate([entries, *columns])
+
+    def spread(self, rows):
+        """Put rows (n, n_entries) of entries back into matrices (n, nv, p)."""
+        out = np.zeros((rows.shape[0], self.n_joints * self.n_parameters))
+        # Slices of adjacent places are copied faster than places one by one.
+        breaks = np.flatnonzero(np.diff(self.used) != 1) + 1
+        at = 0
+        for places in np.split(self.used, breaks):
+            if places.size:
+                stop = at + places.size
+                out[:, places[0] : places[-1] + 1] = rows[:, at:stop]
+                at = stop
+        return out.reshape(-1, self.n_joints, self.n_parameters)
+
     def predict(self, theta):
-        """Torques (n, nv) predicted by parameters (p,), chunk by chunk."""
-        count = max(1, CHUNK_BYTES // (8 * self.n_joints * self.n_parameters))
+        """Torques (n, nv) predicted by parameters (p,), block by block."""
+        joints, columns = np.divmod(self.used, self.n_parameters)
+        weights = np.zeros((self.n_joints, self.used.size))
+        weights[joints, np.arange(self.used.size)] = theta[columns]
         n = self._states.shape[0]
-        pieces = [self(slice(i, i + count)) @ theta for i in range(0, n, count)]
-        return np.concatenate(pieces)
+        torque = np.empty((n, self.n_joints))
+        for i in range(0, n, _BLOCK_ROWS):
+            piece = slice(i, min(i + _BLOCK_ROWS, n))
+            torque[piece] = (weights @ self.entries(piece)).T
+        return torque
 
 
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
@@ -312,15 +347,20 @@ class Segment:
         seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
         made = () if self.rows is None else (self.rows,)
         made += self.halves or ()
-        filtered = _filter_rows(made, seen, lowpass, chosen.size)
+        if lowpass.half == 0 and lowpass.step == 1:
+            # Nothing is added up: the matrices are made where they stay.
+            filtered, spread = [rows(seen) for rows in made], np.asarray
+        else:
+            filtered = _filter_rows(made, seen, lowpass, chosen.size)
+            spread = made[0].spread
         Phi, difference = filtered[0], None
         if self.halves is not None:
             even, odd = filtered[-2:]
             if self.rows is None:
                 Phi = 0.5 * (even + odd)
-            difference = np.subtract(even, odd, out=even)
+            difference = spread(np.subtract(even, odd, out=even))
         return Equations(
-            Phi=Phi,
+            Phi=spread(Phi),
             tau=decimate(lowpass, self.torque[seen]),
             weight=filter_weight(lowpass, self.counts(seen)),
             index=self.first + chosen,
@@ -338,12 +378,9 @@ def velocities(states, rows):
 
 
 def _filter_rows(made, seen, lowpass, count):
-    """Regressor matrices behind the low-pass, block by block."""
-    if lowpass.half == 0 and lowpass.step == 1:
-        return [rows(seen) for rows in made]
-    shape = made[0].n_joints, made[0].n_parameters
-    filters = [BlockFilter(lowpass, count, shape, rows.support) for rows in made]
-    length = block_length(lowpass, 8 * shape[0] * shape[1])
+    """Entries (n, n_entries) of regressor matrices behind the low-pass."""
+    filters = [BlockFilter(lowpass, count, rows.used.size) for rows in made]
+    length = block_length(lowpass, 8 * made[0].used.size)
     span = length * max(1, _SPAN_ROWS // length)
     for begin in range(seen.start, seen.stop, span):
         stretch = slice(begin, min(begin + span, seen.stop))
@@ -351,7 +388,7 @@ def _filter_rows(made, seen, lowpass, count):
             own = rows.part(stretch)
             for at in range(0, stretch.stop - begin, length):
                 block = slice(at, min(at + length, stretch.stop - begin))
-                into.add(begin - seen.start + at, own(block))
+                into.add(begin - seen.start + at, own.entries(block).T)
     return [into.outputs for into in filters]
 
 

@@ -127,6 +127,11 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
         self._regressor = TreeRegressor(self.model_)
+        # Which of the entries is which.
+        support = self.support_
+        self._n_entries = np.count_nonzero(support)
+        places = np.where(support, np.cumsum(support).reshape(support.shape) - 1, -1)
+        self._places = places.reshape(self.n_joints_, self.n_joints_, -1)
         return self
 
     def _check_width(self, X):
@@ -171,6 +176,30 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         diagonal = np.arange(nv)
         Phi[:, diagonal, diagonal, 10:] = _friction.columns(self.friction_, v, a, rest)
         return Phi.reshape(n, nv, self.n_parameters_)
+
+    def entries(self, X, rest=None):
+        """Compute the entries of `support_` alone, samples last.
+
+        Parameters
+        ----------
+        X : ndarray of shape (n_samples, 3 * nv)
+            States [q | v | a].
+        rest : Rest or None, default=None
+            Signs of velocities are their means with it.
+
+        Returns
+        -------
+        ndarray of shape (n_entries, n_samples)
+            Entries in the order of ``np.nonzero(support_)``.
+        """
+        nv = self.n_joints_
+        q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
+        out = np.empty((self._n_entries, X.shape[0]))
+        self._regressor.entries(q, v, a, self._places[:, :, :10], out)
+        diagonal = np.arange(nv)
+        columns = _friction.columns(self.friction_, v, a, rest)
+        out[self._places[diagonal, diagonal, 10:]] = columns.transpose(1, 2, 0)
+        return out
 
     def one_by_one(self):
         """Return a function of one state (q, v, a), for control loops.

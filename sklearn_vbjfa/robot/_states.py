@@ -340,15 +340,25 @@ class SplineStates:
 
     def __getitem__(self, rows):
         """States [q | v | a] of a slice of rows, (n, 3 * nv)."""
-        return np.column_stack([self.derivative(rows, order) for order in range(3)])
+        start, stop, _ = rows.indices(self.shape[0])
+        # The samples of a signal are next to each other, as they are evaluated and as
+        # the regressors take them.
+        columns = np.empty((3, len(self._splines), stop - start))
+        for order, signals in enumerate(columns):
+            self._evaluate(start, stop, order, signals)
+        return columns.reshape(self.shape[1], -1).T
 
     def derivative(self, rows, order):
         """Positions, velocities or accelerations of a slice of rows, (n, nv)."""
         start, stop, _ = rows.indices(self.shape[0])
-        columns = np.empty((len(self._splines), stop - start))
-        for column, spline in zip(columns, self._splines):
-            column[:] = spline(start, stop, order)
-        return columns.T
+        signals = np.empty((len(self._splines), stop - start))
+        self._evaluate(start, stop, order, signals)
+        return signals.T
+
+    def _evaluate(self, start, stop, order, out):
+        """Write derivatives of an order for some rows, (nv, n)."""
+        for signal, spline in zip(out, self._splines):
+            signal[:] = spline(start, stop, order)
 
 
 @dataclass(frozen=True, kw_only=True)

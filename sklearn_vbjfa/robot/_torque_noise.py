@@ -129,15 +129,15 @@ def noise_facts(residual, torque, states, dt, cutoff):
     for j, count in enumerate(hold):
         turned = np.cumsum(np.r_[0, np.diff(np.sign(velocities[:, j])) != 0, 0])
         first = np.arange(count // 2, n, count)
+        turned_after = turned[np.minimum(first + turning, n - 1)]
+        turned_before = turned[np.maximum(first - turning, 0)]
         x = residual[count // 2 :: count, j]
         for k, stride in enumerate(_strides(dt * count, cutoff)):
             if x.size >= max(_SHORTEST, 16 * _ORDER * stride):
                 d = x
                 for _ in range(_ORDER):
                     d = d[stride:] - d[:-stride]
-                last = np.minimum(first[-d.size :] + turning, n - 1)
-                before = np.maximum(first[: d.size] - turning, 0)
-                d = d[turned[last] == turned[before]]
+                d = d[turned_after[-d.size :] == turned_before[: d.size]]
                 if d.size >= _SHORTEST:
                     scales[j, k] = (np.median(np.abs(d)) / _MEDIAN) ** 2
     columns = zip(positions.T, velocities.T, residual.T)

@@ -1,4 +1,4 @@
-"""The projection's programme stated in several forms for clarabel, a conic solver."""
+"""The projection's programme stated in several forms for clarabel alone."""
 
 from unittest import mock
 

@@ -38,7 +38,7 @@ STANDSTILL = {"ur5": 0.03, "staubli_tx40": 0.02}
 # is that of the computation.
 MODULES = {
     "figaroh": "figaroh,pinocchio,scipy.signal,pandas,picos,cvxopt",
-    "vbjfa": "sklearn_vbjfa,pinocchio,scipy.signal,sklearn.linear_model",
+    "vbjfa": "sklearn_vbjfa,pinocchio,scipy.signal,clarabel,sklearn.linear_model",
 }
 _START = """
 import importlib, json, runpy, sys, time

@@ -3,7 +3,7 @@
 Run as ``python tests/benchmarks/bench_projection.py``. Robots are made of point
 masses and then spoiled by noise of the order of their parameters; the optimum comes
 from cvxopt's cone solver, which shares nothing with the package. Then the certified gap
-that a conic solver reaches, whatever the form that the programme is given in.
+that clarabel reaches by itself, whatever the form that the programme is given in.
 """
 
 import time

@@ -523,7 +523,7 @@ def test_robot_regression_with_singular_gram_matrix_keeps_its_predictions():
 @pytest.mark.parametrize("constraint", ["pseudo-inertia", "eq30"])
 def test_unfinished_solve_raises_and_returns_nothing(constraint):
     theta = inconsistent_robot(np.random.default_rng(0), 3)
-    with pytest.raises(ProjectionError, match="method ended with MaxIterations"):
+    with pytest.raises(ProjectionError, match="failed: clarabel ended with MaxIter"):
         project(theta, constraint=constraint, max_solver_iter=1)
 
 

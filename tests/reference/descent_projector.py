@@ -8,8 +8,8 @@ import numpy as np
 from sklearn_vbjfa.physical import (
     PhysicalProjector,
     ProjectionError,
-    _interior_point,
     _projection,
+    _solver,
 )
 from tests.reference.virtual_parameters import descend
 
@@ -36,14 +36,14 @@ def _solve(programme, *, max_steps):
     # Away from the boundary: a factor that is exactly zero has a zero derivative and
     # would stay zero.
     floor = programme.margin + 1e-4
-    stricter = _interior_point.solve(
+    stricter = _solver.solve(
         replace(programme, constraint="pseudo-inertia"), max_steps=max_steps
     )
     starts = [programme.lift(stricter.vector, floor), programme.clip(floor)]
     vector, steps, message = descend(programme, starts, max_steps=_STEPS * max_steps)
     # A stationary point of a problem that is not convex proves nothing.  The convex
     # programme has the same minimum, and its certificate bounds it from below.
-    nearest = _interior_point.solve(programme, max_steps=max_steps)
+    nearest = _solver.solve(programme, max_steps=max_steps)
     least = programme.distance(nearest.vector) ** 2 * (1.0 - nearest.gap)
     excess = programme.distance(vector) ** 2 / max(least, np.finfo(float).tiny) - 1.0
     if not excess <= _LIMIT:
@@ -53,6 +53,6 @@ def _solve(programme, *, max_steps):
             "least squared distance (relative). Raise max_solver_iter, or use "
             "PhysicalProjector."
         )
-    return _interior_point.Solution(
+    return _solver.Solution(
         vector=vector, gap=max(excess, 0.0), n_iter=steps, status=message
     )

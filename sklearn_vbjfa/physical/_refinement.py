@@ -1,16 +1,19 @@
-r"""Primal-dual interior-point method for the projection.
+r"""Primal-dual refinement of a conic solver's answer.
 
-General conic solvers factor an indefinite, regularised system and stop at a relative
-gap of about 1e-7, in whatever form the distance is stated.  Directions that the metric
-hardly sees need more: at that gap they are still placed by the barrier, not by the
-anchor.  Here the slack matrices are eliminated, which leaves one positive definite
-system of the size of the parameter vector.  Three things take the gap down to 1e-9 and
-less: the system is formed from the square roots of its parts, so that it is symmetric
-and semidefinite to the last digit; its solutions are corrected; and the multipliers'
-step is made to balance the gradient, which the formula for it does only in exact
-arithmetic.  The path ends at a gap that is set beforehand, with Newton's steps to the
-one point that belongs to it, from which one more step leads to the optimum: the answer
-is the same whatever the rounding was on the way.
+The library's answer is not the end, for two reasons.  A general solver factors an
+indefinite, regularised system, which stops it at a relative gap of about 1e-7 with
+several bodies and 1e-4 with rods, in whatever form the distance is stated.  And
+directions that the metric hardly sees need more: at such a gap they are still placed by
+the barrier, not by the anchor.
+
+Here the slack matrices are eliminated, which leaves one positive definite system of the
+size of the parameter vector.  Three things take the gap down to 1e-9 and less: the
+system is formed from the square roots of its parts, so that it is symmetric and
+semidefinite to the last digit; its solutions are corrected; and the multipliers' step
+is made to balance the gradient, which the formula for it does only in exact arithmetic.
+The path ends at a gap that is set beforehand, with Newton's steps to the one point that
+belongs to it, from which one more step leads to the optimum: the answer is the same
+whatever the start and the rounding on the way.
 
 The directions are those of Helmberg, Kojima and Monteiro (doi:10.1137/0806020): with
 slack `S`, multiplier `Z` and target `m`,
@@ -21,17 +24,17 @@ slack `S`, multiplier `Z` and target `m`,
     \mathrm{d}x = -T^\top r + m \sum_j [\operatorname{tr}(B_k S_j^{-1})]_k .
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
-# The certified gap that ends the search for a better path, relative to the squared
-# distance, and the one up to which an answer is accepted.
-_GAP_TARGET = 1e-6
-_GAP_LIMIT = 1e-4
-# Where a path begins: least eigenvalue of the bodies' matrices, in scaled units.
-_STARTS = (0.1, 1e-2, 1.0)
+from sklearn_vbjfa.physical._programme import PrimalDual, raised
+
+# Where the path is entered: target of the products of slack and multipliers, relative
+# to the squared distance, and the most that an eigenvalue is raised for it.
+_ENTRY = 1e-3
+_LARGEST_LIFT = 1e-3
+# The same from a vector with clipped eigenvalues: the least ones, in scaled units.
+_CLIPPED = (0.1, 1e-2, 1.0)
 # Share of the way to the boundary that a step may go.
 _BOUNDARY_SHARE = 0.95
 # The same for the last step, after which there is no path to keep to.
@@ -48,131 +51,43 @@ _CENTRINGS = 6
 _CORRECTIONS = 4
 
 
-class ProjectionError(RuntimeError):
-    """The projection found no vector that is certified to be the nearest one.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.physical import ProjectionError, project
-    >>> try:
-    ...     project([2, 0, 0, 0, 1, 0, 1, 0, 0, 3], max_solver_iter=1)
-    ... except ProjectionError as error:
-    ...     print("failed")
-    failed
-    """
-
-
-@dataclass(frozen=True, kw_only=True)
-class Solution:
-    """A consistent vector and what is known of it.
-
-    Attributes
-    ----------
-    vector : ndarray of shape (n_features,)
-        Consistent vector in scaled units.
-    gap : float
-        Certified excess of the squared distance, relative, see
-        `Programme.relative_gap`.
-    n_iter : int
-        Steps taken, all paths together.
-    status : {"nothing to do", "Solved", "MaxIterations", "Rounding"}
-        How the path of the vector ended.
-    """
-
-    vector: np.ndarray
-    gap: float
-    n_iter: int
-    status: str
+def clipped_starts(programme):
+    """Yield starts without a solver: eigenvalues clipped, multipliers on the path."""
+    kept = programme.nonnegative
+    for floor in _CLIPPED:
+        vector = programme.clip(programme.margin + floor)
+        slack = programme.slack(vector)
+        mean = programme.distance(vector) ** 2 / (slack[..., 0].size + kept.size)
+        mean = max(mean, np.finfo(float).tiny)
+        yield PrimalDual(
+            vector=vector,
+            duals=mean * _symmetric(np.linalg.inv(slack)),
+            multipliers=mean / vector[kept],
+        )
 
 
-def solve(programme, *, max_steps):
-    """Solve a programme and certify the answer.
+def refine(programme, start, *, max_steps):
+    """Follow the central path from near an approximate solution to its end.
 
     Parameters
     ----------
     programme : Programme
         The projection in scaled variables.
+    start : PrimalDual
+        Approximate solution.
     max_steps : int
-        Largest number of steps of one path.
+        Largest number of steps.
 
     Returns
     -------
-    Solution
-        The nearest vector.
-
-    Raises
-    ------
-    ProjectionError
-        If no path ends with a certified gap below the limit.
-    """
-    # The least lift is an answer by itself where hardly anything has to move; no vector
-    # is nearer than nothing, so its own squared distance bounds its excess.
-    vector = programme.lift(programme.point, programme.margin)
-    squared, least = programme.distance(vector) ** 2, programme.resolution**2
-    gap = squared / max(squared, least, np.finfo(float).tiny)
-    n_iter, status = 0, "nothing to do"
-    for start in _STARTS:
-        if gap <= _GAP_TARGET:
-            break
-        end, steps, ended = _follow(programme, start, max_steps)
-        n_iter += steps
-        candidate = programme.lift(end.vector, programme.margin)
-        found = programme.relative_gap(candidate, end.duals, end.multipliers)
-        if found < gap:
-            vector, gap, status = candidate, found, ended
-    if gap > _GAP_LIMIT:
-        raise ProjectionError(
-            f"The projection on the {programme.constraint!r} set failed: the "
-            f"interior-point method ended with {ended} after {n_iter} iterations, and "
-            f"the certified relative gap {gap:.1e} is above {_GAP_LIMIT:.0e}. Raise "
-            "max_solver_iter, or check the vector and the metric for columns many "
-            "orders of magnitude apart."
-        )
-    return Solution(vector=vector, gap=max(gap, 0.0), n_iter=n_iter, status=status)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Iterate:
-    """A point of the path, or a step from one to the next.
-
-    Attributes
-    ----------
-    vector : ndarray of shape (n_features,)
-        Strictly consistent vector in scaled units.
-    duals : ndarray of shape (n_bodies, n, n)
-        Multipliers of the bodies' matrices.
-    multipliers : ndarray of shape (n_nonnegative,)
-        Multipliers of the non-negative columns.
-    """
-
-    vector: np.ndarray
-    duals: np.ndarray
-    multipliers: np.ndarray
-
-    def moved(self, step, share):
-        """Return the point a share of a step away."""
-        return Iterate(
-            vector=self.vector + share * step.vector,
-            duals=self.duals + share * step.duals,
-            multipliers=self.multipliers + share * step.multipliers,
-        )
-
-
-def _follow(programme, start, max_steps):
-    """Follow the central path; return its last iterate, the steps and how it ended.
-
-    Rounding may leave the iterate outside the set by as much.
+    end : PrimalDual
+        Refined solution; rounding may leave it outside the set by as much.
+    n_steps : int
+        Steps taken.
     """
     kept = programme.nonnegative
-    vector = programme.clip(programme.margin + start)
-    slack = programme.slack(vector)
-    order = len(slack) * slack.shape[-1] + kept.size
-    mean = max(programme.distance(vector) ** 2 / order, np.finfo(float).tiny)
-    at = Iterate(
-        vector=vector,
-        duals=mean * _symmetric(np.linalg.inv(slack)),
-        multipliers=mean / vector[kept],
-    )
+    at = _inside(programme, start)
+    order = len(at.duals) * programme.generators.shape[-1] + kept.size
     near = 0
     for taken in range(max_steps):
         slack = programme.slack(at.vector)
@@ -181,9 +96,10 @@ def _follow(programme, start, max_steps):
         # A power of two, so that the rounding of the path so far does not move it.
         end = 2.0 ** np.floor(np.log2(max(end, np.finfo(float).tiny)))
         near += mean <= _NEAR * end
+        last = near > _CENTRINGS
         try:
             system = _Equations(programme, at, slack)
-            if near > _CENTRINGS:
+            if last:
                 # From the centre to the optimum, with no path to keep to.
                 reach, step = system.predict_and_correct(0.0, 0.0)
             elif near:
@@ -192,15 +108,37 @@ def _follow(programme, start, max_steps):
                 reach, step = system.predict_and_correct(mean, end)
         except (LinAlgError, np.linalg.LinAlgError):
             # Rounding has reached the boundary: the last iterate stands.
-            return at, taken, "Rounding"
-        last = near > _CENTRINGS
+            return at, taken
         share = min(1.0, (_LAST_SHARE if last else _BOUNDARY_SHARE) * reach)
         if share < _SHORTEST_STEP:
-            return at, taken, "Rounding"
+            return at, taken
         at = at.moved(step, share)
         if last:
-            return at, taken + 1, "Solved"
-    return at, max_steps, "MaxIterations"
+            return at, taken + 1
+    return at, max_steps
+
+
+def _inside(programme, start):
+    """Move a solution from the boundary, where no step leads on, to near the path.
+
+    At a solution the products of slack and multipliers are zero.  Here they become `m`
+    to ``2 m``: by a lift of ``m / |Z|``, and by multipliers of ``m / S`` added.
+    """
+    kept = programme.nonnegative
+    duals, multipliers = raised(start.duals, 0.0), np.maximum(start.multipliers, 0.0)
+    tiny = np.finfo(float).tiny
+    squared = programme.distance(programme.lift(start.vector, programme.margin)) ** 2
+    squared = max(squared, programme.resolution**2)
+    target = max(_ENTRY * squared / (duals[..., 0].size + kept.size), tiny)
+    largest = max(duals.max(initial=0.0), multipliers.max(initial=0.0), tiny)
+    lift = min(target / largest, _LARGEST_LIFT)
+    vector = programme.lift(start.vector, programme.margin + lift)
+    slack = programme.slack(vector)
+    return PrimalDual(
+        vector=vector,
+        duals=duals + target * _symmetric(np.linalg.inv(slack)),
+        multipliers=multipliers + target / vector[kept],
+    )
 
 
 class _Equations:
@@ -219,7 +157,7 @@ class _Equations:
     ----------
     programme : Programme
         The projection in scaled variables.
-    at : Iterate
+    at : PrimalDual
         The point.
     slack : ndarray of shape (n_bodies, n, n)
         Its slack.  LinAlgError is raised where it is not definite.
@@ -330,7 +268,7 @@ class _Equations:
         ]
         lowest = falls.min(initial=0.0)
         reach = np.inf if lowest >= 0 else -1.0 / lowest
-        iterate = Iterate(vector=step, duals=dual_step, multipliers=dual_free)
+        iterate = PrimalDual(vector=step, duals=dual_step, multipliers=dual_free)
         return reach, iterate, change
 
     def predict_and_correct(self, mean, end):

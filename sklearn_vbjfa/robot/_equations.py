@@ -30,7 +30,7 @@ from sklearn_vbjfa.robot._parallel import run
 _EDGE_PERIODS = 1.0
 # Rows whose states are evaluated together; blocks of regressor matrices are shorter.
 _SPAN_ROWS = 4096
-# Rows of the regressor for which torques are predicted at a time.
+# Rows of the regressor per block of a prediction.
 _BLOCK_ROWS = 256
 # Memory for filtered rows of the regressor.
 CHUNK_BYTES = 32 << 20
@@ -165,7 +165,7 @@ class RegressorRows:
     support : ndarray of shape (n_joints, n_parameters), bool
         Entries that are nonzero in some motion.
     used : ndarray of shape (n_entries,)
-        Places of these in a matrix that is laid flat, the features' first.
+        Their positions in a flattened matrix, the features' first.
     """
 
     def __init__(self, features, states, columns=(), rest=None):

@@ -2,9 +2,7 @@
 
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
-from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
-from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
-from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
+from sklearn_vbjfa import InstrumentalVariables, StepwiseRegressor, TotalLeastSquares
 
 
 @parametrize_with_checks(

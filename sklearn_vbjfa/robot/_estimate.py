@@ -346,13 +346,6 @@ def _complete(bodies, length):
     return np.where(good[:, None], bodies, ball)
 
 
-# Directions of parameter space that the data determine less than this, relative to
-# the best determined one in scaled columns, count as not identifiable.
-_IDENTIFIABLE = 1e-9
-# ... and a parameter of which such directions hold more than this share.
-_LOST = 1e-6
-
-
 def fit_projector(projector, model, theta, metric, friction):
     """Fit a projector to an estimate, filling in the settings the user left open.
 

@@ -14,7 +14,7 @@ HERE = Path(__file__).resolve().parent
 
 def residuals(scale, index, tau):
     """Residuals of a given size, with the interface of TorqueResiduals."""
-    from sklearn_vbjfa.robot._residuals import TorqueResiduals
+    from sklearn_vbjfa.robot import TorqueResiduals
 
     return TorqueResiduals(
         index=index,

@@ -10,7 +10,7 @@ from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
+from sklearn_vbjfa import InstrumentalVariables
 
 examples = settings(derandomize=True, deadline=None, max_examples=25)
 

@@ -11,7 +11,7 @@ from sklearn.model_selection import GridSearchCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
+from sklearn_vbjfa import TotalLeastSquares
 
 examples = settings(derandomize=True, deadline=None, max_examples=25)
 

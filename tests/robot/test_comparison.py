@@ -6,9 +6,8 @@ from sklearn.linear_model import LinearRegression
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa import RobotIdentifier, StepwiseRegressor
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
 from sklearn_vbjfa.robot import _comparison
 from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
 from tests.model._robots import swing

@@ -12,12 +12,11 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
+from sklearn_vbjfa import JointTorqueRegressor, RigidBodyFeatures, RobotIdentifier
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
 from sklearn_vbjfa.robot import _equations
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._plan import MotionFacts, merge_all, n_fastest
 
 FRICTION = ("viscous", "coulomb")

@@ -15,7 +15,7 @@ from sklearn_vbjfa.diagnosis.search._intervals import (
     FinalFit,
     error_intervals,
 )
-from sklearn_vbjfa.robot._residuals import TorqueResiduals
+from sklearn_vbjfa.robot import TorqueResiduals
 from tests.diagnosis._recordings import named, record
 from tests.effects._arms import arm, inverse_dynamics, motion
 

@@ -8,8 +8,8 @@ S_xx, S_xy and S_yy, at O(d^3) an iteration. With Psi = 0, t is x and this is Ba
 linear regression with automatic relevance determination.
 
 In order: the latent inputs given the observed ones; the updates of the posterior; the
-joint maxima that replace updates which creep, at the same fixed points; the steps that
-the loop of `_solver` makes of them. Tags such as [C6] are equations of the guide.
+joint maxima that replace slowly converging updates, with the same fixed points; and the
+steps for the loop of `_solver`. Tags such as [C6] are equations of the guide.
 """
 
 from collections import deque
@@ -51,7 +51,7 @@ class Latent:
 def infer_latent(S, n, psi, floor=1e-12):
     """Split the scatter (d, d) of x into latent and noise, [C1] to [C3].
 
-    Where psi exceeds S along some direction no latent signal is left there.
+    No latent signal is left in directions where psi exceeds S.
     """
     covariance = S / n
     d = covariance.shape[0]
@@ -68,8 +68,8 @@ def infer_latent(S, n, psi, floor=1e-12):
     clipped = eigen.values[eigen.values < -floor * max(eigen.values[-1], 0.0)]
     Sigma_t = eigen.matrix()  # [C1]
     total = Sigma_t + psi
-    # Exactly redundant columns make `total` singular; the pseudo-inverse keeps to
-    # the span of the data, outside of which x never lies.
+    # Exactly redundant columns make `total` singular; the pseudo-inverse is restricted
+    # to the span of the data, which always contains x.
     H = Sigma_t @ scaled_eigen(total, floor, scale=1.0).inverse()  # [C2]
     P = Sigma_t - H @ Sigma_t  # [C3]
     P = 0.5 * (P + P.T)
@@ -102,7 +102,7 @@ def expect_latent(moments, latent, state):
         spread = float(np.einsum("ij,ji->", state.beta_cov, S))
         value = -0.5 * (n * (_LOG_2PI + np.log(s2)) + (residual + spread) / s2)  # [C12]
         return LatentSums(S_tt=S, S_ty=xy, bound=value)
-    # The uncertainty of beta acts as further precision beta_cov / s2 on t.
+    # The uncertainty of beta acts as additional precision beta_cov / s2 on t.
     H, P, logdet = _given_beta(latent, state.beta_cov, s2)
     P_beta = P @ beta
     q = s2 + beta @ P_beta  # [C5]
@@ -126,23 +126,23 @@ def expect_latent(moments, latent, state):
     return LatentSums(S_tt=0.5 * (S_tt + S_tt.T), S_ty=S_ty, bound=float(value))
 
 
-# Newton steps of the joint maximum of mean and noise; it is close from the second
-# iteration on, and the outer loop goes on where this one stops.
+# Newton steps to the joint maximum of mean and noise; it is close from the second
+# iteration on, and the outer loop continues where this one stops.
 _NEWTON_STEPS = 20
-_ENOUGH = 1e-4  # share of the promised gain that a step must bring
-# Largest logarithm of a precision or a noise: exp of it must stay a number.
+_ENOUGH = 1e-4  # share of the predicted gain that a step must achieve
+# Largest logarithm of a precision or a noise: its exponential must not overflow.
 _LARGEST_LOG = 300.0
 
 
 def precisions_given_others(mean, variance, alpha, shape0, rate0):
-    """E[alpha_m] (d,) that the updates of alpha_m and beta_m end at, [C14].
+    """E[alpha_m] (d,) to which the updates of alpha_m and beta_m converge, [C14].
 
-    mean, variance : posterior of beta under the precisions `alpha`, each (d,), of which
-    s and q follow (Tipping and Faul, 2003). The plain update rises with alpha, so that
-    it would end at the next root on the side to which it moves: that one is returned.
+    mean, variance : posterior of beta under the precisions `alpha`, each (d,), which
+    give s and q (Tipping and Faul, 2003). The plain update increases with alpha, so it
+    converges to the nearest root in the direction in which it moves: that is returned.
     """
     total = 2 * shape0 + 1.0
-    # An input that says nothing has s = 0, to rounding.
+    # An uninformative input has s = 0, to rounding.
     s = np.maximum(1.0 / variance - alpha, np.finfo(float).eps / variance)
     strength = (mean / variance) ** 2 / s
     rate = 2 * rate0 * s
@@ -223,7 +223,7 @@ def mean_and_noise(moments, latent, G, start, alpha):
         unit = np.sqrt(np.append(np.diagonal(K) / q + alpha, 0.5 * n))
         step = scaled_eigen(curvature, scale=unit).by_magnitude().solve(gradient)
         promised = gradient @ step
-        # The exponential of the noise's logarithm must stay a number.
+        # The exponential of the log noise must not overflow.
         length = min(1.0, _LARGEST_LOG / max(abs(step[d]), 1.0))
         while True:
             trial = mean + length * step[:d], log_noise + length * step[d]
@@ -237,8 +237,8 @@ def mean_and_noise(moments, latent, G, start, alpha):
     return mean, float(np.exp(log_noise))
 
 
-# Smallest output noise, as a share of the variance of y, that second moments can tell
-# from their own rounding: the residual is a difference of sums of products.
+# Smallest output noise, as a share of the variance of y, that second moments resolve
+# above rounding: the residual is a difference of sums of products.
 OUTPUT_FLOOR = 1e-12
 # The same for a triangular factor of the rows, whose residual is a sum of squares.
 FACTOR_FLOOR = OUTPUT_FLOOR**2
@@ -261,7 +261,7 @@ class CorrelatedState:
 
 
 def _prior_bound(state, shape0, rate0, logdet_cov, shared):
-    """Part of the bound that the prior takes, [C13]."""
+    """Prior part of the bound, [C13]."""
     shape, rate = state.alpha_shape, state.alpha_rate
     E_alpha, E_log = state.E_alpha, digamma(shape) - np.log(rate)
     square = state.beta_mean**2 + np.diagonal(state.beta_cov)
@@ -274,8 +274,8 @@ def _prior_bound(state, shape0, rate0, logdet_cov, shared):
 def square_root(S, xy, yy):
     """Square root of second moments, without the rounding of their null space.
 
-    Eigenvalues below their own rounding are zero: left in, they would be information
-    as soon as the noise is small enough.
+    Eigenvalues below rounding are set to zero: otherwise they would act as information
+    once the noise is small enough.
     """
     eigen = scaled_eigen(S, scale=1.0)
     R = eigen.root()
@@ -303,8 +303,8 @@ class BetaPosterior:
 def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
     """Posterior of beta from the sums over t, [C8], [C9], [C11].
 
-    ``square_root()`` returns that of the moments; it is asked for only where needed,
-    or always.
+    ``square_root()`` returns that of the moments; it is called only if needed, or
+    always.
     """
     prior = 1.0 / np.sqrt(alpha)
     d = prior.size
@@ -324,8 +324,8 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
         # The same with S_tt = R'R, in whose singular coordinates nothing cancels.
         root = square_root()
         U, sv, Vt = linalg.svd(root.R * prior, full_matrices=False)
-        # Singular values of the size of rounding are zero: with hardly any noise they
-        # would be information.
+        # Singular values at rounding level are set to zero: with hardly any noise they
+        # would act as information.
         keep = sv > sv[:1] * max(root.R.shape) * np.finfo(float).eps
         U, sv, Vt = U[:, keep], sv[keep], Vt[keep]
         share = s2 / (s2 + sv**2)
@@ -333,7 +333,7 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
         mean = prior * (Vt.T @ (sv / (s2 + sv**2) * Uz))  # [C9]
         cov = (Vt.T * share) @ Vt
         if sv.size < d:
-            # The projector on what is left, squared: its diagonal must not be negative.
+            # The projector onto the rest, squared: its diagonal must not be negative.
             others = np.eye(d) - Vt.T @ Vt
             cov += others @ others.T
         cov *= np.outer(prior, prior)  # [C8]
@@ -348,7 +348,7 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """A state with all that the next step needs, and its bound."""
+    """A state with everything the next step needs, and its bound."""
 
     state: CorrelatedState
     logdet: float
@@ -363,8 +363,8 @@ class CorrelatedProblem:
     Parameters
     ----------
     moments : SecondMoments
-        Standardised moments as a scatter matrix; a square root of more digits is used
-        with exact inputs.
+        Standardised moments as a scatter matrix; with exact inputs a square root, which
+        is more accurate, is used if available.
     psi : ndarray of shape (d, d)
         Input-noise covariance.
     ard_shape, ard_rate : float
@@ -400,8 +400,8 @@ class CorrelatedProblem:
     def start_from_least_squares(self, *, fast):
         """Posterior with the precisions and the noise of least squares.
 
-        From the ridge solution a direction with a tiny share of the inputs' variance
-        is not found, though y may depend on it with hardly any noise.
+        From the ridge solution, directions with a tiny share of the inputs' variance
+        are not found, even if y depends on them with hardly any noise.
         """
         root = self.root_of(self._observed())
         beta = np.linalg.lstsq(root.R, root.z, rcond=None)[0]
@@ -412,7 +412,7 @@ class CorrelatedProblem:
         return self._start_from(alpha, (left @ left + root.rest) / self.n, fast=fast)
 
     def _observed(self):
-        """Take the inputs as they were observed for the latent ones."""
+        """Return sums with the observed inputs in place of the latent ones."""
         return LatentSums(S_tt=self.moments.S, S_ty=self.moments.xy, bound=np.nan)
 
     def _start_from(self, alpha, s2, *, fast):
@@ -511,9 +511,9 @@ class CorrelatedProblem:
         )
 
     def judge(self, point, new, tol):
-        """Whether a step made the bound fall, and whether it gained next to nothing.
+        """Whether a step lowered the bound, and whether its gain was negligible.
 
-        A gain within the residual's rounding is none, whatever `tol` asks for.
+        A gain within the residual's rounding is negligible, whatever `tol`.
         """
         gain = new.value - point.value
         resolution = min(self._resolution(new), self._resolution(point))
@@ -521,7 +521,7 @@ class CorrelatedProblem:
         return fell, abs(gain) <= self.n * max(tol, rounding_of_fit(resolution))
 
     def _resolution(self, point):
-        """Output variance in units of what cancels in the residual."""
+        """Output variance relative to the terms that cancel in the residual."""
         size = np.linalg.norm(point.state.beta_mean)
         if self.given:
             # The residual itself is rounded, in units of the terms that cancel in it.
@@ -530,7 +530,7 @@ class CorrelatedProblem:
         return point.state.psi_y / (1.0 + size**2)
 
     def coordinates(self, point):
-        """Return all that the next plain step depends on, log alpha and log s2 first.
+        """Return what the next plain step depends on, log alpha and log s2 first.
 
         ndarray of shape (d + 1,), or (d + 1 + d * d + d,) with noisy inputs.
         """
@@ -558,16 +558,15 @@ class CorrelatedProblem:
         return replace(point, state=state, sums=sums)
 
 
-# Steps and changes of the step that Anderson's method keeps (its usual number is 5 to
-# 20; beyond that its least-squares problem is made of rounding).
+# Steps kept by Anderson's method (usually 5 to 20; with more, rounding dominates its
+# least-squares problem).
 _MEMORY = 20
 # The iteration has settled where a step moves no precision and no noise by more than
 # this share, far below what n samples determine, ...
 _SETTLED = 1e-10
-# ... or where steps have been no smaller for this many steps than they were: they are
-# rounding then.
+# ... or where steps have not shrunk for this many iterations: they are rounding.
 _PATIENCE = 15
-# Longest extrapolation of a precision or the noise, as a logarithm.
+# Largest extrapolation of a precision or the noise, as a logarithm.
 _LARGEST_STRETCH = 5.0
 
 
@@ -584,7 +583,7 @@ class _Anderson:
         self.steps.clear()
 
     def next(self, point, image):
-        """Where to evaluate next, after `point` was mapped to `image`."""
+        """Return the next point to evaluate, after `point` was mapped to `image`."""
         step = image - point
         self.points.append(point)
         self.steps.append(step)
@@ -593,7 +592,7 @@ class _Anderson:
         dx, df = (np.diff(np.array(x), axis=0) for x in (self.points, self.steps))
         share = np.linalg.lstsq(df.T, step, rcond=1e-10)[0]
         further = share @ (dx + df)
-        # Coordinates are logarithms: beyond some powers of ten nothing is linear.
+        # Coordinates are logarithms: over many decades the map is not linear.
         if not np.abs(further[: self.n_logs]).max() < _LARGEST_STRETCH:
             self.forget()
             return image
@@ -603,10 +602,10 @@ class _Anderson:
 class FixedPointSteps(PlainSteps):
     """Steps to the fixed point: joint maxima, and extrapolated plain steps.
 
-    Where the bound gains less than `tol` the ends still differ by the length of a step,
-    and rounding decides which step is the last. From there on (and from the start,
-    where joint steps would lose digits) the plain iteration is extrapolated until its
-    step is rounding: the end is the fixed point, whatever the order of the sums.
+    When the bound gains less than `tol`, end points still differ by the length of a
+    step, and rounding decides which is the last. From there on (or from the start, if
+    joint steps would lose digits) the plain iteration is extrapolated until its steps
+    are rounding: the result is the fixed point, whatever the order of summation.
     """
 
     def __init__(self, problem, tol, *, joint):
@@ -621,12 +620,12 @@ class FixedPointSteps(PlainSteps):
         self.start = point if self.at is None else problem.moved(point, self.at)
         new = problem.step(self.start, fast=self.fast)
         if self.fast and not new.value >= point.value:
-            self.fast = False  # this once
+            self.fast = False  # for this step only
             return None, 1
         return new, 1
 
     def retry(self):
-        """After a fall: extrapolated too far, from the best point on again."""
+        """After a fall: the extrapolation overshot, restart from the best point."""
         extrapolated, self.at = self.at is not None, None
         if extrapolated:
             self.anderson.forget()
@@ -634,7 +633,7 @@ class FixedPointSteps(PlainSteps):
 
     def accept(self, point, new, quiet):
         """Take a step; return whether it is the last."""
-        # An extrapolated point may happen to gain nothing, on the way to another.
+        # An extrapolated point may happen to gain nothing on the way.
         self.converged = quiet
         if not self.joint:
             here = self.problem.coordinates(self.start)
@@ -647,13 +646,13 @@ class FixedPointSteps(PlainSteps):
         return quiet and (self.smallest <= _SETTLED or self.idle >= _PATIENCE)
 
 
-# Evaluations of the bound after which two ways up are compared.
+# Evaluations of the bound after which two ascents are compared.
 _GLANCE = 100
 
 
 @dataclass(frozen=True, kw_only=True)
 class CorrelatedSolution(Solution):
-    """Where the iteration ended, with the latent inputs of the model."""
+    """Result of the iteration, with the latent inputs of the model."""
 
     latent: Latent
 
@@ -680,15 +679,14 @@ def solve_correlated(
     common : bool
         One precision for all coefficients instead of one for each.
     accelerate : bool, default=True
-        Reach the fixed point in fewer iterations: by maximising the bound jointly over
-        what the plain iteration updates in turn, where the moments have a square root
-        or the digits that this needs in all directions (the smallest eigenvalue of S
-        is half their digits above rounding), and by Anderson's extrapolation. A step
-        that does not raise the bound is replaced by the plain one. Every evaluation of
-        the bound counts as an iteration. False is the iteration to the letter, ended
-        by `tol` alone.
-        With exact inputs the bound of least squares is looked at in the end: where it
-        is higher, the iteration goes on from there.
+        Reach the fixed point in fewer iterations, by joint maximisation over blocks
+        that the plain iteration updates in turn, if the moments have a square root or
+        enough digits in all directions (the smallest eigenvalue of S exceeds rounding
+        by half of them), and by Anderson extrapolation. A step that does not raise the
+        bound is replaced by the plain one. Every evaluation of the bound counts as an
+        iteration. False runs the plain iteration, stopped by `tol` alone.
+        With exact inputs the bound at least squares is checked at the end; if it is
+        higher, the iteration continues from there.
     """
     problem = CorrelatedProblem(
         moments, psi, ard_shape=ard_shape, ard_rate=ard_rate, common=common
@@ -723,10 +721,10 @@ def _has_digits(moments):
 
 
 def _highest_of_two(problem, up, max_iter, *, fast):
-    """Go up from the exact fit or from the ridge solution, whichever gets higher.
+    """Ascend from the exact fit or the ridge solution, whichever gets higher.
 
-    Fewer samples than inputs can be fitted exactly, or taken for noise altogether;
-    often both are maxima, and the way from one to the other is long and flat.
+    Fewer samples than inputs can be fitted exactly or explained as noise entirely;
+    often both are maxima, with a long flat ridge between them.
     """
     glance = min(_GLANCE, max_iter)
     exact = up(problem.start_from_least_squares(fast=fast), glance)
@@ -741,7 +739,7 @@ def _highest_of_two(problem, up, max_iter, *, fast):
 
 
 def posterior_covariance(n, psi, solution, dof=np.inf):
-    """Covariance (d, d) of beta that counts the noise of the inputs' moments, [C17].
+    """Covariance (d, d) of beta that includes noise in the inputs' moments, [C17].
 
     psi (d, d) is known, or was estimated with `dof` degrees of freedom. With psi = 0 it
     is the posterior covariance of Bayesian regression.

@@ -1,9 +1,9 @@
 """Exactly dependent inputs: which of them generate the others.
 
-Noise that is independent from input to input cannot be independent among inputs that
-are sums of each other. Before an independent noise is subtracted, the inputs that
-generate the rest have to be found. The second moments cannot tell them (any basis of
-the same span has the same likelihood); two rules, both free of units, do:
+Noise cannot be independent among inputs that are sums of each other. Before independent
+noise is subtracted, the inputs that generate the rest have to be found. The second
+moments do not determine them (any basis of the same span has the same likelihood), but
+two unit-free rules do:
 
 1. If all dependent inputs are sums with non-negative weights (averages, totals) of as
    few of them as the span has dimensions, those are the generators: they are the
@@ -20,7 +20,7 @@ from scipy import linalg, optimize
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 
 # Share of a standardised column's variance below which a dependency counts as exact:
-# the rounding of second moments, generously.
+# a generous bound on the rounding of second moments.
 DEPENDENCY_TOLERANCE = 1e-9
 # Beyond this many dependent columns the search for extreme rays is not worth its cost.
 _MOST_RAYS = 500
@@ -35,7 +35,7 @@ class Dependencies:
     basis : ndarray of int
         Columns that generate all others, ascending.
     copies : tuple of ndarray of int
-        For each column of the basis itself and its exact copies.
+        For each column of the basis, the column itself and its exact copies.
     rule : {"full rank", "rays", "volume"}
         How the basis was found.
     """
@@ -83,7 +83,7 @@ def _copies(R, columns):
 
 
 def _extreme_rays(F, columns):
-    """Columns that are no non-negative combination of the others."""
+    """Columns that are not non-negative combinations of the others."""
     kept = list(columns)
     for j in columns:
         others = [k for k in kept if k != j]
@@ -96,7 +96,7 @@ def _extreme_rays(F, columns):
 
 
 def _largest_volume(R, columns, rank):
-    """Greedy pivots, then swaps while one enlarges the volume."""
+    """Greedy pivoting, then swaps while they enlarge the volume."""
     S = R[np.ix_(columns, columns)].copy()
     left = np.diagonal(S).copy()
     L = np.zeros((columns.size, rank))

@@ -1,7 +1,7 @@
 """Least squares on columns of unit length, and total least squares.
 
-The rivals of the joint factor models solve on the rows, or on a triangular factor of
-them; columns are scaled to one length first, so that no rank depends on a unit.
+The alternatives to the joint factor models work on the rows or a triangular factor of
+them; columns are first scaled to unit length, so that ranks do not depend on units.
 """
 
 from dataclasses import dataclass
@@ -40,9 +40,9 @@ class UnitColumns:
 def unit_columns(X, weight, *, center):
     """Centre columns X (n, d) at their means of weights (n,) > 0, scale to unit length.
 
-    Dividing by the largest magnitude first keeps squares from overflowing, and the
-    second pass of the mean takes away the rounding of the first, so that columns in
-    any unit and with any offset are treated alike.
+    Dividing by the largest magnitude keeps squares from overflowing, and a second pass
+    removes the rounding of the first mean, so that columns in any unit and with any
+    offset are treated alike.
     """
     total = weight.sum()
     magnitude = np.maximum(X.max(axis=0), -X.min(axis=0))
@@ -117,9 +117,9 @@ def scaled_lstsq(matrix, target):
 def mixed_tls(columns, target, exact):
     """Mixed least squares - total least squares; coefficients (d,) and rank.
 
-    The columns (n, d) have noise of the variance of the target's (n,), but for the
-    `exact` ones (d,). Golub, Hoffman & Stewart (1987): the exact columns are eliminated
-    by orthogonal projection, what is left is a classical problem, and back-substitution
+    All columns (n, d) but the `exact` ones (d,) have noise of the same variance as the
+    target (n,). Golub, Hoffman & Stewart (1987): the exact columns are eliminated
+    by orthogonal projection, the rest is a classical problem, and back-substitution
     gives their coefficients.
     """
     coef = np.zeros(columns.shape[1])
@@ -142,9 +142,9 @@ def _classical_tls(columns, target, floor):
     """Minimum-norm total least squares; singular values below `floor` are zero.
 
     With X = U S V', the singular value decomposition of [X y] is that of the small
-    matrix [[S, c], [0, rho]], c = U'y and rho what X does not reach. A problem with
-    sigma_k(X) = sigma_{k+1}([X y]) has no finite solution, or many: then, following
-    Van Huffel & Vandewalle (1991), the last direction of V is given up.
+    matrix [[S, c], [0, rho]], c = U'y and rho the norm of y outside the span of X. With
+    sigma_k(X) = sigma_{k+1}([X y]) there is no finite solution, or many: then,
+    following Van Huffel & Vandewalle (1991), the last direction of V is dropped.
     """
     U, s, Vt = np.linalg.svd(columns, full_matrices=False)
     rank = int(np.sum(s > floor))

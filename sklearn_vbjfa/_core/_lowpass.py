@@ -153,29 +153,19 @@ class BlockFilter:
         Filter and decimation.
     count : int
         Number of outputs; the window of the first begins at row 0.
-    shape : tuple of int
-        Shape (nv, p) or (k,) of a row.
-    support : ndarray of shape (nv, p), bool, default=None
-        Entries that are not zero in all rows; None is all.
+    width : int
+        Numbers in a row.
 
     Attributes
     ----------
-    outputs : ndarray of shape (count, *shape)
+    outputs : ndarray of shape (count, width)
         What has been added so far.
     """
 
-    def __init__(self, lowpass, count, shape, support=None):
+    def __init__(self, lowpass, count, width):
         self._lowpass = lowpass
         self._taps = tuple(lowpass.taps.tolist())
-        self.outputs = np.zeros((count, *shape))
-        self._columns = None
-        if support is not None:
-            used = [np.flatnonzero(row) for row in support]
-            self._columns = [
-                (j, slice(int(k[0]), int(k[-1]) + 1))
-                for j, k in enumerate(used)
-                if k.size
-            ]
+        self.outputs = np.zeros((count, width))
 
     def add(self, first, rows):
         """Add a block of rows that begins at row `first`, a multiple of the step."""
@@ -191,13 +181,7 @@ class BlockFilter:
             # Rows behind the window of the last output, which decimation leaves over.
             return
         matrix = matrix[max(-low, 0) : high - low]
-        outputs = self.outputs[max(low, 0) : high]
-        if self._columns is None:
-            outputs = outputs.reshape(outputs.shape[0], -1)
-            outputs += matrix @ rows.reshape(rows.shape[0], -1)
-            return
-        for j, columns in self._columns:
-            outputs[:, j, columns] += matrix @ rows[:, j, columns]
+        self.outputs[max(low, 0) : high] += matrix @ rows
 
 
 def decimate(lowpass, x):
@@ -206,7 +190,7 @@ def decimate(lowpass, x):
         return x[:: lowpass.step]
     n = x.shape[0]
     flat = x.reshape(n, -1)
-    result = BlockFilter(lowpass, lowpass.centres(n).size, flat.shape[1:])
+    result = BlockFilter(lowpass, lowpass.centres(n).size, flat.shape[1])
     if result.outputs.size:
         length = block_length(lowpass, 8 * flat.shape[1])
         for first in range(0, n, length):

@@ -1,15 +1,15 @@
-"""Second moments of inputs X and an output y: made from rows, merged, standardised.
+"""Second moments of inputs X and an output y: accumulated, merged, standardised.
 
-Everything that the EM and variational updates need of the data is n, the means and the
-scatter about them. Rows become `Moments` block by block (never raw moments, whose
-differences cancel); those of disjoint rows add up, in any order and from any machine;
-`standardise` scales them to unit variance for the solvers.
+The EM and variational updates need only n, the means and the scatter about them. Rows
+are reduced to `Moments` block by block (never raw moments, whose differences cancel);
+those of disjoint rows add up, in any order and from any machine; `standardise` scales
+them to unit variance for the solvers.
 
 A scatter matrix holds half the digits of its rows: a direction of the standardised
-inputs with the share lambda of the variance is known to rounding / lambda there, and
-to the root of that in a QR decomposition of the rows. The scatter is made first, since
-it is fast and nearly always enough; its rounding is then compared with what chance does
-to the same estimates, and where it is larger a second pass decomposes the rows.
+inputs with share lambda of the variance is known to rounding / lambda there, and to the
+root of that from a QR decomposition of the rows. The scatter comes first, as it is fast
+and nearly always sufficient; if its rounding exceeds the sampling error of the
+estimates, a second pass decomposes the rows.
 """
 
 from dataclasses import dataclass, replace
@@ -20,8 +20,8 @@ from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 
 _EPS = float(np.finfo(float).eps)
 
-# Rounding of a column that ought to be constant is a few units in the last place
-# of its values; a spread below this fraction of its mean carries no data.
+# Rounding of a constant column is a few units in the last place of its values; a
+# spread below this fraction of its mean carries no data.
 CONSTANT_COLUMN = 32 * _EPS
 
 # Rows per block of the one pass over the data: small enough that the centred copy
@@ -51,7 +51,7 @@ class Moments:
     Attributes
     ----------
     n_rows : int
-        Number of rows seen, whatever their weight.
+        Number of rows, whatever their weight.
     n_samples : float
         Sum of the weights.
     mean : ndarray of shape (n_features + 1,)
@@ -59,10 +59,10 @@ class Moments:
     scatter : ndarray of shape (n_features + 1, n_features + 1)
         Sum of w (row - mean)(row - mean)'.
     mean_low : ndarray of shape (n_features + 1,) or float
-        What rounding the means to a number left of them.
+        Rounding errors of the means.
     factor : ndarray of shape (n_features + 1, n_features + 1) or None
-        Triangular factor of the centred, weighted rows, where it is carried along: its
-        product with itself is the scatter, which has only half its digits.
+        Triangular factor of the centred, weighted rows, if kept: R'R is the scatter,
+        which has only half its digits.
     """
 
     n_rows: int
@@ -103,7 +103,7 @@ class Moments:
         return float(self.scatter[-1, -1])
 
     def __add__(self, other):
-        """Merge with the moments of other rows, exact whatever the split.
+        """Merge with the moments of other rows, exactly for any split.
 
         The pairwise update of Chan, Golub and LeVeque (1983); the sum has a triangular
         factor if both have one.
@@ -165,12 +165,12 @@ def triangular(*rows):
 
 
 def rows_per_block(n_features):
-    """Rows that are summed at once."""
+    """Rows summed at a time."""
     return max(256, _BLOCK_BYTES // (8 * max(1, n_features)))
 
 
 def _with_weight(X, y, weight):
-    """Rows (n, d), (n,), (n,) that weigh anything."""
+    """Rows (n, d), (n,), (n,) of positive weight."""
     y = np.asarray(y, dtype=float)
     if weight is None or (keep := weight > 0).all():
         return X, y, weight
@@ -180,7 +180,7 @@ def _with_weight(X, y, weight):
 def _blocks(X, y, weight, origin):
     """Yield rows [X y] less `origin` (d + 1,), and their weights, in one buffer.
 
-    The buffer is used again for each block: a fresh one costs as much as filling it.
+    The buffer is reused for each block: allocating one costs as much as filling it.
     """
     n, d = X.shape
     step = min(rows_per_block(d), n)
@@ -194,7 +194,7 @@ def _blocks(X, y, weight, origin):
 
 
 def _centre(rows, weight):
-    """Take the mean off rows (n, d + 1), times root weight, in place; (sum, mean)."""
+    """Centre rows (n, d + 1) in place, scale by root weight; return (sum, mean)."""
     if weight is None:
         n = float(rows.shape[0])
         mean = rows.mean(axis=0)
@@ -211,9 +211,9 @@ def _centre(rows, weight):
 def from_data(X, y, weight=None):
     """Moments of X (n, d), y (n,) in one pass, block by block; None without weight.
 
-    All blocks are taken about the first row. Their means, whose differences enter the
-    scatter, are then not rounded in units of a large offset, and a constant column is
-    exactly zero; the running sum of a million equal numbers is some 1e6 eps off.
+    The first row is subtracted from all blocks. Their means, whose differences enter
+    the scatter, then carry no rounding of a large offset, and a constant column is
+    exactly zero; a running sum of a million equal numbers is off by some 1e6 eps.
     """
     X, y, weight = _with_weight(X, y, weight)
     if X.shape[0] == 0:
@@ -231,7 +231,7 @@ def from_data(X, y, weight=None):
 
 
 def _centred_blocks(moments, X, y, weight):
-    """Yield blocks of rows [X y] about the means of `moments` times root weight."""
+    """Yield blocks of rows [X y] centred by `moments`, scaled by root weight."""
     X, y, weight = _with_weight(X, y, weight)
     for rows, w in _blocks(X, y, weight, moments.mean):
         rows -= moments.mean_low
@@ -241,9 +241,9 @@ def _centred_blocks(moments, X, y, weight):
 
 
 def with_factor(moments, X, y, weight=None):
-    """Add the triangular factor of the rows that `moments` were made of.
+    """Add the triangular factor of the rows of `moments`.
 
-    One more pass: a QR decomposition of each block below the factor so far.
+    A second pass: QR decomposition of each block stacked below the current factor.
     """
     factor = np.zeros((0, moments.n_features + 1))
     for rows in _centred_blocks(moments, X, y, weight):
@@ -252,10 +252,10 @@ def with_factor(moments, X, y, weight=None):
 
 
 def accumulate(X, y, weight, *, centred, before=None):
-    """Moments of the rows, with their triangular factor where it is needed.
+    """Moments of the rows, with their triangular factor if needed.
 
-    `before`, moments of earlier rows that these will be added to, has decided already:
-    a factor that the earlier rows lack cannot be made later.
+    With `before`, moments of earlier rows to be merged with, the factor is kept exactly
+    if those have one: it cannot be recovered later.
     """
     moments = from_data(X, y, weight)
     if moments is None:
@@ -281,7 +281,7 @@ class SquareRoot:
 
 @dataclass(frozen=True, kw_only=True)
 class SecondMoments:
-    """What one iteration asks of standardised data.
+    """Standardised moments, as used by the iterations.
 
     Attributes
     ----------
@@ -290,10 +290,10 @@ class SecondMoments:
     xx, xy, yy : ndarray of shape (d,), ndarray of shape (d,), float
         Diagonal of S_xx, and S_xy, S_yy.
     S : ndarray of shape (d, d) or None
-        S_xx, at O(d^2) an iteration; None where the rows are fewer than the inputs and
-        are the square root themselves, at O(n d).
+        S_xx, at O(d^2) per iteration; None with fewer rows than inputs, where the rows
+        themselves are the square root, at O(n d).
     root : SquareRoot or None
-        Square root with more digits than S; products go there.
+        Square root with more digits than S, used for products.
     """
 
     n: float
@@ -331,18 +331,18 @@ class SecondMoments:
     def is_exact(self, share):
         """Whether some linear function leaves at most this share of y's variance.
 
-        Known of rows that are fewer than the inputs, and where there is a square root.
+        Known for fewer rows than inputs, and given a square root.
         """
         if self.S is None:
             return self.root.R.shape[0] <= self.root.R.shape[1]
         return self.root is not None and self.root.rest <= share * self.yy
 
     def without_last_digits(self):
-        """Return the moments on a grid of 2^-36 of the samples' number.
+        """Return the moments rounded to a grid of 2^-36 of the number of samples.
 
-        Summed in another order the same rows give moments that differ by rounding,
-        some 1e-15; on the grid they are nearly always the same to the bit. The grid
-        itself is far below what n samples determine. Rows come in one order only.
+        Moments of the same rows in another order differ by rounding, some 1e-15; on
+        the grid they are nearly always equal bit for bit. The grid is far finer than n
+        samples resolve. With a square root the order is fixed.
         """
         if self.root is not None:
             return self
@@ -354,11 +354,11 @@ class SecondMoments:
 
 @dataclass(frozen=True, kw_only=True)
 class Standardised:
-    """Moments in units of each column's standard deviation, and the way back.
+    """Moments in units of each column's standard deviation, with their scales.
 
-    ``active`` marks the columns that vary at all; the moments hold only those.
-    ``x_scale`` (n_active,) and ``y_scale`` convert: x = x_scale * standardised; the
-    offsets are the means, zero without centring.
+    The moments hold only ``active`` columns, which are not constant. ``x_scale``
+    (n_active,) and ``y_scale`` convert back: x = x_scale * standardised; the offsets
+    are the means, zero without centring.
     """
 
     moments: SecondMoments
@@ -381,10 +381,10 @@ class Standardised:
 
 
 def _standard_units(squares, mean, n):
-    """Scales of the columns [X y] whose n samples have these sums of squares.
+    """Scales of the columns [X y] from the sums of squares of n samples.
 
-    Returns what `Standardised` holds beside its moments, and the columns in use with
-    their units (y's is never zero).
+    Returns the fields of `Standardised` except its moments, and the columns in use with
+    their units (that of y is never zero).
     """
     spread = np.sqrt(np.maximum(squares, 0.0) / n)
     varies = ~is_constant(spread, mean)
@@ -470,11 +470,11 @@ def scatter_rounding(moments):
 
 
 def _judge(second, rounding):
-    """Say whether rounding shows, and return the directions (d, k) lost in it.
+    """Whether rounding is significant, and the directions (d, k) lost in it.
 
-    Rounding shows in the predictions where it moves them by more than their standard
-    errors, sqrt(s2 / n) a direction; and in the output noise s2 where it is more than
-    the standard error of s2 itself, s2 sqrt(2 / n).
+    It is significant if it changes the predictions by more than their standard error,
+    sqrt(s2 / n) per direction, or the output noise s2 by more than its standard error,
+    s2 sqrt(2 / n).
     """
     n, r = second.n, second.xy / second.n
     eigen = scaled_eigen(second.S / n, rounding, scale=1.0, relative=False)
@@ -490,12 +490,12 @@ def _judge(second, rounding):
 
 
 def _is_exact(moments, data, directions, X, y, weight):
-    """Whether the rows have nothing along the directions but their own rounding.
+    """Whether the rows vanish along the directions, up to their own rounding.
 
-    The rows' numbers are rounded by eps of their values, offset included; so many of
-    them add up in each product.
+    Each entry is rounded by eps of its value, offset included; the rounding of all
+    columns adds up in each product.
     """
-    # Inactive columns are not asked, and neither is y.
+    # Inactive columns and y do not enter.
     scaled = np.zeros((data.active.size + 1, directions.shape[1]))
     scaled[:-1][data.active] = directions / data.x_scale[:, None]
     left, shift = 0.0, (moments.mean_low * np.ones(scaled.shape[0])) @ scaled
@@ -509,10 +509,10 @@ def _is_exact(moments, data, directions, X, y, weight):
 
 
 def loses_digits(moments, X, y, weight, *, centred):
-    """Whether the scatter is too coarse for the data, of which X, y are rows.
+    """Whether the scatter is too inaccurate for the data, of which X, y are rows.
 
-    Directions that are lost in the rounding of the scatter do not matter if they are
-    exact dependencies, which the rows tell.
+    Directions lost in the rounding of the scatter do not matter if they are exact
+    dependencies, which is checked on the rows.
     """
     if moments.factor is not None:
         return False

@@ -1,8 +1,8 @@
 """Variance of a least-squares estimate whose residuals are correlated in time.
 
-Second moments and scores of blocks of time are all that is needed. What the residuals
-of a block have in common then counts once; residuals are smaller than the noise by what
-the fit took from each block, which is put back exactly for white noise.
+A block sandwich estimator from second moments and scores of blocks of time. Residuals
+are smaller than the noise, as the fit absorbs part of it in each block; the correction
+is exact for white noise.
 """
 
 from dataclasses import dataclass
@@ -11,34 +11,34 @@ import numpy as np
 
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 
-# Directions of the scaled Gram matrix below this are not determined.
+# Directions of the scaled Gram matrix below this count as undetermined.
 _RANK = 1e-10
-# Blocks are joined in pairs until neighbours are less correlated than this, as long as
-# so many are left.
+# Blocks are merged in pairs until neighbours are less correlated than this, as long as
+# this many are left.
 _NEIGHBOURS = 0.08
 _FEWEST = 16
-# Least factor for what neighbours have in common, where it is negative.
+# Smallest factor for the correlation of neighbours, where it is negative.
 _LEAST_REACH = 0.5
-# A parameter that hardly any block determines apart from the fit itself takes the mean
-# of the others' factors.
+# A parameter of which the blocks determine little beyond the fit itself takes the mean
+# factor of the others.
 _OWN = 0.2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BlockVariance:
-    """What correlation in time does to the variance of an estimate.
+    """Effect of residual correlation in time on the variance of an estimate.
 
     Attributes
     ----------
     factor : ndarray of shape (p,)
-        Variance over that for white residuals.
+        Ratio of the variance to that for white residuals.
     freedom : ndarray of shape (p,)
         Degrees of freedom of the variance.
     white : ndarray of shape (p,)
         Variance for white residuals of the given noise.
     scores : ndarray of shape (n_blocks, p)
-        Part of each block in the estimate's error, scaled so that the covariance of
-        the estimate is ``scores.T @ scores``.
+        Contribution of each block to the error of the estimate, scaled so that its
+        covariance is ``scores.T @ scores``.
     """
 
     factor: np.ndarray
@@ -53,7 +53,7 @@ def block_variance(grams, scores, place, noise=1.0):
     grams (n_blocks, p, p) : weighted second moments of each block's rows; scores
     (n_blocks, p) : rows times residuals, weighted alike; place (n_blocks, 2) : the
     recording of a block and its number there, sorted; noise : weighted mean square of
-    the residuals. What is not determined comes out as nan.
+    the residuals. Undetermined parameters come out as nan.
     """
     H = grams.sum(axis=0)
     used = np.diagonal(H) > 0
@@ -70,7 +70,7 @@ def block_variance(grams, scores, place, noise=1.0):
         K, s, place = _join(K, s, place)
     d = s @ L.T
     through = K @ L.T
-    # Without the fit each block would have the first; the fit takes the second away.
+    # Variance of each block without the fit, and what the fit leaves of it.
     own = np.einsum("ir,bri->bi", L, through)
     left = own - (through**2).sum(axis=1)
     white, expected = (L**2).sum(axis=1), noise * np.maximum(left, 0.0).sum(axis=0)
@@ -90,15 +90,15 @@ def block_variance(grams, scores, place, noise=1.0):
 
 
 def _pooled(K, s, noise):
-    """Mean factor of the variance over all directions that are determined."""
+    """Mean variance factor over all determined directions."""
     after_fit = noise * (np.trace(K, axis1=1, axis2=2).sum() - np.vdot(K, K))
     return float((s**2).sum() / after_fit) if after_fit > 0 else 1.0
 
 
 def _neighbours(K, s, place, noise):
-    """Correlation of the scores (n_blocks, r) of blocks that follow each other.
+    """Correlation of the scores (n_blocks, r) of adjacent blocks.
 
-    Independent ones are left an expected product of -K_b K_c by the fit.
+    For independent blocks, the fit makes their expected product -K_b K_c.
     """
     step = np.diff(place, axis=0)
     follows = (step[:, 0] == 0) & (step[:, 1] == 1)

@@ -1,9 +1,9 @@
 """Eigen-decomposition of a symmetric matrix in columns scaled to unit diagonal.
 
 Columns of a Gram or covariance matrix may have any unit. With D the roots of its
-diagonal, D^-1 A D^-1 = V diag(values) V' is free of units, and a direction is taken for
-known where its value stands out from rounding: rank, pseudo-inverse and null space then
-do not depend on the units that somebody chose.
+diagonal, D^-1 A D^-1 = V diag(values) V' is free of units, and a direction counts as
+known if its eigenvalue exceeds rounding: rank, pseudo-inverse and null space then do
+not depend on the choice of units.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-# Share of the largest eigenvalue that rounding makes of a zero one, per row.
+# Rounding of a zero eigenvalue, as a share of the largest one, per row.
 ROUNDING = 4 * float(np.finfo(float).eps)
 
 
@@ -26,7 +26,7 @@ class ScaledEigen:
     values : ndarray of shape (p,)
         Eigenvalues of the scaled matrix, ascending.
     vectors : ndarray of shape (p, p)
-        Their vectors, in scaled coordinates.
+        Eigenvectors, in scaled coordinates.
     known : ndarray of shape (p,), bool
         Directions above the tolerance.
     """
@@ -57,7 +57,7 @@ class ScaledEigen:
         return self.vectors[:, ~self.known]
 
     def lost(self, share):
-        """Columns (p,), bool, of which the null space holds more than this share."""
+        """Columns (p,), bool, with more than this share in the null space."""
         return (self.null_space**2).sum(axis=1) > share
 
     def matrix(self):
@@ -91,7 +91,7 @@ class ScaledEigen:
         return scaled / np.outer(self.scale, self.scale)
 
     def solve(self, b):
-        """Solution x of A x = b, (p,) or (p, k), of least norm in scaled columns."""
+        """Minimum-norm solution x of A x = b, (p,) or (p, k), in scaled columns."""
         V, scale = self.known_vectors, self.scale
         values = self.known_values
         if b.ndim == 2:

@@ -1,13 +1,13 @@
-"""Penalised splines: smooth positions and their derivatives, without phase.
+"""Penalised splines: smoothed positions and derivatives with zero phase lag.
 
-A quintic spline with equidistant knots is fitted to equidistant samples under a
+A quintic spline with uniform knots is fitted to uniformly spaced samples under a
 penalty on its fifth derivative (the difference form of Eilers and Marx, 1996). Inside
 the recording the fit acts as a symmetric filter with the gain
 
     G(f) = 1 / (1 + lambda (2 sin(pi f h))^10 / B(f)^2),
 
-about 1 / (1 + (f / cutoff)^10), h being the knot distance; at the ends it continues
-the motion by its own polynomial, so that nothing is invented and nothing cut.
+about 1 / (1 + (f / cutoff)^10), h being the knot distance; at the ends it
+extrapolates the motion by its own polynomial: nothing is padded and nothing cut.
 """
 
 import numpy as np
@@ -15,20 +15,20 @@ from scipy import linalg, sparse
 from scipy.interpolate import BSpline
 
 DEGREE = _DEGREE = 5
-# Of the penalised derivative. The steeper the gain, the less the motion is damped for
-# the same noise: accelerations of a 4 Hz motion come out two to three times better
-# than with the customary third derivative.
+# Of the penalised derivative. The steeper the gain, the less the motion is attenuated
+# for the same noise: accelerations of a 4 Hz motion are two to three times better than
+# with the customary third derivative.
 ORDER = _ORDER = 5
 
-# Knots per period of the cut-off: at ten the knots themselves damp a sine at the
-# cut-off by less than 1e-4, and the banded system stays well conditioned however
-# much faster than the motion the recording is sampled.
+# Knots per period of the cut-off: with ten, the knots themselves attenuate a sine at
+# the cut-off by less than 1e-4, and the banded system stays well conditioned at any
+# sampling rate.
 _KNOTS_PER_PERIOD = 10
 
 
-# Motion and noise beyond it lie a factor of so many apart in frequency, with this share
-# of the velocity's power below and at most that between; the noise is flatter than
-# this (geometric over arithmetic mean; 0.56 for the periodogram of white noise).
+# Coloured noise beyond the motion: frequency ratio of the gap between them, share of
+# the velocity power below and largest share within it, and least flatness of the noise
+# (geometric over arithmetic mean; 0.56 for the periodogram of white noise).
 _GAP, _BELOW, _IN_GAP, _FLAT = 10.0, 0.8, 0.005, 0.05
 
 
@@ -40,20 +40,14 @@ def knot_step(dt, cutoff):
 def gain(frequency, dt, cutoff):
     """Gain of the smoother in the middle of a long recording.
 
-    Parameters
-    ----------
-    frequency : ndarray
-        Frequencies [Hz], up to the Nyquist frequency.
-    dt : float
-        Sample period [s].
-    cutoff : float
-        Frequency [Hz] of half amplitude.
+    frequency : [Hz], up to Nyquist; dt : sample period [s]; cutoff : frequency of half
+    amplitude [Hz].
     """
     h = knot_step(dt, cutoff) * dt
     lam = _penalty(dt, cutoff)
     below = 1.0 / (1.0 + lam * _difference_gain(np.minimum(frequency, 0.5 / h), h))
     # Above the knots' own Nyquist frequency the least-squares fit averages the samples
-    # between knots; the continuous form bounds what is left.
+    # between knots; the continuous form bounds the remainder.
     beyond = 1.0 / (1.0 + (frequency / cutoff) ** (2 * _ORDER))
     return np.where(frequency < 0.5 / h, below, beyond)
 
@@ -74,10 +68,9 @@ def _penalty(dt, cutoff):
 def knots_and_penalty(dt, cutoff):
     """Return the samples per knot and the factor of the penalty."""
     if not np.isfinite(cutoff):
-        # Interpolation leaves the coefficients beyond the ends free: a penalty fixes
-        # them that the arithmetic resolves (with 1e-13 a straight line gets
-        # accelerations at its ends) and that changes white noise by some 1e-6 of its
-        # size.
+        # Interpolation leaves the coefficients beyond the ends free. The penalty that
+        # fixes them must be resolved by the arithmetic (with 1e-13 a straight line gets
+        # accelerations at its ends) and changes white noise by only some 1e-6.
         return 1, 1e-9
     step = knot_step(dt, cutoff)
     return step, step * _penalty(dt, cutoff)
@@ -117,7 +110,7 @@ def smooth(x, dt, cutoff, at=None):
     bands = _upper_bands(gram, n_coef) + lam * penalty_bands(n_coef)
     coef = np.zeros(n_coef)
     differences = _differences(n_coef)
-    # Corrected with residuals in which the parts of the sum have not met.
+    # Iterative refinement, with residuals of fit and penalty computed separately.
     for _ in range(3):
         left = design.T @ (x - offset - design @ coef)
         left -= lam * (differences.T @ np.diff(coef, _ORDER))
@@ -160,13 +153,13 @@ def _upper_bands(matrix, size):
 MIN_SPECTRUM = 16
 
 
-# A recording is read in windows of as many samples or seconds at least, evenly spread,
-# of which there are at most so many: some minutes of motion tell its spectrum.
+# Length of the spectral windows, at least, in samples and seconds, and their largest
+# number, evenly spread: a few minutes of motion suffice for its spectrum.
 _WINDOW_SAMPLES, _WINDOW_SECONDS, _MOST_WINDOWS = 1 << 16, 60.0, 4
 
 
 def _window(dt):
-    """Return the most samples whose spectrum is taken as one."""
+    """Return the largest number of samples in one spectral window."""
     return max(_WINDOW_SAMPLES, round(_WINDOW_SECONDS / dt)) + 2
 
 
@@ -178,21 +171,9 @@ def fft_length(longest, dt):
 def acceleration_power(x, dt, n_fft):
     """Power of the second differences of one recording, to be summed over several.
 
-    Parameters
-    ----------
-    x : ndarray of shape (n,) or (n, k)
-        Samples.
-    dt : float
-        Sample period [s].
-    n_fft : int
-        Length of the transform.
-
-    Returns
-    -------
-    power : ndarray of shape (n_fft // 2 + 1,) or (n_fft // 2 + 1, k)
-        Squared amplitudes, zero for a recording too short to count.
-    energy : float
-        Energy of the taper, which they are to be divided by.
+    x : samples (n,) or (n, k); dt : sample period [s]; n_fft : length of the transform.
+    Returns squared amplitudes (n_fft // 2 + 1,) or (n_fft // 2 + 1, k), zero for a
+    recording that is too short, and the energy of the taper, by which to divide them.
     """
     columns = x.reshape(x.shape[0], -1)
     n, window = x.shape[0], _window(dt)
@@ -203,8 +184,8 @@ def acceleration_power(x, dt, n_fft):
         starts = np.linspace(0, n - window, count).astype(int)
         parts = [acceleration_power(x[i : i + window], dt, n_fft) for i in starts]
         return sum(power for power, _ in parts), sum(energy for _, energy in parts)
-    # Second differences first: they whiten the enormous range between a slow motion
-    # and the noise, which would leak through any taper.
+    # Second differences reduce the enormous dynamic range between slow motion and
+    # noise, which would leak through any taper.
     d = np.ascontiguousarray(np.diff(columns, 2, axis=0).T) / dt**2
     d -= d.mean(axis=1, keepdims=True)
     taper = np.hanning(d.shape[1] + 2)[1:-1]
@@ -246,14 +227,14 @@ def acceleration_spectra(segments, dt):
 
 
 def spectrum(power, energy, n_fft, dt):
-    """Frequencies, power and gain of noise out of sums of `acceleration_power`."""
+    """Frequencies, power and noise gain from sums of `acceleration_power`."""
     frequency = np.fft.rfftfreq(n_fft, dt)
     noise_gain = (2 * np.sin(np.pi * frequency * dt)) ** 4 / dt**4
     return frequency[1:], power[1:] / energy, noise_gain[1:]
 
 
-# Neighbouring ordinates that are averaged before the median, and how many independent
-# ones they are worth under the taper.
+# Neighbouring ordinates averaged before the median, and the equivalent number of
+# independent ones under the taper.
 _BLOCK, _INDEPENDENT = 16, 8
 
 
@@ -262,8 +243,8 @@ def white_noise_variance(frequency, power, noise_gain):
 
     The median over blocks of ordinates resists lines (vibrations) there. A block's mean
     has a Gamma distribution, whose median is (1 - 1 / (9 shape))^3 of its mean (Wilson
-    and Hilferty); by how many segments the ordinates themselves are means of then
-    matters little, as it would not for single ones.
+    and Hilferty). Unlike for single ordinates, it then matters little over how many
+    segments they were averaged.
     """
     ratio = (power / noise_gain)[frequency >= 0.5 * frequency[-1]]
     n_blocks = max(1, ratio.size // _BLOCK)
@@ -284,11 +265,10 @@ _STANDS_OUT = 8.0
 def choose_cutoff(frequency, power, noise_gain, dt):
     """Cut-off that minimises the estimated error of the second derivative.
 
-    `power` may have a second axis, one spectrum a column, and so do then the results.
-
-    For the gain G the expected squared error at a frequency is (1 - G)^2 times the
-    signal's power plus G^2 times the noise's; the signal's power is the measured one
-    minus the noise's (Mallows' C_p), where it stands out of the noise.
+    For gain G, the expected squared error at a frequency is (1 - G)^2 times the signal
+    power plus G^2 times the noise power; the signal power is the measured one minus the
+    noise (Mallows' C_p) where it stands out. `power` may have one spectrum per column,
+    as the results then do.
 
     Returns
     -------
@@ -302,8 +282,8 @@ def choose_cutoff(frequency, power, noise_gain, dt):
         [white_noise_variance(frequency, column, noise_gain) for column in columns.T]
     )
     noise = variance * noise_gain[:, None]
-    # The noise of an acceleration grows as the fourth power of the frequency: where
-    # nothing but noise is, a tenth of it taken for signal would outweigh the motion.
+    # Acceleration noise grows as the fourth power of frequency: a tenth of it taken for
+    # signal would outweigh the motion.
     signal = np.where(columns > _STANDS_OUT * noise, columns - noise, 0.0)
     candidates = np.geomspace(max(frequency[0], 1e-3 / dt), 1.0 / (3 * dt), 120)
     risks = np.empty((candidates.size, columns.shape[1]))
@@ -318,11 +298,11 @@ def choose_cutoff(frequency, power, noise_gain, dt):
 
 
 def _noise_beyond(frequency, excess, power):
-    """Index from which on what stands out is noise of a colour, beyond a wide gap.
+    """Index above which the excess power is coloured noise, beyond a wide gap.
 
-    Samples that were interpolated, or read at shaken times, have noise that is not
-    white and stands out of the white one a decade above all motion. Lines there
-    (a joint that is shaken) are no noise: their spectrum is not flat.
+    Interpolation and sampling jitter produce coloured noise that exceeds the white
+    level a decade above all motion. Lines there (vibration) are not noise: their
+    spectrum is not flat.
     """
     total = np.cumsum(excess)
     n = frequency.size
@@ -342,11 +322,11 @@ def _noise_beyond(frequency, excess, power):
 
 
 def velocity_bandwidth(frequency, power, noise_gain, variance, cutoff, share=0.99):
-    """Frequency [Hz] below which `share` of the power of the velocity lies.
+    """Frequency [Hz] below which `share` of the velocity power lies.
 
-    Only what stands out of the noise counts (five times its expected power), and only
-    up to twice the `cutoff` of least error: far above it there are so many ordinates
-    that some of the noise's own stand out.
+    Only ordinates above five times the expected noise power count, and only up to twice
+    the `cutoff` of least error: far above it, some of the many noise ordinates would
+    exceed that level too.
     """
     noise = variance * noise_gain
     signal = (power > 5 * noise) & (frequency <= 2 * cutoff)

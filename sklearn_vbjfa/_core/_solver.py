@@ -1,9 +1,9 @@
 """The loop of all models, and the steps of the independent-latent one.
 
-`climb` starts, asks for the next point, watches the bound, and stops. What the next
-point is, its caller says: the updates as they are printed (`PlainSteps`), quasi-Newton
-steps (`QuasiNewtonSteps`, here), or joint maxima (`_correlated`). Without priors the
-end is explicit (`at_highest_likelihood`).
+`climb` requests points, monitors the bound, and stops. The caller supplies the steps:
+the plain updates as printed (`PlainSteps`), quasi-Newton steps (`QuasiNewtonSteps`), or
+joint maxima (`_correlated`). Without priors the maximum is explicit
+(`at_highest_likelihood`).
 """
 
 from collections import deque
@@ -33,9 +33,9 @@ _RELATIVE_FALL = 1e-9
 def rounding_of_bound(value, n, output_variance):
     """Return the largest fall of the bound that rounding can explain.
 
-    A share of the bound's own size, and what the rounding of the squared residual
-    (a difference of terms of size 1 per sample, in standardised units) does to the
-    bound when the residual itself is tiny.
+    A fraction of the bound itself, plus the effect of rounding of the squared residual
+    (a difference of terms of size 1 per sample, in standardised units), which matters
+    when the residual is tiny.
     """
     return _RELATIVE_FALL * max(abs(value), n) + n * rounding_of_fit(output_variance)
 
@@ -47,10 +47,10 @@ def rounding_of_fit(output_variance):
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Where the iteration ended, and how.
+    """Result of the iteration.
 
     ``status`` is "converged", "max_iter" or "bound_decreased"; ``fall`` is the size of
-    that decrease; ``at_floor`` names the variances at their floor (Heywood cases).
+    the decrease; ``at_floor`` names the variances at their floor (Heywood cases).
     """
 
     state: object
@@ -62,19 +62,19 @@ class Solution:
 
 
 def climb(steps, point, max_iter):
-    """Go up from a point until the steps have no more to gain.
+    """Ascend from a point until the steps gain no more.
 
     An iteration is one evaluation of the bound with its expectations, whether or not
-    the step that asked for it is kept.
+    the step is kept.
 
     Parameters
     ----------
     steps : object
         ``propose(point, budget)`` returns a new point, or None, and the evaluations
-        used; ``judge(point, new)`` whether the bound fell and whether it gained next to
-        nothing; ``retry()`` whether there is another way after a fall; ``accept(point,
-        new, quiet)`` takes the step and says whether it is the last. ``converged`` is
-        whether the last step taken could be the end.
+        used; ``judge(point, new)`` whether the bound fell and whether its gain was
+        negligible; ``retry()`` whether there is an alternative after a fall;
+        ``accept(point, new, quiet)`` takes the step and returns whether it is the last.
+        ``converged`` is whether the last step taken met the tolerance.
     point : object
         Evaluated start; ``value`` is its bound, ``state`` its state.
     max_iter : int
@@ -111,7 +111,7 @@ def climb(steps, point, max_iter):
 
 
 class PlainSteps:
-    """The updates as they are printed, one after the other."""
+    """The updates as printed in the paper, one after the other."""
 
     def __init__(self, problem, tol):
         self.problem, self.tol, self.converged = problem, tol, False
@@ -121,11 +121,11 @@ class PlainSteps:
         return self.problem.step(point), 1
 
     def judge(self, point, new):
-        """Whether the bound fell, and whether it gained next to nothing."""
+        """Whether the bound fell, and whether its gain was negligible."""
         return self.problem.judge(point, new, self.tol)
 
     def retry(self):
-        """There is no other way after a fall."""
+        """Offer no alternative after a fall."""
         return False
 
     def accept(self, point, new, quiet):
@@ -175,7 +175,7 @@ class IndependentProblem:
         return self.evaluate(plain_step(self.moments, point, self.prior))
 
     def judge(self, point, new, tol):
-        """Whether a step made the bound fall, and whether it gained next to nothing."""
+        """Whether a step lowered the bound, and whether its gain was negligible."""
         n, gain = self.moments.n, new.value - point.value
         fell = gain < -rounding_of_bound(new.value, n, new.state.psi_y)
         return fell, abs(gain) <= tol * n
@@ -184,9 +184,9 @@ class IndependentProblem:
 def start(moments, prior, input_noise):
     """Return the documented starting point.
 
-    The inputs start with the shares `input_noise` (d,) of their variances as noise. The
-    loadings to z start along the covariance with y with the step that fits y best
-    (one component of PLS); the rest of y is shared by y's own noise and the z's.
+    Shares `input_noise` (d,) of the inputs' variances start as noise. The loadings to z
+    start along the covariance with y, with the step that fits y best (one component of
+    PLS); the rest of y is split between the noise of y and of the z.
     """
     n, d = moments.n, moments.xx.shape[0]
     psi_x = input_noise if prior.psi_x_fixed is None else prior.psi_x_fixed
@@ -216,12 +216,12 @@ def start(moments, prior, input_noise):
 # ---------------------------------------------------------------- quasi-Newton steps
 
 _TINY = float(np.finfo(float).tiny)
-# Largest logarithm: exp of it must stay a number.
+# Largest logarithm: its exponential must not overflow.
 _LARGEST_LOG = 300.0
 
 
 def _blocks(prior):
-    """Names of what is free, in their order; psi_y comes last."""
+    """Names of the free blocks in order; psi_y comes last."""
     names = ["w_z_mean", "w_x_mean", "psi_z"]
     if prior.psi_x_fixed is None:
         names.append("psi_x")
@@ -235,9 +235,9 @@ def _blocks(prior):
 def to_vector(state, prior):
     """Coordinates of a state, ndarray of shape (n_blocks * d + 1,).
 
-    Loadings stand as they are and variances as logarithms, so that any vector of real
-    numbers is a state. The precisions alpha do not occur: at their own optimum, which
-    is explicit, they add nothing to the gradient.
+    Loadings as they are, variances as logarithms, so that any real vector is a state.
+    The precisions alpha are left out: at their explicit optimum they do not contribute
+    to the gradient.
     """
     parts = [
         values if name.endswith("mean") else np.log(np.maximum(values, _TINY))
@@ -248,7 +248,7 @@ def to_vector(state, prior):
 
 
 def from_vector(vector, like, prior):
-    """State with these coordinates; what is not free is that of `like`."""
+    """State with these coordinates; the rest is taken from `like`."""
     names = _blocks(prior)
     rows = vector[:-1].reshape(len(names), -1)
     values = {}
@@ -263,7 +263,7 @@ def from_vector(vector, like, prior):
 
 @dataclass(frozen=True, kw_only=True)
 class Slope:
-    """The bound's gradient, and the inverse curvature that an EM step assumes.
+    """Gradient of the bound, and the inverse curvature implied by an EM step.
 
     ``scale * gradient`` is the EM step to first order in the logarithms. Both have
     the shape of the coordinates; the gradient is zero where a variance rests on its
@@ -328,16 +328,16 @@ def slope(moments, state, hidden, prior):
 # Pairs of steps and changes of the gradient that are kept: the usual number of
 # limited-memory quasi-Newton methods (Nocedal and Wright, 2006, section 7.2).
 _MEMORY = 10
-# Share of the gain that the slope promises which a step must bring (their c1).
+# Share of the gain predicted by the slope that a step must achieve (their c1).
 _ENOUGH = 1e-4
 # Trials along one direction before the plain step is taken instead.
 _TRIALS = 4
 
 
-# Points of the search lie on a grid of this share of the output's deviation. A
-# quasi-Newton method multiplies the rounding of the sums from step to step; on the grid
-# it is rounded away, and the same data in another order give the same estimate. What
-# the grid costs of the bound, some 1e-12 per sample and input, is far below `tol`.
+# Search points lie on a grid of this share of the output's deviation. A quasi-Newton
+# method amplifies rounding of the sums from step to step; the grid removes it, so that
+# the same data in another order give the same estimate. The loss of bound, some 1e-12
+# per sample and input, is far below `tol`.
 _GRID = 2.0**-20
 
 
@@ -375,7 +375,7 @@ class Curvature:
         self.changes.clear()
 
     def direction(self, slope):
-        """Newton's direction with what is known, or None if nothing is."""
+        """Quasi-Newton direction, or None without any pair."""
         if not self.steps:
             return None
         rest, parts = slope.gradient.copy(), []
@@ -394,9 +394,9 @@ class Curvature:
 class QuasiNewtonSteps(PlainSteps):
     """Quasi-Newton steps where they raise the bound, else the plain one.
 
-    The plain iteration crawls along flat directions. Its step is that of a Newton
-    method with a diagonal curvature that is much too large; correcting that by what
-    past steps tell of the bound's curvature takes far fewer iterations.
+    The plain iteration converges slowly along flat directions: its step is a Newton
+    step with a diagonal curvature that is much too large. Correcting it by past steps
+    takes far fewer iterations.
     """
 
     def __init__(self, problem, tol):
@@ -406,7 +406,7 @@ class QuasiNewtonSteps(PlainSteps):
     def propose(self, point, budget):
         """Return a point that gains enough, or None when the budget is spent."""
         prior, spent = self.problem.prior, 0
-        # An (all but) exact fit: gradients are rounding, more than the grid absorbs.
+        # Near an exact fit gradients are rounding, more than the grid absorbs.
         if self.here is not None and rounding_of_fit(point.hidden.y_var) <= _GRID:
             direction = self.curvature.direction(self.here)
             if direction is not None:
@@ -439,12 +439,12 @@ class QuasiNewtonSteps(PlainSteps):
         return None, trials
 
     def judge(self, point, new):
-        """Whether the bound fell, and whether it gained next to nothing."""
+        """Whether the bound fell, and whether its gain was negligible."""
         fell, _ = self.problem.judge(point, new, self.tol)
         return fell, new.value - point.value <= self.tol * self.problem.moments.n
 
     def accept(self, point, new, quiet):
-        """Learn from the step; one short step may be a poor direction, two the end."""
+        """Update the curvature; converged after two negligible gains in a row."""
         prior = self.problem.prior
         there = slope(self.problem.moments, new.state, new.hidden, prior)
         if self.here is not None:
@@ -460,23 +460,23 @@ class QuasiNewtonSteps(PlainSteps):
 
 
 def at_highest_likelihood(moments, state, prior):
-    """State of highest likelihood that keeps what it can of the split of `state`.
+    """State of highest likelihood that keeps the noise split of `state` if possible.
 
     With z and t integrated out, x_m ~ N(0, V_m) and y | x ~ N(c'x, s), where
 
         V_m = w_xm^2 + psi_xm,   c_m = w_zm w_xm / V_m,
         s = psi_y + sum(psi_z) + sum(c_m^2 V_m o_m),   o_m = psi_xm / w_xm^2,
 
-    and nothing else of the parameters counts. Where the input noise alone does not make
-    more of s than least squares leaves, the highest likelihood has the variance of x_m
-    as V_m, least squares as c and its residual variance as s. EM creeps towards it
-    where inputs are strongly correlated: the gain of an iteration says little of what
-    is left.
+    and the likelihood depends on nothing else. Unless the input noise alone contributes
+    more to s than least squares leaves, the maximum has V_m the variance of x_m, c the
+    least-squares solution and s its residual variance. EM approaches it slowly where
+    inputs are strongly correlated: the gain of an iteration says little about the
+    remaining distance.
 
-    Known input noise stays as it is; None is returned where it makes more output noise
-    than there is, since V and c then depend on each other. Unknown noise has the odds
-    to the signal that it has in `state`; where these would make too much output noise,
-    all are lowered by one factor, so that they make the share that they make there.
+    Known input noise is kept; None is returned if it implies more output noise than
+    there is, since V and c then depend on each other. Unknown noise keeps its ratio to
+    the signal in `state`; if that implied too much output noise, all ratios are lowered
+    by one factor, so that their share of the output noise is the one in `state`.
     """
     n, variance = moments.n, moments.xx / moments.n
     if prior.psi_x_fixed is None:
@@ -526,14 +526,14 @@ def _least_squares_step(moments, c, used):
         step[used] = linalg.lstsq(R, left)[0]
         return step
     eigen = scaled_eigen(moments.S[np.ix_(used, used)], scale=1.0)
-    # Once more with what is left, whose rounding is smaller.
+    # One refinement: the remainder has smaller rounding.
     for _ in range(2):
         step[used] += eigen.solve((moments.xy - moments.dot(c + step))[used])
     return step
 
 
 def _end(problem, found):
-    """Go to the highest likelihood where it is explicit; adds it to the history."""
+    """Move to the highest likelihood if it is explicit; add it to the history."""
     moments, prior = problem.moments, problem.prior
     found = replace(found, n_iter=found.n_iter + 1)
     highest = at_highest_likelihood(moments, found.state, prior)
@@ -553,11 +553,11 @@ def _end(problem, found):
 def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
     """Iterate until the bound gains less than `tol` per sample.
 
-    A step is kept only if it raises the bound, else the plain one is done: the bound
-    never falls, and the fixed points are those of the plain iteration. Without priors
-    the highest bound is explicit (unless the input noise is known to be large), and the
-    last step goes there. With ``accelerate=False`` the plain iteration is done
-    throughout. Nothing of the size of the data is held beyond `moments`.
+    A step that does not raise the bound is replaced by the plain one: the bound never
+    falls, and the fixed points are those of the plain iteration. Without priors the
+    maximum is explicit (unless the input noise is known to be large), and the last step
+    goes there. With ``accelerate=False`` all steps are plain. Nothing of the size of
+    the data is held beyond `moments`.
     """
     if prior.psi_x_fixed is not None:
         prior = replace(

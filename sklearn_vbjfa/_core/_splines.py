@@ -7,7 +7,7 @@ small matrix, and a long recording needs memory for its coefficients only.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import linalg
@@ -102,12 +102,18 @@ class Spline:
             after = _basis(per, per + max(low - end, 0), per + high - end, order)
             values = np.r_[values, after @ windows[-1]]
         if order == 0:
-            return values + self.offset
+            values += self.offset
+            return values
         if order == 1:
-            # A velocity is a mean of neighbouring differences of the coefficients.
-            fastest = np.abs(np.diff(coef)).max()
-            values[np.abs(values) <= _STANDS_STILL * fastest] = 0.0
-        return values / self.h**order
+            values[np.abs(values) <= self._stands_still] = 0.0
+        values /= self.h**order
+        return values
+
+    @cached_property
+    def _stands_still(self):
+        """Largest velocity that is none, times the distance of the knots."""
+        # A velocity is a mean of neighbouring differences of the coefficients.
+        return _STANDS_STILL * np.abs(np.diff(self.coef)).max()
 
 
 def fit(x, dt, cutoff, *, every=1, shift=0):

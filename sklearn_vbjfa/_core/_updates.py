@@ -19,7 +19,7 @@ from scipy.special import digamma, gammaln
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Everything that one iteration changes.
+    """Everything an iteration changes.
 
     Loadings are Gaussian with diagonal covariance; zero variances are point
     estimates (JFA). All quantities are in standardised units.
@@ -58,7 +58,7 @@ class State:
 
 @dataclass(frozen=True, kw_only=True)
 class HiddenExpectations:
-    """Sample sums of the posterior moments of z and t, and what they are made of.
+    """Sample sums of the posterior moments of z and t, and their ingredients.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class HiddenExpectations:
 
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """What is assumed before the data.
+    """Prior assumptions.
 
     Attributes
     ----------
@@ -152,8 +152,8 @@ def coefficients_noisy(state):
 def coefficients_noiseless(state, retained):
     """Coefficient of E[y | t] for noiseless inputs, zero where not retained.
 
-    The prefactor of eq. 29 cancels: beta = w_z / w_x. For an input that the ARD
-    prior has switched off both loadings vanish and their ratio means nothing.
+    The prefactor of eq. 29 cancels: beta = w_z / w_x. For an input switched off by the
+    ARD prior both loadings vanish and their ratio is meaningless.
     """
     beta = np.zeros_like(state.w_z_mean)
     beta[retained] = state.w_z_mean[retained] / state.w_x_mean[retained]  # [eq. 29]
@@ -165,13 +165,13 @@ def coefficients_noiseless(state, retained):
 # Heywood case; the solver reports which.
 VARIANCE_FLOOR = float(np.finfo(float).eps)
 
-# Loadings that the ARD prior has switched off shrink geometrically; below this size
-# they are denormal soon, which costs time and says nothing. Zero is a fixed point.
+# Loadings switched off by the ARD prior shrink geometrically; below this size they soon
+# become denormal, which costs time to no purpose. Zero is a fixed point.
 _NEGLIGIBLE_LOADING = 1e-100
 
 
 def expect_hidden(moments, state):
-    """E-step over Z and T: the sample sums that all other updates need.
+    """E-step over Z and T: the sample sums needed by all other updates.
 
     [eqs. 17-25], with eq. 19 in its corrected sign.
     """
@@ -353,13 +353,13 @@ def prior_bound(state, prior):
 
 
 def loading_bound(E_alpha, E_log_alpha, square, variance):
-    """Part (d,) of the bound that loadings of these squares and variances take."""
+    """Part (d,) of the bound due to loadings of these squares and variances."""
     quadratic = E_log_alpha - E_alpha * square + 1.0
     return 0.5 * (quadratic + np.log(variance))  # [B3]
 
 
 def precision_bound(shape, rate, shape0, rate0):
-    """Part (d,) of the bound of Gamma posteriors under a Gamma prior, [B4]."""
+    """Part (d,) of the bound due to Gamma posteriors under a Gamma prior, [B4]."""
     E_alpha, E_log = shape / rate, digamma(shape) - np.log(rate)
     prior = shape0 * np.log(rate0) - gammaln(shape0) + (shape0 - 1) * E_log
     entropy = shape - np.log(rate) + gammaln(shape) + (1 - shape) * digamma(shape)

@@ -1,7 +1,8 @@
 """The catalogue of the measured sets: what each is, who reads it, how it is evaluated.
 
-A new set takes a reader, an entry here, its files in ``remote_files.txt`` and a public
-loader that carries its documentation.
+A new set takes a reader, an entry here, its files in ``remote_files.txt`` (or the
+`source` of files that are not downloaded) and a public loader that carries its
+documentation.
 """
 
 from collections.abc import Callable
@@ -91,6 +92,9 @@ class DataSet:
     urdf : callable
         Finds the description of the robot among or for the `DataFiles`; None where the
         model is built without one.
+    source : str
+        Where the files come from, for a set that is not on GitHub: they are found in
+        its folder and not downloaded, and it has no lines in ``remote_files.txt``.
     licence, citation, description : str
         Fields of the `Recording`.
     protocol : Protocol
@@ -104,34 +108,41 @@ class DataSet:
     dt: float | None = None
     drop_repeated: bool = False
     urdf: Callable[[DataFiles], str | None] = lambda files: None
+    source: str = ""
     licence: str
     citation: str
     description: str
     protocol: Protocol
 
+    def load(
+        self, name: str, access: Access, *, resample: bool = True, **options
+    ) -> Recording:
+        """Load the set under its name, with the options of its reader."""
+        files = DataFiles(name, access, self.source)
+        logs = self.read(files, **options)
+        nv = len(self.joint_names)
+        return Recording(
+            name=name,
+            **join(
+                logs,
+                dt=self.dt or median_period(logs),
+                resample=resample,
+                drop_repeated=self.drop_repeated,
+            ),
+            joint_names=self.joint_names,
+            position_units=_one_each(self.position_units, nv),
+            torque_units=_one_each(self.torque_units, nv),
+            urdf=self.urdf(files),
+            source=self.source or source_address(name),
+            licence=self.licence,
+            citation=self.citation,
+            description=self.description,
+        )
 
-def load(name: str, access: Access, *, resample: bool = True, **options) -> Recording:
-    """Load one set of the catalogue, with the options of its reader."""
-    entry, files = CATALOGUE[name], DataFiles(name, access)
-    logs = entry.read(files, **options)
-    nv = len(entry.joint_names)
-    return Recording(
-        name=name,
-        **join(
-            logs,
-            dt=entry.dt or median_period(logs),
-            resample=resample,
-            drop_repeated=entry.drop_repeated,
-        ),
-        joint_names=entry.joint_names,
-        position_units=_one_each(entry.position_units, nv),
-        torque_units=_one_each(entry.torque_units, nv),
-        urdf=entry.urdf(files),
-        source=source_address(name),
-        licence=entry.licence,
-        citation=entry.citation,
-        description=entry.description,
-    )
+
+def load(name: str, access: Access, **options) -> Recording:
+    """Load one set of the catalogue; see `DataSet.load`."""
+    return CATALOGUE[name].load(name, access, **options)
 
 
 def _one_each(units, nv):

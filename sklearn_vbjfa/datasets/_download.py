@@ -88,10 +88,14 @@ class Access:
 
 @dataclass(frozen=True)
 class DataFiles:
-    """Public files of one set, found on disk or downloaded when they are asked for."""
+    """Public files of one set, found on disk or downloaded when they are asked for.
+
+    Those of a set with a `source` are in its folder or nowhere.
+    """
 
     dataset: str
     access: Access
+    source: str = ""
 
     @property
     def folder(self) -> Path:
@@ -103,7 +107,12 @@ class DataFiles:
     def find(
         self, wanted: Callable[[str], bool] = lambda path: not path.endswith(".urdf")
     ) -> dict[str, Path]:
-        """Local file of each wanted path in the repository, by default all data."""
+        """Local file of each wanted path in the repository, by default all data.
+
+        Paths of a set with a `source` are those below its folder.
+        """
+        if self.source:
+            return self._on_disk(wanted)
         found = {}
         for remote in remote_files(self.dataset):
             if wanted(remote.path):
@@ -118,6 +127,19 @@ class DataFiles:
         except FileNotFoundError:
             return None
         return str(local.resolve())
+
+    def _on_disk(self, wanted: Callable[[str], bool]) -> dict[str, Path]:
+        """Local file of each wanted path below the folder of the set, sorted."""
+        files = (x for x in sorted(self.folder.rglob("*")) if x.is_file())
+        below = {local.relative_to(self.folder).as_posix(): local for local in files}
+        found = {path: local for path, local in below.items() if wanted(path)}
+        if not found:
+            there = f"only {', '.join(below)}" if below else "no files"
+            raise FileNotFoundError(
+                f"{self.dataset}: {there} in {self.folder}; put the files of the set "
+                f"there, which come from {self.source} and are not downloaded."
+            )
+        return found
 
     def _download(self, remote: RemoteFile) -> Path:
         """Download one file to its place in the folder of the set."""

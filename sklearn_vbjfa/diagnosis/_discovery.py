@@ -1,4 +1,4 @@
-"""The loop: residual, effect, refit, and the error on data that was not touched."""
+"""The discovery loop: residual, effect, refit, and the error on untouched data."""
 
 import contextlib
 
@@ -43,7 +43,7 @@ def progress_bar(wanted):
         yield show
 
 
-# A channel with these faults is reported and not searched: what would be found is the
+# Channels with these faults are reported and not searched: the search would find the
 # fault.
 _NO_INFORMATION = ("coarse_torque", "still_joint")
 
@@ -51,32 +51,30 @@ _NO_INFORMATION = ("coarse_torque", "still_joint")
 class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     """Find what a robot model lacks: close the loop with measured data.
 
-    Fits the declared model, looks at what it leaves of the torques on data that it
-    has not seen, and tries every effect of the library on every joint; refits
-    everything with the one that helps, names it, and begins again. What no effect
-    explains is reported as unexplained. Stretches of the motion are not touched until
-    the end, where the error before and after is taken; then the completed model is
-    fitted to everything.
+    Fits the declared model, examines its torque residual on unseen data, and tries
+    every effect of the library on every joint; adds the best one, refits everything,
+    and repeats. Residuals that no effect explains are reported as unexplained. Part of
+    the motion is held out for the errors before and after; finally the completed model
+    is fitted to all data.
 
     Parameters
     ----------
     identifier : RobotIdentifier
         The declared model: robot, friction, filter settings.
     effects : "all", or list of str or Effect, default="all"
-        Effects to look for: names of the library (see
-        `sklearn_vbjfa.effects.available`), or effects of one's own.
+        Effects to search for: names of the library (see
+        `sklearn_vbjfa.effects.available`), or user-defined effects.
     test_size : float, default=0.25
-        Share of the motion that is kept for the final comparison: both ends of each of
-        several recordings, several stretches of a single one; standstill does not
-        count, where a joint would hardly move in it there are more stretches, and where
-        it would be too little for a verdict it is up to 0.4.
+        Share of the motion held out for the final comparison: both ends of each of
+        several recordings, or several intervals of a single one, not counting
+        standstill. There are more intervals if a joint would hardly move in them, and
+        the share is up to 0.4 if it would be too little for a verdict.
     alpha : float, default=0.05
-        Level of significance over all effects and joints together.
+        Significance level over all effects and joints together.
     max_effects : int or None, default=None
-        Most effects to add.
+        Maximum number of effects to add.
     random_state : int, RandomState instance or None, default=None
-        Without effect: neither search nor intervals draw anything. It is noted in the
-        report.
+        Not used: neither search nor intervals are random. Recorded in the report.
     verbose : bool, default=False
         Whether a progress bar is shown, on terminals only.
 
@@ -104,18 +102,17 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     hidden_ : tuple of Hidden
         Effects that this robot or this recording cannot show.
     identifier_ : RobotIdentifier
-        The model with the effects, fitted to all data after the errors were taken, in
-        the same band.
+        The model with the effects, fitted to all data afterwards, in the same band.
     judged_ : RobotIdentifier
         The model with the effects, fitted to the search part: the one whose errors are
         reported.
     declared_ : RobotIdentifier
         The declared model, fitted to the same part.
     joint_names_ : tuple of str
-        Joints in Pinocchio's order, the order of the columns of X and y.
+        Joints in Pinocchio's order, which is the column order of X and y.
     report_ : Report
-        All of this for reading: ``print(discovery.report_)``, `to_dict`,
-        `to_markdown`, `to_html`.
+        Report of all results: ``print(discovery.report_)``, `to_dict`, `to_markdown`,
+        `to_html`.
     n_features_in_ : int
         Number of columns of X.
 
@@ -192,8 +189,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions [rad or m], rows equidistant in time; or states
-            [q | v | a]. Columns of a data frame are found by the joints' names.
+            Joint positions [rad or m], uniformly sampled; or states [q | v | a].
+            Columns of a data frame are matched by joint name.
         y : array-like of shape (n_samples, nv)
             Joint torques [N m] or forces [N]; as X.
         groups : array-like of shape (n_samples,), default=None
@@ -212,9 +209,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            If a parameter is not valid, the recording is too short for blocks of
-            time, or a channel is wrong (constant, of the wrong sign, swapped, in
-            degrees): what would be found would be nonsense.
+            If a parameter is invalid, the recording is too short for blocks of time,
+            or a channel is faulty (constant, of the wrong sign, swapped, in degrees).
         """
         library = self._check_parameters()
         model = load_model(self.identifier.model)
@@ -288,7 +284,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         return take_arrays(X, y, groups, weight, clock, dt=dt, joint_names=names)
 
     def _check_channels(self, model, whole):
-        """Refuse wrong channels; return findings, and joints to leave out."""
+        """Reject faulty channels; return findings, and joints to leave out."""
         if whole.states is not None:
             return (), []
         findings = inspect_channels(model, whole.q, whole.tau, whole.dt, whole.groups)
@@ -317,7 +313,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         return FinalFit(self.declared_, self.identifier_, view, effects)
 
     def _set(self, outcome):
-        """Set what was found, what remains, and the report of both."""
+        """Set the results and the report."""
         self.effects_, self.rounds_ = outcome.effects, outcome.rounds
         self.error_before_ = outcome.error_before
         self.error_after_ = outcome.error_after

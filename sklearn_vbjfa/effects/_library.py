@@ -41,11 +41,6 @@ _LIBRARY = {
 }
 
 
-def find(name):
-    """Return the class of the library with a name; None if there is none."""
-    return _LIBRARY.get(name)
-
-
 def closure(effect, library):
     """Names of all effects that an effect contains, directly or not, a set of str.
 

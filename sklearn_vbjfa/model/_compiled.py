@@ -1,7 +1,9 @@
 """The loop over samples of `sklearn_vbjfa.model._regressor`, compiled by Numba.
 
-Numba is optional, and this module the only one to import it.  Vectors are tuples, which
-the compiler, unlike arrays, knows not to overlap.
+Numba is optional, and this module with `sklearn_vbjfa.model._lanes` the only one to
+import it. Some samples go through together, one in each lane of the processor's
+vectors. Vectors in space are tuples, of numbers or of lanes, which the compiler, unlike
+arrays, knows not to overlap.
 """
 
 import math
@@ -9,12 +11,25 @@ import math
 import numba
 import numpy as np
 
+from sklearn_vbjfa.model._lanes import WIDTH, load, spread, store
+
 # The machine code is kept on disk: only the first use after an installation takes the
-# seconds of the compilation.  Fused multiplications and additions round once instead of
+# seconds of the compilation. Fused multiplications and additions round once instead of
 # twice.
 _compiled = numba.njit(
     nogil=True, cache=True, error_model="numpy", fastmath={"contract"}
 )
+# First rows of what is known of a body: its three axes, origin, the origin's
+# acceleration, angular velocity and acceleration, and its joint's screw: three rows by
+# which forces do work, then three for moments.
+_AXES, _ORIGIN, _FIELD, _SPEED, _GAIN, _SCREW = 0, 9, 12, 15, 18, 21
+_STATE = 27
+# Numbers near it are whole.
+_WHOLE = 1.5 * 2.0**52
+# Half a turn in three parts, of which the first two have 24 digits each: products with
+# a number of half turns are exact.
+_PI_1, _PI_2 = 3.141592502593994, 1.5099578831723193e-07
+_PI_3 = 1.0780605716316238e-14
 
 
 @_compiled
@@ -34,6 +49,12 @@ def _cross(x, y):
 
 
 @_compiled
+def _dot(x, y):
+    """Scalar product of two vectors."""
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+
+
+@_compiled
 def _axpy(a, x, y):
     """Return a x + y."""
     return a * x[0] + y[0], a * x[1] + y[1], a * x[2] + y[2]
@@ -50,11 +71,60 @@ def _combine(a, x, y, z):
 
 
 @_compiled
-def _turn(axis, angle):
+def _read(array, row, column):
+    """Return three rows of lanes as a vector."""
+    return (
+        load(array, row, column),
+        load(array, row + 1, column),
+        load(array, row + 2, column),
+    )
+
+
+@_compiled
+def _write(array, row, vector):
+    """Write a vector of lanes to three rows."""
+    store(array, row, 0, vector[0])
+    store(array, row + 1, 0, vector[1])
+    store(array, row + 2, 0, vector[2])
+
+
+@_compiled
+def _nearest(x):
+    """Return the nearest whole number: what is left where one has no more digits."""
+    return (x + _WHOLE) - _WHOLE
+
+
+@_compiled
+def _cosine_sine(angle):
+    """Return cosine and sine of an angle, to 3e-16.
+
+    Those of half the angle less half turns, by the polynomials of the Cephes library
+    on [-pi / 4, pi / 4], and then of twice that.
+    """
+    turns = _nearest((1 / math.pi) * angle)
+    rest = ((angle - _PI_1 * turns) - _PI_2 * turns) - _PI_3 * turns
+    x = 0.5 * rest
+    z = x * x
+    p = 1.58962301576546568060e-10 * z - 2.50507477628578072866e-8
+    p = (p * z + 2.75573136213857245213e-6) * z - 1.98412698295895385996e-4
+    p = (p * z + 8.33333333332211858878e-3) * z - 1.66666666666666307295e-1
+    sine = x + x * z * p
+    p = -1.13585365213876817300e-11 * z + 2.08757008419747316778e-9
+    p = (p * z - 2.75573141792967388112e-7) * z + 2.48015872888517045348e-5
+    p = (p * z - 1.38888888888730564116e-3) * z + 4.16666666666665929218e-2
+    cosine = 1.0 - 0.5 * z + z * z * p
+    # An odd number of half turns changes both signs.
+    odd = turns - 2.0 * _nearest(0.5 * turns)
+    sign = 1.0 - 2.0 * (odd * odd)
+    return sign * (1.0 - 2.0 * (sine * sine)), sign * (2.0 * (sine * cosine))
+
+
+@_compiled
+def _turn(axis, cosine, sine):
     """Return the axes of a frame turned about an axis, in that frame, by rows."""
-    cosine, sine = math.cos(angle), math.sin(angle)
     u, v, w = axis
-    x, y, z = _axpy(1.0 - cosine, axis, (0.0, 0.0, 0.0))
+    rest = 1.0 - cosine
+    x, y, z = rest * u, rest * v, rest * w
     return (
         (x * u + cosine, x * v + w * sine, x * w - v * sine),
         (y * u - w * sine, y * v + cosine, y * w + u * sine),
@@ -67,7 +137,7 @@ def _forces_and_moments(p, x, y, z, field, w, dw):
     """Return a body's forces by m, mc, and moments about the origin by all ten."""
     # Acceleration of the tip of an axis relative to its tail: M e_k with
     # M = [dw]x + w w' - |w|^2, by its columns.
-    square = w[0] * w[0] + w[1] * w[1] + w[2] * w[2]
+    square = _dot(w, w)
     m1 = w[0] * w[0] - square, w[0] * w[1] + dw[2], w[0] * w[2] - dw[1]
     m2 = w[0] * w[1] - dw[2], w[1] * w[1] - square, w[1] * w[2] + dw[0]
     m3 = w[0] * w[2] + dw[1], w[1] * w[2] - dw[0], w[2] * w[2] - square
@@ -93,91 +163,107 @@ def _forces_and_moments(p, x, y, z, field, w, dw):
 
 
 @_compiled
-def _project(screw, forces, moments, out):
+def _project(state, screw, forces, moments, places, out, sample):
     """Write the torques of a joint by the parameters of a body that it carries."""
-    s1, s2, s3, s4, s5, s6 = screw[0], screw[1], screw[2], screw[3], screw[4], screw[5]
-    r0 = s4 * moments[0][0] + s5 * moments[0][1] + s6 * moments[0][2]
-    r1 = s4 * moments[1][0] + s5 * moments[1][1] + s6 * moments[1][2]
-    r2 = s4 * moments[2][0] + s5 * moments[2][1] + s6 * moments[2][2]
-    r3 = s4 * moments[3][0] + s5 * moments[3][1] + s6 * moments[3][2]
-    r4 = s4 * moments[4][0] + s5 * moments[4][1] + s6 * moments[4][2]
-    r5 = s4 * moments[5][0] + s5 * moments[5][1] + s6 * moments[5][2]
-    r6 = s4 * moments[6][0] + s5 * moments[6][1] + s6 * moments[6][2]
-    r7 = s4 * moments[7][0] + s5 * moments[7][1] + s6 * moments[7][2]
-    r8 = s4 * moments[8][0] + s5 * moments[8][1] + s6 * moments[8][2]
-    r9 = s4 * moments[9][0] + s5 * moments[9][1] + s6 * moments[9][2]
-    r0 += s1 * forces[0][0] + s2 * forces[0][1] + s3 * forces[0][2]
-    r1 += s1 * forces[1][0] + s2 * forces[1][1] + s3 * forces[1][2]
-    r2 += s1 * forces[2][0] + s2 * forces[2][1] + s3 * forces[2][2]
-    r3 += s1 * forces[3][0] + s2 * forces[3][1] + s3 * forces[3][2]
-    # All is read before anything is written.
-    out[0], out[1], out[2], out[3], out[4] = r0, r1, r2, r3, r4
-    out[5], out[6], out[7], out[8], out[9] = r5, r6, r7, r8, r9
+    f, m = _read(state, screw, 0), _read(state, screw + 3, 0)
+    for k in range(10):
+        place = places[k]
+        if place >= 0:
+            torque = _dot(m, moments[k])
+            if k < 4:
+                torque = torque + _dot(f, forces[k])
+            store(out, place, sample, torque)
+
+
+def fill(q, v, a, tree, places, out):
+    """Fill in entries of the regressor matrices of n samples.
+
+    Parameters
+    ----------
+    q, v, a : ndarray of shape (n, nv)
+        Positions, velocities, accelerations.
+    tree : Tree
+        Robot.
+    places : ndarray of shape (nv, nv, 10)
+        Row of `out` for each torque, body and parameter; -1 for none.
+    out : ndarray of shape (n_entries, n)
+        Where to write; rows without an entry are left alone. Fastest if C-contiguous.
+    """
+    n = q.shape[0]
+    if n == 0:
+        return
+    if n < WIDTH:
+        # Too few to fill the lanes: some samples go in more than once.
+        again = np.arange(WIDTH) % n
+        full = np.empty((out.shape[0], WIDTH))
+        fill(q[again], v[again], a[again], tree, places, full)
+        written = places[places >= 0]
+        out[written] = full[written, :n]
+        return
+    q, v, a = (np.ascontiguousarray(x.T) for x in (q, v, a))
+    _fill(q, v, a, tree, places, out)
 
 
 @_compiled
-def fill(q, v, a, tree, out):
-    """Fill in the regressor matrices (n, nv, nv, k >= 10) of samples.
-
-    Positions, velocities and accelerations are of shape (n, nv), the robot a `Tree`.
-    """
-    n, nv = q.shape
-    # By body: axes, origin and its acceleration, angular velocity and acceleration.
-    axes = np.empty((nv, 3, 3))
-    places, fields = np.empty((nv, 3)), np.empty((nv, 3))
-    speeds, gains = np.empty((nv, 3)), np.empty((nv, 3))
-    screws = np.empty((nv, 6))
-    for sample in range(n):
-        matrix = out[sample]
-        matrix[:] = 0.0
+def _fill(q, v, a, tree, places, out):
+    """Do so from arrays (nv, n), with n at least `WIDTH`."""
+    nv, n = q.shape
+    # One row of `_STATE` for the base, in front of those of the bodies.
+    state = np.zeros(((nv + 1) * _STATE, WIDTH))
+    for k in range(3):
+        store(state, _AXES + 4 * k, 0, spread(1.0))
+        store(state, _GAIN + k, 0, spread(tree.base_angular[k]))
+    for first in range(0, n, WIDTH):
+        # The last lanes may be ones that were done before.
+        sample = min(first, n - WIDTH)
         for j in range(nv):
-            parent, turns, slides = tree.parents[j], tree.turns[j], tree.slides[j]
-            offset = _vector(tree.offsets[j])
-            if parent < 0:
-                e1, e2, e3 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-                p, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-                field, dw = _vector(tree.base[j]), _vector(tree.base_angular)
-            else:
-                e1 = _vector(axes[parent, 0])
-                e2 = _vector(axes[parent, 1])
-                e3 = _vector(axes[parent, 2])
-                p, w = _vector(places[parent]), _vector(speeds[parent])
-                field, dw = _vector(fields[parent]), _vector(gains[parent])
+            turns, slides = tree.turns[j], tree.slides[j]
+            above, own = (tree.parents[j] + 1) * _STATE, (j + 1) * _STATE
+            e1 = _read(state, above + _AXES, 0)
+            e2 = _read(state, above + _AXES + 3, 0)
+            e3 = _read(state, above + _AXES + 6, 0)
+            w, dw = _read(state, above + _SPEED, 0), _read(state, above + _GAIN, 0)
+            position = load(q, j, sample)
+            velocity, acceleration = load(v, j, sample), load(a, j, sample)
             # Axes of the joint at zero, about or along one direction of which it moves.
             x = _combine(_vector(tree.frames[j, 0]), e1, e2, e3)
             y = _combine(_vector(tree.frames[j, 1]), e1, e2, e3)
             z = _combine(_vector(tree.frames[j, 2]), e1, e2, e3)
-            axis = _combine(_vector(tree.axes[j]), x, y, z)
-            turned = _turn(_vector(tree.axes[j]), turns * q[sample, j])
+            direction = _vector(tree.axes[j])
+            axis = _combine(direction, x, y, z)
+            turned = _turn(direction, *_cosine_sine(turns * position))
             x, y, z = (
                 _combine(turned[0], x, y, z),
                 _combine(turned[1], x, y, z),
                 _combine(turned[2], x, y, z),
             )
-            offset = _combine(offset, e1, e2, e3)
-            offset = _axpy(slides * q[sample, j], axis, offset)
-            p = _axpy(1.0, p, offset)
+            offset = _combine(_vector(tree.offsets[j]), e1, e2, e3)
+            offset = _axpy(slides * position, axis, offset)
+            p = _axpy(1.0, _read(state, above + _ORIGIN, 0), offset)
             across = _cross(w, axis)
+            field = _axpy(1.0, _read(state, above + _FIELD, 0), _vector(tree.base[j]))
             field = _axpy(1.0, _cross(w, _cross(w, offset)), field)
             field = _axpy(1.0, _cross(dw, offset), field)
-            field = _axpy(2.0 * slides * v[sample, j], across, field)
-            field = _axpy(slides * a[sample, j], axis, field)
-            w = _axpy(turns * v[sample, j], axis, w)
-            dw = _axpy(turns * a[sample, j], axis, dw)
-            dw = _axpy(turns * v[sample, j], across, dw)
-            lever = _cross(p, axis)
-            for c in range(3):
-                axes[j, 0, c], axes[j, 1, c], axes[j, 2, c] = x[c], y[c], z[c]
-                places[j, c], fields[j, c] = p[c], field[c]
-                speeds[j, c], gains[j, c] = w[c], dw[c]
-                screws[j, c] = turns * lever[c] + slides * axis[c]
-                screws[j, 3 + c] = turns * axis[c]
+            field = _axpy(2.0 * slides * velocity, across, field)
+            field = _axpy(slides * acceleration, axis, field)
+            w = _axpy(turns * velocity, axis, w)
+            dw = _axpy(turns * acceleration, axis, dw)
+            dw = _axpy(turns * velocity, across, dw)
+            _write(state, own + _AXES, x)
+            _write(state, own + _AXES + 3, y)
+            _write(state, own + _AXES + 6, z)
+            _write(state, own + _ORIGIN, p)
+            _write(state, own + _FIELD, field)
+            _write(state, own + _SPEED, w)
+            _write(state, own + _GAIN, dw)
+            none = spread(0.0), spread(0.0), spread(0.0)
+            force = _axpy(slides, axis, none)
+            _write(state, own + _SCREW, _axpy(turns, _cross(p, axis), force))
+            _write(state, own + _SCREW + 3, _axpy(turns, axis, none))
             forces, moments = _forces_and_moments(p, x, y, z, field, w, dw)
             # The joint itself and all those above it.
             i = j
             while i >= 0:
-                _project(screws[i], forces, moments, matrix[i, j])
+                screw = (i + 1) * _STATE + _SCREW
+                _project(state, screw, forces, moments, places[i, j], out, sample)
                 i = tree.parents[i]
-        for entry in range(tree.zeros.shape[0]):
-            i, j, k = tree.zeros[entry]
-            matrix[i, j, k] = 0.0

@@ -6,8 +6,8 @@ world coordinates, and accelerates with ``a + xi_1 d_1 + xi_2 d_2 + xi_3 d_3``. 
 mass times acceleration, and its moment, over the points gives all ten columns of a
 body's regressor as cross products of two lists of four vectors, (p, e_1, e_2, e_3) and
 (a, d_1, d_2, d_3).  The torque of a joint is its screw times the forces on the bodies
-that it carries.  `sklearn_vbjfa.model._compiled` does this sample by sample; without
-Numba Pinocchio does, by its recursion.
+that it carries.  `sklearn_vbjfa.model._compiled` does this for some samples at a
+time; without Numba Pinocchio does, by its recursion.
 """
 
 import functools
@@ -34,9 +34,6 @@ class Tree(NamedTuple):
     ----------
     parents : ndarray of shape (nv,)
         Number of the parent, -1 for none.
-    zeros : ndarray of shape (n_zeros, 3)
-        Entries of a regressor matrix that are zero in every motion, besides those of
-        bodies that a joint does not carry.
     offsets : ndarray of shape (nv, 3)
         Place of a joint at zero in the frame of its parent [m]; zero without parent.
     frames : ndarray of shape (nv, 3, 3)
@@ -52,7 +49,6 @@ class Tree(NamedTuple):
     """
 
     parents: np.ndarray
-    zeros: np.ndarray
     offsets: np.ndarray
     frames: np.ndarray
     axes: np.ndarray
@@ -62,12 +58,11 @@ class Tree(NamedTuple):
     base_angular: np.ndarray
 
 
-def describe(model, parents, zeros):
+def describe(model, parents):
     """Return the `Tree` of a model, from how Pinocchio moves its joints."""
     pin, nv = import_pinocchio(), model.nv
     tree = Tree(
         parents=parents,
-        zeros=np.argwhere(zeros).copy(order="C"),
         offsets=np.zeros((nv, 3)),
         frames=np.empty((nv, 3, 3)),
         axes=np.empty((nv, 3)),
@@ -142,8 +137,8 @@ class TreeRegressor:
         Robot with a fixed base whose joints have one degree of freedom each; see
         `load_model`.
     compiled : bool, default=None
-        Whether a loop compiled by Numba computes the regressors, four times as fast as
-        Pinocchio called for each sample; None does so where Numba is installed.
+        Whether a loop compiled by Numba computes the regressors, several times as fast
+        as Pinocchio called for each sample; None does so where Numba is installed.
 
     Attributes
     ----------
@@ -170,7 +165,7 @@ class TreeRegressor:
         probes = np.array([one(*np.split(row, 3)) for row in states])
         zeros = rounding_entries(np.mean(probes**2, axis=0))
         self.support = carried[:, :, None] & ~zeros
-        self._tree = describe(model, parents, carried[:, :, None] & zeros)
+        self._tree = describe(model, parents)
 
     def one_by_one(self):
         """Return Pinocchio's function of (q, v, a), each (nv,), to (nv, nv, 10).
@@ -211,20 +206,38 @@ class TreeRegressor:
                 f"out must be C-contiguous, of shape ({n}, {nv}, {nv}, at least 10); "
                 f"got shape {out.shape}."
             )
+        out[...] = 0.0
+        places = np.arange(nv * nv * k).reshape(nv, nv, k)[:, :, :10]
+        places = np.where(self.support, places, -1)
+        self.entries(q, v, a, places, out.reshape(n, nv * nv * k).T)
+        return out
+
+    def entries(self, q, v, a, places, out):
+        """Compute single entries of the regressor matrices, samples last.
+
+        Parameters
+        ----------
+        q, v, a : ndarray of shape (n, nv)
+            Positions, velocities, accelerations.
+        places : ndarray of shape (nv, nv, 10)
+            Row of `out` for each torque, body and parameter; -1 for none, as it must
+            be outside the support.
+        out : ndarray of shape (n_entries, n)
+            Where to write; rows without an entry are left alone. Fastest if
+            C-contiguous.
+        """
         kernel = None if self.compiled is False else load_kernel()
         if kernel is not None:
-            kernel(*map(np.ascontiguousarray, (q, v, a)), self._tree, out)
-            return out
+            kernel(q, v, a, self._tree, places, out)
+            return
         if self.compiled:
             raise ImportError(
                 "A compiled regressor needs Numba: pip install sklearn-vbjfa[fast]."
             )
         one = self.one_by_one()
-        for matrix, *sample in zip(out, q, v, a):
-            matrix[:, :, :10] = one(*sample)
-        out[:, :, :, 10:] = 0.0
-        out[:, :, :, :10][:, ~self.support] = 0.0
-        return out
+        used = places >= 0
+        matrices = [one(*sample)[used] for sample in zip(q, v, a)]
+        out[places[used]] = np.reshape(matrices, (-1, np.count_nonzero(used))).T
 
     def torques(self, q, v, a, inertial):
         """Compute inverse dynamics for any inertial parameters.

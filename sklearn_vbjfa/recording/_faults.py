@@ -1,8 +1,8 @@
-"""Faults that the samples of a recording show by themselves: no robot model is asked.
+"""Faults visible in the samples of a recording alone, without a robot model.
 
-Whole rows may be in the wrong order, wrapped, or written twice, which loggers, clocks
-and conversions of angles do; single channels may be held at a lower rate, clipped,
-coarse, frozen or hit by outliers. `inspect_samples` looks for all of them.
+Loggers, clocks and angle conversions leave rows out of order, wrapped or duplicated;
+single channels may be held at a lower rate, clipped, coarsely quantised, frozen or
+contain outliers. `inspect_samples` checks for all of them.
 """
 
 from dataclasses import dataclass
@@ -11,17 +11,17 @@ import numpy as np
 
 # From worst to least.
 SEVERITIES = ("error", "doubt", "warning")
-# Rows in the order of time resemble the row before; of shuffled ones the mean squared
-# step is twice the variance. Seven tenths of that is a correlation of 0.3.
+# Rows in time order resemble the row before; the mean squared step of shuffled rows is
+# twice the variance. Seven tenths of that is a correlation of 0.3.
 _SHUFFLED = 0.7
-# ... of a joint that moves at all [rad or m]: noise at rest has no order either.
+# ... of a joint that moves at least this much [rad or m]: noise has no order either.
 _LEAST_MOTION = 0.01
-# Shuffled rows: at least this many runs of equal labels per label, each this short.
+# Shuffled labels: at least this many runs per label, and runs on average this short.
 _RUNS_PER_LABEL = 4
 _SHORT_RUN = 16
-# A jump is a whole turn if this share of a turn is left at most.
+# A jump is a full turn to within this fraction of one.
 _TURN_LEFT = 0.15
-# Rows written twice that are worth a word; more are doubtful.
+# Duplicated rows that are reported; above the last share they are a doubt.
 _FEWEST_REPEATED = 3
 _REPEATED_SHARE = 0.002
 _MANY_REPEATED = 0.1
@@ -37,9 +37,9 @@ _FEWEST_STEPS = 20
 _STEP_SHARE = 0.3
 # ... most of which must come equally often.
 _SAME_RATE = 0.8
-# A joint whose travel is below this many standard deviations of its own noise rests.
+# A joint whose travel is below this many standard deviations of its noise is at rest.
 _STILL_TRAVEL = 12.0
-# A torque is coarse if rounding makes errors of this share of its spread.
+# A torque is coarse if its quantisation error exceeds this share of its spread.
 _COARSE = 0.05
 # Clipping: samples within this share of the channel's range of an extreme value, ...
 _PLATEAU = 1e-3
@@ -48,8 +48,8 @@ _PLATEAU_RUN = 5
 _PLATEAU_RUNS = 3
 # (or one run of this length, in a channel that does not repeat itself)
 _LONG_PLATEAU = 12
-# ... and denser by this factor than the torques next to the extreme value. Of a sine
-# without noise, whose extremes are flat, 3.4 times as many lie there.
+# ... and denser by this factor than the torques next to the extreme value. For a sine
+# without noise, whose extremes are flat, the factor is 3.4.
 _PLATEAU_DENSITY = 8.0
 # Repeated positions are a dropout if the motion around them covers this many standard
 # deviations of the noise and the step after them is this many times the others (an
@@ -59,13 +59,13 @@ _FROZEN_STEP = 2.5
 # ... in runs of at least this length, of a joint that moves at this share of its speed.
 _FROZEN_RUN = 3
 _FROZEN_SPEED = 0.02
-# Steps and spikes, in robust standard deviations of what the neighbours leave open.
+# Steps and spikes, in robust standard deviations of the prediction by the neighbours.
 _OUTLIER = 25.0
 # ... in recordings of at least this many samples, ...
 _FEWEST_AROUND = 16
 # ... and at least this share of the channel's range.
 _LEAST_JUMP = 0.003
-# A larger share of outliers than this is noise, not a fault of single samples.
+# A larger share of outliers is noise, not a fault of single samples.
 _MOST_OUTLIERS = 0.01
 
 
@@ -74,19 +74,19 @@ _MOST_OUTLIERS = 0.01
 
 @dataclass(frozen=True)
 class ChannelFinding:
-    """What is wrong with some channels of a recording.
+    """A fault of some channels of a recording.
 
     Attributes
     ----------
     kind : str
         Name of the fault, such as "torque_sign"; see `inspect_channels`.
     joints : tuple of int
-        Joints concerned, counted from 0.
+        Affected joints, counted from 0.
     severity : {"error", "doubt", "warning"}
-        "error": a fit would be wrong, what would be found is the fault. "doubt": a
-        fit may be wrong, no favourable verdict can be built on it, but the evidence
-        has another explanation or the harm is limited. "warning": a fit would be
-        worse than need be.
+        "error": a fit would be wrong and identify the fault. "doubt": a fit may be
+        wrong and supports no favourable verdict, but the evidence has another
+        explanation or the harm is limited. "warning": a fit would be needlessly
+        inaccurate.
     message : str
         One line: the channel by name, the evidence in numbers, the remedy.
     """
@@ -98,12 +98,12 @@ class ChannelFinding:
 
 
 def in_order(findings):
-    """Return findings as a tuple, the worst first."""
+    """Return findings as a tuple, worst first."""
     return tuple(sorted(findings, key=lambda f: SEVERITIES.index(f.severity)))
 
 
 def listed(names, joints):
-    """Name some joints; all of several are called so."""
+    """List joints by name, or as "all joints"."""
     if len(joints) == len(names) > 1:
         return "all joints"
     return ", ".join(names[j] for j in joints)
@@ -113,12 +113,11 @@ def listed(names, joints):
 
 
 def inspect_samples(names, q, tau, dt, parts, rows, revolute):
-    """Look at every channel by itself, without a robot model.
+    """Inspect every channel by itself, without a robot model.
 
-    Positions [rad or m] and torques [N m or N] are (n, nv), `parts` the slices of the
-    recordings, `rows` (n,) their numbers for messages, `revolute` (nv,) tells which
-    joints turn. Returns findings, the samples (n, nv) of each joint that no fault
-    concerns, and the positions, unwrapped.
+    q [rad or m], tau [N m or N] (n, nv); parts : slices of the recordings; rows (n,) :
+    row numbers for messages; revolute (nv,), bool. Returns findings, the fault-free
+    samples (n, nv), bool, and the unwrapped positions.
     """
     usable = np.ones(q.shape, dtype=bool)
     findings, q = wrapped_positions(names, q, revolute, parts, rows)
@@ -146,7 +145,7 @@ def inspect_samples(names, q, tau, dt, parts, rows, revolute):
             finding, bad = _frozen(names[j], j, q[:, j], dt, parts, lost, rows)
             findings += finding
             usable[bad] = False  # a wrong position spoils every torque
-            # Where samples were lost there is a jump behind them, which is known.
+            # Lost samples are followed by a jump, which is already reported.
             known = lost | bad
         finding, jumps = _outliers(names[j], j, "position", q[:, j], parts, known, rows)
         findings += finding
@@ -159,7 +158,7 @@ def inspect_samples(names, q, tau, dt, parts, rows, revolute):
 
 
 def _moving(q, parts):
-    """Return at which samples any joint moves, ndarray of shape (n,) of bool."""
+    """Return the samples at which any joint moves, (n,), bool."""
     moving = np.zeros(q.shape[0], dtype=bool)
     for part in parts:
         x = q[part]
@@ -177,14 +176,13 @@ def runs(flags):
     return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1
 
 
-# -- rows that are not in the order of time --------------------------------------------
+# -- rows out of time order ------------------------------------------------------------
 
 
 def shuffled_rows(names, q, parts, labels=None):
-    """Find rows of positions (n, nv) that are not in the order of time.
+    """Find rows of positions (n, nv) that are out of time order; one error or none.
 
-    One error or none; `parts` are the slices of the recordings, `labels` (n,) their
-    names, where there are any.
+    parts : slices of the recordings; labels (n,) : their names, if any.
     """
     if labels is not None:
         runs_ = len(parts)
@@ -224,7 +222,7 @@ def _shuffled(names, evidence):
     return ChannelFinding(
         "shuffled_rows",
         tuple(range(len(names))),
-        "error",  # Neither velocities nor accelerations can be had.
+        "error",  # Velocities and accelerations are meaningless.
         f"The rows are not in the order of time: {evidence}; give whole recordings as "
         "logged, split them by time and not at random (shuffle=False), or sort them "
         "by their time stamps.",
@@ -235,11 +233,10 @@ def _shuffled(names, evidence):
 
 
 def wrapped_positions(names, q, revolute, parts, rows):
-    """Find angles (n, nv) that jump by a whole turn, and put them together again.
+    """Find angles (n, nv) that jump by a full turn, and unwrap them.
 
-    Returns errors (a derivative across a jump is a wrong speed of hundreds of rad/s)
-    and the positions without the jumps; `revolute` (nv,) tells which joints turn,
-    `rows` (n,) are the numbers for messages.
+    Returns errors (differentiating across a jump gives speeds of hundreds of rad/s) and
+    the unwrapped positions. revolute (nv,), bool; rows (n,) : row numbers for messages.
     """
     findings = []
     unwrapped = q
@@ -271,7 +268,7 @@ def wrapped_positions(names, q, revolute, parts, rows):
 
 
 def _turns(x, turn, parts):
-    """First row behind a jump by a whole turn, and the number of such jumps."""
+    """First row after a jump by a full turn, and the number of such jumps."""
     first, count = 0, 0
     for part in parts:
         y = x[part]
@@ -284,7 +281,7 @@ def _turns(x, turn, parts):
             continue
         rest = step - turn * np.round(step / turn)
         usual = np.quantile(np.abs(np.delete(step, over)), 0.999)
-        # Without the turn the steps must be those of the motion.
+        # After unwrapping, the steps must match those of the motion.
         over = over[np.abs(rest[over]) <= 3 * usual + 1e-3 * turn]
         if over.size and not count:
             first = part.start + int(over[0]) + 1
@@ -292,14 +289,14 @@ def _turns(x, turn, parts):
     return first, count
 
 
-# -- rows written again ----------------------------------------------------------------
+# -- duplicated rows -------------------------------------------------------------------
 
 
 def repeated_rows(names, q, tau, dt, moving, parts, rows):
-    """Find rows that the logger wrote again while the robot moved.
+    """Find rows that the logger duplicated while the robot moved; moving (n,), bool.
 
-    Returns which rows (n,) are lost, and findings: stretches in which the logger stood
-    still, and other repeated rows; `moving` (n,) tells where some joint moves.
+    Returns the lost rows (n,), bool, and findings: intervals in which the logger was
+    frozen, and other duplicated rows.
     """
     same = np.zeros(q.shape[0], dtype=bool)
     for part in parts:
@@ -315,8 +312,8 @@ def repeated_rows(names, q, tau, dt, moving, parts, rows):
         ChannelFinding(
             "repeated_rows",
             tuple(range(q.shape[1])),
-            # Some can be told from the motion around them; many make its speed and the
-            # sample period wrong.
+            # A few are recognisable from the motion around them; many make the speed
+            # and the sample period wrong.
             "doubt" if share > _MANY_REPEATED else "warning",
             f"{count} rows ({100 * share:.2g} %) equal the row before them in "
             f"every position and torque, the first is row {rows[np.argmax(same)]}: the "
@@ -327,7 +324,7 @@ def repeated_rows(names, q, tau, dt, moving, parts, rows):
 
 
 def _frozen_rows(names, q, dt, same, parts, rows):
-    """Find stretches in which every channel stands still in the middle of a motion."""
+    """Find intervals in which every channel is constant amid a motion."""
     frozen = np.zeros(q.shape[0], dtype=bool)
     steps = np.concatenate([np.abs(np.diff(q[part], axis=0)) for part in parts])
     speed = _HELD_SPEED * np.quantile(steps, 0.995, axis=0)
@@ -360,8 +357,8 @@ def _frozen_rows(names, q, dt, same, parts, rows):
     finding = ChannelFinding(
         "frozen_recording",
         tuple(range(len(names))),
-        # Speeds and accelerations are wrong at the borders only, but there by so much
-        # that an effect may be found in them; the rest of the recording is sound.
+        # Speeds and accelerations are wrong at the ends of the interval only, but by so
+        # much that an effect may be found in them; the rest of the recording is sound.
         "doubt",
         f"All channels stand still {len(found)} time(s) in the middle of the motion "
         f"({seconds:.3g} s together, the longest {longest} rows, the first from row "
@@ -375,12 +372,12 @@ def _frozen_rows(names, q, dt, same, parts, rows):
 
 
 def held_channels(names, q, tau, dt, lost, parts, skip):
-    """Find positions or torques that were written at a lower rate than the rows.
+    """Find positions or torques that were updated at a lower rate than the rows.
 
-    Returns doubts (a held channel is late by half of its period and goes in steps,
-    which passes for delay, elasticity and friction at reversals, but it is still the
-    motion that was recorded) and which positions and torques, (2, nv), are held; rows
-    `lost` (n,) do not count, joints to `skip` (nv,) do not move.
+    A held channel lags by half its period and changes in steps, which looks like delay,
+    elasticity and friction at reversals, but it still shows the recorded motion: a
+    doubt. Returns findings, and which positions and torques are held, (2, nv). Rows
+    `lost` (n,) and joints `skip` (nv,) are ignored.
     """
     findings = []
     held = np.zeros((2, q.shape[1]), dtype=bool)
@@ -412,35 +409,34 @@ def held_channels(names, q, tau, dt, lost, parts, skip):
 
 
 def _repetition(x, lost, parts):
-    """Rows for one new value, None if every row of every recording has one."""
+    """Rows per new value, None if every row of every recording has one."""
     found = [k for part in parts if (k := _period(x[part][~lost[part]])) is not None]
     return float(np.median(found)) if found else None
 
 
 def _period(y):
-    """Rows for one new value of a single recording, None for one."""
+    """Rows per new value of a single recording, None if every row has one."""
     change = np.flatnonzero(np.diff(y) != 0)
     if change.size <= _FEWEST_STEPS:
         return None
     steps = np.abs(y[change + 1] - y[change])[1:]
     gaps = np.diff(change)
-    # An encoder or a converter that rounds goes by its resolution, and stands still
-    # where the signal is slow; steps of several of them within one row cannot follow
-    # upon rows without any.
+    # A quantised signal changes by its resolution and is constant where it is slow;
+    # steps of several quanta within one row cannot follow rows without any.
     fast = steps >= _STEP * np.quantile(steps, 0.02)
     if fast.sum() < max(_FEWEST_STEPS, _STEP_SHARE * steps.size):
         return None
     k = np.median(gaps[fast])
-    # If the rate is not a whole multiple, some gaps are longer or shorter by a row.
+    # If the rates have no integer ratio, some gaps are longer or shorter by a row.
     regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
     return float(k) if np.mean(regular) >= _SAME_RATE else None
 
 
-# -- nothing in the channel ------------------------------------------------------------
+# -- channels without information ------------------------------------------------------
 
 
 def _still(q, parts):
-    """Joints that rest throughout, ndarray of shape (nv,) of bool."""
+    """Joints at rest throughout, (nv,), bool."""
     noise = np.zeros(q.shape[1])
     count = 0
     for part in parts:
@@ -477,15 +473,15 @@ def _constant(name, j, x):
 
 
 def _coarse(name, j, x, moving, parts, held):
-    """Find a torque whose resolution leaves little of its shape."""
+    """Find a torque too coarsely quantised to show its shape."""
     step = np.abs(np.concatenate([np.diff(x[p])[moving[p][1:]] for p in parts]))
     changes = step[step > 0]
     if changes.size == 0:
         return []
     same = 1.0 - changes.size / step.size
-    # Where the torque mostly stands still between two values of its grid, a change is
-    # one step of it; where it is sampled so seldom that it passes several, the
-    # smallest is. What is held is far from its next value, whatever its grid.
+    # If the torque mostly stays on one quantisation level, a typical change is one
+    # step; if it is sampled so slowly that it passes several, the smallest change is. A
+    # held value is far from the next one, whatever the resolution.
     typical = same >= 0.5 and not held
     size = np.median(changes) if typical else np.quantile(changes, 0.02)
     rounding = size / np.sqrt(12) / max(x[moving].std(), np.finfo(float).tiny)
@@ -508,10 +504,10 @@ def _coarse(name, j, x, moving, parts, held):
 
 
 def _clipped(name, j, x, moving, parts):
-    """Find plateaus at the largest or the smallest value."""
+    """Find plateaus at the maximum or the minimum."""
     bad = np.zeros(x.shape, dtype=bool)
     spread = np.ptp(x)
-    # Where a torque hardly ever repeats itself, one plateau is proof enough.
+    # If a torque hardly ever repeats a value, one plateau is proof enough.
     repeats = [a for a in (np.diff(x[part]) == 0 for part in parts)]
     rare = np.mean(np.concatenate(repeats)) < 0.25
     ends = []
@@ -556,10 +552,10 @@ def _clipped(name, j, x, moving, parts):
 
 
 def _frozen(name, j, x, dt, parts, lost, rows):
-    """Find positions that stand still in the middle of a motion."""
+    """Find positions that are constant amid a motion."""
     bad = np.zeros(x.shape, dtype=bool)
     first_row, longest, places = None, 0, 0
-    # Slower than this is settling, which goes in steps.
+    # Slower motion is settling, which proceeds in steps.
     speeds = np.concatenate([np.abs(np.diff(x[part])) for part in parts])
     creep = _FROZEN_SPEED * np.quantile(speeds, 0.995)
     for part in parts:
@@ -580,8 +576,8 @@ def _frozen(name, j, x, dt, parts, lost, rows):
             right = (y[after] - y[b + 2]) / width
             if left * right <= 0 or min(abs(left), abs(right)) < creep:
                 continue
-            # Stiction and a motion that pauses go on from where they stopped; after
-            # lost samples the position has moved on meanwhile.
+            # After stiction or a pause the motion resumes where it stopped; after lost
+            # samples the position has moved on.
             travel = min(abs(left), abs(right)) * length
             caught_up = np.sign(left) * step[b + 1]
             usual = np.abs(np.r_[step[before:a], step[b + 2 : after]]).max()
@@ -610,7 +606,7 @@ def _frozen(name, j, x, dt, parts, lost, rows):
 
 
 def position_jumps(names, q, parts, rows):
-    """Find steps of positions (n, nv) that are no motion, as where recordings meet.
+    """Find jumps of positions (n, nv), as between concatenated recordings.
 
     These are the findings of `inspect_samples` of the kind "position_jumps".
     """
@@ -625,7 +621,7 @@ def position_jumps(names, q, parts, rows):
 
 
 def _steps_off(x, parts):
-    """Whether a step is large enough to be a jump; far quicker than to look closer."""
+    """Whether any step is large enough to be a jump; a fast pre-check."""
     # Interpolated, a jump takes two steps.
     least = 0.4 * _LEAST_JUMP * np.ptp(x)
     for part in parts:
@@ -636,7 +632,7 @@ def _steps_off(x, parts):
 
 
 def _outliers(name, j, what, x, parts, known, rows):
-    """Find single samples, and steps of the position, that the others contradict."""
+    """Find single samples, and position steps, inconsistent with their neighbours."""
     bad = np.zeros(x.shape, dtype=bool)
     # A torque may ring; a position is smooth.
     least = (0.05 if what == "torque" else _LEAST_JUMP) * np.ptp(x)
@@ -686,7 +682,7 @@ def _outliers(name, j, what, x, parts, known, rows):
 
 
 def _spikes(y, least):
-    """Find samples far from what those two before and behind them say."""
+    """Find samples far from the two before and the two after them."""
     lone = np.zeros(y.size, dtype=bool)
     base = 0.5 * (y[:-4] + y[4:])
     peak = y[2:-2] - base
@@ -699,7 +695,7 @@ def _spikes(y, least):
 
 
 def _jumps(y, least):
-    """Find samples that lie a step from the one before that is no motion."""
+    """Find samples that follow a step too large for the motion."""
     behind = np.zeros(y.size, dtype=bool)
     step = np.diff(y)
     # The next steps are left out: an interpolated jump takes two of them.
@@ -715,7 +711,7 @@ def _jumps(y, least):
 
 
 def _scale(x):
-    """Robust standard deviation; the quantile keeps standstill from making it zero."""
+    """Robust standard deviation; the quantile keeps it nonzero with standstill."""
     return max(
         np.median(np.abs(x)) / 0.6745,
         np.quantile(np.abs(x), 0.9) / 1.645,

@@ -1,4 +1,4 @@
-"""A recording: what readers, loaders and simulators return, and fits work on."""
+"""A recording: returned by readers, loaders and simulators, and fitted."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -13,14 +13,9 @@ if TYPE_CHECKING:
 
 
 def contiguous_groups(groups, n_samples):
-    """Return slices of the recordings, one for each run of equal labels.
+    """Return slices of the recordings, one per run of equal labels (n_samples,).
 
-    Parameters
-    ----------
-    groups : array-like of shape (n_samples,) or None
-        Labels of separate recordings; None is one recording.
-    n_samples : int
-        Number of rows.
+    None as labels is one recording.
     """
     if groups is None:
         return [slice(0, n_samples)]
@@ -50,7 +45,7 @@ def check_dt(dt):
 
 
 def check_clock(t, n_samples, dt):
-    """Return the time of each row [s]; counted in `dt` where none is given."""
+    """Return the time of each row [s]; multiples of `dt` if none is given."""
     if t is None:
         return None if dt is None else np.arange(n_samples) * check_dt(dt)
     time = np.asarray(t, dtype=float)
@@ -90,11 +85,10 @@ def check_cutoff(cutoff, dt, name):
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Recording:
-    """Joint positions and torques of a robot, with what is known about them.
+    """Joint positions and torques of a robot, with metadata.
 
-    Several recordings may follow one another; `groups` tells them apart.
-    Nothing may be differentiated, filtered or remembered across a change of
-    label.
+    May hold several recordings in sequence, labelled by `groups`. Nothing may be
+    differentiated, filtered or remembered across a change of label.
 
     Parameters
     ----------
@@ -106,11 +100,11 @@ class Recording:
     tau : ndarray of shape (n_samples, nv)
         Joint torques or forces [see `torque_units`], same order and sign.
     t : ndarray of shape (n_samples,) or None
-        Time since the start of each recording [s]; as stamped by the logger
-        if a loader was asked not to resample. None counts `dt` from the first row.
+        Time since the start of each recording [s]; the logger's stamps if the data
+        were not resampled. None counts `dt` from the first row.
     dt : float or None
-        Sample period [s]; the median one where `t` is not uniform. None only with
-        `states`, whose rows need not be equidistant.
+        Sample period [s]; the median one if `t` is not uniform. None only with
+        `states`, whose rows need not be uniformly sampled.
     groups : ndarray of shape (n_samples,)
         Labels of the recordings: 0, 1, 2, ... in order of the rows.
     group_names : tuple of str
@@ -118,28 +112,27 @@ class Recording:
     joint_names : tuple of str
         Names of the nv joints, as in `robot_model`.
     position_units : tuple of {"rad", "m"}
-        One unit a joint.
+        Unit of each joint.
     torque_units : tuple of {"N m", "N", "A", "V", "count"}
-        One unit a joint. A unit other than "N m" and "N" stands for a motor
-        quantity that is proportional to the torque by an unknown factor.
+        Unit of each joint. Units other than "N m" and "N" denote a motor quantity
+        proportional to the torque by an unknown factor.
     v : ndarray of shape (n_samples, nv) or None, default=None
         The robot's own velocities [rad/s or m/s], if recorded.
     states : ndarray of shape (n_samples, 3 * nv) or None, default=None
-        States [q | v | a] where they are given; None where positions were measured,
-        which states are still to be estimated from.
+        States [q | v | a] if given; None if they are to be estimated from the measured
+        positions.
     weight : ndarray of shape (n_samples, nv) or None, default=None
-        Weights of each joint's samples, zero to leave one out; None weighs all alike.
+        Weights of each joint's samples, zero to leave one out; None is unit weights.
     torque_noise : ndarray of shape (nv,) or None, default=None
         Standard deviation of the white noise of a torque sample [see `torque_units`],
-        measured before rows were interpolated, which takes some of it away; None if
-        none was. `RobotIdentifier` takes it.
+        measured before rows were interpolated, which attenuates noise; None if no row
+        was. A parameter of `RobotIdentifier`.
     signals : mapping of str to ndarray, default={}
         Other channels on the same rows; the loader gives their units.
     urdf : str or None, default=None
         File with a description of the robot.
     source, licence, citation, description : str, default=""
-        Where the data come from, on which terms, whom to cite, and what to
-        know before using them.
+        Origin of the data, licence, citation, and notes on their use.
 
     Raises
     ------
@@ -235,12 +228,12 @@ class Recording:
 
     @property
     def inputs(self) -> np.ndarray:
-        """States where they are given, else positions: what a fit takes as X."""
+        """Input X of a fit: states if given, else positions."""
         return self.q if self.states is None else self.states
 
     @cached_property
     def segments(self) -> tuple[slice, ...]:
-        """Rows of each recording: nothing is filtered across their borders."""
+        """Rows of each recording; nothing is filtered across their boundaries."""
         return tuple(contiguous_groups(self.groups, self.n_samples))
 
     def clock(self, *, stamped: bool = False) -> np.ndarray | None:
@@ -249,7 +242,7 @@ class Recording:
         Parameters
         ----------
         stamped : bool, default=False
-            Whether to take the stamps, where there are any, and not the count of `dt`.
+            Whether to use time stamps, if any, instead of multiples of `dt`.
 
         Returns
         -------
@@ -283,7 +276,7 @@ class Recording:
         Returns
         -------
         recording : Recording
-            These recordings in their order here, labelled 0, 1, 2, ... anew.
+            These recordings in their original order, relabelled 0, 1, 2, ...
 
         Raises
         ------
@@ -320,10 +313,10 @@ class Recording:
         )
 
     def robot_model(self) -> "pin.Model":
-        """Nominal model of the robot, with one degree of freedom a joint.
+        """Nominal model of the robot, with one degree of freedom per joint.
 
         Joints of the description that were not recorded (fingers, wheels,
-        head) are fixed at their zero.
+        head) are locked at zero.
 
         Returns
         -------
@@ -338,7 +331,7 @@ class Recording:
         FileNotFoundError
             If no description of the robot was found.
         ValueError
-            If the description lacks a recorded joint or orders them otherwise.
+            If the description lacks a recorded joint or has another joint order.
         """
         from sklearn_vbjfa.model._descriptions import build_model
 
@@ -348,18 +341,9 @@ class Recording:
 def take_arrays(X, y, groups=None, weight=None, t=None, *, dt, joint_names):
     """Make a recording of the validated arguments of a fit.
 
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, nv) or (n_samples, 3 * nv)
-        Positions, or states [q | v | a].
-    y : ndarray of shape (n_samples, nv)
-        Torques.
-    groups, weight, t : array-like or None
-        Labels in any form, weights (n_samples, nv), time stamps.
-    dt : float or None
-        Sample period [s].
-    joint_names : tuple of str
-        Names of the nv joints.
+    X : positions (n_samples, nv) or states (n_samples, 3 nv); y (n_samples, nv); groups
+    : labels in any form; weight (n_samples, nv); t : time stamps; dt : sample period
+    [s].
     """
     nv = len(joint_names)
     segments = contiguous_groups(groups, X.shape[0])
@@ -381,16 +365,9 @@ def take_arrays(X, y, groups=None, weight=None, t=None, *, dt, joint_names):
 
 
 def take_rows(recording, rows, groups):
-    """Make a recording of some rows of another, in pieces of their own.
+    """Make a recording of some rows (ascending) of another, in new segments.
 
-    Parameters
-    ----------
-    recording : Recording
-        Recording.
-    rows : ndarray of int
-        Rows to keep, rising.
-    groups : ndarray of shape (n_kept,)
-        Labels of the pieces in any form.
+    groups (n_kept,) : labels of the segments in any form.
     """
     t, weight = (
         None if x is None else x[rows] for x in (recording.t, recording.weight)
@@ -411,13 +388,13 @@ def _period(dt: float | None) -> str:
 
 
 def _check_dt(dt: Any) -> None:
-    """Refuse a sample period that is not a positive number."""
+    """Reject a sample period that is not a positive number."""
     if not (isinstance(dt, Real) and 0 < dt < np.inf):
         raise ValueError(f"dt must be a positive number of seconds, got {dt!r}.")
 
 
 def _finite_array(name: str, values: Any) -> np.ndarray:
-    """Return a numeric array without NaN or infinity, or refuse."""
+    """Return a numeric array, rejecting NaN and infinity."""
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "biuf":
         raise ValueError(
             f"{name} must be a numeric ndarray, got {type(values).__name__}"
@@ -432,7 +409,7 @@ def _finite_array(name: str, values: Any) -> np.ndarray:
 
 
 def _check_shape(name: str, values: np.ndarray, expected: tuple[int, ...]) -> None:
-    """Refuse an array whose shape does not agree with that of q."""
+    """Reject an array whose shape does not agree with q."""
     if values.shape != expected:
         raise ValueError(
             f"{name} must have shape {expected} to agree with q, got {values.shape}."
@@ -440,7 +417,7 @@ def _check_shape(name: str, values: np.ndarray, expected: tuple[int, ...]) -> No
 
 
 def _check_groups(groups: np.ndarray, n_samples: int, names: tuple[str, ...]) -> None:
-    """Refuse labels that are not 0, 1, 2, ... in contiguous blocks."""
+    """Reject labels that are not 0, 1, 2, ... in contiguous blocks."""
     _check_shape("groups", groups, (n_samples,))
     starts = np.flatnonzero(np.diff(groups)) + 1
     labels = groups[np.concatenate([[0], starts])]

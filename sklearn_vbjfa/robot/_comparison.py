@@ -1,4 +1,4 @@
-"""Methods side by side on one recording: same equations, same held-out part."""
+"""Compare methods on one recording: same equations, same held-out part."""
 
 from dataclasses import dataclass
 
@@ -19,15 +19,15 @@ from sklearn_vbjfa.robot._plan import corrects_noise
 from sklearn_vbjfa.robot._residuals import collect_residuals
 
 OURS = "VB + projection"
-# Rows are in the order of time: unshuffled folds are blocks of time.
+# Rows are in time order, so unshuffled folds are blocks of time.
 _BLOCKS = KFold(5)
 
 
 def methods(n_parameters):
     """Return name -> settings of `RobotIdentifier` for every method.
 
-    All share states, filter, mask and joint weights (but for ordinary least squares);
-    what a method has to choose it chooses by five blocks of time of the training part.
+    All share states, filter, mask and joint weights (except ordinary least squares);
+    hyperparameters are cross-validated over five blocks of time of the training part.
     """
     components = sorted(
         {int(c) for c in np.geomspace(3, max(4, 0.8 * n_parameters), 8)}
@@ -81,11 +81,11 @@ class MethodResult:
     train_error : ndarray of shape (nv,)
         The same on the training part.
     min_eigenvalue : float
-        Smallest eigenvalue of all bodies' pseudo-inertia matrices, dimensionless.
+        Smallest eigenvalue over all bodies' pseudo-inertia matrices, dimensionless.
     n_inconsistent : int
-        Bodies that no mass distribution has.
+        Number of bodies that are not physically consistent.
     message : str
-        Why there is no result; empty otherwise.
+        Why the method gave no result; empty otherwise.
     """
 
     name: str
@@ -97,16 +97,16 @@ class MethodResult:
 
 
 def compare_methods(identifier, train, test, *, names=None, on_progress=None):
-    """Fit all methods to the training part and judge them on the other.
+    """Fit all methods to the training part and evaluate them on the held-out part.
 
     Parameters
     ----------
     identifier : RobotIdentifier
-        Settings that all methods share.
+        Settings shared by all methods.
     train, test : tuple of (X, y, groups)
         Positions, torques and labels of the two parts.
     names : sequence of str, default=None
-        Methods; None is all.
+        Methods to compare; None compares all.
     on_progress : callable, default=None
         Called with the name of each method before it starts.
 

@@ -1,11 +1,10 @@
-"""Equations of motion of a recording behind the low-pass, piece by piece.
+"""Low-pass filtered equations of motion of a recording, piece by piece.
 
-A piece is a run of filtered rows of one segment. It is made from the states of the
-rows that its filters see and reduced to second moments where it is made, so that the
-regressor matrices are never there as a whole, and pieces can be made at the same time.
-The division into pieces depends on neither the number of jobs nor the order in which
-they finish, and their sum is taken in the order of the recording: the result is the
-same to the last bit on one processor and on many.
+A piece is a run of filtered rows of one segment. It is built from the states within
+reach of its filter and reduced to second moments at once, so that the regressor is
+never held in memory as a whole and pieces can be computed in parallel. How a recording
+is divided does not depend on the number of jobs, and pieces are summed in recording
+order: the result is bit-for-bit the same on one processor and on many.
 """
 
 import functools
@@ -27,15 +26,17 @@ from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.robot._joint_moments import Numbering, joint_moments
 from sklearn_vbjfa.robot._parallel import run
 
-# Periods of the state cut-off at both ends in which the smoother sees one side only.
+# Periods of the state cut-off at each end in which the smoother sees one side only.
 _EDGE_PERIODS = 1.0
-# Rows whose states are evaluated together; a block of regressor matrices has fewer.
+# Rows whose states are evaluated together; blocks of regressor matrices are shorter.
 _SPAN_ROWS = 4096
-# Filtered rows of the feature matrix that are in memory at once.
+# Rows of the regressor per block of a prediction.
+_BLOCK_ROWS = 256
+# Memory for filtered rows of the regressor.
 CHUNK_BYTES = 32 << 20
-# The same without a filter, whose pieces do not overlap: they stay in the cache.
+# The same without a filter: pieces do not overlap and stay in the cache.
 _UNFILTERED_BYTES = 8 << 20
-# Rows of the feature matrix that are in memory at once while loads are computed.
+# Memory for rows of the regressor while loads are computed.
 _LOAD_BYTES = 64 << 20
 
 
@@ -50,15 +51,15 @@ class Equations:
     tau : ndarray of shape (n, nv)
         Torques [N m or N].
     weight : ndarray of shape (n, nv)
-        What each joint's equation counts; zero leaves it out.
+        Weight of each joint's equation; zero leaves it out.
     index : ndarray of shape (n,) or None
-        Rows of the recording that the filtered ones stand at.
+        Row of the recording at the centre of each filtered row.
     instruments : ndarray of shape (n, nv, p) or None
         Second, independent measurement of `Phi`.
     difference : ndarray of shape (n, nv, p) or None
         Regressor matrices from the even samples minus those from the odd ones.
     blocks : tuple of ndarray or None
-        Blocks of time that the rows belong to, see `Numbering.parts`.
+        Blocks of time of the rows, see `Numbering.parts`.
     """
 
     Phi: np.ndarray
@@ -76,7 +77,7 @@ class Equations:
         )
 
     def reweighted(self, factor):
-        """Return the same equations with weights times (n, nv)."""
+        """Return the same equations with weights multiplied by factors (n, nv)."""
         return replace(self, weight=self.weight * factor)
 
     def zeroed(self, entries):
@@ -85,7 +86,7 @@ class Equations:
 
 
 def joined(pieces):
-    """Join pieces of a recording's equations, without noise and blocks."""
+    """Concatenate the equations of a recording; noise and blocks are dropped."""
     names = ("Phi", "tau", "weight", "index")
     columns = zip(*[[getattr(one, name) for name in names] for one in pieces])
     return Equations(**dict(zip(names, map(np.concatenate, columns))))
@@ -95,24 +96,11 @@ def joined(pieces):
 
 
 def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=None):
-    """Signals that effects are made from.
+    """Build the `Motion` that effects are computed from.
 
-    Parameters
-    ----------
-    features : RigidBodyFeatures
-        Loaded features.
-    states : ndarray of shape (n, 3 * nv)
-        States.
-    t : ndarray of shape (n,) or None
-        Time [s].
-    parts : sequence of slice
-        Segments.
-    theta : ndarray of shape (p,) or None
-        Parameters of the features, for the load; None for none.
-    bandwidth : float
-        Cut-off of the low-pass [Hz].
-    rest : Rest or None
-        What to take for the sign of velocities, see `Motion`.
+    states (n, 3 nv); t (n,) [s] or None; parts : slices of the segments; theta (p,) :
+    parameters of the features, for the load; bandwidth : cut-off of the low-pass [Hz];
+    rest : velocity signs at rest, see `Motion`.
     """
     nv = features.n_joints_
     load = torque = rigid = None
@@ -154,10 +142,10 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=N
 
 
 class RegressorRows:
-    """Regressor matrices of any stretch of rows, with the effects' columns appended.
+    """Regressor matrices of any range of rows, with the effects' columns appended.
 
-    The effects remember (hysteresis, time), so that their columns are made once for
-    the whole recordings; the rigid-body regressor is made where it is asked for.
+    Effects have memory (hysteresis, time), so their columns are computed once for the
+    whole recording; the rigid-body regressor is computed on demand.
 
     Parameters
     ----------
@@ -168,14 +156,16 @@ class RegressorRows:
     columns : sequence of (Effect, ndarray)
         Effects and their columns for these rows.
     rest : Rest or None
-        What to take for the sign of velocities, see `Motion`.
+        Velocity signs at rest, see `Motion`.
 
     Attributes
     ----------
     n_joints, n_parameters : int
         Size of a regressor matrix.
     support : ndarray of shape (n_joints, n_parameters), bool
-        Entries that are not zero in every motion.
+        Entries that are nonzero in some motion.
+    used : ndarray of shape (n_entries,)
+        Their positions in a flattened matrix, the features' first.
     """
 
     def __init__(self, features, states, columns=(), rest=None):
@@ -187,15 +177,19 @@ class RegressorRows:
         self.support = np.zeros((self.n_joints, self.n_parameters), dtype=bool)
         self.support[:, : features.n_parameters_] = features.support_
         at = features.n_parameters_
+        used = [np.flatnonzero(self.support)]
         for effect, values in self._columns:
             stop = at + values.shape[-1]
-            joints = slice(None) if effect.whole_robot else effect.joint
-            self.support[joints, at:stop] = True
+            joints = np.arange(self.n_joints) if effect.whole_robot else [effect.joint]
+            own = np.ix_(joints, np.arange(at, stop))
+            self.support[own] = True
+            used.append(np.ravel_multi_index(own, self.support.shape).ravel())
             at = stop
+        self.used = np.concatenate(used)
 
     @classmethod
     def with_effects(cls, features, states, effects, motion, rest=None):
-        """Make the columns of effects (n rows) from their signals."""
+        """Compute the columns of effects (n rows) from a motion."""
         for effect in effects:
             reason = effect.applies(motion)
             if reason:
@@ -206,7 +200,7 @@ class RegressorRows:
         return cls(features, states, columns, rest)
 
     def part(self, rows):
-        """Regressor matrices of a slice of rows alone, numbered from zero."""
+        """Restrict to a slice of rows, renumbered from zero."""
         columns = [(effect, values[rows]) for effect, values in self._columns]
         return RegressorRows(self._features, self._states[rows], columns, self._rest)
 
@@ -227,40 +221,50 @@ class RegressorRows:
             at = stop
         return out
 
+    def entries(self, piece):
+        """Entries of the support for a slice of rows, (n_entries, n)."""
+        entries = self._features.entries(self._states[piece], self._rest)
+        if not self._columns:
+            return entries
+        n = entries.shape[1]
+        columns = [values[piece].reshape(n, -1).T for _, values in self._columns]
+        return np.concatenate([entries, *columns])
+
+    def spread(self, rows):
+        """Put rows (n, n_entries) of entries back into matrices (n, nv, p)."""
+        out = np.zeros((rows.shape[0], self.n_joints * self.n_parameters))
+        # Slices of adjacent places are copied faster than places one by one.
+        breaks = np.flatnonzero(np.diff(self.used) != 1) + 1
+        at = 0
+        for places in np.split(self.used, breaks):
+            if places.size:
+                stop = at + places.size
+                out[:, places[0] : places[-1] + 1] = rows[:, at:stop]
+                at = stop
+        return out.reshape(-1, self.n_joints, self.n_parameters)
+
     def predict(self, theta):
-        """Torques (n, nv) of parameters, matrix by matrix."""
-        count = max(1, CHUNK_BYTES // (8 * self.n_joints * self.n_parameters))
+        """Torques (n, nv) predicted by parameters (p,), block by block."""
+        joints, columns = np.divmod(self.used, self.n_parameters)
+        weights = np.zeros((self.n_joints, self.used.size))
+        weights[joints, np.arange(self.used.size)] = theta[columns]
         n = self._states.shape[0]
-        pieces = [self(slice(i, i + count)) @ theta for i in range(0, n, count)]
-        return np.concatenate(pieces)
+        torque = np.empty((n, self.n_joints))
+        for i in range(0, n, _BLOCK_ROWS):
+            piece = slice(i, min(i + _BLOCK_ROWS, n))
+            torque[piece] = (weights @ self.entries(piece)).T
+        return torque
 
 
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
-    """Regressor matrices of each segment, with the columns of the plan's effects.
+    """Regressor of each segment, with the columns of the plan's effects.
 
-    Parameters
-    ----------
-    recording : Recording
-        For its segments and time.
-    states : list of ndarray or SplineStates
-        States of each segment.
-    plan : Plan
-        For its effects.
-    features : RigidBodyFeatures
-        Loaded features.
-    theta : ndarray of shape (p,) or None
-        Parameters of the features, for the load.
-    rest : Rest or None
-        What to take for the sign of velocities, see `Motion`.
-
-    Returns
-    -------
-    list of RegressorRows
-        One a segment.
+    Takes the states (n, 3 nv) of each segment, arrays or `SplineStates`; theta (p,)
+    gives the load, rest the velocity signs at rest. Returns a list of `RegressorRows`.
     """
     if not plan.effects:
         return [RegressorRows(features, own, rest=rest) for own in states]
-    # Effects look at all recordings together (time, largest speeds).
+    # Effects need all recordings together (time, largest speeds).
     whole = np.concatenate([own[:] for own in states])
     parts, clock = recording.segments, plan.clock(recording)
     motion = make_motion(features, whole, clock, parts, theta, plan.cutoff, rest)
@@ -278,21 +282,21 @@ class Segment:
     Attributes
     ----------
     first : int
-        Number of its first row.
+        Index of its first row.
     states : ndarray of shape (n, 3 * nv) or SplineStates
-        States that tell whether a joint moves.
+        States, for the standstill mask.
     rows : RegressorRows or None
-        Regressor matrices; None takes the mean of the two halves': what a quarter of
-        the squared difference says of their noise is then exact, the rest being the
-        product of one half with the other.
+        Regressor; None takes the mean of the two halves. A quarter of the squared
+        difference is then exactly its noise: subtracting it leaves the cross product
+        of the halves.
     halves : tuple of RegressorRows or None
-        Regressor matrices from the even and from the odd samples.
+        Regressors from the even and from the odd samples.
     torque, weight : ndarray of shape (n, nv)
-        Measured torques and what they count.
+        Measured torques and their weights.
     standstill : ndarray of shape (nv,)
-        Speeds at or below which a joint's rows do not count.
+        Speeds at or below which a joint's rows are masked.
     edge : int
-        Rows at both ends that do not count.
+        Rows at each end that are masked.
     number : int
         Number of the segment.
     """
@@ -313,7 +317,7 @@ class Segment:
         return self.torque.shape[0]
 
     def counts(self, rows):
-        """Return the weights of a slice of rows, zero where the joint stands."""
+        """Return the weights of a slice of rows, zero where the joint is at rest."""
         start, stop, _ = rows.indices(self.n_rows)
         moves = np.abs(velocities(self.states, rows)) > self.standstill
         row = np.arange(start, stop)
@@ -321,10 +325,10 @@ class Segment:
         return self.weight[rows] * moves * inside[:, None]
 
     def pieces(self, lowpass):
-        """Divide into slices of rows of at most `CHUNK_BYTES`, unfiltered ones of less.
+        """Divide into slices of filtered rows of at most `CHUNK_BYTES`.
 
-        Pieces overlap by the filter's length in the rows that they are made from, so
-        that their size does not matter; none is shorter than twice the filter.
+        Unfiltered ones are smaller. Neighbouring pieces share input rows over the
+        length of the filter, so none is shorter than twice the filter.
         """
         one = self.rows if self.rows is not None else self.halves[0]
         kinds = (self.rows is not None) + 2 * (self.halves is not None)
@@ -337,21 +341,26 @@ class Segment:
     def equations(self, lowpass, outputs, numbering=None):
         """Return the equations of a slice of filtered rows.
 
-        With halves their difference, and with a `Numbering` their blocks of time.
+        Includes the difference of the halves, if any, and the blocks of a `Numbering`.
         """
         chosen = lowpass.centres(self.n_rows, outputs)
         seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
         made = () if self.rows is None else (self.rows,)
         made += self.halves or ()
-        filtered = _filter_rows(made, seen, lowpass, chosen.size)
+        if lowpass.half == 0 and lowpass.step == 1:
+            # Nothing is added up: the matrices are made where they stay.
+            filtered, spread = [rows(seen) for rows in made], np.asarray
+        else:
+            filtered = _filter_rows(made, seen, lowpass, chosen.size)
+            spread = made[0].spread
         Phi, difference = filtered[0], None
         if self.halves is not None:
             even, odd = filtered[-2:]
             if self.rows is None:
                 Phi = 0.5 * (even + odd)
-            difference = np.subtract(even, odd, out=even)
+            difference = spread(np.subtract(even, odd, out=even))
         return Equations(
-            Phi=Phi,
+            Phi=spread(Phi),
             tau=decimate(lowpass, self.torque[seen]),
             weight=filter_weight(lowpass, self.counts(seen)),
             index=self.first + chosen,
@@ -369,12 +378,9 @@ def velocities(states, rows):
 
 
 def _filter_rows(made, seen, lowpass, count):
-    """Regressor matrices behind the low-pass, block by block."""
-    if lowpass.half == 0 and lowpass.step == 1:
-        return [rows(seen) for rows in made]
-    shape = made[0].n_joints, made[0].n_parameters
-    filters = [BlockFilter(lowpass, count, shape, rows.support) for rows in made]
-    length = block_length(lowpass, 8 * shape[0] * shape[1])
+    """Entries (n, n_entries) of regressor matrices behind the low-pass."""
+    filters = [BlockFilter(lowpass, count, rows.used.size) for rows in made]
+    length = block_length(lowpass, 8 * made[0].used.size)
     span = length * max(1, _SPAN_ROWS // length)
     for begin in range(seen.start, seen.stop, span):
         stretch = slice(begin, min(begin + span, seen.stop))
@@ -382,14 +388,14 @@ def _filter_rows(made, seen, lowpass, count):
             own = rows.part(stretch)
             for at in range(0, stretch.stop - begin, length):
                 block = slice(at, min(at + length, stretch.stop - begin))
-                into.add(begin - seen.start + at, own(block))
+                into.add(begin - seen.start + at, own.entries(block).T)
     return [into.outputs for into in filters]
 
 
 def edge_rows(n, state_estimator):
-    """Return how many rows at each end of n rest on samples on one side only.
+    """Return the number of rows at each end of n where the smoother is one-sided.
 
-    None for states that were given.
+    Zero for given states (no estimator).
     """
     if state_estimator is None:
         return 0
@@ -401,28 +407,12 @@ def edge_rows(n, state_estimator):
 
 
 def segments(recording, states, plan, features, *, theta=None, rest=None, first=0):
-    """Join what a recording holds with its regressor matrices, segment by segment.
+    """Combine a recording with its regressor, segment by segment.
 
-    Parameters
-    ----------
-    recording : Recording
-        Torques, weights, segments.
-    states : RecordingStates
-        Its states, with halves where the noise of the regressors is to be measured.
-    plan : Plan
-        Standstill, effects, and whether a mean of the halves will do.
-    features : RigidBodyFeatures
-        Loaded features.
-    theta : ndarray of shape (p,) or None
-        Parameters of the features, for the load in effects' columns.
-    rest : Rest or None
-        For comparing: mean signs of velocities. What is fitted is masked at rest.
-    first : int
-        Number of the first segment.
-
-    Returns
-    -------
-    list of Segment
+    states : `RecordingStates`, with halves where the noise of the regressor is
+    measured; theta (p,) : parameters of the features, for the load in effects' columns;
+    rest : velocity signs at rest, for comparisons only (a fit masks standstill); first
+    : number of the first segment. Returns a list of `Segment`.
     """
 
     def rows_of(own):
@@ -470,23 +460,10 @@ def equations(made, lowpass):
 
 
 def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
-    """Second moments of the filtered equations of segments.
+    """Second moments (`JointMoments`) of the filtered equations of segments.
 
-    Parameters
-    ----------
-    made : list of Segment
-        Segments.
-    lowpass : Lowpass
-        What regressors and torques pass.
-    n_jobs : int or None
-        Number of pieces at a time, as in scikit-learn.
-    numbering : Numbering, default=None
-        Division into blocks of time, where these are not all the segments.
-
-    Returns
-    -------
-    JointMoments or None
-        None if all segments are shorter than the filter.
+    `numbering` gives the blocks of time if `made` are not all the segments. None if
+    every segment is shorter than the filter.
     """
     numbering = numbering or numbered(made, lowpass)
     tasks = [
@@ -506,22 +483,10 @@ def _piece_moments(segment, lowpass, outputs, numbering):
 
 
 def unexcited_entries(moments, n_rigid):
-    """Find what in the regressor matrices is zero but for rounding.
+    """Find entries (nv, p), bool, of the regressor that are zero up to rounding.
 
-    The features leave out what is zero in every motion; where a joint does not move
-    in this recording there is more.
-
-    Parameters
-    ----------
-    moments : JointMoments
-        Second moments of nv joints and p parameters.
-    n_rigid : int
-        Number of parameters of the features; others are never left out.
-
-    Returns
-    -------
-    ndarray of shape (nv, p), bool
-        Entries to be taken as zero.
+    Entries that are zero in every motion are already left out; a joint that does not
+    move in this recording adds more. Only the first `n_rigid` parameters are examined.
     """
     nv, n_all = moments.g.shape
     power = np.diagonal(moments.G, axis1=1, axis2=2)[:, :n_rigid]

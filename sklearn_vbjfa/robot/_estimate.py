@@ -1,4 +1,4 @@
-"""From second moments to parameters: regression, projection, what is identifiable."""
+"""From second moments to parameters: regression, projection, identifiability."""
 
 from dataclasses import dataclass, replace
 
@@ -18,9 +18,9 @@ from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
 from sklearn_vbjfa.robot._weights import block_precisions, noise_weights
 
 # Directions of parameter space that the data determine less than this, relative to
-# the best determined one in scaled columns, count as not identifiable.
+# the best-determined one in scaled columns, count as unidentifiable, ...
 _IDENTIFIABLE = 1e-9
-# ... and a parameter of which such directions hold more than this share.
+# ... and so does a parameter with more than this share in such directions.
 _LOST = 1e-6
 # Rows of a block of constant noise: 2.5 periods of the cut-off.
 _BLOCK_ROWS = 10
@@ -30,23 +30,23 @@ _LEAST_FREEDOM = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Parameters that all joints share, and how well they are known.
+    """Parameters shared by all joints, and their uncertainty.
 
     Attributes
     ----------
     theta, theta_unconstrained : ndarray of shape (p,)
         Parameters after and before a projection.
     std : ndarray of shape (p,)
-        Posterior standard deviations of the latter, for residuals as correlated as
-        the blocks of time say; nan where the regressor does not tell.
+        Posterior standard deviations of the latter, accounting for residuals
+        correlated in time; nan if the regressor provides none.
     joint_weights : ndarray of shape (nv,)
         Weights of the joints' equations [1 / torque squared].
     metric : ndarray of shape (p, p)
-        Weighted Gram matrix without the input noise's share, X_t' X_t of eq. 35.
+        Weighted Gram matrix, input noise subtracted, X_t' X_t of eq. 35.
     input_noise : ndarray of shape (p, p) or None
         Covariance of the input noise in a weighted equation, where it was measured.
     moments : JointMoments
-        What was fitted, without blocks of time.
+        Moments of the fit, without blocks of time.
     regressor : estimator
         The fitted regressor.
     projector : PhysicalProjector or None
@@ -68,21 +68,21 @@ class Estimate:
 
     @property
     def identifiable(self):
-        """Parameters that the data determine on their own, (p,), bool."""
+        """Parameters determined individually by the data, (p,), bool."""
         return identifiable(self.metric)
 
     def noise(self):
-        """Deviations (nv,) that input noise makes, and of what it leaves [N m or N]."""
+        """Residual deviations (nv,) due to input noise, and the rest [N m or N]."""
         return self.moments.split_residual(self.theta)
 
 
 def default_regressor():
-    """Bayesian regression with automatic relevance detection, for noiseless queries."""
+    """Bayesian regression with automatic relevance determination, noiseless queries."""
     return VBJFARegressor(latent="correlated", query="noiseless")
 
 
 def from_moments(regressor):
-    """Whether second moments are all that a regressor (None: the default) needs."""
+    """Whether a regressor (None: the default) needs second moments only."""
     return regressor is None or isinstance(regressor, BaseJointFactorRegressor)
 
 
@@ -95,7 +95,7 @@ def estimate(
     block_noise=False,
     forward=None,
 ):
-    """Estimate one parameter vector from the equations of all joints.
+    """Estimate one parameter vector from the equations of all joints; not projected.
 
     Parameters
     ----------
@@ -106,16 +106,11 @@ def estimate(
     joint_weights : "auto", None or array-like of shape (nv,)
         Weights of the joints' equations.
     rows : sequence of Equations
-        The equations themselves, where the regressor or `block_noise` needs them.
+        The equations themselves, if the regressor or `block_noise` needs them.
     block_noise : bool
         Whether the noise of each joint may differ between blocks of time.
     forward : callable, default=None
         (regressor, rows, weights of the equations) -> keyword arguments of its `fit`.
-
-    Returns
-    -------
-    Estimate
-        Not projected.
     """
     regressor = default_regressor() if regressor is None else clone(regressor)
     factors = None
@@ -151,7 +146,7 @@ def _weigh_blocks(rows):
     weighed = [one.reweighted(factor) for one, factor in zip(rows, factors)]
     total = None
     for one, plain in zip(weighed, rows):
-        # The factors re-weight the samples; their number stays what it is.
+        # The factors reweight the samples; their number does not change.
         moments = replace(one.moments(), n=plain.weight.sum(axis=0))
         total = moments if total is None else total + moments
     return factors, weighed, total
@@ -179,17 +174,17 @@ def resolve_weights(joint_weights, moments):
 
 
 def _correlation(moments, weight, theta):
-    """Return what residuals correlated in time do to the deviations, factors (p,).
+    """Factors (p,) by which residuals correlated in time widen the deviations.
 
-    Of the distribution of the estimate, Student's t with the freedom that the blocks
-    leave: its deviation is a little larger than that of a normal one.
+    Includes the standard deviation of Student's t with the blocks' degrees of freedom,
+    slightly larger than that of a normal distribution.
     """
     if moments.blocks is None or not np.isfinite(theta).all():
         return np.ones(theta.size)
     found = block_scatter(moments, weight, theta)
     freedom = np.maximum(found.freedom, _LEAST_FREEDOM)
     factor = np.sqrt(found.factor * freedom / (freedom - 2.0))
-    # What no equation determines stays as it is.
+    # Parameters that no equation determines are left unchanged.
     return np.where(np.isfinite(factor), factor, 1.0)
 
 
@@ -198,9 +193,8 @@ def _fit_moments(regressor, total, noise):
     regressor.set_params(fit_intercept=False)
     takes_covariance = getattr(regressor, "latent", None) == "correlated"
     if takes_covariance and regressor.input_noise is None:
-        # What was measured, or else nothing: rigid-body regressors are far too
-        # correlated for an assumed noise. The parameters are those of the motion
-        # without its noise.
+        # Measured noise or none: rigid-body regressors are far too correlated to
+        # assume a noise level. The parameters belong to the noise-free motion.
         measured = 0.0 if noise is None else noise
         regressor.set_params(input_noise=measured, query="noiseless")
     fit_moments(regressor, total)
@@ -226,7 +220,7 @@ def _fit_rows(regressor, rows, joint_weights, total, forward):
     weight = np.concatenate([one.weight[one.weight > 0] for one in rows])
     forwarded = forward(regressor, rows, weight) if forward is not None else {}
     if "sample_weight" not in forwarded and not np.all(weight == weight[0]):
-        # Weights go into the rows: not every regressor takes sample_weight.
+        # Scale the rows: not every regressor takes sample_weight.
         own = np.sqrt(weight / weight.mean())
         A, b = A * own[:, None], b * own
     fit_params = {}
@@ -289,16 +283,10 @@ def _mirror(rows):
 
 
 def project(found, projector, features):
-    """Project an estimate on the physically consistent parameters of a robot.
+    """Project an estimate onto the physically consistent parameters of a robot.
 
-    Parameters
-    ----------
-    found : Estimate
-        Estimate.
-    projector : "default", PhysicalProjector or None
-        The user's choice; None leaves the estimate as it is.
-    features : RigidBodyFeatures
-        Loaded features.
+    projector : "default", `PhysicalProjector`, or None to leave the estimate as it is;
+    features : loaded `RigidBodyFeatures`.
     """
     if projector is None:
         return found
@@ -313,24 +301,13 @@ def project(found, projector, features):
 
 
 def consistent_anchor(model, theta, metric, per_joint):
-    """Return a consistent parameter vector near the model's own, in the data's unit.
+    """Return a consistent vector (p,) near the model's parameters, in the data's unit.
 
-    Directions that the torques do not depend on are free; a projection needs a point
-    to complete them from. The inertias in the robot description serve, and where it
-    holds none a solid ball of the links' mean mass and the robot's length. They are
-    scaled as a whole to the data, so that torques in another unit give the same robot
-    in that unit.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    theta : ndarray of shape (p,)
-        Estimated parameters.
-    metric : ndarray of shape (p, p)
-        Gram matrix of the estimation.
-    per_joint : int
-        Parameters per joint.
+    The torques do not depend on some directions; the projection completes them from
+    this point: the inertias of the robot description or, where it has none, a solid
+    ball of the links' mean mass and the robot's length. A common factor scales them to
+    the estimate theta (p,) in the Gram matrix metric (p, p), so that a change of torque
+    unit changes only the unit of the result.
     """
     bodies = _complete(nominal_parameters(model), _robot_length(model))
     anchor = theta.reshape(-1, per_joint).copy()
@@ -360,7 +337,7 @@ def _robot_length(model):
 
 
 def _complete(bodies, length):
-    """Replace bodies that no mass distribution has by solid balls."""
+    """Replace physically impossible bodies by solid balls."""
     good = solid_bodies(bodies)
     ball_mass = bodies[good, 0].mean() if good.any() else 1.0
     radius = 0.25 * length
@@ -377,7 +354,7 @@ _LOST = 1e-6
 
 
 def fit_projector(projector, model, theta, metric, friction):
-    """Fit a projector to an estimate; what the user left open follows the robot.
+    """Fit a projector to an estimate, filling in the settings the user left open.
 
     Parameters
     ----------
@@ -386,7 +363,7 @@ def fit_projector(projector, model, theta, metric, friction):
     model : pinocchio.Model
         Robot.
     theta : ndarray of shape (p + n_effects,)
-        Estimate; effects come last and are free of constraints.
+        Estimate; effects come last and are unconstrained.
     metric : ndarray of shape (p + n_effects, p + n_effects)
         De-noised Gram matrix of the estimation (eq. 35).
     friction : tuple of str
@@ -435,7 +412,7 @@ def _same(value, unset):
 
 
 def identifiable(metric):
-    """Parameters whose unit vector lies in the span that the data determine."""
+    """Parameters (p,), bool, whose unit vectors the data determine."""
     moved = np.diagonal(metric) > 0
     result = np.zeros(moved.size, dtype=bool)
     if moved.any():
@@ -445,18 +422,11 @@ def identifiable(metric):
 
 
 def project_beside(projector, model, theta, metric, friction):
-    """Project the bodies while the effects' coefficients, which come last, follow.
+    """Project the bodies and re-optimise the effects' coefficients, which come last.
 
-    The distance (eq. 35) is minimised over both. In a metric of the user's own, which
-    is one of the bodies, the bodies are projected first, and the effects go to their
-    best beside them.
-
-    Returns
-    -------
-    projector : PhysicalProjector
-        Fitted projector.
-    theta : ndarray of shape (p,)
-        Projected parameters.
+    The distance (eq. 35) is minimised over both. A metric given by the user covers the
+    bodies only: they are projected first, then the effects are re-optimised. Returns
+    the fitted projector and the projected theta (p,).
     """
     p = model.nv * (10 + len(friction))
     own = getattr(projector, "metric", None) is not None
@@ -471,12 +441,6 @@ def project_beside(projector, model, theta, metric, friction):
 
 
 def min_eigenvalues(bodies):
-    """Smallest pseudo-inertia eigenvalue of each body, in the bodies' own scales.
-
-    Parameters
-    ----------
-    bodies : ndarray of shape (nv, k)
-        Inertial parameters of each body in the first ten columns.
-    """
+    """Smallest pseudo-inertia eigenvalues (nv,) of bodies (nv, k), in own scales."""
     mass, length = body_scales(bodies[:, :10])
     return min_eigenvalue(bodies[:, :10], mass_scale=mass, length_scale=length)

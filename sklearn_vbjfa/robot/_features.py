@@ -18,9 +18,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     """Joint-torque regressor matrix of a robot, one row per sample.
 
     The equations of motion are linear in the inertial and friction parameters,
-    tau = Phi(q, v, a) theta (eq. 1 of [1]_). This transformer turns states into Phi,
-    with the torque of each joint a block of columns, so that the number of rows stays
-    the number of samples.
+    tau = Phi(q, v, a) theta (eq. 1 of [1]_). This transformer turns states into Phi.
+    Each joint's torque is a block of columns, so that there is one row per sample.
 
     Parameters
     ----------
@@ -28,8 +27,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         Path of a URDF file, or a model; a tree of one-degree-of-freedom joints.
     friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"}, \
             default=("viscous",)
-        Further columns for each joint: v, sign(v), 1, a. With the default there are
-        the paper's 11 parameters per degree of freedom.
+        Additional columns for each joint: v, sign(v), 1, a. The default gives the
+        paper's 11 parameters per degree of freedom.
 
     Attributes
     ----------
@@ -46,21 +45,22 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     friction_ : tuple of str
         Names of the friction columns.
     support_ : ndarray of shape (nv, p), bool
-        Entries of a regressor matrix that some motion makes.
+        Entries of a regressor matrix that are nonzero in some motion.
     n_features_in_ : int
         3 nv.
 
     See Also
     --------
-    StateEstimator : Makes the states from joint positions.
+    StateEstimator : Estimates states from joint positions.
     JointTorqueRegressor : Estimates theta from these features.
 
     Notes
     -----
-    theta holds for each joint, in Pinocchio's order, the ten inertial parameters of
-    the body that it moves (m, m c_x, m c_y, m c_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about
-    the joint frame) [kg, kg m, kg m^2], then that joint's friction columns. Entry
-    ``j * p + k`` of a row is the derivative of the torque of joint j by parameter k.
+    For each joint, in Pinocchio's order, theta holds the ten inertial parameters of
+    the body it moves (m, m c_x, m c_y, m c_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz about the
+    joint frame) [kg, kg m, kg m^2], then the joint's friction coefficients. Entry
+    ``j * p + k`` of a row is the derivative of joint torque j with respect to
+    parameter k.
 
     References
     ----------
@@ -90,7 +90,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         Parameters
         ----------
         X : array-like of shape (n_samples, 3 * nv)
-            States [q | v | a] [rad or m, and their derivatives by s].
+            States [q | v | a] [rad or m, and time derivatives].
         y : None
             Ignored.
 
@@ -105,7 +105,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         return self
 
     def load(self):
-        """Load the model alone, without states to check.
+        """Load the model alone, without checking states.
 
         Returns
         -------
@@ -127,6 +127,11 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
         self._regressor = TreeRegressor(self.model_)
+        # Which of the entries is which.
+        support = self.support_
+        self._n_entries = np.count_nonzero(support)
+        places = np.where(support, np.cumsum(support).reshape(support.shape) - 1, -1)
+        self._places = places.reshape(self.n_joints_, self.n_joints_, -1)
         return self
 
     def _check_width(self, X):
@@ -160,7 +165,20 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         return self.matrices(X).reshape(X.shape[0], -1)
 
     def matrices(self, X, rest=None):
-        """Compute the regressor matrices of states that were checked.
+        """Regressor matrices (n, nv, p) of validated states (n, 3 nv).
+
+        With `rest`, a `Rest`, velocity signs are replaced by their means.
+        """
+        nv, n = self.n_joints_, X.shape[0]
+        q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
+        Phi = np.empty((n, nv, nv, 10 + len(self.friction_)))
+        self._regressor(q, v, a, out=Phi)
+        diagonal = np.arange(nv)
+        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self.friction_, v, a, rest)
+        return Phi.reshape(n, nv, self.n_parameters_)
+
+    def entries(self, X, rest=None):
+        """Compute the entries of `support_` alone, samples last.
 
         Parameters
         ----------
@@ -171,21 +189,22 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
         Returns
         -------
-        ndarray of shape (n_samples, nv, p)
-            Regressor matrices.
+        ndarray of shape (n_entries, n_samples)
+            Entries in the order of ``np.nonzero(support_)``.
         """
-        nv, n = self.n_joints_, X.shape[0]
+        nv = self.n_joints_
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
-        Phi = np.empty((n, nv, nv, 10 + len(self.friction_)))
-        self._regressor(q, v, a, out=Phi)
+        out = np.empty((self._n_entries, X.shape[0]))
+        self._regressor.entries(q, v, a, self._places[:, :, :10], out)
         diagonal = np.arange(nv)
-        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self.friction_, v, a, rest)
-        return Phi.reshape(n, nv, self.n_parameters_)
+        columns = _friction.columns(self.friction_, v, a, rest)
+        out[self._places[diagonal, diagonal, 10:]] = columns.transpose(1, 2, 0)
+        return out
 
     def one_by_one(self):
         """Return a function of one state (q, v, a), for control loops.
 
-        It makes the bodies' regressor matrix (nv, nv, 10); see `TreeRegressor`.
+        It computes the bodies' regressor matrix (nv, nv, 10); see `TreeRegressor`.
         """
         return self._regressor.one_by_one()
 
@@ -195,7 +214,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
 
     @property
     def support_(self):
-        """Entries of a regressor matrix that some motion makes, (nv, p), bool."""
+        """Entries of a regressor matrix nonzero in some motion, (nv, p), bool."""
         nv = self.n_joints_
         entries = np.zeros((nv, nv, self.n_parameters_ // nv), dtype=bool)
         entries[:, :, :10] = self._regressor.support

@@ -33,16 +33,13 @@ from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
-    MotionFacts,
     Plan,
     check_effects,
     effect_names,
-    fastest_period,
     make_plan,
-    n_fastest,
     needs_load,
+    observe,
     resolve_standstill,
-    smooth,
     takes_moments,
 )
 from sklearn_vbjfa.robot._recording_checks import (
@@ -67,7 +64,7 @@ from sklearn_vbjfa.robot._torque_noise import (
 
 
 class RecordingRegressorMixin(RegressorMixin):
-    """A regressor of several outputs whose rows are recordings in the order of time."""
+    """A multi-output regressor whose rows are recordings in time order."""
 
     def __sklearn_tags__(self):
         """Tags of a regressor with several outputs."""
@@ -106,129 +103,137 @@ class RecordingRegressorMixin(RegressorMixin):
 class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     """Identify a robot: joint positions and torques in, rigid-body model out.
 
-    The whole chain: states from positions, regressor matrices, parallel low-pass of
-    regressors and torques, standstill masked, weighted estimation of one parameter
-    vector, projection on physically consistent ones.
+    The whole chain: state estimation, regressor matrices, parallel low-pass filtering
+    of regressor and torques, standstill mask, weighted estimation of one parameter
+    vector, and projection onto the physically consistent set.
 
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
         Path of a URDF file, or a model; a tree of one-degree-of-freedom joints. Its
-        inertias serve to complete what the data cannot tell, see `theta_`.
+        inertias complete what the data do not determine, see `theta_`.
     dt : float, default=None
         Sample period [s]; needed unless states are given and nothing is filtered.
     friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"}, \
             default=("viscous",)
-        Further columns of each joint.
+        Additional columns of each joint.
     effects : tuple of Effect, default=()
-        Effects beside the rigid bodies and their friction, each on one joint; see
-        `sklearn_vbjfa.effects`. `EffectDiscovery` finds out which.
+        Effects beyond rigid bodies and friction, each on one joint; see
+        `sklearn_vbjfa.effects`. `EffectDiscovery` finds out which are needed.
     regressor : estimator, default=None
         Linear regressor, see `JointTorqueRegressor`; None is
         ``VBJFARegressor(latent="correlated", input_noise=0.0)``.
     projector : "default", PhysicalProjector or None, default="default"
         Projection of the parameters; None leaves them as estimated.
     cutoff : "auto", float or None, default="auto"
-        Cut-off [Hz] of the low-pass that regressors and torques pass. ``"auto"``:
+        Cut-off [Hz] of the low-pass applied to regressor and torques. ``"auto"``:
         five times the bandwidth of the motion (the frequency below which 99 % of the
-        power of the velocity lies, the fastest joint), as in Gautier's practice;
-        without positions (states given) nothing is filtered. None filters nothing.
+        velocity power of the fastest joint lies), as in Gautier's practice; if states
+        are given, nothing is filtered. None filters nothing.
     state_cutoff : "auto", float, array-like of shape (nv,) or None, default="auto"
         Cut-off [Hz] of `StateEstimator`. ``"auto"``: 1.25 times the one of least
-        acceleration error; smoothing bias does not average out, noise does.
+        acceleration error, since noise averages out and smoothing bias does not.
     standstill : "auto", float, array-like of shape (nv,) or None, default="auto"
         Speed [rad/s or m/s] at or below which a joint's equations are left out.
-        ``"auto"``: 2 % of the 99.5th percentile of its speed in the recordings of the
-        fit. None masks nothing.
+        ``"auto"``: 2 % of the 99.5th percentile of its speed in the fitted
+        recordings. None masks nothing.
     joint_weights : "auto", None or array-like of shape (nv,), default="auto"
         Weights of the joints' equations, see `JointTorqueRegressor`.
     block_noise : bool, default=False
-        Whether stretches of time in which the model fails count less, see
+        Whether intervals of time in which the model fails are down-weighted, see
         `JointTorqueRegressor`.
     input_noise : "auto" or None, default="auto"
-        ``"auto"``: where positions are given, the noise of the regressors is measured
-        by making them from the even and from the odd samples separately, whose white
-        encoder noise is independent, and a regressor that takes a noise covariance
-        (the default one) corrects for it. None takes the regressors as exact.
+        ``"auto"``: given positions, the noise of the regressor is measured by
+        computing it from the even and the odd samples separately, whose white encoder
+        noise is independent; a regressor that accepts a noise covariance (the default
+        one) corrects for it. None treats the regressor as exact.
     period : float, default=None
-        Time [s] after which the motion repeats, from the first row of every recording
-        on: a whole number of samples, twice or more. The even and the odd periods are
-        then averaged separately. They share no noise of any colour, where even and odd
-        samples share all that is not white, and the fit is to the mean period.
+        Period [s] of a motion that repeats from the first row of every recording on: a
+        whole number of samples, at least two periods. The even and the odd periods
+        are averaged separately and the mean period is fitted. Unlike even and odd
+        samples, they share no noise of any colour.
     torque_noise : float or array-like of shape (nv,), default=None
         Standard deviation of the white noise of one torque sample [N m or N], for
-        `noise_floor_`. None measures it in the torques of the fit, above the band of
-        the low-pass; where rows were interpolated, which takes noise away, give the
+        `noise_floor_`. None measures it in the fitted torques, above the band of the
+        low-pass. Interpolation attenuates noise: for interpolated rows, give the
         `torque_noise` of the recording. With `period` it is always measured.
+    n_jobs : int, default=None
+        Number of recordings, or pieces of them, processed in parallel, in threads
+        unless a `joblib.parallel_config` says otherwise; None is one, -1 all
+        processors. The result does not depend on it.
+    forgetting : float, default=1.0
+        For `partial_fit`: factor in (0, 1] by which each new row scales the weight of
+        earlier ones.
 
     Attributes
     ----------
     theta_ : ndarray of shape (p,)
-        Parameters, physically consistent if projected, the effects' coefficients
+        Parameters, physically consistent if projected; effects' coefficients come
         last. Directions that the data do not determine are completed from the model's
         inertias, scaled to the data.
     theta_unconstrained_ : ndarray of shape (p,)
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
-        Posterior standard deviations of `theta_unconstrained_`: 1.645 of them to both
-        sides are 90 % intervals. Residuals may be correlated in time, as what a model
-        lacks is: the deviations for independent ones are multiplied by the scatter
-        between forty blocks of time over the one to expect (see Notes). For
-        independent rows after `partial_fit`; nan where the regressor does not tell.
-        The projection moves `theta_` inside of what is physically possible, and what
-        the data leave open to the model's values; this has no deviation of its own.
+        Posterior standard deviations of `theta_unconstrained_`; 90 % intervals are
+        plus or minus 1.645 of them. They allow for residuals correlated in time, as
+        unmodelled effects are: the deviations for independent residuals are scaled by
+        the ratio of observed to expected scatter between forty blocks of time (see
+        Notes). After `partial_fit` rows count as independent; nan if the regressor
+        provides none. The projection moves `theta_` into the physically consistent
+        set, and undetermined directions to the model's values; no deviation is given
+        for that.
     effects_ : tuple of Effect
         Effects in use.
     parameter_names_, parameter_units_ : tuple of str
         Names ("joint_1:m") and units of the parameters.
     identifiable_ : ndarray of shape (p,), bool
-        Parameters that the data determine on their own, not only in combinations.
+        Parameters that the data determine individually, not only in combination.
     joint_names_ : tuple of str
-        Joints in Pinocchio's order, the order of the columns of X and y.
+        Joints in Pinocchio's order, which is the column order of X and y.
     min_eigenvalues_ : ndarray of shape (nv,)
         Smallest eigenvalue of each body's pseudo-inertia matrix in units of the
         body's mass and length scale; positive for a physically consistent body.
     noise_floor_ : ndarray of shape (nv,)
-        Standard deviation of `residuals` to expect from noise alone, if the model
-        lacked nothing [N m or N]: input noise through the parameters, and the noise
-        of the torque sensors in the band of the fit. With `period` that of the mean
-        period, smaller than that of a recording. nan where the latter is not known.
+        Standard deviation of `residuals` expected from noise alone, with a complete
+        model [N m or N]: input noise through the parameters, and torque sensor noise
+        in the band of the fit. With `period` it refers to the mean period and is
+        smaller than for a single recording. nan where the sensor noise is not known.
     torque_noise_ : ndarray of shape (nv,)
-        The torque sensors' part of it [N m or N], white or coloured: the spectrum of
-        the residual above the band of the fit, continued into it. nan where that
-        cannot be told: nothing lies above the band, no smooth spectrum of noise is like
-        what does, or it goes on rising towards the band and the residual between the
-        motion's band and the cut-off is not its continuation. With `period` measured
-        between periods, in the band.
+        Sensor noise component of the floor [N m or N], white or coloured: the residual
+        spectrum above the band of the fit, extrapolated into it. nan where it cannot
+        be determined: nothing lies above the band, the spectrum there resembles no
+        smooth noise spectrum, or it still rises towards the band and the residual
+        between the motion's band and the cut-off is not its continuation. With
+        `period` it is measured between periods, in the band.
     input_noise_torque_ : ndarray of shape (nv,)
-        The input noise's part of it [N m or N].
+        Input noise component of the floor [N m or N].
     output_noise_ : ndarray of shape (nv,)
-        Standard deviation of what input noise does not explain of the residual of the
-        fit [N m or N]; above `torque_noise_` by what the model lacks.
+        Standard deviation of the fit residual not explained by input noise [N m or N];
+        it exceeds `torque_noise_` by the model error.
     cutoff_ : float
         Cut-off of the low-pass in use [Hz]; infinity without.
     standstill_ : ndarray of shape (nv,)
         Speeds at or below which samples are left out.
     state_estimator_ : StateEstimator or None
-        None if the fit got states.
+        None if states were given.
     features_ : RigidBodyFeatures
-        Features.
+        Fitted transformer from states to the regressor.
     estimator_ : JointTorqueRegressor
-        Estimation of the parameters.
+        Fitted regressor of the parameters.
     n_features_in_ : int
         nv or 3 nv.
 
     Notes
     -----
-    The feature matrix is made and reduced to second moments piece by piece and never
+    The regressor is computed and reduced to second moments piece by piece, and never
     held as a whole (unless `regressor` needs the equations themselves).
 
-    `theta_std_` compares forty blocks of time, of all recordings together, with what
-    white residuals would make of them after the fit (a sandwich estimate by blocks,
-    unbiased for white residuals, with Student's t for the number of blocks). Blocks are
-    joined until neighbours are hardly correlated, as long as sixteen are left: of
-    residuals that stay correlated for a tenth of the recordings or longer it still
-    tells too little.
+    `theta_std_` compares the scatter between forty blocks of time, over all recordings,
+    with that expected of white residuals after the fit (a block sandwich estimate,
+    unbiased for white residuals, with Student's t for the number of blocks). Blocks
+    are merged until neighbours are nearly uncorrelated or sixteen remain. Residuals
+    that stay correlated over a tenth of the recordings or longer still make it too
+    small.
 
     Examples
     --------
@@ -284,23 +289,23 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions [rad or m], rows equidistant in time; or states
-            [q | v | a]. The columns of a data frame may be in any order: they are
-            found by name, ``q_<joint>``, ``<joint>`` or ``q1, q2, ...`` (``v``, ``a``
-            for states), here and in `predict`.
+            Joint positions [rad or m], uniformly sampled; or states [q | v | a]. The
+            columns of a data frame may be in any order: they are matched by name,
+            ``q_<joint>``, ``<joint>`` or ``q1, q2, ...`` (``v``, ``a`` for states),
+            here and in `predict`.
         y : array-like of shape (n_samples, nv)
-            Joint torques [N m] or forces [N]; of a data frame by name, too,
-            ``tau_<joint>``, ``<joint>`` or ``tau1, tau2, ...``.
+            Joint torques [N m] or forces [N]; columns of a data frame are matched by
+            name: ``tau_<joint>``, ``<joint>`` or ``tau1, tau2, ...``.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings; nothing is differentiated or filtered
-            across their borders.
+            across their boundaries.
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
                 default=None
             Weights; zero leaves a sample (of one joint) out.
         t : array-like of shape (n_samples,), default=None
-            Time stamps [s], which must agree with `dt` within a recording and may
-            restart with each; but rise over all for effects that change with time.
-            None counts `dt` from the first row.
+            Time stamps [s], consistent with `dt` within each recording. They may
+            restart with each recording, unless effects vary with time. None counts
+            `dt` from the first row.
 
         Returns
         -------
@@ -334,7 +339,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     # -- from the arguments to a plan --------------------------------------------------
 
     def _declare(self):
-        """Load the model and name what will be identified."""
+        """Load the model; set the names and units of the parameters."""
         self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
         self.joint_names_ = joint_names(self.features_.model_)
         self.effects_ = check_effects(self.effects, self.features_.n_joints_)
@@ -344,7 +349,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self._load = None
 
     def _take(self, X, y, groups, sample_weight, t):
-        """Make a `Recording` of the arguments of a fit, refusing what cannot be."""
+        """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
         X, y = validate_data(
             self,
             positions_in_order(X, self.joint_names_),
@@ -378,43 +383,35 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         )
 
     def _prepare(self, recording, periods):
-        """Plan the fit; return the plan, what it is of, and the states of that."""
-        lengths = [rows.stop - rows.start for rows in recording.segments]
-        estimator, nv = None, recording.nv
+        """Return the plan of the fit, the recording to fit, and its states."""
+        estimator = None
         if recording.states is None:
             source = recording.q, recording.groups
             if periods is not None:
                 source = periods.both_starts()
             estimator = fit_states(check_dt(self.dt), self.state_cutoff, *source)
         halves = self.input_noise is not None
-        keep, fastest = n_fastest(recording.n_samples), None
-        if periods is None and estimator is not None:
-            states, facts = smooth(recording, estimator, halves, keep, self.n_jobs)
-        else:
-            both = None
-            whole = recording.states
-            if periods is not None:
-                both = periods.states(estimator)
-                # smoothing is linear: these are the states of the mean
-                whole = 0.5 * (both[0] + both[1])
-                keep = n_fastest(whole.shape[0])
-            facts = MotionFacts.of(whole[:, :nv], whole[:, nv : 2 * nv], keep)
-            fastest = fastest_period(whole)
+        states, facts = observe(recording, estimator, periods, halves, self.n_jobs)
         if estimator is not None:
             travel = facts.highest - facts.lowest
             check_speed(self.dt, facts.fast(), travel, self.features_.model_)
         ranges = np.stack([facts.lowest, facts.highest])
         check_channels(self.joint_names_, ranges, recording.tau)
-        plan = make_plan(self, self.effects_, lengths, estimator, facts)
-        plan.clock(recording)  # refuses stamps that effects cannot do with
-        plan = replace(plan, fastest_period=fastest, repeats=periods is not None)
+        plan = make_plan(
+            self,
+            self.effects_,
+            [rows.stop - rows.start for rows in recording.segments],
+            estimator,
+            facts,
+        )
+        plan.clock(recording)  # rejects stamps that the effects cannot use
         if periods is None:
             check_length(recording.segments, plan.lowpass, plan.cutoff)
-            if estimator is None:
-                states = RecordingStates.of_rows(recording.segments, whole)
             return plan, recording, states
-        both = both if halves else None
-        return plan, *periods.extended(recording, whole, both, plan.lowpass.half)
+        return (
+            replace(plan, repeats=True),
+            *periods.extended(recording, states, plan.lowpass.half),
+        )
 
     def _adopt(self, plan):
         self._plan = plan
@@ -424,7 +421,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     # -- from equations to attributes --------------------------------------------------
 
     def _estimate(self, made):
-        """Estimate from segments, in parallel where second moments are all it takes."""
+        """Estimate from segments, in parallel where second moments suffice."""
         lowpass = self._plan.lowpass
         if takes_moments(self.regressor, self.block_noise):
             return self._estimate_moments(accumulate(made, lowpass, n_jobs=self.n_jobs))
@@ -455,7 +452,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return project(found, self.projector, self.features_)
 
     def _set(self, found):
-        """Set what an estimate determines."""
+        """Set the attributes determined by an estimate."""
         self.estimator_ = JointTorqueRegressor.of_estimate(
             found,
             self._plan.lowpass,
@@ -478,27 +475,25 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return rigid.reshape(self.features_.n_joints_, -1)
 
     def partial_fit(self, X, y, sample_weight=None, *, refit=True):
-        """Take in rows of a robot that is running, forgetting older ones.
+        """Update with rows from a running robot, forgetting older ones.
 
-        A row counts ``forgetting ** age``, with the age in rows. Nothing is filtered
-        in time: give states that the robot measures or estimates itself, and torques
-        of the same delay. The first call after a `fit` begins anew and takes over
-        only `standstill_`: unfiltered rows and the filtered ones of a fit do not have
-        the same noise.
+        A row has weight ``forgetting ** age``, its age in rows. Nothing is filtered in
+        time: give states that the robot measures or estimates itself, and torques of
+        the same delay. The first call after a `fit` starts afresh and keeps only
+        `standstill_`, since filtered and unfiltered rows differ in noise.
 
         Parameters
         ----------
         X : array-like of shape (n_samples, 3 * nv) or (3 * nv,)
-            Further rows of states [q | v | a], in the order of time.
+            New rows of states [q | v | a], in time order.
         y : array-like of shape (n_samples, nv) or (nv,)
             Their torques [N m] or forces [N].
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
                 default=None
-            Weights besides those of age; zero leaves a row (of one joint) out.
+            Weights, in addition to forgetting; zero leaves a row (of one joint) out.
         refit : bool, default=True
-            Whether to estimate the parameters anew. False only accumulates, fast
-            enough for every cycle of a control loop; see ``docs/large_data.rst`` for
-            what either costs.
+            Whether to re-estimate the parameters. False only accumulates, fast enough
+            for every cycle of a control loop; ``docs/large_data.rst`` has timings.
 
         Returns
         -------
@@ -508,10 +503,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            If X holds no states, settings need more than second moments (effects,
-            `period`, `block_noise`, other regressors), `standstill` is ``"auto"`` and
-            nothing was fitted before, or a refit is asked for with fewer equations
-            than parameters.
+            If X does not hold states, settings need more than second moments (effects,
+            `period`, `block_noise`, other regressors), `standstill` is ``"auto"``
+            without a previous fit, or there are fewer equations than parameters to
+            refit.
         """
         if getattr(self, "_online", None) is None:
             self._begin_online()
@@ -525,7 +520,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return self
 
     def _begin_online(self):
-        """Prepare for rows of a running robot."""
+        """Prepare for rows from a running robot."""
         known = getattr(self, "standstill_", None)
         fastest = getattr(getattr(self, "_plan", None), "fastest_period", None)
         self._declare()
@@ -560,13 +555,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions, which are smoothed up to the cut-off of the fit (above
-            it nothing was identified); or states [q | v | a], which count as
-            noiseless and are taken as they are.
+            Joint positions, which are smoothed to the cut-off of the fit (nothing was
+            identified above it); or states [q | v | a], taken as noiseless.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
         t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, for effects that change with it.
+            Time [s] on the clock of the fit, for effects that vary with time.
 
         Returns
         -------
@@ -575,9 +569,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
         Notes
         -----
-        A joint that stands may have any dry friction within its band, and the sign of
-        its estimated velocity is that of noise. All effects of the sign of a velocity
-        are predicted with its mean over what the true one may be,
+        A joint at rest may have any dry friction within its band, and the sign of its
+        estimated velocity is noise. Every effect of a velocity's sign is therefore
+        predicted with the expected sign, over what the true velocity may be,
 
         .. math::
 
@@ -585,14 +579,14 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             u \sim U(-w, w), \quad e \sim N(0, \sigma^2), \quad
             w = \frac{v_s}{1 + |a| T / v_s}.
 
-        sigma is the noise of the velocities, from that of the encoders through the
-        smoothing (`StateEstimator`); zero for states. v_s is `standstill_`, at or below
-        which the fit saw no equations, and T the period of the fastest motion:
-        5 / `cutoff_`, or that of the fitted states where nothing is filtered. Without
-        v_s (`standstill=None`) s is erf(v / (sqrt(2) sigma)); for noiseless states it
-        is v / w up to w and the sign itself beyond. A joint that stands has s = 0; one
-        that turns round has a large acceleration, so a small w, and keeps its sign.
-        The rule looks at one row: states may come one by one.
+        sigma is the velocity noise, propagated from the encoders through the smoother
+        (`StateEstimator`); zero for states. v_s is `standstill_`, at or below which
+        the fit has no equations, and T the period of the fastest motion: 5 / `cutoff_`,
+        or that of the fitted states if nothing is filtered. Without v_s
+        (`standstill=None`) s is erf(v / (sqrt(2) sigma)); for noiseless states it is
+        v / w up to w and the sign itself beyond. At rest s = 0; at a reversal the
+        acceleration is large, w therefore small, and the sign is kept. The rule uses
+        one row at a time: states may come one by one.
         """
         check_is_fitted(self)
         X = self._validate_query(X)
@@ -605,14 +599,14 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return np.concatenate([one.predict(self.theta_) for one in rows])
 
     def _clock(self, t, n_samples):
-        """Return the time of each row of a query [s], of stamps where effects ask."""
+        """Return the time of each row of a query [s], stamped if effects need it."""
         timed = any("time" in effect.needs for effect in self.effects_)
         return check_clock(t if timed else None, n_samples, self.dt)
 
     def _query(self, X, groups, *, in_band=False):
-        """States (n, 3 nv) of a query, and the `Rest` that tells their signs of speed.
+        """States (n, 3 nv) of a query, and the `Rest` with their velocity signs.
 
-        With `in_band` they are smoothed to the band that was identified.
+        With `in_band` they are smoothed to the identified band.
         """
         nv = self.features_.n_joints_
         if X.shape[1] == 3 * nv:
@@ -626,13 +620,13 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return states, self._plan.rest(estimator.velocity_noise())
 
     def _validate_query(self, X):
-        # Positions and states are both welcome, whichever the fit got.
+        # Positions and states are both accepted, whichever were fitted.
         X = check_array(positions_in_order(X, self.joint_names_), dtype=np.float64)
         check_widths(self.joint_names_, X)
         return X
 
     def residuals(self, X, y, groups=None, sample_weight=None, t=None, *, cutoff="fit"):
-        """Compare with a recording, behind the low-pass and mask of the fit.
+        """Torque residuals on a recording, with the low-pass and mask of the fit.
 
         Parameters
         ----------
@@ -646,10 +640,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
                 default=None
             Weights; zero leaves a sample out.
         t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, for effects that change with it.
+            Time [s] on the clock of the fit, for effects that vary with time.
         cutoff : "fit", float or None, default="fit"
-            Cut-off of the low-pass [Hz]; ``"fit"`` is that of the fit, None filters
-            nothing. Above the band of the fit nothing was identified.
+            Cut-off of the low-pass [Hz]; ``"fit"`` uses `cutoff_`, None filters
+            nothing. Nothing was identified above the band of the fit.
 
         Returns
         -------
@@ -658,8 +652,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
         Notes
         -----
-        What counts is predicted with the columns of the fit. Where a joint stands, and
-        the weight is zero, dry friction has its mean as in `predict`.
+        Rows with weight are predicted with the columns of the fit. Where a joint is at
+        rest (zero weight), dry friction has its mean, as in `predict`.
         """
         check_is_fitted(self)
         X = self._validate_query(X)
@@ -693,7 +687,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
         found = compared(None)
         if not (found.weight > 0).all():
-            # What counts has the columns of the fit; what stands is predicted.
+            # Weighted rows have the columns of the fit; rows at rest are predicted.
             found = found.filled(compared(rest))
         return found
 
@@ -708,8 +702,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            If the identifier was given a `pinocchio.Model`, which keeps no URDF, or
-            the parameters are not physically consistent.
+            If `model` is a `pinocchio.Model`, which keeps no URDF, or the parameters
+            are not physically consistent.
         """
         check_is_fitted(self)
         write_identified(
@@ -722,17 +716,17 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         )
 
 
-# -- what other rooms do with an identifier ------------------------------------------
+# -- used by other rooms --------------------------------------------------------------
 
 
 def declare(identifier):
-    """Load an identifier's model; names of joints and parameters are set."""
+    """Load an identifier's model; set the names of joints and parameters."""
     identifier._online = None
     identifier._declare()
 
 
 def conclude(identifier, plan, moments):
-    """Fit an identifier to second moments that were made by a plan elsewhere."""
+    """Fit an identifier to second moments computed elsewhere by a plan."""
     identifier._adopt(plan)
     identifier.torque_noise_ = given_noise(
         identifier.torque_noise, plan.standstill.size, plan.dt, plan.cutoff
@@ -741,18 +735,10 @@ def conclude(identifier, plan, moments):
 
 
 def noise_of(identifier, X, y, segments, clock=None):
-    """Return what recordings say of the noise of their torques, a list of facts.
+    """Measure the torque noise of recordings; a list of `NoiseFacts`, one per segment.
 
-    Parameters
-    ----------
-    identifier : RobotIdentifier
-        Fitted identifier.
-    X, y : ndarray
-        Positions or states, torques.
-    segments : sequence of slice
-        Recordings.
-    clock : ndarray or None
-        Time of each row [s].
+    X : positions or states; y : torques; segments : slices; clock : time of each row
+    [s] or None.
     """
     if not seen(identifier.dt, identifier.cutoff_):
         return []
@@ -767,7 +753,7 @@ def noise_of(identifier, X, y, segments, clock=None):
 
 
 def tell_noise(identifier, facts):
-    """Set the floor from what all recordings say of the noise of their torques."""
+    """Set the noise floor from the torque noise of all recordings."""
     if facts:
         identifier.torque_noise_ = filtered_noise(
             facts, identifier.dt, identifier.cutoff_
@@ -783,12 +769,9 @@ def states_of(identifier, X, groups=None):
 
 
 def equations_of(identifier, X, y, groups, weight, t=None):
-    """Make the filtered equations of a recording as a fitted identifier does.
+    """Return the filtered `Equations` of a recording, as in a fitted identifier.
 
-    Returns
-    -------
-    Equations
-        With `index`, the rows that they stand at.
+    Their `index` gives the row at the centre of each.
     """
     recording = identifier._recording(X, y, groups, weight, t)
     states = states_of(identifier, X, groups)
@@ -804,21 +787,11 @@ def equations_of(identifier, X, y, groups, weight, t=None):
 
 
 def pieces_of(identifier, X, y, groups, *, halves=None):
-    """Make the equations of a recording for other estimators than the identifier's.
+    """Equations of a recording for other estimators, a list of `Equations`.
 
-    Parameters
-    ----------
-    identifier : RobotIdentifier
-        Fitted identifier.
-    X, y, groups : array-like
-        Recording.
-    halves : {"noise", "instruments"}, default=None
-        What the states of the even and of the odd samples are for: the difference of
-        their regressor matrices, or the odd ones as instruments of the even ones.
-
-    Returns
-    -------
-    list of Equations
+    halves : use of the states of the even and the odd samples. "noise" gives the
+    difference of their regressors, "instruments" the odd ones as instruments of the
+    even.
     """
     weight = np.ones(y.shape)
     recording = identifier._recording(X, y, groups, weight)
@@ -834,7 +807,7 @@ def pieces_of(identifier, X, y, groups, *, halves=None):
     known = plan.state_estimator is not None and identifier.input_noise is not None
     if halves == "instruments":
         even, odd = plan.state_estimator.split_transform(X, groups)
-        # An equation counts only where both halves say that the joint moves.
+        # An equation counts only where the joint moves in both halves.
         return [
             replace(
                 one,
@@ -858,5 +831,5 @@ def estimate_of(identifier, pieces, settings):
 
 
 def load_parameters(identifier):
-    """Parameters of the bodies that a fit made the effects' load of; None without."""
+    """Body parameters used for the effects' load in a fit; None without load."""
     return identifier._load

@@ -1,8 +1,8 @@
 """Second moments of the equations of joints that share one parameter vector.
 
-Sums over rows, so that recordings may come in pieces, in any order and from several
-machines. Beside those of all rows stand the moments of blocks of time, which tell how
-residuals are correlated.
+Moments are sums over rows, so recordings may come in pieces, in any order and from
+several machines. Moments of blocks of time are kept alongside the totals; they show how
+residuals are correlated in time.
 """
 
 from dataclasses import dataclass, replace
@@ -12,26 +12,26 @@ import numpy as np
 from sklearn_vbjfa._core._moments import Moments
 from sklearn_vbjfa._core._sandwich import block_variance
 
-# Blocks that the recordings of a fit are divided into, all together, and the fewest
-# rows of one: 2.5 periods of the cut-off.
+# Number of blocks over all recordings of a fit, and the fewest rows per block: 2.5
+# periods of the cut-off.
 _BLOCKS = 40
 _FEWEST_ROWS = 10
-# Parts of blocks that are kept before those of the same block are added.
+# Parts of blocks that are kept before parts of the same block are merged.
 _MOST_PARTS = 4 * _BLOCKS
 
 
 @dataclass(frozen=True, kw_only=True)
 class Numbering:
-    """How rows behind the low-pass are divided into blocks.
+    """How filtered rows are divided into blocks.
 
-    The division does not depend on the pieces in which a recording comes.
+    The division does not depend on how a recording is split into pieces.
 
     Attributes
     ----------
     rows : int
-        Rows of a block.
+        Rows per block.
     together : int
-        Recordings that share a block, where there are more of them than blocks.
+        Recordings per block, if there are more recordings than blocks.
     """
 
     rows: int
@@ -39,28 +39,17 @@ class Numbering:
 
     @classmethod
     def of(cls, lengths):
-        """Divide recordings with so many rows behind the low-pass."""
+        """Divide recordings of these numbers of filtered rows."""
         return cls(
             rows=max(-(-sum(lengths) // _BLOCKS), _FEWEST_ROWS),
             together=-(-len(lengths) // _BLOCKS),
         )
 
     def parts(self, recording, rows):
-        """Divide a piece of a recording.
+        """Divide rows (a slice) of a recording, given by its number.
 
-        Parameters
-        ----------
-        recording : int
-            Number of the recording.
-        rows : slice
-            Its rows that the piece has.
-
-        Returns
-        -------
-        keys : ndarray of shape (n_parts, 2)
-            Recording and number of the block that each part belongs to.
-        starts : ndarray of shape (n_parts,)
-            First row of each part, counted in the piece.
+        Returns keys (n_parts, 2), recording and block number of each part, and starts
+        (n_parts,), the first row of each part within the slice.
         """
         if self.together > 1:
             return np.array([[recording // self.together, 0]]), np.zeros(1, dtype=int)
@@ -80,11 +69,11 @@ class BlockMoments:
     n : ndarray of shape (n_parts, nv)
         Sums of the weights.
     columns : tuple of slice
-        From the first to the last column that is not zero, of each joint.
+        Range from the first to the last nonzero column of each joint.
     G : tuple of ndarray of shape (n_parts, k, k)
-        Sums of w phi phi' of these.
+        Sums of w phi phi' over these columns.
     g : tuple of ndarray of shape (n_parts, k)
-        Sums of w phi tau of these.
+        Sums of w phi tau over these columns.
     """
 
     keys: np.ndarray
@@ -95,7 +84,7 @@ class BlockMoments:
 
 
 def _merge_blocks(first, second):
-    """Merge the blocks of disjoint rows, tuples of BlockMoments; None if one is."""
+    """Merge tuples of BlockMoments of disjoint rows; None if either is None."""
     if first is None or second is None:
         return None
     both = first + second
@@ -105,7 +94,7 @@ def _merge_blocks(first, second):
 
 
 def _join(several):
-    """Add the parts of the same blocks; keys come out sorted."""
+    """Add up the parts of each block; keys come out sorted."""
     keys = np.concatenate([moments.keys for moments in several])
     unique, row = np.unique(keys, axis=0, return_inverse=True)
     if len(several) == 1 and np.array_equal(unique, keys):
@@ -139,20 +128,8 @@ def _join(several):
 def block_scatter(stats, weight, theta):
     """Compare the scatter of an estimate between blocks with that of white residuals.
 
-    Parameters
-    ----------
-    stats : JointMoments
-        Moments of all rows and of the blocks; entries of the former that are zero
-        count as such in the latter.
-    weight : ndarray of shape (nv,)
-        Weights of the joints.
-    theta : ndarray of shape (p,)
-        Estimate.
-
-    Returns
-    -------
-    BlockVariance
-        Factors of the variances.
+    weight (nv,) : weights of the joints; theta (p,) : estimate. Entries that are zero
+    in the total moments count as zero in the blocks. Returns a `BlockVariance`.
     """
     keys = np.concatenate([moments.keys for moments in stats.blocks])
     if np.unique(keys, axis=0).shape[0] < keys.shape[0]:
@@ -161,7 +138,7 @@ def block_scatter(stats, weight, theta):
         )
     p = theta.size
     grams, scores = np.zeros((keys.shape[0], p, p)), np.zeros((keys.shape[0], p))
-    # What the scores add up to is the input noise's part, or a prior's: every row's.
+    # The scores do not sum to zero with input noise or a prior: shared by all rows.
     excess = weight[:, None] * (stats.g - stats.G @ theta)
     excess /= np.where(stats.n > 0, stats.n, 1.0)[:, None]
     first = 0
@@ -187,7 +164,7 @@ def block_scatter(stats, weight, theta):
 
 @dataclass(frozen=True, kw_only=True)
 class JointMoments:
-    """What a fit of one shared parameter vector needs of each joint's equations.
+    """Second moments of each joint's equations, sufficient for a shared fit.
 
     Attributes
     ----------
@@ -196,15 +173,15 @@ class JointMoments:
     n_rows : ndarray of shape (nv,)
         Number of the joint's rows with positive weight.
     G : ndarray of shape (nv, p, p)
-        sum of w phi phi' over the rows phi of each joint's regressor.
+        Sum of w phi phi' over the rows phi of each joint's regressor.
     g : ndarray of shape (nv, p)
-        sum of w phi tau.
+        Sum of w phi tau.
     yy : ndarray of shape (nv,)
-        sum of w tau^2.
+        Sum of w tau^2.
     noise : ndarray of shape (nv, p, p) or None
-        What of G is input noise, where it was measured.
+        Contribution of input noise to G, if measured.
     blocks : tuple of BlockMoments or None
-        G and g by blocks of time, where the order of the rows is known.
+        G and g by blocks of time, if the time order of the rows is known.
     """
 
     n: np.ndarray
@@ -228,7 +205,7 @@ class JointMoments:
         )
 
     def zeroed(self, entries):
-        """Return the moments with entries (nv, p), bool, of all rows set to zero."""
+        """Return the moments with regressor entries (nv, p), bool, set to zero."""
         keep = ~entries
         both = keep[:, :, None] * keep[:, None, :]
         noise = None if self.noise is None else self.noise * both
@@ -246,17 +223,14 @@ class JointMoments:
         """Weighted sum of squared residuals of each joint, ndarray of shape (nv,)."""
         squares = self.yy - 2 * self.g @ theta
         squares += np.einsum("i,jik,k->j", theta, self.G, theta)
-        # A difference of sums: below this share of yy it is rounding.
+        # A difference of sums: below this fraction of yy it is rounding.
         return np.maximum(squares, 1e-13 * self.yy)
 
     def split_residual(self, theta):
-        """Split each joint's residual into what input noise explains and the rest.
+        """Split each joint's residual into input noise and the rest, deviations (nv,).
 
-        Returns
-        -------
-        through, rest : ndarray of shape (nv,)
-            Standard deviations of the input noise through the parameters, and of what
-            it leaves; nan for the rest of a joint without rows.
+        The first is the input noise through the parameters; the second is nan for a
+        joint without rows.
         """
         n = np.where(self.n > 0, self.n, np.nan)
         through = np.zeros(n.size)
@@ -267,7 +241,7 @@ class JointMoments:
         return np.sqrt(through), np.sqrt(np.maximum(rest, 0.0))
 
     def total(self, weight):
-        """Return the moments about zero of all joints' rows, weighted by (nv,)."""
+        """Return the moments about zero of all joints' rows, with weights (nv,)."""
         p = self.g.shape[1]
         used = weight > 0
         scatter = np.empty((p + 1, p + 1))
@@ -290,21 +264,11 @@ class JointMoments:
 
 
 def joint_moments(Phi, tau, weight, difference=None, parts=None):
-    """Accumulate rows.
+    """Accumulate rows Phi (n, nv, p), tau (n, nv) with weights (n, nv).
 
-    Parameters
-    ----------
-    Phi : ndarray of shape (n, nv, p)
-        Regressor matrices.
-    tau : ndarray of shape (n, nv)
-        Torques.
-    weight : ndarray of shape (n, nv)
-        Weights, zero to leave a row out.
-    difference : ndarray of shape (n, nv, p), default=None
-        Difference of two regressor matrices from separate halves of the samples. Its
-        noise is that of both halves, that of their mean a quarter of its square.
-    parts : tuple of ndarray, default=None
-        Blocks of time that the rows belong to, see `Numbering.parts`.
+    difference (n, nv, p) : of two regressors from separate halves of the samples; it
+    has the noise of both, their mean a quarter of its square. parts : blocks of time of
+    the rows, see `Numbering.parts`.
     """
     root = np.sqrt(weight)
     keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
@@ -349,11 +313,11 @@ def _part_moments(Phi, tau, root, starts):
 
 
 def _used(rows):
-    """From the first column of rows (n, p) that is not zero to the last, a slice.
+    """Range from the first to the last nonzero column of rows (n, p), a slice.
 
-    A joint's torque does not depend on bodies below it in the tree.
+    A joint's torque depends only on the bodies it moves.
     """
-    # Some rows tell, as a rule; a look at the rest is faster than one column by column.
+    # A few rows usually suffice; checking the rest is faster than column by column.
     columns = np.flatnonzero(rows[:: len(rows) // 8 + 1].any(axis=0))
     if (
         not columns.size

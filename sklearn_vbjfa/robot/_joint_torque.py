@@ -17,12 +17,12 @@ from sklearn_vbjfa.robot._equations import Equations
 from sklearn_vbjfa.robot._estimate import default_regressor, estimate
 from sklearn_vbjfa.robot._recording_checks import check_weight
 
-# What the rows of the equations have, too; their instruments go along without asking.
+# Metadata that equations carry too; instruments are passed without being requested.
 _FORWARDED = ("groups", "sample_weight")
 
 
 class ForwardingMixin:
-    """Metadata routing of a meta-estimator that makes equations out of samples."""
+    """Metadata routing of a meta-estimator that turns samples into equations."""
 
     def get_metadata_routing(self):
         """Get the metadata routing of this object.
@@ -30,25 +30,20 @@ class ForwardingMixin:
         Returns
         -------
         sklearn.utils.metadata_routing.MetadataRouter
-            What the estimator itself requests, and its regressor where that requests
-            `groups` or `sample_weight` by name.
+            Requests of the estimator itself, and of its regressor if that requests
+            `groups` or `sample_weight` explicitly.
         """
         router = MetadataRouter(owner=self).add_self_request(self)
-        # A regressor that requests nothing would, as "not set", draw in what this
-        # estimator was told to ignore.
+        # An unset request of the regressor would override metadata that this estimator
+        # is set to ignore.
         if self.regressor is not None and _requested(self.regressor):
             router.add(regressor=self.regressor, method_mapping=_fit_to_fit())
         return router
 
     def _forwarded(self, regressor, values):
-        """Return what the regressor's `fit` requests, as keyword arguments.
+        """Return the metadata requested by a regressor's `fit`, as keyword arguments.
 
-        Parameters
-        ----------
-        regressor : estimator
-            Clone of `regressor`.
-        values : dict of str to ndarray of shape (n_equations,)
-            Groups and weights of the equations, as far as there are any.
+        values : groups and weights (n_equations,) of the equations, by name.
         """
         if not get_config()["enable_metadata_routing"]:
             return {}
@@ -62,19 +57,9 @@ class ForwardingMixin:
 
 
 def labels_of_equations(labels, counted):
-    """Repeat each piece's label for its equations.
+    """Repeat the label of each piece for its equations, (n_equations,).
 
-    Parameters
-    ----------
-    labels : list
-        One label a piece of the recording.
-    counted : list of ndarray of shape (n_rows, nv), bool
-        Which equations of each piece count.
-
-    Returns
-    -------
-    ndarray of shape (n_equations,)
-        Labels.
+    counted : masks (n_rows, nv) of the equations in use, one per piece.
     """
     return np.repeat(np.asarray(labels), [int(keep.sum()) for keep in counted])
 
@@ -91,41 +76,40 @@ def _requested(regressor):
 class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     """Estimate one parameter vector from the torques of all joints.
 
-    The last step of a pipeline that begins with `RigidBodyFeatures`: takes the wide
-    rows apart into one equation per joint and sample, weights the joints by their
-    noise, fits any linear scikit-learn regressor to all equations together, and
-    projects the parameters on physically consistent ones.
+    The last step of a pipeline that begins with `RigidBodyFeatures`: splits the wide
+    rows into one equation per joint and sample, weights the joints by their noise,
+    fits any linear scikit-learn regressor to all equations together, and optionally
+    projects the parameters onto the physically consistent set.
 
     Parameters
     ----------
     regressor : estimator, default=None
         Linear regressor, such as `VBJFARegressor`, `sklearn.linear_model.LassoCV` or
-        `sklearn.cross_decomposition.PLSRegression`; a pipeline of scaler and
-        regressor will do. It is fitted without intercept (an offset is a column of
-        its own), to columns and torques of unit mean square. None is
+        `sklearn.cross_decomposition.PLSRegression`, or a pipeline of scaler and
+        regressor. It is fitted without intercept (an offset is a column of its own),
+        to columns and torques of unit mean square. None is
         ``VBJFARegressor(latent="correlated", query="noiseless")``: Bayesian regression
         with automatic relevance determination.
     projector : PhysicalProjector, default=None
-        Transformer of parameter vectors; None does not project. Where its `metric` is
-        None the weighted Gram matrix of the fit is used (eq. 35 of [1]_).
+        Transformer of parameter vectors; None does not project. If its `metric` is
+        None, the weighted Gram matrix of the fit is used (eq. 35 of [1]_).
     joint_weights : "auto", None or array-like of shape (nv,), default="auto"
         Weights of the joints' equations [1 / torque squared]. ``"auto"``: the inverse
-        of each joint's residual variance, by iterated weighted least squares; None:
-        one for all.
+        of each joint's residual variance, by iterated weighted least squares. None:
+        unit weights.
     dt : float, default=None
         Sample period [s]; needed with `cutoff`.
     cutoff : float, default=None
-        Cut-off [Hz] of a zero-phase low-pass that features and torques both pass
+        Cut-off [Hz] of a zero-phase low-pass applied to both features and torques
         (parallel filtering: filtering the torque alone leaves a residual at every
-        reversal that looks like friction). None filters nothing. The filter's length
-        is lost at both ends of each recording.
+        reversal that looks like friction). None filters nothing. Half the filter's
+        length is lost at each end of a recording.
     decimation : int, default=None
-        Keep one filtered sample in this many; None keeps four per period of the
-        cut-off.
+        Decimation factor; None keeps four filtered samples per period of the cut-off.
     block_noise : bool, default=False
         Whether the noise of each joint may differ between blocks of time (ten
         filtered rows, 2.5 periods of the cut-off): a Student t with four degrees of
-        freedom, so that stretches in which the model fails count less.
+        freedom down-weights intervals in which the model fails.
 
     Attributes
     ----------
@@ -135,8 +119,8 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
         Standard deviations of `theta_unconstrained_` for independent rows; within
-        `RobotIdentifier`, which knows their order, for residuals that are correlated
-        in time. nan where the regressor does not tell.
+        `RobotIdentifier`, which knows their order, for residuals correlated in time.
+        nan if the regressor provides none.
     joint_weights_ : ndarray of shape (nv,)
         Weights of the joints.
     n_rows_ : ndarray of shape (nv,)
@@ -146,10 +130,9 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     regressor_, projector_ : estimator
         The fitted regressor and projector (None without).
     metric_ : ndarray of shape (p, p)
-        Weighted Gram matrix of the equations, without the input noise's share where
-        that was measured.
+        Weighted Gram matrix of the equations, measured input noise subtracted.
     input_noise_ : ndarray of shape (p, p) or None
-        Covariance of the input noise in a weighted equation, where it was measured.
+        Covariance of the input noise in a weighted equation, if measured.
     lowpass_ : Lowpass
         The filter.
     n_features_in_ : int
@@ -167,11 +150,11 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
 
     Notes
     -----
-    `sample_weight` multiplies the equations, whether the regressor takes weights or
-    not. With metadata routing enabled (`sklearn.set_config`) a regressor that requests
-    `sample_weight` gets the weights of the equations instead, and one that requests
-    `groups`, such as ``LassoCV(cv=GroupKFold())``, the label of each equation's
-    recording.
+    `sample_weight` weights the equations, whether or not the regressor supports
+    weights. With metadata routing enabled (`sklearn.set_config`), a regressor that
+    requests `sample_weight` gets the weights of the equations instead, and one that
+    requests `groups`, such as ``LassoCV(cv=GroupKFold())``, the label of each
+    equation's recording.
 
     Examples
     --------
@@ -218,18 +201,18 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         Parameters
         ----------
         X : array-like of shape (n_samples, nv * p)
-            Regressor matrices, joints outermost, rows in the order of time.
+            Regressor matrices, joints outermost, rows in time order.
         y : array-like of shape (n_samples, nv) or (n_samples,)
             Joint torques.
         groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings; nothing is filtered across their borders.
+            Labels of separate recordings; nothing is filtered across their boundaries.
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
                 default=None
             Weights of samples, or of each joint's equations; zero leaves one out.
-            With a low-pass, a filtered row gets the weights' average over the
-            filter's length, or zero where less than half of that counts.
+            With a low-pass, a filtered row gets the average weight over the filter's
+            length, or zero if less than half of that has weight.
         instruments : array-like of shape (n_samples, nv * p), default=None
-            Second, independent measurement of X for a regressor that takes
+            Second, independent measurement of X for a regressor that accepts
             `instruments`.
 
         Returns
@@ -318,16 +301,9 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
 
     @classmethod
     def of_estimate(cls, found, lowpass, **settings):
-        """Make a fitted estimator of an `Estimate` that these settings gave.
+        """Make a fitted estimator from an `Estimate`, without its projection.
 
-        Parameters
-        ----------
-        found : Estimate
-            Estimate, whose projection is left aside.
-        lowpass : Lowpass
-            What its equations passed.
-        **settings
-            Parameters of the estimator.
+        lowpass : filter of its equations; settings : parameters of the estimator.
         """
         made = cls(**settings)
         made.lowpass_, made.projector_ = lowpass, None

@@ -1,8 +1,8 @@
-"""A robot that is running: second moments that forget, row by row.
+"""Recursive second moments with forgetting, for a running robot.
 
-A control loop has no time for arrays that are made anew. The moments are kept in place,
-one triangle of each matrix, and the weight of the past is a number beside them: a new
-row is one symmetric rank-one update a joint, whatever the length of the memory.
+A control loop has no time to allocate arrays. The moments are updated in place, one
+triangle of each matrix, with the weight of the past as a scalar factor: a new row costs
+one symmetric rank-one update per joint, however long the memory.
 """
 
 import numpy as np
@@ -14,21 +14,21 @@ from sklearn_vbjfa.robot._joint_moments import JointMoments, joint_moments
 from sklearn_vbjfa.robot._plan import takes_moments
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
-# Up to this many rows are taken in one by one, more of them together.
+# Up to this many rows are added one by one, more of them as a block.
 _FEW = 8
-# The weight of the past at which it is multiplied into the sums.
+# Weight of the past below which it is multiplied into the sums.
 _FADED = 1e-100
 
 
 class OnlineMoments:
-    """Second moments of a robot's equations, in which a row counts by its age.
+    """Second moments of a robot's equations with exponential forgetting.
 
     Parameters
     ----------
     features : RigidBodyFeatures
         Loaded features.
     forgetting : float
-        Weight that every row keeps with each further one.
+        Factor by which each new row scales the weight of earlier ones.
     """
 
     def __init__(self, features, forgetting):
@@ -50,37 +50,28 @@ class OnlineMoments:
         self._used = [slice(int(k[0]), int(k[-1]) + 1) for k in used]
         self._triangles = []
         for G, k in zip(self._G, self._used):
-            # BLAS counts columns first; it updates the lower triangle of this.
+            # Column-major, as BLAS expects; dsyr updates the lower triangle.
             self._triangles.append(np.zeros((k.stop - k.start,) * 2, order="F"))
             self._triangles[-1][:] = G[k, k]
         self._Phi = np.zeros((nv, p))
         self._bodies = self._Phi.reshape(nv, nv, -1)[:, :, :10]
 
     def __getstate__(self):
-        """Leave out what Pinocchio keeps for itself."""
+        """Leave out Pinocchio objects and buffers."""
         state = {**self.__dict__, "_G": self._full()}
         for name in ("_one", "_triangles", "_used", "_Phi", "_bodies"):
             del state[name]
         return state
 
     def __setstate__(self, state):
-        """Make it again."""
+        """Restore them."""
         self.__dict__.update(state)
         self._prepare()
 
     def add(self, X, y, weight, standstill):
-        """Take in rows.
+        """Add rows X (n, 3 nv), y (n, nv), weight (n, nv) in time order.
 
-        Parameters
-        ----------
-        X : ndarray of shape (n, 3 * nv)
-            States, in the order of time.
-        y : ndarray of shape (n, nv)
-            Torques.
-        weight : ndarray of shape (n, nv)
-            Weights besides those of age.
-        standstill : ndarray of shape (nv,)
-            Speeds at or below which a joint's rows do not count.
+        Rows of a joint at or below its standstill speed (nv,) do not count.
         """
         nv = y.shape[1]
         weight = weight * (np.abs(X[:, nv : 2 * nv]) > standstill)
@@ -105,9 +96,9 @@ class OnlineMoments:
             blas.dsyr(share, row[k], lower=1, a=triangle, overwrite_a=1)
 
     def _regressor(self, x):
-        """Regressor matrix (nv, p) of one row, in memory that is used again.
+        """Regressor matrix (nv, p) of one row, in a reused buffer.
 
-        By Pinocchio itself: for one row a call of the compiled loop is no faster.
+        Uses Pinocchio itself: for one row a call of the compiled loop is no faster.
         """
         nv = self._n.size
         q, v, a = x[:nv], x[nv : 2 * nv], x[2 * nv :]
@@ -139,7 +130,7 @@ class OnlineMoments:
             self._weight = 1.0
 
     def _full(self):
-        """Matrices (nv, p, p) out of their triangles, without the weight."""
+        """Assemble matrices (nv, p, p) from their triangles, without the weight."""
         G = np.zeros(self._G.shape)
         for full, k, triangle in zip(G, self._used, self._triangles):
             lower = np.tril(triangle)
@@ -158,7 +149,7 @@ class OnlineMoments:
 
 
 def check_online(identifier, effects):
-    """Refuse settings of an identifier that rows of a running robot cannot do with."""
+    """Reject settings of an identifier that online updates do not support."""
     forgetting = identifier.forgetting
     if not (np.ndim(forgetting) == 0 and 0 < forgetting <= 1):
         raise ValueError(
@@ -181,7 +172,7 @@ def check_online(identifier, effects):
 
 
 def check_rows(names, X, y, sample_weight):
-    """Validate rows as fast as a control loop needs it; return X, y, weight."""
+    """Validate rows, fast enough for a control loop; return X, y, weight."""
     X, y = np.atleast_2d(np.asarray(X, dtype=float), np.asarray(y, dtype=float))
     nv = len(names)
     if y.shape[0] != X.shape[0] and y.size == X.shape[0] * nv:

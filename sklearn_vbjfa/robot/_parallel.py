@@ -1,4 +1,4 @@
-"""Tasks at the same time, with results that do not depend on how many."""
+"""Parallel tasks, with results that do not depend on the number of jobs."""
 
 import itertools
 
@@ -6,16 +6,16 @@ from sklearn.utils.parallel import Parallel, delayed
 
 from sklearn_vbjfa.physical._threads import one_blas_thread
 
-# Tasks that are handed out at a time: their results are in memory together.
+# Tasks dispatched at a time: their results are in memory together.
 _BATCH = 32
 
 
 def run(function, tasks, n_jobs):
-    """Yield ``function(*task)`` of tasks, in their order.
+    """Yield ``function(*task)`` for each task, in order.
 
-    Threads, unless a `joblib.parallel_config` says otherwise: nearly all of the time
-    is spent in compiled code, and nothing has to be copied. On one BLAS thread each,
-    since the matrices are small and sums must not depend on how many there are.
+    Uses threads unless a `joblib.parallel_config` says otherwise: nearly all time is
+    spent in compiled code, and nothing has to be copied. Each has one BLAS thread:
+    matrices are small, and sums must not depend on the number of threads.
     """
     tasks = iter(tasks)
     with one_blas_thread(), Parallel(n_jobs=n_jobs, prefer="threads") as parallel:

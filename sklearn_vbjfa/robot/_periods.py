@@ -1,9 +1,8 @@
-"""Motions that repeat: noise of any colour, measured between periods.
+"""Periodic motions: noise of any colour, measured between periods.
 
-What the even and the odd samples of one recording do not share is white noise only:
-noise that changes slowly is the same in both. The even and the odd *periods* of a
-repeated motion share the motion and nothing else, as long as the noise forgets itself
-within a period.
+Even and odd samples of one recording differ by white noise only; slowly varying noise
+is common to both. Even and odd *periods* of a repeated motion have nothing but the
+motion in common, as long as the noise decorrelates within a period.
 """
 
 import warnings
@@ -15,18 +14,17 @@ from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups, take_arrays
 from sklearn_vbjfa.robot._states import RecordingStates
 
-# Shortest period that states can be estimated from.
+# Shortest period, in samples, from which states can be estimated.
 _MIN_PERIOD = 16
-# By how many samples the last period may have slipped against the first: noise of the
-# size of a twentieth of the motion within one sample.
+# Largest slip of the last period against the first, in samples: noise of a twentieth of
+# the motion within one sample.
 _LARGEST_SLIP = 0.05
-# Noise between periods may be coloured, that is larger than its white part in the upper
-# half of the spectrum; an encoder's is never this many times larger and at the same
-# time this share of the motion.
+# Noise between periods may be coloured, and so exceed its white level in the upper half
+# of the spectrum; encoder noise never exceeds it by this factor and is at the same time
+# this fraction of the motion.
 _NOISE_RATIO, _NOISE_SHARE = 10.0, 0.01
-# How far the smoother sees: its slowest mode falls by exp(-1.94) in a period of the
-# cut-off, which is 2e-7 over these; without smoothing the spline's falls to 0.43 in a
-# sample.
+# Reach of the smoother: its slowest mode decays by exp(-1.94) per period of the
+# cut-off, to 2e-7 over these; without smoothing the spline's decays by 0.43 per sample.
 _PERIODS_SEEN, _SAMPLES_SEEN = 8.0, 60
 
 
@@ -48,11 +46,12 @@ class PeriodAverages:
     torque : ndarray of shape (n_recordings * n_period, nv)
         Weighted means over all periods [N m or N].
     torque_noise : ndarray of shape (n_recordings * n_period, nv)
-        Noise of the size and colour of that of `torque` [N m or N]: the difference of
-        even and odd periods, scaled; nan where only one of the two has weight.
+        Realisation of noise with the size and colour of the noise of `torque` [N m or
+        N]: the scaled difference of even and odd periods; nan where only one of the two
+        has weight.
     weight : ndarray of shape (n_recordings * n_period, nv)
-        Mean weights over the periods; recordings with more periods than others have
-        more.
+        Mean weights over the periods, in proportion to the number of periods of the
+        recording.
     groups : ndarray of shape (n_recordings * n_period,)
         Number of the recording.
     """
@@ -70,25 +69,17 @@ class PeriodAverages:
     def mean(self):
         """Mean of `even` and `odd`.
 
-        With an odd number of periods it is not that of all: a quarter of the squared
-        difference is then exactly the covariance of its noise.
+        With an odd number of periods this is not the mean of all, so that a quarter of
+        the squared difference is exactly the covariance of its noise.
         """
         return 0.5 * (self.even + self.odd)
 
     def repeated(self, margin):
-        """Return rows, and slices of recordings, of periods that go on at both ends.
+        """Return rows, and slices of recordings, of periods continued at both ends.
 
-        Parameters
-        ----------
-        margin : int
-            Samples by which each period is extended on either side, by itself.
-
-        Returns
-        -------
-        rows : ndarray of shape (n_recordings * (n_period + 2 * margin),)
-            Row numbers of the period's sample at each of the extended ones.
-        parts : list of slice
-            Recordings among them.
+        Each period is extended by `margin` samples on either side. rows (n_recordings *
+        (n_period + 2 margin),) : the period's row at each extended one; parts : slices
+        of the recordings among them.
         """
         one = np.arange(-margin, self.n_period + margin) % self.n_period
         first = self.n_period * np.arange(self.counts.size)
@@ -97,17 +88,11 @@ class PeriodAverages:
         return rows, [slice(int(a), int(a) + one.size) for a in starts]
 
     def both_starts(self):
-        """Return each recording's period and the same begun half a period later.
+        """Return each recording's period and the same started half a period later.
 
-        For what is read off a spectrum: its taper fades out the ends of each, and
-        the two together weigh all samples alike.
-
-        Returns
-        -------
-        X : ndarray of shape (2 * n_recordings * n_period, n_columns)
-            Rows of `mean`.
-        groups : ndarray of shape (2 * n_recordings * n_period,)
-            Labels.
+        For spectral estimates: the taper fades out the ends of each, and together the
+        two weight all samples alike. X (2 n_recordings * n_period, n_columns), and
+        group labels.
         """
         n, p = self.counts.size, self.n_period
         later = np.roll(self.mean.reshape(n, p, -1), p // 2, axis=1)
@@ -115,21 +100,11 @@ class PeriodAverages:
         return X, np.concatenate([self.groups, n + self.groups])
 
     def states(self, estimator):
-        """Estimate the states of a motion that goes on periodically, twice.
+        """Estimate the states (n_recordings * n_period, 3 nv) of even and odd periods.
 
-        The smoother of an end sees one side only. Here there is none: each period is
-        extended by itself as far as the smoother sees, and the extension is thrown
-        away again.
-
-        Parameters
-        ----------
-        estimator : StateEstimator or None
-            Fitted estimator; None if the columns are states.
-
-        Returns
-        -------
-        even, odd : ndarray of shape (n_recordings * n_period, 3 * nv)
-            States [q | v | a].
+        The smoother is one-sided at the ends of a recording. A periodic motion has
+        none: each period is extended by itself as far as the smoother reaches, and the
+        extension is discarded. Without an estimator the columns are states already.
         """
         if estimator is None:
             return self.even, self.odd
@@ -147,55 +122,49 @@ class PeriodAverages:
             for positions in (self.even, self.odd)
         )
 
-    def extended(self, recording, states, halves, margin):
-        """Extend the mean period by itself on either side, for what is filtered.
+    def mean_states(self, estimator, halves):
+        """Estimate the `RecordingStates` of the mean periods.
 
-        The filter's outputs then stand on each sample of the period once.
+        With `halves`, those of `even` and `odd` as well.
+        """
+        both = self.states(estimator)
+        _, parts = self.repeated(0)
+        # smoothing is linear: these are the states of the mean
+        mean = 0.5 * (both[0] + both[1])
+        return RecordingStates.of_rows(parts, mean, both if halves else None)
 
-        Parameters
-        ----------
-        recording : Recording
-            What the periods are of.
-        states : ndarray of shape (n_recordings * n_period, 3 * nv)
-            States of the mean.
-        halves : tuple of ndarray or None
-            States of `even` and `odd`.
-        margin : int
-            Samples on either side: half the filter.
+    def extended(self, recording, states, margin):
+        """Extend the mean period by `margin` samples on either side, for filtering.
 
-        Returns
-        -------
-        recording : Recording
-            One extended period of each recording, by its states.
-        states : RecordingStates
-            The same states, and those of the halves.
+        With half the filter as margin, the filter is centred on each sample of the
+        period once. Returns a `Recording` of one extended period per recording, and its
+        states.
         """
         rows, parts = self.repeated(margin)
-        if halves is not None:
-            halves = tuple(half[rows] for half in halves)
+        one = rows[parts[0]]
+
+        def extend(segments):
+            return [segment[one] for segment in segments]
+
+        states = RecordingStates(
+            own=extend(states.own),
+            halves=states.halves and tuple(map(extend, states.halves)),
+        )
         groups = np.repeat(np.arange(len(parts)), parts[0].stop)
         mean = take_arrays(
-            states[rows],
+            np.concatenate(states.own),
             self.torque[rows],
             groups,
             self.weight[rows],
             dt=recording.dt,
             joint_names=recording.joint_names,
         )
-        return mean, RecordingStates.of_rows(parts, states[rows], halves)
+        return mean, states
 
     def filtered_torque_noise(self, lowpass):
-        """Measure the noise of the filtered torques: standard deviations [N m or N].
+        """Measure the noise of filtered torques: standard deviations (nv,) [N m or N].
 
-        Parameters
-        ----------
-        lowpass : Lowpass
-            Filter of torques and regressors.
-
-        Returns
-        -------
-        ndarray of shape (nv,)
-            nan for a joint whose even and odd periods never both have weight.
+        nan for a joint whose even and odd periods never both have weight.
         """
         known = np.isfinite(self.torque_noise)
         noise = np.where(known, self.torque_noise, 0.0)
@@ -213,15 +182,7 @@ def _every_sample(lowpass):
 
 
 def period_samples(period, dt):
-    """Return the number of samples of a period [s], refusing what is no number.
-
-    Parameters
-    ----------
-    period : float
-        Period of the motion [s].
-    dt : float
-        Sample period [s].
-    """
+    """Return the length of a period [s] in samples of dt [s], validating it."""
     dt = check_dt(dt)
     try:
         value = float(period)
@@ -242,7 +203,7 @@ def period_samples(period, dt):
 
 
 def _whole_samples(count, n_periods):
-    """Return a period as an int; refuse one that slips against the samples."""
+    """Return a period as an int; reject one that slips against the samples."""
     n_period = round(count)
     slip = abs(count - n_period) * (n_periods - 1)
     if slip > _LARGEST_SLIP:
@@ -255,10 +216,9 @@ def _whole_samples(count, n_periods):
 
 
 def average_periods(X, y, n_period, groups=None, sample_weight=None):
-    """Average the even and the odd periods of a motion that repeats.
+    """Average the even and the odd periods of a periodic motion.
 
-    Every recording begins a period of its own; rows after its last whole period are
-    not used.
+    Every recording starts a new period; rows after its last whole period are not used.
 
     Parameters
     ----------
@@ -267,7 +227,7 @@ def average_periods(X, y, n_period, groups=None, sample_weight=None):
     y : ndarray of shape (n_samples, nv)
         Torques [N m or N].
     n_period : float
-        Samples of a period; whole, but for a slip that stays far below one sample.
+        Samples per period; whole, up to a slip far below one sample.
     groups : array-like of shape (n_samples,), default=None
         Labels of separate recordings.
     sample_weight : ndarray of shape (n_samples,) or (n_samples, nv), default=None
@@ -288,7 +248,7 @@ def average_periods(X, y, n_period, groups=None, sample_weight=None):
     weight = np.broadcast_to(weight.reshape(len(y), -1), y.shape)
     parts = contiguous_groups(groups, X.shape[0])
     lengths = np.array([part.stop - part.start for part in parts])
-    # rounded up by what the last sample lacks of a period that is not quite whole
+    # with a tolerance for a last period that is short by less than the slip
     counts = np.floor(lengths / n_period + _LARGEST_SLIP / n_period).astype(int)
     if counts.min() < 2:
         i = int(np.argmin(counts))
@@ -337,14 +297,7 @@ def _weighted(values, weight, total):
 def check_periodic(recording, n_period, counts):
     """Warn of joints whose periods differ by far more than noise can explain.
 
-    Parameters
-    ----------
-    recording : Recording
-        Positions.
-    n_period : int
-        Samples of a period.
-    counts : ndarray of shape (n_recordings,)
-        Whole periods of each recording.
+    counts (n_recordings,) : whole periods of each recording.
     """
     positions, parts = recording.q, recording.segments
     names, dt = recording.joint_names, recording.dt
@@ -376,21 +329,9 @@ def check_periodic(recording, n_period, counts):
 
 
 def measure_periods(settings, recording, effects):
-    """Average the periods of a recording as an identifier asks for it.
+    """Average the periods of a recording, if the settings declare a period.
 
-    Parameters
-    ----------
-    settings : RobotIdentifier
-        Its `period`.
-    recording : Recording
-        What is fitted.
-    effects : tuple of Effect
-        Effects beside the bodies.
-
-    Returns
-    -------
-    PeriodAverages or None
-        None without a period.
+    Returns `PeriodAverages`, or None without a period.
     """
     if settings.period is None:
         return None

@@ -1,8 +1,7 @@
-"""What a fit chooses before it looks at an equation: filter, standstill, effects.
+"""Choices made before any equation is formed: filter, standstill, effects.
 
-A plan follows from what each recording tells alone (`MotionFacts`, spectra), and those
-merge: recordings can be looked at one after the other, at the same time, or on several
-machines.
+A plan follows from statistics of each recording (`MotionFacts`, spectra) that can be
+merged: recordings may be processed in sequence, in parallel, or on several machines.
 """
 
 from dataclasses import dataclass, replace
@@ -18,18 +17,18 @@ from sklearn_vbjfa.robot._estimate import from_moments
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._states import RecordingStates, smooth_segment
 
-# The speed of a joint is this quantile of its speeds: its fastest, without outliers.
+# Quantile that defines a joint's top speed: the fastest, without outliers.
 _FAST = 0.995
-# Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of
-# the motion, high enough for the friction at reversals, low enough for what shakes.
+# Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of the
+# motion, high enough for friction at reversals, low enough to reject vibration.
 CUTOFF_PER_BANDWIDTH = 5.0
-# ... but its length must stay a small part of the longest recording.
+# ... but its length must remain a small fraction of the longest recording.
 SHORTEST_CUTOFF_PERIODS = 36.0
-# Below this share of a joint's (99.5th percentile of) speed it counts as standing
-# still: its friction may then take any value inside the band of stiction.
+# Below this fraction of its top speed a joint counts as standing still: its friction
+# may then take any value inside the stiction band.
 STANDSTILL_SHARE = 0.02
 # Fits until the load in the effects' columns agrees with the parameters: the load is
-# mostly gravity and inertia, which a first fit without those effects knows well.
+# mostly gravity and inertia, which a first fit without those effects gets right.
 _LOAD_PASSES = 3
 
 
@@ -42,23 +41,22 @@ class Plan:
     dt : float or None
         Sample period [s].
     state_estimator : StateEstimator or None
-        What makes states of positions; None where states are given.
+        Estimates states from positions; None if states are given.
     cutoff : float
-        Cut-off of the low-pass that regressors and torques pass [Hz].
+        Cut-off of the low-pass of regressor and torques [Hz].
     lowpass : Lowpass
         That filter.
     standstill : ndarray of shape (nv,)
-        Speeds at or below which a joint's equations do not count; negative ones mask
+        Speeds at or below which a joint's equations are masked; negative ones mask
         nothing.
     effects : tuple of Effect
-        Effects whose columns the regressor matrices get.
+        Effects that add columns to the regressor.
     corrects_noise : bool
-        Whether the regressor takes a measured covariance of the input noise.
+        Whether the regressor accepts a measured covariance of the input noise.
     repeats : bool
-        Whether the rows are periods that go on at both ends, so that no end counts
-        less.
+        Whether the rows are periods continued at both ends, which need no edge mask.
     fastest_period : ndarray of shape (nv,) or None
-        Period [s] of a motion as fast as the recorded one, where nothing is filtered.
+        Period [s] of a sine as fast as the recorded motion, if nothing is filtered.
     """
 
     dt: float | None
@@ -73,50 +71,35 @@ class Plan:
 
     @property
     def smoother(self):
-        """State estimator whose ends are one-sided, None if there are no such."""
+        """State estimator that is one-sided at the ends; None for periods."""
         return None if self.repeats else self.state_estimator
 
     def clock(self, recording):
-        """Return the time of each row [s]; stamps only for effects that ask for it."""
+        """Return the time of each row [s]; stamped only if effects need it."""
         timed = any("time" in effect.needs for effect in self.effects)
         return recording.clock(stamped=timed)
 
     def passes(self):
-        """Plans of each fit: effects that ask for the load come after a fit without."""
+        """Plans of successive fits: effects that need the load come later."""
         if not needs_load(self.effects):
             return [self]
         plain = tuple(e for e in self.effects if "load" not in e.needs)
         return [replace(self, effects=plain)] + (_LOAD_PASSES - 1) * [self]
 
     def rest(self, noise):
-        """Return what tells the signs of velocities with this noise (nv,)."""
+        """Return the `Rest`, for mean velocity signs, of velocity noise (nv,)."""
         time = np.full(self.standstill.size, CUTOFF_PER_BANDWIDTH / self.cutoff)
         if not np.isfinite(self.cutoff) and self.fastest_period is not None:
-            # rows of a running robot do not tell it
+            # unknown for rows of a running robot
             time = self.fastest_period
-        # What masks nothing is negative.
+        # Negative speeds mask nothing.
         return Rest(speed=np.maximum(self.standstill, 0.0), time=time, noise=noise)
 
 
 def make_plan(settings, effects, lengths, estimator, facts):
-    """Resolve the settings of a fit.
+    """Resolve the settings of a fit to a `Plan`.
 
-    Parameters
-    ----------
-    settings : RobotIdentifier
-        Its `dt`, `cutoff`, `standstill` and `regressor`.
-    effects : tuple of Effect
-        Checked effects.
-    lengths : sequence of int
-        Rows of each recording.
-    estimator : StateEstimator or None
-        Fitted estimator.
-    facts : MotionFacts
-        Range and speeds of all recordings.
-
-    Returns
-    -------
-    Plan
+    lengths : rows of each recording; facts : `MotionFacts` of all recordings.
     """
     dt = settings.dt
     cutoff = resolve_cutoff(settings.cutoff, max(lengths), dt, estimator)
@@ -129,11 +112,12 @@ def make_plan(settings, effects, lengths, estimator, facts):
         standstill=resolve_standstill(settings.standstill, facts.fast()),
         effects=effects,
         corrects_noise=corrects_noise(settings.regressor),
+        fastest_period=facts.period,
     )
 
 
 def corrects_noise(regressor):
-    """Whether a regressor takes a measured covariance of the input noise."""
+    """Whether a regressor accepts a measured covariance of the input noise."""
     return regressor is None or (
         getattr(regressor, "latent", None) == "correlated"
         and regressor.input_noise is None
@@ -141,7 +125,7 @@ def corrects_noise(regressor):
 
 
 def takes_moments(regressor, block_noise):
-    """Whether second moments are all that a fit needs."""
+    """Whether a fit needs second moments only."""
     return from_moments(regressor) and not block_noise
 
 
@@ -149,7 +133,7 @@ def takes_moments(regressor, block_noise):
 
 
 def check_effects(effects, nv):
-    """Return the effects as a tuple of instances, refusing what cannot be."""
+    """Return the effects as a tuple of instances, rejecting invalid ones."""
     if isinstance(effects, (str, Effect)):
         effects = (effects,)
     found = tuple(resolve([effect])[0] for effect in effects)
@@ -168,7 +152,7 @@ def check_effects(effects, nv):
 
 
 def needs_load(effects):
-    """Whether the columns depend on the parameters, through the load."""
+    """Whether effects depend on the parameters, through the load."""
     return any("load" in effect.needs for effect in effects)
 
 
@@ -185,11 +169,11 @@ def effect_names(effects, model):
     return tuple(names), tuple(units)
 
 
-# -- what recordings tell --------------------------------------------------------------
+# -- statistics of recordings ----------------------------------------------------------
 
 
 def n_fastest(n):
-    """Return how many of n speeds lie at or above the quantile that counts."""
+    """Return how many of n speeds lie at or above the top-speed quantile."""
     return n - int(np.floor(_FAST * (n - 1)))
 
 
@@ -205,16 +189,19 @@ class MotionFacts:
         Range of the positions [rad or m].
     fastest : ndarray of shape (k, nv)
         The largest speeds of each joint [rad/s or m/s], in any order.
+    period : ndarray of shape (nv,) or None
+        `fastest_period` [s], if all states were available together.
     """
 
     n: int
     lowest: np.ndarray
     highest: np.ndarray
     fastest: np.ndarray
+    period: np.ndarray | None = None
 
     @classmethod
     def of(cls, positions, velocities, keep):
-        """Take in the positions and velocities (n, nv) of one recording.
+        """Statistics of the positions and velocities (n, nv) of one recording.
 
         `keep` is `n_fastest` of all recordings together.
         """
@@ -226,7 +213,7 @@ class MotionFacts:
         )
 
     def merge(self, other, keep):
-        """Merge with those of other recordings."""
+        """Merge with the statistics of other recordings."""
         return MotionFacts(
             n=self.n + other.n,
             lowest=np.minimum(self.lowest, other.lowest),
@@ -235,16 +222,16 @@ class MotionFacts:
         )
 
     def fast(self):
-        """Return the 99.5th percentiles of the speeds (nv,), of all samples."""
+        """Return the 99.5th percentiles of the speeds (nv,) over all samples."""
         position = _FAST * (self.n - 1)
         below = int(np.floor(position))
-        # ascending; the first of them has the rank `below` among all n
+        # ascending; the first has rank `below` among all n
         top = np.sort(self.fastest, axis=0)[-(self.n - below) :]
         return np.quantile(top[:2], position - below, axis=0)
 
 
 def merge_all(facts, keep):
-    """Merge the facts of several recordings."""
+    """Merge the statistics of several recordings."""
     first, *others = facts
     for other in others:
         first = first.merge(other, keep)
@@ -252,47 +239,43 @@ def merge_all(facts, keep):
 
 
 def fastest_period(states):
-    """Return the period (nv,) [s] of a sine as fast and as strongly accelerated.
+    """Return the period (nv,) [s] of a sine of each joint's top speed and acceleration.
 
-    Parameters
-    ----------
-    states : ndarray of shape (n, 3 * nv)
-        States of all recordings.
-
-    Returns
-    -------
-    ndarray of shape (nv,)
-        2 pi times the fastest speed over the strongest acceleration; zero without.
+    That is 2 pi times top speed over top acceleration of states (n, 3 nv); zero
+    without.
     """
-    # Joint by joint in memory, which is what a partition takes its time by.
+    # Contiguous per joint, which dominates the cost of a partition.
     _, v, a = (np.abs(x, order="C") for x in np.split(states.T, 3))
     fast, strong = (np.quantile(x, _FAST, axis=1, overwrite_input=True) for x in (v, a))
     out = np.zeros_like(fast)
     return np.divide(2 * np.pi * fast, strong, out=out, where=strong > 0)
 
 
+def observe(recording, estimator, periods, halves, n_jobs):
+    """Estimate the states of a recording, and the statistics of its motion.
+
+    estimator : None if states are given; periods : `PeriodAverages` that replace the
+    recording by its mean period, or None; halves : also from even and odd samples, or
+    periods. Returns `RecordingStates` and `MotionFacts`.
+    """
+    if periods is not None:
+        states = periods.mean_states(estimator, halves)
+    elif estimator is None:
+        states = RecordingStates.of_rows(recording.segments, recording.states)
+    else:
+        keep = n_fastest(recording.n_samples)
+        return smooth(recording, estimator, halves, keep, n_jobs)
+    whole = np.concatenate(states.own)
+    q, v, _ = np.split(whole, 3, axis=1)
+    facts = MotionFacts.of(q, v, n_fastest(whole.shape[0]))
+    return states, replace(facts, period=fastest_period(whole))
+
+
 def smooth(recording, estimator, halves, keep, n_jobs):
-    """Smooth the positions of a recording, segment by segment.
+    """Smooth the positions of a recording, segment by segment, `n_jobs` at a time.
 
-    Parameters
-    ----------
-    recording : Recording
-        Positions.
-    estimator : StateEstimator
-        Fitted estimator.
-    halves : bool
-        Whether to make states of the even and of the odd samples as well.
-    keep : int
-        `n_fastest` of all samples.
-    n_jobs : int or None
-        Number of segments at a time.
-
-    Returns
-    -------
-    states : RecordingStates
-        States.
-    facts : MotionFacts
-        Range and speeds.
+    halves : also from the even and odd samples; keep : `n_fastest` of all samples.
+    Returns `RecordingStates` and `MotionFacts`.
     """
     tasks = [
         (recording.q[part], part.start, estimator, halves, keep)

@@ -1,4 +1,4 @@
-"""What a recording must hold before it is identified; each refusal says what to do."""
+"""Requirements on a recording to be identified; each error says how to meet them."""
 
 import warnings
 
@@ -6,19 +6,19 @@ import numpy as np
 
 from sklearn_vbjfa.recording._faults import position_jumps, shuffled_rows
 
-# A period [s] that is no robot's; and one that is none if the fastest joint is as slow
-# as this [rad/s or m/s], which a unit of time that is no second makes of every motion.
+# A sample period [s] too long for any robot; one too long if the fastest joint is
+# slower than this [rad/s or m/s], as it appears if time is not in seconds.
 _SLOWEST_PERIOD, _SLOW_PERIOD, _SLOW_SPEED = 1.0, 0.05, 0.02
-# Speeds beyond the robot's by this factor: degrees for radians make 57, and are told
-# of elsewhere. Where the robot has no limit [rad/s or m/s].
+# Speeds beyond the robot's limit by this factor: degrees for radians make 57, and are
+# reported elsewhere. Where the robot has no limit [rad/s or m/s].
 _TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
-# A joint that stays within a turn moves to and fro, and does so more slowly still; in
-# degrees it would have moved by hundreds.
+# A joint that stays within a turn moves back and forth, hence more slowly still; in
+# degrees its range would be hundreds.
 _TURN, _TOO_FAST_NEAR, _LARGEST_NEAR_SPEED = 2 * np.pi, 3.0, 50.0
 
 
 def check_widths(names, X, y=None):
-    """Refuse positions, states or torques of another number of joints."""
+    """Reject positions, states or torques of the wrong number of joints."""
     nv = len(names)
     robot = f"The robot has {nv} joint(s) ({', '.join(names)}), so "
     if X.shape[1] not in {nv, 3 * nv}:
@@ -34,21 +34,11 @@ def check_widths(names, X, y=None):
 
 
 def check_speed(dt, fast, travel, model):
-    """Refuse a sample period with which no robot moves like that.
+    """Reject a sample period dt [s] at which the robot could not move as recorded.
 
-    Periods are given in seconds; a thousandth of it, or its inverse, makes speeds that
-    are a thousandth of, or a thousand times, those of robots.
-
-    Parameters
-    ----------
-    dt : float
-        Sample period [s].
-    fast : ndarray of shape (nv,)
-        99.5th percentiles of the joints' speeds with it [rad/s or m/s].
-    travel : ndarray of shape (nv,)
-        Ranges of the joints' positions [rad or m].
-    model : pinocchio.Model
-        Robot, for the limits of its speeds.
+    A period in ms or Hz makes speeds that are a thousandth of, or a thousand times,
+    those of robots. fast (nv,) : 99.5th percentiles of the speeds [rad/s or m/s];
+    travel (nv,) : ranges of the positions [rad or m]; model : for the velocity limits.
     """
     if dt is None or not np.max(fast, initial=0.0) > 0:
         return
@@ -76,7 +66,7 @@ def check_speed(dt, fast, travel, model):
 
 
 def _other_units(dt, share, top):
-    """Say which period it is if it was given in another unit."""
+    """List plausible periods if dt was given in another unit."""
     meant = []
     for name, period in (
         ("milliseconds", dt / 1e3),
@@ -91,7 +81,7 @@ def _other_units(dt, share, top):
 
 
 def check_input_noise(input_noise):
-    """Refuse what says neither to measure nor to leave the input noise."""
+    """Reject values of `input_noise` other than 'auto' and None."""
     if input_noise not in ("auto", None):
         raise ValueError(
             "input_noise must be 'auto' (measured from the recording) or None "
@@ -100,15 +90,7 @@ def check_input_noise(input_noise):
 
 
 def check_channels(names, positions, torques):
-    """Refuse dead torque channels, name joints that do not move.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    positions, torques : ndarray of shape (n, nv)
-        Recording.
-    """
+    """Reject dead torque channels, warn of joints that do not move; data (n, nv)."""
     moves = np.ptp(positions, axis=0) > 0
     if not moves.any():
         raise ValueError(
@@ -136,18 +118,9 @@ def check_channels(names, positions, torques):
 
 
 def warn_of_disorder(names, positions, parts, groups):
-    """Warn of rows that are not in the order of time, and of borders without labels.
+    """Warn of rows out of time order, and of unlabelled boundaries between recordings.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Joints.
-    positions : ndarray of shape (n, nv)
-        Joint positions.
-    parts : list of slice
-        Recordings.
-    groups : array-like of shape (n,) or None
-        Labels of the recordings.
+    positions (n, nv); parts : slices of the recordings; groups (n,) : labels or None.
     """
     found = shuffled_rows(names, positions, parts, groups)
     if not found:
@@ -158,7 +131,7 @@ def warn_of_disorder(names, positions, parts, groups):
 
 
 def check_length(parts, lowpass, cutoff):
-    """Refuse recordings that are all shorter than the filter, name some that are."""
+    """Reject recordings all shorter than the filter; warn if only some are."""
     need = 2 * lowpass.half + 1
     short = [p for p in parts if p.stop - p.start < need]
     if len(short) == len(parts):
@@ -179,7 +152,7 @@ def check_length(parts, lowpass, cutoff):
 
 
 def check_count(stats, standstill, n_parameters):
-    """Refuse to fit when everything is masked, or less is left than parameters."""
+    """Reject a fit with all samples masked or fewer equations than parameters."""
     if stats is None or not stats.n.any():
         raise ValueError(
             "Every sample is masked as standstill; lower `standstill` (now "
@@ -195,7 +168,7 @@ def check_count(stats, standstill, n_parameters):
 
 
 def check_weight(sample_weight, shape):
-    """Return weights (n, nv) of a fit with torques of that shape; ones for None."""
+    """Return validated weights for torques of this shape (n, nv); ones for None."""
     if sample_weight is None:
         return np.ones(shape)
     weight = np.asarray(sample_weight, dtype=float)

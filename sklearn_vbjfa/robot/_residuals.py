@@ -7,19 +7,19 @@ import numpy as np
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueResiduals:
-    """Measured and predicted torques behind the same low-pass, and what counts.
+    """Measured and predicted torques after the same low-pass, with weights.
 
     Attributes
     ----------
     index : ndarray of shape (m,)
-        Row of the recording at the middle of each filtered sample.
+        Row of the recording at the centre of each filtered sample.
     torque : ndarray of shape (m, nv)
         Filtered measured torques [N m or N].
     predicted : ndarray of shape (m, nv)
         Torques of the model, from filtered regressor columns [N m or N]. Where the
-        weight is zero dry friction has its mean, see `RobotIdentifier.predict`.
+        weight is zero, dry friction has its mean, see `RobotIdentifier.predict`.
     weight : ndarray of shape (m, nv)
-        Zero where a joint stands still, or the sample was left out.
+        Zero where a joint is at rest or the sample was left out.
     """
 
     index: np.ndarray
@@ -33,7 +33,7 @@ class TorqueResiduals:
         return self.torque - self.predicted
 
     def filled(self, other):
-        """Take the predictions of another comparison where nothing counts."""
+        """Take the predictions of another comparison where the weight is zero."""
         counts = self.weight > 0
         return replace(
             self, predicted=np.where(counts, self.predicted, other.predicted)
@@ -44,28 +44,25 @@ class TorqueResiduals:
         return _weighted(self.residual**2, self.weight) ** 0.5
 
     def relative_error(self, spread):
-        """Root mean square over a given spread of the torque (nv,), each joint.
+        """Root mean square over a given torque spread (nv,), per joint.
 
-        nan for a joint without counting samples or without spread.
+        nan for a joint without weighted samples or without spread.
         """
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(spread > 0, self.rms() / spread, np.nan)
 
     def normalised_error(self):
-        """Root mean square over the standard deviation of the torque, each joint.
+        """Root mean square over the standard deviation of the torque, per joint.
 
-        nan for a joint without counting samples or with a constant torque.
+        nan for a joint without weighted samples or with constant torque.
         """
         return self.relative_error(torque_spread(self))
 
 
 def torque_spread(*parts):
-    """Return the standard deviation of the torque in what counts of all parts, (nv,).
+    """Return the weighted standard deviation of the torque over all parts, (nv,).
 
-    Parameters
-    ----------
-    *parts : TorqueResiduals
-        Parts of one recording, behind the same low-pass.
+    The parts are `TorqueResiduals` of one recording after the same low-pass.
     """
     torque = np.concatenate([part.torque for part in parts])
     weight = np.concatenate([part.weight for part in parts])
@@ -74,7 +71,7 @@ def torque_spread(*parts):
 
 
 def collect_residuals(pieces, theta):
-    """Residuals of pieces of `Equations`, which may be a stream."""
+    """Residuals of pieces of `Equations`, which may be an iterator."""
     found = [(one.index, one.tau, one.Phi @ theta, one.weight) for one in pieces]
     index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
     return TorqueResiduals(

@@ -20,12 +20,12 @@ _NOISE_GRID = 2048
 
 
 class StateEstimator(TransformerMixin, BaseEstimator):
-    """Velocities and accelerations from joint positions, without phase.
+    """Velocities and accelerations from joint positions, with zero phase lag.
 
     Each joint's positions are smoothed by a quintic spline with a penalty on the fifth
-    derivative, whose derivatives are exact. Inside the recording this is a symmetric
-    low-pass, 1 / (1 + (f / cutoff)^10); at the ends the motion goes on by its own
-    polynomial.
+    derivative and differentiated analytically. Inside the recording this is a symmetric
+    low-pass, 1 / (1 + (f / cutoff)^10); at the ends the motion is extrapolated by its
+    own polynomial.
 
     Parameters
     ----------
@@ -33,8 +33,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         Sample period [s].
     cutoff : "auto", float, array-like of shape (nv,) or None, default="auto"
         Cut-off frequency [Hz], half amplitude, for all joints or each. ``"auto"``
-        chooses for each joint the one that minimises the estimated squared error of
-        the acceleration: the noise is measured in the upper half of the spectrum and
+        minimises, for each joint, the estimated squared error of the
+        acceleration: the noise is measured in the upper half of the spectrum and
         the risk is Mallows' C_p. ``None`` interpolates without smoothing.
 
     Attributes
@@ -58,7 +58,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
     Notes
     -----
     The accelerations of the outermost samples (about half a period of the cut-off)
-    rest on one side only and are much less certain. `RobotIdentifier` does not use
+    rely on one side only and are much less accurate. `RobotIdentifier` does not use
     them.
 
     References
@@ -170,7 +170,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         X : array-like of shape (n_samples, nv)
             Joint positions [rad or m], equidistant in time.
         groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings; nothing is smoothed across their borders.
+            Labels of separate recordings; nothing is smoothed across boundaries.
 
         Returns
         -------
@@ -190,8 +190,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
     def split_transform(self, X, groups=None):
         """Estimate the states twice, from the even and from the odd samples.
 
-        The encoder noise of the two is independent (white noise assumed) while the
-        motion is the same: what their regressors do not share is noise.
+        Their encoder noise is independent (white noise assumed) while the motion is
+        the same: their regressors differ by noise alone.
 
         Parameters
         ----------
@@ -215,9 +215,9 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return halves[0].reshape(n, -1), halves[1].reshape(n, -1)
 
     def velocity_noise(self):
-        """Deviation of the noise of the velocities [rad/s or m/s], ndarray (nv,).
+        """Velocity noise (nv,), as a standard deviation [rad/s or m/s].
 
-        That of white encoder noise behind the smoother; zero where it is not known.
+        Due to white encoder noise after the smoother; zero where it is not known.
         """
         frequency = np.linspace(0.0, 0.5 / self.dt, _NOISE_GRID)
         noise = np.zeros(self.n_features_in_)
@@ -321,7 +321,7 @@ def _evaluate(splines, n):
 
 
 class SplineStates:
-    """States of one recording, evaluated for the rows that are asked for.
+    """States of one recording, evaluated on demand.
 
     Takes a slice of rows as an array of states would, and keeps the coefficients of
     the splines only.
@@ -340,15 +340,25 @@ class SplineStates:
 
     def __getitem__(self, rows):
         """States [q | v | a] of a slice of rows, (n, 3 * nv)."""
-        return np.column_stack([self.derivative(rows, order) for order in range(3)])
+        start, stop, _ = rows.indices(self.shape[0])
+        # The samples of a signal are next to each other, as they are evaluated and as
+        # the regressors take them.
+        columns = np.empty((3, len(self._splines), stop - start))
+        for order, signals in enumerate(columns):
+            self._evaluate(start, stop, order, signals)
+        return columns.reshape(self.shape[1], -1).T
 
     def derivative(self, rows, order):
         """Positions, velocities or accelerations of a slice of rows, (n, nv)."""
         start, stop, _ = rows.indices(self.shape[0])
-        columns = np.empty((len(self._splines), stop - start))
-        for column, spline in zip(columns, self._splines):
-            column[:] = spline(start, stop, order)
-        return columns.T
+        signals = np.empty((len(self._splines), stop - start))
+        self._evaluate(start, stop, order, signals)
+        return signals.T
+
+    def _evaluate(self, start, stop, order, out):
+        """Write derivatives of an order for some rows, (nv, n)."""
+        for signal, spline in zip(out, self._splines):
+            signal[:] = spline(start, stop, order)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -390,7 +400,7 @@ def smooth_segment(x, start, estimator, *, halves):
 
 
 def fit_states(dt, cutoff, X, groups):
-    """Fit a state estimator for identification; its own choice is raised a little."""
+    """Fit a state estimator for identification, with slightly raised cut-offs."""
     return lighter(StateEstimator(dt, cutoff=cutoff).fit(X, groups=groups))
 
 
@@ -414,7 +424,7 @@ def choose_states(dt, cutoff, longest, moving, spectra):
 
 
 def lighter(estimator):
-    """Raise the cut-offs that a fitted state estimator chose itself a little."""
+    """Slightly raise the cut-offs that a fitted state estimator chose itself."""
     if not isinstance(estimator.cutoff, str):
         return estimator
     raised = np.minimum(_LIGHTER_SMOOTHING * estimator.cutoff_, 1 / (3 * estimator.dt))
@@ -432,5 +442,5 @@ def _with_cutoffs(estimator, cutoffs):
 
 
 def smooth_to(estimator, cutoff):
-    """Copy a fitted state estimator so that it passes no more than a band [Hz]."""
+    """Copy a fitted state estimator, with its cut-offs limited to a band [Hz]."""
     return _with_cutoffs(estimator, np.minimum(estimator.cutoff_, cutoff))

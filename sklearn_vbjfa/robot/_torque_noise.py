@@ -26,7 +26,7 @@ _ORDER = 5
 _MEDIAN, _MEDIAN_SPREAD = 0.6745, 2.33
 # Samples of such differences of white noise that count for one.
 _DEPENDENCE = 2.9
-# Strides of the differences, and how far down in frequency they look, over the cut-off:
+# Strides of the differences, and their lowest frequency relative to the cut-off:
 # at lower ones too many differences would hold a reversal.
 _STRIDES = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64, 96, 128)
 _LOWEST = 2.0
@@ -34,7 +34,7 @@ _LOWEST = 2.0
 # over the cut-off, seen through windows of this many periods of it.
 _GAP = np.array([0.2, 0.35, 0.5, 0.75, 1.0, 1.5, 2.5, 4.0])
 _WINDOW = 12.0
-# What no spectrum of the family is closer to than in logarithms of the power.
+# Model error of the family of spectra, in log power.
 _UNLIKE = 0.05
 # Time after a reversal in which friction turns round, times the cut-off; displacements
 # in which it may, as shares of the joint's range.
@@ -83,7 +83,7 @@ def given_noise(given, nv, dt, cutoff):
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseFacts:
-    """What one recording says of the noise of its torques.
+    """Noise measurements from the torques of one recording.
 
     Attributes
     ----------
@@ -129,15 +129,15 @@ def noise_facts(residual, torque, states, dt, cutoff):
     for j, count in enumerate(hold):
         turned = np.cumsum(np.r_[0, np.diff(np.sign(velocities[:, j])) != 0, 0])
         first = np.arange(count // 2, n, count)
+        turned_after = turned[np.minimum(first + turning, n - 1)]
+        turned_before = turned[np.maximum(first - turning, 0)]
         x = residual[count // 2 :: count, j]
         for k, stride in enumerate(_strides(dt * count, cutoff)):
             if x.size >= max(_SHORTEST, 16 * _ORDER * stride):
                 d = x
                 for _ in range(_ORDER):
                     d = d[stride:] - d[:-stride]
-                last = np.minimum(first[-d.size :] + turning, n - 1)
-                before = np.maximum(first[: d.size] - turning, 0)
-                d = d[turned[last] == turned[before]]
+                d = d[turned_after[-d.size :] == turned_before[: d.size]]
                 if d.size >= _SHORTEST:
                     scales[j, k] = (np.median(np.abs(d)) / _MEDIAN) ** 2
     columns = zip(positions.T, velocities.T, residual.T)
@@ -147,7 +147,7 @@ def noise_facts(residual, torque, states, dt, cutoff):
 
 
 def _without_own_friction(q, v, residual):
-    """Return a residual (n,) less what functions of the joint's own motion explain."""
+    """Remove from a residual (n,) what friction of the joint itself can explain."""
     reach = np.ptp(q)
     if not reach > 0:
         return residual
@@ -165,7 +165,7 @@ def held_rows(torque):
         return 1
     lengths = np.diff(changes)
     usual = round(np.median(lengths))
-    # Torques that are rounded repeat their values as well, but for any time.
+    # Rounded torques repeat values as well, but for irregular times.
     alike = np.abs(lengths - usual) <= max(1, usual // 4)
     return usual if usual > 1 and alike.mean() > _HELD else 1
 
@@ -292,7 +292,7 @@ class _Family:
 
     @classmethod
     def of(cls, dt, hold, cutoff):
-        """Make them for torques that are held for `hold` rows."""
+        """Compute the family for torques that are held for `hold` rows."""
         step = dt * hold
         # cycles per held sample
         nu = np.unique(
@@ -310,7 +310,7 @@ class _Family:
         weight = np.gradient(nu)
         strides = np.array(_strides(step, cutoff))
         gains = (2 * np.sin(np.pi * nu * strides[:, None])) ** (2 * _ORDER)
-        # White noise is known exactly, whatever the grid.
+        # The gain for white noise is known exactly, whatever the grid.
         exact = comb(2 * _ORDER, _ORDER)
         gains *= exact / (gains @ weight)[:, None]
         # power per row: what is held is that many times as large at low frequencies
@@ -410,5 +410,5 @@ def _gain(dt, cutoff, frequency):
 
 
 def rows_looked_at(part):
-    """Return the rows of a recording that its noise is measured on, a slice."""
+    """Return the rows of a recording used to measure its noise, a slice."""
     return slice(part.start, min(part.stop, part.start + _ROWS))

@@ -1,4 +1,4 @@
-"""Weights of the joints' equations, and of blocks of time, by their residuals."""
+"""Weights of the joints' equations, and of blocks of time, from their residuals."""
 
 from dataclasses import replace
 
@@ -15,8 +15,8 @@ def least_squares(G, g):
 def noise_weights(moments, max_iter=30, tol=1e-6):
     """Inverse residual variance of each joint by iterated weighted least squares.
 
-    Starts from the torques' own mean squares, so that the unit of a joint's torque
-    never matters; a joint without rows gets the weight zero.
+    Starts from the mean squared torques, so the unit of a joint's torque does not
+    matter; a joint without rows gets zero weight.
     """
     used = moments.n > 0
     n = np.where(used, moments.n, 1.0)
@@ -28,7 +28,7 @@ def noise_weights(moments, max_iter=30, tol=1e-6):
         )
         new = moments.residual_squares(theta) / n
         new = np.where(np.isfinite(variance), new, np.inf)
-        # A joint that is fitted exactly would get an infinite weight.
+        # An exactly fitted joint would get infinite weight.
         new = np.maximum(new, 1e-12 * np.where(used, moments.yy / n, np.inf))
         new = np.where(new > 0, new, np.inf)
         finite = np.isfinite(new)
@@ -45,24 +45,14 @@ _STUDENT_FREEDOM = 4.0
 
 
 def block_precisions(pieces, blocks, max_iter=20, tol=1e-3):
-    """Relative precision of each joint's noise in each block of time.
+    """Relative precision of each joint's noise in each block of time, by EM.
 
-    The residual of a joint is Gaussian with a precision of its own in every block,
-    Gamma(nu/2, nu/2) times the joint's: a multivariate Student t. What the model lacks
-    (stiction, transients) comes in stretches of time, which then count less. The
-    parameters in between are weighted least squares; EM to convergence.
-
-    Parameters
-    ----------
-    pieces : list of Equations
-        Equations of motion.
-    blocks : list of ndarray of shape (n,)
-        Number of the block of each row, over all pieces.
-
-    Returns
-    -------
-    list of ndarray of shape (n, nv)
-        Factors of the weights, near one.
+    Residuals are Gaussian with a precision of their own in every block, Gamma(nu/2,
+    nu/2) times the joint's: a multivariate Student t. Model errors (stiction,
+    transients) are confined to intervals of time, which are then down-weighted.
+    Parameters are fitted by weighted least squares in between. blocks : block number
+    (n,) of each row of each piece; returns weight factors (n, nv), near one, for each
+    piece.
     """
     n_blocks = 1 + max(int(block.max()) for block in blocks)
     nv = pieces[0].tau.shape[1]
@@ -100,7 +90,7 @@ def _sum_moments(pieces, blocks, factor):
     for one, block in zip(pieces, blocks):
         plain = replace(one, instruments=None, difference=None, blocks=None)
         moments = plain.reweighted(factor[block]).moments()
-        # The factors re-weight the samples; their number stays what it is.
+        # The factors reweight the samples; their number does not change.
         moments = replace(moments, n=one.weight.sum(axis=0))
         total = moments if total is None else total + moments
     return total

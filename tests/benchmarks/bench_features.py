@@ -150,6 +150,22 @@ def report(joints=_JOINTS, max_samples=_MAX_SAMPLES, rounds=9):
     )
 
 
+def motion(n_samples, n_joints, rng, dt=1e-3):
+    """Positions, velocities, accelerations (n, nv) of sums of slow sines."""
+    t = np.arange(n_samples) * dt
+    states = np.zeros((3, n_samples, n_joints))
+    for j in range(n_joints):
+        for _ in range(5):
+            f = rng.uniform(0.1, 2.0)
+            size, phase = rng.uniform(0.1, 0.5) / f, rng.uniform(0, 2 * np.pi)
+            w = 2 * np.pi * f
+            sine, cosine = np.sin(w * t + phase), np.cos(w * t + phase)
+            states[0, :, j] += size * sine
+            states[1, :, j] += size * w * cosine
+            states[2, :, j] -= size * w * w * sine
+    return states
+
+
 def report_fit(n_joints=_FIT_JOINTS, n_samples=_FIT_SAMPLES, rounds=3):
     """Table of a whole fit beside the bare loop over its samples."""
     import pinocchio as pin
@@ -174,15 +190,30 @@ def report_fit(n_joints=_FIT_JOINTS, n_samples=_FIT_SAMPLES, rounds=3):
         for i in range(0, n_samples, count):
             matrices(*(x[i : i + count] for x in (q, v, a)))
 
-    def fit():
+    def fit(X, torque):
         with warnings.catch_warnings():
-            # The rows are no motion.
+            # The rows of given states are no motion.
             warnings.simplefilter("ignore", UserWarning)
             RobotIdentifier(model, dt=1e-3).fit(X, torque)
 
+    moved = motion(n_samples, n_joints, rng)
+    q_moved = moved[0] + 1e-4 * rng.normal(size=q.shape)
+    torque_moved = matrices.torques(*moved, inertial)
+    torque_moved += 0.1 * moved[1] + 0.1 * rng.normal(size=q.shape)
+    tasks = (
+        loop,
+        regressor,
+        lambda: fit(X, torque),
+        lambda: fit(q_moved, torque_moved),
+    )
     with threadpool_limits(1):
-        seconds = timed((loop, regressor, fit), rounds)
-    names = ("bare loop", "regressor matrices", "RobotIdentifier.fit")
+        seconds = timed(tasks, rounds)
+    names = (
+        "bare loop",
+        "regressor matrices",
+        "RobotIdentifier.fit, states given",
+        "RobotIdentifier.fit, from positions",
+    )
     rows = []
     for k, name in enumerate(names):
         time_taken = np.median(seconds[:, k])
@@ -191,8 +222,9 @@ def report_fit(n_joints=_FIT_JOINTS, n_samples=_FIT_SAMPLES, rounds=3):
         rows.append([name, f"{time_taken:.2f}", f"{each:.2f}", f"{ratio:.2f}"])
     return (
         f"{rst_table(rows, FIT_HEADERS)}\n\n{n_samples} samples of {n_joints} joints, "
-        "given as states; the bare loop only calls Pinocchio's "
-        "``computeJointTorqueRegressor``. "
+        "as states, or as positions with 0.1 mrad of noise, of which the regressors "
+        "are made twice, from the even and from the odd samples; the bare loop only "
+        "calls Pinocchio's ``computeJointTorqueRegressor``. "
         f"Medians of {rounds} rounds in one process, on one core."
     )
 

@@ -9,10 +9,37 @@ from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.datasets._catalogue import (
     CATALOGUE,
+    DataSet,
     Protocol,
+    load,
     protocols,
 )
+from sklearn_vbjfa.datasets._download import Access, DataFiles
+from sklearn_vbjfa.recording._resample import Log
 
+SWING = 0.5 * np.sin(np.arange(30))
+
+
+def read_swing(files):
+    """Log of one joint, from all files of a set one after the other."""
+    tables = [np.loadtxt(x, delimiter=",") for x in files.find().values()]
+    return [
+        Log(name="swing", t=t, q=q[:, None], tau=tau[:, None])
+        for t, q, tau in (table.T for table in tables)
+    ]
+
+
+MADE_UP = DataSet(
+    read=read_swing,
+    joint_names=("hinge",),
+    dt=0.01,
+    urdf=DataFiles.published_urdf,
+    source="https://example.org/swing",
+    licence="CC0",
+    citation="",
+    description="",
+    protocol=Protocol(),
+)
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
 
 
@@ -51,7 +78,7 @@ def test_a_protocol_splits_in_time_or_by_recording():
 def test_protocols_name_loaders_and_known_friction():
     known = protocols()
     assert next(iter(known)) == "demo"
-    assert len(known) == 11
+    assert len(known) == len(CATALOGUE) + 1
     for protocol in known.values():
         assert callable(protocol.load)
         assert set(protocol.friction) <= set(ALL)
@@ -67,3 +94,33 @@ def test_protocols_name_recordings_that_exist(measured_data_home):
         )
         assert set(protocol.train + protocol.test) <= set(recording.group_names)
         assert 0 < protocol.split(recording)[0].size < recording.n_samples
+
+
+def test_a_set_from_elsewhere_is_found_in_its_folder(tmp_path, monkeypatch):
+    monkeypatch.setitem(CATALOGUE, "swing", MADE_UP)
+    folder = tmp_path / "swing" / "raw"
+    folder.mkdir(parents=True)
+    table = np.column_stack([0.01 * np.arange(30), SWING, np.zeros(30)])
+    np.savetxt(folder / "one.csv", table, delimiter=",")
+    recording = load("swing", Access(tmp_path))
+    assert recording.group_names == ("swing",)
+    np.testing.assert_allclose(recording.q[:, 0], SWING, atol=1e-12)
+    assert recording.source == MADE_UP.source
+    assert recording.urdf is None
+    description = folder.parent / "swing.urdf"
+    description.write_text("<robot/>")
+    assert load("swing", Access(tmp_path)).urdf == str(description.resolve())
+
+
+@pytest.mark.parametrize("there", ["no files", "only swing.urdf"])
+def test_a_set_from_elsewhere_says_where_its_files_go(there, tmp_path, monkeypatch):
+    monkeypatch.setitem(CATALOGUE, "swing", MADE_UP)
+    if there != "no files":
+        (tmp_path / "swing").mkdir()
+        (tmp_path / "swing" / "swing.urdf").write_text("<robot/>")
+    with pytest.raises(FileNotFoundError) as info:
+        load("swing", Access(tmp_path, download_if_missing=True))
+    assert str(info.value) == (
+        f"swing: {there} in {tmp_path / 'swing'}; put the files of the set there, "
+        "which come from https://example.org/swing and are not downloaded."
+    )

@@ -419,6 +419,7 @@ class Cubic(Effect):
     """Cubic spring."""
 
     name = "cubic"
+    label = "stiffening cable"
     coefficients = ("k3",)
     units = (("N m/rad^3", "N/m^3"),)
     contains = ("spring",)
@@ -454,6 +455,11 @@ def test_an_effect_of_ones_own():
     (effect,) = [e for e in loop.effects_ if e.name == "cubic"]
     assert effect.parameters["k3"] == pytest.approx(3.0, rel=0.05)
     assert effect.units["k3"] == "N m/rad^3"
+    report = loop.report_
+    for text in (str(report), report.to_markdown(), report.to_html()):
+        assert "stiffening cable" in text
+        assert "cubic" not in text.split("Looked for")[0]
+    assert effect.name in {e["name"] for e in report.to_dict()["effects"]}
 
 
 def test_an_effect_of_ones_own_with_a_shape():

@@ -3,7 +3,7 @@
 import pytest
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects._library import closure, find
+from sklearn_vbjfa.effects._library import closure
 
 
 def plain_label(joint):
@@ -11,8 +11,10 @@ def plain_label(joint):
 
 
 def test_effects_are_found_by_name():
-    assert find("spring") is effects.Spring
-    assert find("leak") is None
+    (spring,) = effects.resolve("spring")
+    assert type(spring) is effects.Spring
+    with pytest.raises(ValueError, match="Unknown effect 'leak'"):
+        effects.resolve("leak")
 
 
 def test_every_effect_says_what_reports_and_guide_need():

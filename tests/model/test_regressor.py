@@ -178,6 +178,28 @@ def test_long_and_short_motions_of_an_arm(compiled, n):
 
 
 @by_both
+@pytest.mark.parametrize("size", [1, 3, 8, 9, 64])
+def test_neighbours_of_a_sample_do_not_matter_to_the_last_bit(compiled, size):
+    rng = np.random.default_rng(10)
+    model = build(rng, ["RZ", "RevoluteUnaligned", "PX", "HY"])
+    states = motion(rng, 70, 4)
+    regressor = TreeRegressor(model, compiled=compiled)
+    parts = [regressor(*(x[i : i + size] for x in states)) for i in range(0, 70, size)]
+    np.testing.assert_array_equal(np.concatenate(parts), regressor(*states))
+
+
+@by_both
+def test_many_turns(compiled):
+    rng = np.random.default_rng(11)
+    model = build(rng, ["RZ", "RevoluteUnaligned", "RX"], gravity=np.ones(3))
+    q, v, a = motion(rng, 200, 3)
+    q *= 1e4
+    assert_equal_by_unit(
+        TreeRegressor(model, compiled=compiled)(q, v, a), by_sample(model, q, v, a)
+    )
+
+
+@by_both
 def test_base_that_turns_is_part_of_gravity(compiled):
     rng = np.random.default_rng(2)
     model = build(rng, ["PX", "RZ", "RevoluteUnaligned", "PrismaticUnaligned"])

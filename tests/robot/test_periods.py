@@ -16,6 +16,7 @@ from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.recording._recording import take_arrays
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._periods import average_periods, period_samples
+from sklearn_vbjfa.robot._states import RecordingStates
 from tests.model._robots import swing
 
 DT = 0.005
@@ -158,8 +159,10 @@ def test_filter_stands_on_each_sample_once():
     periods = average_periods(q, q, 100)
     lowpass = _lowpass.design(DT, 10.0, 1)
     recording = take_arrays(q, q, dt=DT, joint_names="a")
-    zeros = np.zeros((100, 3))
-    mean, states = periods.extended(recording, zeros, (zeros, zeros), lowpass.half)
+    states = RecordingStates(
+        own=[np.zeros((100, 3))], halves=([np.zeros((100, 3))],) * 2
+    )
+    mean, states = periods.extended(recording, states, lowpass.half)
     assert [part.stop for part in mean.segments] == [100 + 2 * lowpass.half]
     assert [len(half[0]) for half in states.halves] == 2 * [mean.n_samples]
     # circular convolution: the filter sees a period without ends

@@ -1,6 +1,7 @@
 """Statistics piece by piece against those of the whole regressor matrix."""
 
 import itertools
+from types import SimpleNamespace
 
 import joblib
 import numpy as np
@@ -160,6 +161,32 @@ def test_effects_are_streamed_as_well(monkeypatch, recording):
     expected = fit(recording, **settings)
     monkeypatch.setattr(_equations, "CHUNK_BYTES", 1 << 20)
     assert_same(fit(recording, n_jobs=2, **settings), expected)
+
+
+def test_only_the_support_is_made_and_filtered(recording):
+    rng = np.random.default_rng(12)
+    features = RigidBodyFeatures(recording.urdf, friction=FRICTION).load()
+    nv = features.n_joints_
+    states = rng.normal(size=(500, 3 * nv))
+    columns = [
+        (SimpleNamespace(whole_robot=True), rng.normal(size=(500, nv, 2))),
+        (SimpleNamespace(whole_robot=False, joint=1), rng.normal(size=(500, 3))),
+    ]
+    for effects in ([], columns):
+        rows = _equations.RegressorRows(features, states, effects)
+        Phi = rows(slice(0, 500))
+        assert not Phi[:, ~rows.support].any()
+        entries = rows.entries(slice(0, 500))
+        assert entries.shape[0] == np.count_nonzero(rows.support)
+        assert_array_equal(rows.spread(entries.T), Phi)
+        theta = rng.normal(size=rows.n_parameters)
+        assert_allclose(rows.predict(theta), Phi @ theta, rtol=0, atol=1e-11)
+        lowpass = _lowpass.design(0.01, 5.0)
+        count = lowpass.centres(500).size
+        (filtered,) = _equations._filter_rows((rows,), slice(0, 500), lowpass, count)
+        matrices = rows.spread(filtered)
+        assert_allclose(matrices, lowpass(Phi), rtol=0, atol=1e-11)
+        assert_array_equal(matrices[:, ~rows.support], 0.0)
 
 
 def test_workers_return_no_regressors(monkeypatch, recording):

@@ -14,6 +14,8 @@ from sklearn_vbjfa.diagnosis.report._verdict import judge
 
 # Changes when keys of `to_dict` do.
 SCHEMA_VERSION = 3
+# Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
+_NOT_DATA = ("curves", "library")
 
 
 class Report:
@@ -88,7 +90,7 @@ class Report:
             "joints": _plain(self.joints),
         }
         for field in dataclasses.fields(self.outcome):
-            if field.name != "curves":
+            if field.name not in _NOT_DATA:
                 data[field.name] = _plain(getattr(self.outcome, field.name))
         return data
 

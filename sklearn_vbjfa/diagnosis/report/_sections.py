@@ -267,10 +267,10 @@ def _effects(outcome, verdict):
     sentences, short, rows = [], [], []
     for e in outcome.effects:
         joint = words.joint_label(names, e.joint)
-        label = words.effect_label(e.name, e.parameters, names)
+        label = words.effect_label(outcome, e.name, e.parameters)
         parameters = words.parameter_text(e)
         gain, p = words.whole_percent(e.evidence.gain), e.evidence.p_value
-        rivals = [words.effect_label(rival) for rival in e.rivals]
+        rivals = [words.effect_label(outcome, rival) for rival in e.rivals]
         evidence = f"saves {gain}, {words.p_text(p)}"
         told = [", ".join([f"- {joint}: {label}", *parameters]), evidence]
         if rivals:
@@ -344,10 +344,10 @@ def _record_next(outcome, verdict):
             wanted.setdefault(advice, []).append(rest.joint)
     for effect in outcome.effects:
         for name in (effect.name, *effect.rivals) if effect.rivals else ():
-            wanted.setdefault(words.record_for(name), []).append(effect.joint)
+            wanted.setdefault(words.record_for(outcome, name), []).append(effect.joint)
     for h in outcome.hidden:
         if h.reason == "excitation":
-            advice = words.record_for(h.name) or h.remedy
+            advice = words.record_for(outcome, h.name) or h.remedy
             wanted.setdefault(advice, []).append(h.joint)
     found = [
         f"{advice} ({words.joint_list(outcome.joint_names, joints)})"
@@ -376,7 +376,7 @@ def _hidden(outcome, verdict):
         for h in own:
             by_effect.setdefault(h.name, []).append(h.joint)
         parts = [
-            f"{words.effect_label(name)} "
+            f"{words.effect_label(outcome, name)} "
             f"({words.joint_list(outcome.joint_names, joints)})"
             for name, joints in by_effect.items()
         ]
@@ -440,15 +440,15 @@ def _steps(outcome, verdict):
     for i, step in enumerate(outcome.rounds, 1):
         action = _ACTIONS.get(step.action, step.action)
         if step.replaced:
-            action = f"replaced {words.effect_label(step.replaced)}"
+            action = f"replaced {words.effect_label(outcome, step.replaced)}"
         j, evidence = step.joint, step.evidence
-        rivals = [words.effect_label(trial.name) for trial in step.rivals]
+        rivals = [words.effect_label(outcome, trial.name) for trial in step.rivals]
         before, after = step.error_before[j], step.error_after[j]
         rows.append(
             (
                 str(i),
                 words.joint_label(names, j),
-                words.effect_label(step.name, step.shape, names),
+                words.effect_label(outcome, step.name, step.shape),
                 action,
                 words.whole_percent(evidence.gain),
                 words.p_cell(evidence.p_value),
@@ -459,7 +459,7 @@ def _steps(outcome, verdict):
             )
         )
         tried = [
-            f"{words.effect_label(t.name, t.shape, names)}: "
+            f"{words.effect_label(outcome, t.name, t.shape)}: "
             f"{words.whole_percent(t.evidence.gain)}"
             for t in step.tried
         ]
@@ -485,7 +485,7 @@ def _undone(outcome):
         ("withdraw", "Withdrawn, as it did harm on motion that it was not fitted to"),
     ):
         own = dict.fromkeys(
-            f"{words.effect_label(r.name, r.shape, outcome.joint_names)} on "
+            f"{words.effect_label(outcome, r.name, r.shape)} on "
             f"{words.joint_label(outcome.joint_names, r.joint)}"
             for r in outcome.rounds
             if r.action == action

@@ -276,7 +276,7 @@ def _found(outcome):
     if not effects:
         return "0 effects were"
     named = [
-        f"{words.effect_label(e.name, e.parameters, names)} on "
+        f"{words.effect_label(outcome, e.name, e.parameters)} on "
         f"{words.joint_label(names, e.joint)}"
         for e in effects[:_NAMED]
     ]

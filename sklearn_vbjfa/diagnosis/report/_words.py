@@ -4,8 +4,6 @@ import functools
 import math
 import re
 
-from sklearn_vbjfa.effects._library import find
-
 # What to record where a residual varies with a signal.
 _RECORD_SIGNAL = {
     "position": "slow motion over the whole range, both ways",
@@ -51,17 +49,18 @@ def signal_label(signal, names, joint):
     return f"its {kind}" if other == joint else f"{kind} of {joint_label(names, other)}"
 
 
-def effect_label(name, shape=None, names=()):
-    """Plain English for an effect, with what matters of its shape."""
-    found = find(name)
+def effect_label(outcome, name, shape=None):
+    """Plain English for an effect of an outcome, with what matters of its shape."""
+    found = outcome.library.get(name)
     if found is None:
         return name.replace("_", " ")
-    return found.describe(shape or {}, functools.partial(joint_label, names))
+    joint = functools.partial(joint_label, outcome.joint_names)
+    return found.describe(shape or {}, joint)
 
 
-def record_for(name):
-    """Return what to record to see an effect; empty if nobody can say."""
-    found = find(name)
+def record_for(outcome, name):
+    """Return what to record to see an effect; empty if its class does not say."""
+    found = outcome.library.get(name)
     return "" if found is None else found.record
 
 

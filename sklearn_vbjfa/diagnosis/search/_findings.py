@@ -13,7 +13,7 @@ class DiscoveredEffect:
     Attributes
     ----------
     name : str
-        Name in the library.
+        Name of its class, in the library or of one's own.
     joint : int
         Joint, from zero.
     joint_name : str
@@ -220,6 +220,9 @@ class Outcome:
         next 50 s of the same motion lie in 90 % of cases.
     floor : ndarray of shape (nv,)
         Noise floor over the spread.
+    library : dict of str to Effect
+        What was looked for, by name: it says what an effect is called and what to
+        record to see it.
     settings : dict
         Thresholds, split, blocks, what intervals are of, seed, versions.
     curves : dict
@@ -245,5 +248,6 @@ class Outcome:
     enough: object
     intervals: dict
     floor: object
+    library: dict
     settings: dict
     curves: dict = field(default_factory=dict)

@@ -65,6 +65,7 @@ def make_outcome(search, models, judgement, channels, asked):
         enough=judgement.enough,
         intervals=judgement.intervals,
         floor=relative_floor,
+        library={effect.name: effect for effect in search.library},
         settings=_settings(search, judgement, asked),
         curves=_curves(models.judged, judgement.before, judgement.after),
     )

@@ -12,6 +12,7 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     Trial,
     Unexplained,
 )
+from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 
 EVIDENCE = Evidence(gain=0.46, gain_std=0.04, p_value=2.3e-9, n_blocks=52, helped=0.9)
@@ -144,6 +145,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             "difference": np.array([after - before - 0.01, (after - before) * 0.9]),
         },
         "floor": floor,
+        "library": {effect.name: effect for effect in resolve("all")},
         "settings": {
             "test_size": 0.25,
             "untouched_stretches": 3,

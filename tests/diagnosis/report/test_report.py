@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.diagnosis.report import _render
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis.report._sections import sections
 from sklearn_vbjfa.diagnosis.report._verdict import judge
-from sklearn_vbjfa.effects import Coulomb, available
+from sklearn_vbjfa.diagnosis.search._findings import Hidden
+from sklearn_vbjfa.effects import Coulomb, Effect, available
 from tests.diagnosis.report._outcomes import (
     finding,
     make_effect,
@@ -20,6 +22,17 @@ from tests.diagnosis.report._outcomes import (
     make_round,
 )
 
+# Lines of a terminal that sections take for six effects, about 40 in all; one that is
+# not named here takes one line.
+LINES = {
+    "What the declared model of arm lacks": 3,
+    "Error of each joint on untouched data": 12,
+    "Effects that were missing": 13,
+    "Record next": 4,
+    "Not visible in this recording": 4,
+    "Channels": 2,
+    "Settings": 5,
+}
 SUCCESS = ("Nothing is missing", "what remains is")
 NAMES = tuple(f"joint{j + 1}" for j in range(6))
 CASES = {
@@ -68,11 +81,15 @@ def test_text_fits_a_terminal(outcome):
 
 def test_six_effects_take_about_forty_lines_and_further_ones_a_line_each():
     effects = tuple(make_effect(i, i % 6, NAMES) for i in range(12))
-    few, many = (
-        str(Report(make_outcome(effects=effects[:count]))).splitlines()
-        for count in (6, 12)
-    )
-    assert len(few) <= 46
+    few, many = (make_outcome(effects=effects[:count]) for count in (6, 12))
+    shown = sections(few, judge(few))
+    for section in shown:
+        lines = _render.text((section,)).splitlines()
+        assert len(lines) <= LINES.get(section.heading, 1), section.heading
+    assert set(LINES) <= {section.heading for section in shown}
+    few, many = (str(Report(outcome)).splitlines() for outcome in (few, many))
+    # Empty lines around the table and the list, and none besides.
+    assert few.count("") == 3
     assert len(many) == len(few) + 6
 
 
@@ -486,9 +503,52 @@ def test_next_recording_is_named():
 
 
 def test_every_effect_has_a_plain_name_and_a_remedy():
+    outcome = make_outcome()
     for name in available():
-        assert words.effect_label(name)
-        assert words.record_for(name)
+        assert words.effect_label(outcome, name)
+        assert words.record_for(outcome, name)
+
+
+class Gasket(Effect):
+    """A seal that is squeezed."""
+
+    name = "own_gasket"
+    label = "squeeze of the gasket"
+    record = "slow motion with the gasket dry"
+
+
+class Hose(Effect):
+    """A hose that is dragged along."""
+
+    name = "own_hose"
+    label = "drag of the hose pack"
+    record = "the same motion without the hose pack"
+
+
+@pytest.mark.parametrize("call", [str, Report.to_markdown, Report.to_html])
+def test_an_effect_of_ones_own_is_called_by_the_label_of_its_class(call):
+    found = replace(make_effect(0, 0, NAMES), name=Gasket.name, rivals=(Hose.name,))
+    step = replace(make_round(found, "refuse"), name=Hose.name, replaced=Gasket.name)
+    hidden = Hidden(
+        name=Hose.name, joint=2, joint_name=NAMES[2], reason="excitation", remedy="?"
+    )
+    outcome = make_outcome(
+        nv=6,
+        effects=(found,),
+        rounds=(step,),
+        hidden=(hidden,),
+        library={effect.name: effect for effect in (Gasket(), Hose())},
+    )
+    text = " ".join(call(Report(outcome)).split())
+    verdict, rest = text.split("missing", 1)
+    assert Gasket.label in verdict.replace("Squeeze", "squeeze")
+    assert Gasket.label in rest
+    assert rest.count(Hose.label) >= 3  # rival, hidden, refused
+    assert f"{Gasket.record} (joint 1)" in text
+    assert f"{Hose.record} (joints 1 and 3)" in text
+    assert "own gasket" not in text
+    assert "own hose" not in text
+    assert "library" not in Report(outcome).to_dict()
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,10 @@ names to the letter; everything else as whole arrays. Exit status 1 at a differe
 
 import os
 
-# before NumPy loads its linear algebra
-os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
-os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
+if __name__ == "__main__":
+    # before NumPy loads its linear algebra
+    os.environ.update(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1")
+    os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
 import argparse
 import sys

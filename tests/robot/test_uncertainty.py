@@ -151,6 +151,6 @@ def test_a_running_robot_has_deviations_for_independent_rows():
     free = whole.identifiable_
     assert_allclose(running.theta_[free], whole.theta_[free], rtol=1e-6)
     assert np.all(running.theta_std_[free] < 0.7 * whole.theta_std_[free])
-    assert "independent rows after `partial_fit`" in " ".join(
+    assert "After `partial_fit` rows count as independent" in " ".join(
         RobotIdentifier.__doc__.split()
     )

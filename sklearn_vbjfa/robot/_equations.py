@@ -23,7 +23,7 @@ from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.physical._threads import one_blas_thread
-from sklearn_vbjfa.robot._joint_moments import Numbering, joint_moments
+from sklearn_vbjfa.robot._joint_moments import Numbering, joint_moments, sum_moments
 from sklearn_vbjfa.robot._parallel import run
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.
@@ -471,10 +471,7 @@ def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
         for segment in made
         for outputs in segment.pieces(lowpass)
     ]
-    total = None
-    for moments in run(_piece_moments, tasks, n_jobs):
-        total = moments if total is None else total + moments
-    return total
+    return sum_moments(run(_piece_moments, tasks, n_jobs))
 
 
 def _piece_moments(segment, lowpass, outputs, numbering):

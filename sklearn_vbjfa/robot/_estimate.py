@@ -14,8 +14,12 @@ from sklearn_vbjfa.regression._joint_factor import (
     fit_moments,
 )
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
-from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
-from sklearn_vbjfa.robot._weights import block_precisions, noise_weights
+from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter, sum_moments
+from sklearn_vbjfa.robot._weights import (
+    block_precisions,
+    noise_weights,
+    reweighted_moments,
+)
 
 # Directions of parameter space that the data determine less than this, relative to
 # the best-determined one in scaled columns, count as unidentifiable, ...
@@ -144,11 +148,7 @@ def _weigh_blocks(rows):
         blocks.append(block)
     factors = block_precisions(rows, blocks)
     weighed = [one.reweighted(factor) for one, factor in zip(rows, factors)]
-    total = None
-    for one, plain in zip(weighed, rows):
-        # The factors reweight the samples; their number does not change.
-        moments = replace(one.moments(), n=plain.weight.sum(axis=0))
-        total = moments if total is None else total + moments
+    total = sum_moments(map(reweighted_moments, rows, factors))
     return factors, weighed, total
 
 

@@ -29,6 +29,7 @@ from sklearn_vbjfa.robot._equations import (
 )
 from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
 from sklearn_vbjfa.robot._periods import measure_periods
@@ -429,14 +430,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     def _estimate_rows(self, pieces):
         """Estimate from equations, which may be a stream."""
-        rows, total = [], None
-        keep = not takes_moments(self.regressor, self.block_noise)
-        for one in pieces:
-            moments = one.moments()
-            total = moments if total is None else total + moments
-            if keep:
-                rows.append(one)
-        return self._estimate_moments(total, rows)
+        if takes_moments(self.regressor, self.block_noise):
+            return self._estimate_moments(sum_moments(one.moments() for one in pieces))
+        rows = list(pieces)
+        return self._estimate_moments(sum_moments(one.moments() for one in rows), rows)
 
     def _estimate_moments(self, moments, rows=()):
         """Estimate from the second moments of all equations."""
@@ -768,13 +765,15 @@ def states_of(identifier, X, groups=None):
     return identifier._query(X, groups)[0]
 
 
-def equations_of(identifier, X, y, groups, weight, t=None):
+def equations_of(identifier, X, y, groups, weight, t=None, *, states=None):
     """Return the filtered `Equations` of a recording, as in a fitted identifier.
 
-    Their `index` gives the row at the centre of each.
+    Their `index` gives the row at the centre of each. states : `states_of` the
+    recording, where they are known already.
     """
     recording = identifier._recording(X, y, groups, weight, t)
-    states = states_of(identifier, X, groups)
+    if states is None:
+        states = states_of(identifier, X, groups)
     plan = replace(identifier._plan, repeats=False)
     made = segments(
         recording,

@@ -337,3 +337,11 @@ def _gram(Phi, root):
         rows = Phi[:, j, used] * root[:, j, None]
         G[j, used, used] = rows.T @ rows
     return G
+
+
+def sum_moments(several):
+    """Sum of `JointMoments` of disjoint rows; None if there are none."""
+    total = None
+    for moments in several:
+        total = moments if total is None else total + moments
+    return total

@@ -15,6 +15,7 @@ from sklearn_vbjfa._core._lowpass import decimate, filter_weight
 from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._equations import Equations
 from sklearn_vbjfa.robot._estimate import default_regressor, estimate
+from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._recording_checks import check_weight
 
 # Metadata that equations carry too; instruments are passed without being requested.
@@ -253,10 +254,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             if one.tau.shape[0]:
                 pieces.append(one)
                 labels.append(None if groups is None else np.asarray(groups)[part][0])
-        total = None
-        for one in pieces:
-            moments = one.moments()
-            total = moments if total is None else total + moments
+        total = sum_moments(one.moments() for one in pieces)
         if total is None or not total.n.any():
             raise ValueError(
                 "No equation is left to fit: every sample was masked, or the "

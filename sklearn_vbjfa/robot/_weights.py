@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa._core._scaled_eigen import ROUNDING, scaled_eigen
+from sklearn_vbjfa.robot._joint_moments import sum_moments
 
 
 def least_squares(G, g):
@@ -86,11 +87,12 @@ def _by_block(values, block, n_blocks):
 
 
 def _sum_moments(pieces, blocks, factor):
-    total = None
-    for one, block in zip(pieces, blocks):
-        plain = replace(one, instruments=None, difference=None, blocks=None)
-        moments = plain.reweighted(factor[block]).moments()
-        # The factors reweight the samples; their number does not change.
-        moments = replace(moments, n=one.weight.sum(axis=0))
-        total = moments if total is None else total + moments
-    return total
+    return sum_moments(
+        reweighted_moments(replace(one, difference=None, blocks=None), factor[block])
+        for one, block in zip(pieces, blocks)
+    )
+
+
+def reweighted_moments(one, factor):
+    """Moments of equations with weights times (n, nv); the number of rows is kept."""
+    return replace(one.reweighted(factor).moments(), n=one.weight.sum(axis=0))

@@ -137,6 +137,7 @@ class RecordingView:
             recording.groups,
             weight,
             self.clock,
+            states=self.states,
         )
         self.index, tau = self.equations.index, self.equations.tau
         self.root = np.sqrt(self.equations.weight)

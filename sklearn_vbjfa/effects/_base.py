@@ -243,6 +243,14 @@ class Effect(TransformerMixin, BaseEstimator):
         fitted = dict(zip(self.coefficients, coef))
         return all(fitted[name] >= 0 for name in self.nonnegative)
 
+    def opposite(self):
+        """Return the effect mirrored in what must have a sign, such as a delay in time.
+
+        Where the mirror image explains nearly as much, the data show something
+        symmetric, and a search finds neither. None where there is no such image.
+        """
+        return None
+
     def parameters(self, coef):
         """Return what an engineer calls the coefficients, symbol -> value."""
         return dict(zip(self.coefficients, map(float, coef)))

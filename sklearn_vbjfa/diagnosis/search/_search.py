@@ -21,6 +21,7 @@ from sklearn_vbjfa.diagnosis.search._shapes import (
     tuned_before,
     tuned_family,
 )
+from sklearn_vbjfa.diagnosis.search._symmetry import one_sided
 from sklearn_vbjfa.diagnosis.search._transfer import Transfer
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects._library import closure
@@ -305,10 +306,17 @@ class EffectSearch:
         None of both if there is nothing new. The evidence has no p-value yet.
         """
         taken = {e.key() for e in base.effects} | self.refused
+        opposites = (e.opposite() for e in base.effects)
+        taken |= {e.key() for e in opposites if e is not None}
         family = base.family(effect).where(lambda one: one.key() not in taken)
         if not family.effects:
             return None, None
-        score = base.fitted.score(self.view.joints_of(effect), family.columns)
+        joints = self.view.joints_of(effect)
+        score = base.fitted.score(joints, family.columns)
+        if effect.opposite() is not None:
+            family, score = one_sided(base, family, joints, score)
+            if family is None:
+                return None, None
         best = family.effects[score.best]
         if not best.plausible(score.coef):
             return None, None

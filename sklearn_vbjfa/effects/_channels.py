@@ -39,8 +39,7 @@ def low_pass(x, dt, time_constant):
     """
     left = np.exp(-dt / time_constant)
     mean = time_constant / dt * (1 - left)
-    start = np.array([left * x[0] - (1 - mean) * x[0]])
-    return signal.lfilter([1 - mean, mean - left], [1, -left], x, zi=start)[0]
+    return signal.lfilter([1 - mean, mean - left], [1, -left], x, zi=mean * x[:1])[0]
 
 
 def smooth(x, dt, time_constant):
@@ -272,7 +271,9 @@ class TorqueFilter(Effect):
 
     def shapes(self, motion):
         """Time constants around what the low-pass lets through."""
-        dt = np.median(np.diff(motion.t)) if motion.t.size > 1 else np.inf
+        if motion.t.size < 2:
+            return []
+        dt = np.median(np.diff(motion.t))
         band = min(motion.bandwidth, _SLOWEST / dt)
         shapes = [s / (2 * np.pi * band) for s in _CONSTANTS]
         return [

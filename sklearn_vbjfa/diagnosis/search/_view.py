@@ -14,7 +14,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
 from sklearn_vbjfa.diagnosis.search._regression import FoldMoments, reduced
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock
-from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
 from sklearn_vbjfa.robot._identifier import equations_of, states_of
 
 
@@ -205,10 +205,15 @@ class RecordingView:
         root = self.root if root is None else root
         return Whitening(residual, root, self.starts, self.step, self.robot.cutoff_)
 
-    def motion(self, theta):
-        """Signals at the full rate; the load from reduced coordinates or None."""
-        rigid = self.robot.features_.n_parameters_
-        parameters = None if theta is None else (self.back @ theta)[:rigid]
+    def motion(self, theta, effects=(), coefs=()):
+        """Signals at the full rate; the load from reduced coordinates or None.
+
+        Effects, with the coefficients of all of them, are part of the torque.
+        """
+        rigid, parameters = self.robot.features_.n_parameters_, None
+        if theta is not None:
+            plain = plain_coefficients(effects, coefs)
+            parameters = np.concatenate([(self.back @ theta)[:rigid], plain])
         motion = make_motion(
             self.robot.features_,
             self.states,
@@ -216,6 +221,7 @@ class RecordingView:
             self.parts,
             parameters,
             self.robot.cutoff_,
+            effects=effects,
         )
         return replace(motion, begins=self._begins)
 

@@ -251,6 +251,11 @@ class Effect(TransformerMixin, BaseEstimator):
         """
         return None
 
+    def excludes(self):
+        """Return the keys of effects that a search puts not beside this one, a set."""
+        opposite = self.opposite()
+        return {self.key()} | (set() if opposite is None else {opposite.key()})
+
     def parameters(self, coef):
         """Return what an engineer calls the coefficients, symbol -> value."""
         return dict(zip(self.coefficients, map(float, coef)))

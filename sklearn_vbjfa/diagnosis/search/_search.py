@@ -17,6 +17,7 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
 )
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._shapes import (
+    plainest,
     refined,
     retuned,
     tuned_before,
@@ -330,14 +331,12 @@ class EffectSearch:
 
         None of both if there is nothing new. The evidence has no p-value yet.
         """
-        taken = {e.key() for e in base.effects} | self.refused
-        opposites = (e.opposite() for e in base.effects)
-        taken |= {e.key() for e in opposites if e is not None}
+        taken = self.refused.union(*(e.excludes() for e in base.effects))
         family = base.family(effect).where(lambda one: one.key() not in taken)
         if not family.effects:
             return None, None
         joints = self.view.joints_of(effect)
-        score = base.fitted.score(joints, family.columns)
+        family, score = plainest(base, effect, family)
         if effect.opposite() is not None:
             family, score = one_sided(base, family, joints, score)
             if family is None:

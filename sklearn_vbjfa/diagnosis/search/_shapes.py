@@ -6,6 +6,7 @@ import numpy as np
 from scipy import optimize
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._evidence import no_worse
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
 from sklearn_vbjfa.diagnosis.search._view import variants
@@ -54,6 +55,20 @@ class Bracket:
     def place(self, value):
         """Return the place of a parameter."""
         return np.log(value) if self.logarithmic else value
+
+
+def plainest(base, effect, family):
+    """Return the plainest form of an effect that is no worse than any, and its score.
+
+    Forms differ in complexity. Within one, the shape is chosen by the score alone.
+    """
+    joints = base.view.joints_of(effect)
+    forms = [(own, base.fitted.score(joints, own.columns)) for own in family.forms()]
+    if len(forms) == 1:
+        return forms[0]
+    errors = [base.relevant(effect, score.squares)[0] for _, score in forms]
+    best = min(errors, key=np.sum)
+    return next(form for form, error in zip(forms, errors) if no_worse(best, error))
 
 
 def refined(effect, base, rows=None):

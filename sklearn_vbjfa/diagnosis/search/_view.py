@@ -28,7 +28,8 @@ class Family:
         One for each shape; none where the motion leaves nothing to try.
     columns : ndarray of shape (nj, m, c, k) or None
         Their columns in the equations of the nj joints that they act on, rows scaled
-        by the root of the weights; None without effects.
+        by the root of the weights, with zeros behind those of a shape that has fewer;
+        None without effects.
     """
 
     effects: tuple[Effect, ...]
@@ -39,10 +40,16 @@ class Family:
         chosen = [k for k, effect in enumerate(self.effects) if wanted(effect)]
         if len(chosen) == len(self.effects):
             return self
+        effects = tuple(self.effects[k] for k in chosen)
         return Family(
-            effects=tuple(self.effects[k] for k in chosen),
-            columns=self.columns[:, :, chosen] if chosen else None,
+            effects=effects,
+            columns=self.columns[:, :, chosen, : _width(effects)] if chosen else None,
         )
+
+    def forms(self):
+        """Return a family for each complexity of its forms, the plainest first."""
+        sizes = sorted({effect.complexity for effect in self.effects})
+        return [self.where(lambda one, n=n: one.complexity == n) for n in sizes]
 
     def like(self, effect):
         """Return those that are the same use of the effect, see `Effect.key`."""
@@ -238,13 +245,13 @@ class RecordingView:
     def columns(self, effects, motion):
         """Columns (nj, m, c, k) of an effect with several shape parameters."""
         joints = self.joints_of(effects[0])
-        k = len(effects[0].coefficients)
-        out = np.empty((len(joints), self.index.size, len(effects), k))
+        k = _width(effects)
+        out = np.zeros((len(joints), self.index.size, len(effects), k))
         for c, effect in enumerate(effects):
             filtered = self.filtered(effect.columns(motion))
             for i, j in enumerate(joints):
                 own = filtered[:, j] if effect.whole_robot else filtered
-                out[i, :, c] = own * self.root[:, j, None]
+                out[i, :, c, : own.shape[1]] = own * self.root[:, j, None]
         return out
 
     def columns_of(self, effect, motion):
@@ -295,6 +302,11 @@ class RecordingView:
             scales.append(scale)
             Z.append(extra * scale)
         return np.concatenate(Z, axis=2), tuple(scales)
+
+
+def _width(effects):
+    """Most coefficients of any of some effects."""
+    return max((len(effect.coefficients) for effect in effects), default=0)
 
 
 def variants(effect, motion):

@@ -147,6 +147,8 @@ class Effect(TransformerMixin, BaseEstimator):
         Signals besides the states.
     continuous : tuple of str
         Shape parameters that take any value between those of `shapes`.
+    cyclic : tuple of str
+        Those of them that are angles [rad], the same again after a turn.
     jumping : tuple of str
         Those of them in which the torque jumps (an instant): they get no interval.
     tangent : tuple of str
@@ -186,6 +188,7 @@ class Effect(TransformerMixin, BaseEstimator):
     contains = ()
     needs = ()
     continuous = ()
+    cyclic = ()
     jumping = ()
     tangent = ()
     positive = ()

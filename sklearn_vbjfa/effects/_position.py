@@ -8,10 +8,9 @@ from sklearn_vbjfa.effects._base import POSITION, STIFFNESS, TORQUE, Effect, Joi
 # Longest and shortest period to try: of a revolute joint [rad], and as shares of the
 # range of a prismatic one.
 _LONGEST, _SHORTEST = np.radians(75.0), np.radians(2.0)
-# Linkages to try: shares of the longer distance, and angles [degrees], none of them
-# zero and a little more than a turn, so that there is a neighbour on both sides.
-_RATIOS = (0.2, 0.4, 0.6, 0.8, 0.95)
-_ANGLES = tuple(range(15, 376, 30))
+# Linkages to try: shorter over longer distance from the axis, and angles [degrees].
+_RATIOS = (0.2, 0.45, 0.7, 0.9)
+_ANGLES = tuple(range(0, 360, 30))
 # Neighbouring periods differ by this many cycles over the range of the motion.
 _CYCLES = 0.3
 
@@ -151,6 +150,7 @@ class Counterbalance(Effect):
     )
     shape_units = (("ratio", ("", "")), ("angle", POSITION))
     contains = ("offset", "spring")
+    cyclic = ("angle",)
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
 

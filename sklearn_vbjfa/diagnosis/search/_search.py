@@ -17,6 +17,7 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
 )
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._shapes import (
+    absorbing,
     plainest,
     refined,
     retuned,
@@ -278,6 +279,7 @@ class EffectSearch:
             tried=others,
             rule=self._rule(chosen),
         )
+        effect = self.absorb(effect)
         self.prune(effect)
         self.model = retuned(self.model, effect.joint)
         self.compete(effect.joint)
@@ -537,6 +539,30 @@ class EffectSearch:
         return case, None if case.gain > -case.gain_std else Rule(name=HARM)
 
     # -- second thoughts --------------------------------------------------------------
+
+    def absorb(self, effect):
+        """Drop plainer effects that a new one stands for if it takes another shape.
+
+        Returns the effect as it is then.
+        """
+        names = closure(effect, self.library)
+        plain = [
+            one
+            for one in self.model.effects
+            if one.joint == effect.joint and one.name in names
+        ]
+        if not plain or len(self.model.family(effect).effects) < 2:
+            return effect
+        trial = absorbing(effect, plain, self.model)
+        now, then = (trial.relevant(effect, m.squares)[0] for m in (self.model, trial))
+        if not no_worse(now, then):
+            return effect
+        case = compare(then, now)
+        for one in plain:
+            rest = self.model.without(one)
+            self._step("drop", one, rest, evidence=case, rule=Rule(name=SUPERFLUOUS))
+        self.model = trial
+        return trial.effects[-1]
 
     def prune(self, newest=None):
         """Drop what became superfluous or took a wrong sign, the least useful first."""

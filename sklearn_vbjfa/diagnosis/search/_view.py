@@ -46,6 +46,13 @@ class Family:
             columns=self.columns[:, :, chosen, : _width(effects)] if chosen else None,
         )
 
+    def extended(self, effect, columns):
+        """Return the same with one more effect and its columns (nj, m, k)."""
+        return Family(
+            effects=(*self.effects, effect),
+            columns=np.concatenate([self.columns, columns[:, :, None]], axis=2),
+        )
+
     def forms(self):
         """Return a family for each complexity of its forms, the plainest first."""
         sizes = sorted({effect.complexity for effect in self.effects})

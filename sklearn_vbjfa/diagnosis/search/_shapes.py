@@ -16,6 +16,9 @@ _TANGENTS = 2
 # Times that several shape parameters are searched one after the other, as long as the
 # fall of the squared error still grows by this share.
 _SWEEPS, _WORTH = 4, 1e-3
+# Points of the grid from which several parameters are searched: two of them may trade
+# against each other.
+_STARTS = 3
 # Shapes between the neighbours of a tuned one, from which each fold takes its own.
 _FINER = 9
 
@@ -89,7 +92,7 @@ def plainest(base, effect, family):
         if own is best[0]:
             break
         # A grid of several parameters is coarse: between its points it may do as well.
-        finer = refined(own.effects[score.best], base)
+        finer = tuned(own.effects[score.best], base)
         form = scored(own.extended(finer, base.columns_of(finer)))
         if no_worse(errors(best), errors(form)):
             return form
@@ -110,17 +113,19 @@ def refined(effect, base, rows=None):
             columns *= rows[:, None, None]
         return -base.fitted.drop(joints, columns)
 
+    several = len(effect.continuous) > 1
+    tolerance = 1e-2 if several else 1e-3
     best = cost(effect)
-    for _ in range(_SWEEPS if len(effect.continuous) > 1 else 1):
+    for _ in range(_SWEEPS if several else 1):
         before = best
         for name in effect.continuous:
-            effect, best = _searched(effect, name, cost, best, base.motion)
+            effect, best = _searched(effect, name, cost, best, base.motion, tolerance)
         if not before - best > _WORTH * abs(before):
             break
     return effect
 
 
-def _searched(effect, name, cost, best, motion):
+def _searched(effect, name, cost, best, motion, tolerance):
     """Search one shape parameter; the effect, and what it costs."""
     bracket = Bracket.of(effect, name, motion)
     if bracket is None:
@@ -134,9 +139,43 @@ def _searched(effect, name, cost, best, motion):
         lambda u: cost(at(u)),
         bounds=(low, high),
         method="bounded",
-        options={"xatol": 1e-3 * (high - low)},
+        options={"xatol": tolerance * (high - low)},
     )
     return (at(found.x), found.fun) if found.fun < best else (effect, best)
+
+
+def tuned(effect, base):
+    """Return the effect with the shape that suits best, from several of its grid."""
+    if len(effect.continuous) < 2:
+        return refined(tuned_among(effect, base), base)
+    same = base.family(effect).like(effect)
+    joints = base.view.joints_of(effect)
+    drop = base.fitted.score(joints, same.columns).drop if same.effects else []
+    starts = [same.effects[i] for i in _peaks(same.effects, drop)]
+    found = [refined(one, base) for one in (effect, *starts)]
+    drops = [base.fitted.drop(joints, base.columns_of(e)[:, :, None]) for e in found]
+    return found[int(np.argmax(drops))]
+
+
+def _peaks(effects, drop):
+    """Places of the best shapes of a grid, none beside a better one."""
+    if not effects:
+        return []
+    apart = []
+    for name in effects[0].continuous:
+        values, place = np.unique(
+            [getattr(e, name) for e in effects], return_inverse=True
+        )
+        steps = np.abs(place[:, None] - place)
+        if name in effects[0].cyclic:
+            steps = np.minimum(steps, values.size - steps)
+        apart.append(steps)
+    near = np.max(apart, axis=0) <= 1
+    found = []
+    for i in np.argsort(drop)[::-1]:
+        if not near[i, found].any():
+            found.append(i)
+    return found[:_STARTS]
 
 
 def tuned_among(effect, base):
@@ -203,7 +242,7 @@ def absorbing(effect, plain, model):
     base, forms = model.beside(rest), effect.excludes()
     family = base.family(effect).where(lambda one: one.key() in forms)
     own, score = plainest(base, effect, family)
-    alone = refined(own.effects[score.best], base)
+    alone = tuned(own.effects[score.best], base)
     return SearchModel.of(model.view, [*rest, alone], model)
 
 
@@ -213,7 +252,7 @@ def retuned(model, joint):
     chosen = [i for i, e in enumerate(effects) if e.joint == joint and e.continuous]
     for i in chosen:
         base = model.beside(e for k, e in enumerate(effects) if k != i)
-        effects[i] = refined(tuned_among(effects[i], base), base)
+        effects[i] = tuned(effects[i], base)
     if not chosen:
         return model
     return linearised(SearchModel.of(model.view, effects, model), joint)

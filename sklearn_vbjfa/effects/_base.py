@@ -147,6 +147,9 @@ class Effect(TransformerMixin, BaseEstimator):
         Signals besides the states.
     continuous : tuple of str
         Shape parameters that take any value between those of `shapes`.
+    neutral : tuple of (str, float)
+        Those of them that do nothing at a value: a search leaves them there unless the
+        data say otherwise.
     jumping : tuple of str
         Those of them in which the torque jumps (an instant): they get no interval.
     tangent : tuple of str
@@ -186,6 +189,7 @@ class Effect(TransformerMixin, BaseEstimator):
     contains = ()
     needs = ()
     continuous = ()
+    neutral = ()
     jumping = ()
     tangent = ()
     positive = ()

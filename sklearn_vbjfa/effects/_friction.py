@@ -14,6 +14,7 @@ class _Smoothed(Effect):
     """Dry friction, with a sign that may be smoothed."""
 
     continuous = ("smoothing",)
+    neutral = (("smoothing", 0.0),)
     shape_units = (("smoothing", SPEED),)
 
     def __init__(self, joint=0, smoothing=0.0):

@@ -86,17 +86,43 @@ def refined(effect, base, rows=None):
     return effect
 
 
-def tuned_among(effect, base):
-    """Return the effect with the shape of the grid that suits best, or its own."""
+def _settings(effect):
+    """Shape parameters of an effect that no search between grid points tunes."""
+    tuned = {*effect.continuous, *effect.tangent}
+    shape = effect.shape().items()
+    return tuple(sorted((key, value) for key, value in shape if key not in tuned))
+
+
+def tuned(effect, base):
+    """Return the effect with the shape that suits a model best, or its own.
+
+    The grid is searched first, and then between its points: for each of the settings
+    (exponents) under which the effect is one and the same, since the best point of the
+    grid need not be near the best shape.
+    """
     same = base.family(effect).like(effect)
     if not same.effects:
-        return effect
+        return refined(effect, base)
     joints = base.view.joints_of(effect)
-    score = base.fitted.score(joints, same.columns)
-    own = base.view.columns([effect], base.motion)
-    if score.drop.max() > base.fitted.drop(joints, own):
-        return same.effects[score.best]
-    return effect
+    drops = base.fitted.score(joints, same.columns).drop
+    best = {}
+    for one, drop in zip(same.effects, drops):
+        key = _settings(one)
+        if key not in best or drop > best[key][0]:
+            best[key] = drop, one
+    offers = [effect, *(one for _, one in best.values())]
+
+    def drop(one):
+        return base.fitted.drop(joints, base.view.columns([one], base.motion))
+
+    found = max((refined(one, base) for one in offers), key=drop)
+    if effect.neutral:
+        # A parameter costs what it costs elsewhere (Schwarz's criterion).
+        plain = clone(found).set_params(**dict(effect.neutral))
+        rows = base.view.rows[joints].sum()
+        if drop(found) - drop(plain) < len(effect.neutral) * np.log(max(rows, 2.0)):
+            return plain
+    return found
 
 
 def tuned_before(effect, base, early):
@@ -146,7 +172,7 @@ def retuned(model, joint):
     chosen = [i for i, e in enumerate(effects) if e.joint == joint and e.continuous]
     for i in chosen:
         base = model.beside(e for k, e in enumerate(effects) if k != i)
-        effects[i] = refined(tuned_among(effects[i], base), base)
+        effects[i] = tuned(effects[i], base)
     if not chosen:
         return model
     return linearised(SearchModel.of(model.view, effects, model), joint)
@@ -174,10 +200,8 @@ def tuned_on(view, effects):
     found = list(effects)
     for i, effect in enumerate(effects):
         base = model.beside(e for k, e in enumerate(found) if k != i)
-        if effect.jumping:
-            # It may lie in a stretch that was not searched.
-            effect = tuned_among(effect, base)
-        found[i] = refined(effect, base)
+        # An instant may lie in a stretch that was not searched.
+        found[i] = (tuned if effect.jumping else refined)(effect, base)
     model = SearchModel.of(view, found, model)
     for joint in sorted({effect.joint for effect in found}):
         model = linearised(model, joint)

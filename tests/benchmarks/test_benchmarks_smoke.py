@@ -47,6 +47,7 @@ def residuals(scale, index, tau):
         "recording_files",
         "rest",
         "simulated_arms",
+        "single_effects",
         "speed",
         "states",
         "synthetic",

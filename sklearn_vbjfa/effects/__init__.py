@@ -1,7 +1,8 @@
 """Effects that a rigid-body model may lack, each a small transformer."""
 
 from sklearn_vbjfa.effects._base import Effect, JointEffect, Motion
-from sklearn_vbjfa.effects._drive import Coupling, Delay, Elastic, RotorInertia
+from sklearn_vbjfa.effects._channels import Delay, Jerk, TorqueFilter
+from sklearn_vbjfa.effects._drive import Coupling, Elastic, RotorInertia
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
     Coulomb,
@@ -25,6 +26,7 @@ __all__ = [
     "Drift",
     "Effect",
     "Elastic",
+    "Jerk",
     "JointEffect",
     "LoadFriction",
     "Motion",
@@ -35,6 +37,7 @@ __all__ = [
     "RotorInertia",
     "Spring",
     "Stribeck",
+    "TorqueFilter",
     "Viscous",
     "ViscousQuadratic",
     "available",

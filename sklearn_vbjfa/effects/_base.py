@@ -150,6 +150,8 @@ class Effect(TransformerMixin, BaseEstimator):
     neutral : tuple of (str, float)
         Those of them that do nothing at a value: a search leaves them there unless the
         data say otherwise.
+    cyclic : tuple of str
+        Those of them that are angles [rad], the same again after a turn.
     jumping : tuple of str
         Those of them in which the torque jumps (an instant): they get no interval.
     tangent : tuple of str
@@ -190,6 +192,7 @@ class Effect(TransformerMixin, BaseEstimator):
     needs = ()
     continuous = ()
     neutral = ()
+    cyclic = ()
     jumping = ()
     tangent = ()
     positive = ()
@@ -246,6 +249,19 @@ class Effect(TransformerMixin, BaseEstimator):
         """Whether no coefficient is negative that cannot be; see `nonnegative`."""
         fitted = dict(zip(self.coefficients, coef))
         return all(fitted[name] >= 0 for name in self.nonnegative)
+
+    def opposite(self):
+        """Return the effect mirrored in what must have a sign, such as a delay in time.
+
+        Where the mirror image explains nearly as much, the data show something
+        symmetric, and a search finds neither. None where there is no such image.
+        """
+        return None
+
+    def excludes(self):
+        """Return the keys of effects that a search puts not beside this one, a set."""
+        opposite = self.opposite()
+        return {self.key()} | (set() if opposite is None else {opposite.key()})
 
     def parameters(self, coef):
         """Return what an engineer calls the coefficients, symbol -> value."""

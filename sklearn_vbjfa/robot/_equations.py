@@ -95,16 +95,28 @@ def joined(pieces):
 # -- regressor matrices ----------------------------------------------------------------
 
 
-def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=None):
+def make_motion(
+    features,
+    states,
+    t,
+    parts,
+    theta=None,
+    bandwidth=np.inf,
+    rest=None,
+    effects=(),
+):
     """Build the `Motion` that effects are computed from.
 
-    states (n, 3 nv); t (n,) [s] or None; parts : slices of the segments; theta (p,) :
-    parameters of the features, for the load; bandwidth : cut-off of the low-pass [Hz];
-    rest : velocity signs at rest, see `Motion`.
+    states (n, 3 nv); t (n,) [s] or None; parts : slices of the segments; theta :
+    parameters of the features (p,), for the load, and behind them what
+    `plain_coefficients` picks of the effects' coefficients, for the whole torque;
+    bandwidth : cut-off of the low-pass [Hz]; rest : velocity signs at rest, see
+    `Motion`.
     """
     nv = features.n_joints_
     load = torque = rigid = None
     if theta is not None:
+        theta, coefs = np.split(theta, [features.n_parameters_])
         parameters = theta.reshape(nv, -1)
         inertial = np.ascontiguousarray(parameters[:, :10])
         q, v, a = np.split(states, 3, axis=1)
@@ -125,7 +137,7 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=N
             out[piece] = Phi.reshape(*Phi.shape[:2], nv, -1)[:, :, -1, :10]
         return out
 
-    return Motion(
+    motion = Motion(
         q=states[:, :nv],
         v=states[:, nv : 2 * nv],
         a=states[:, 2 * nv :],
@@ -139,6 +151,26 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=N
         bandwidth=float(bandwidth),
         rest=rest,
     )
+    if torque is not None and coefs.size:
+        # The torque is the motion's own array.
+        for effect in filter(is_plain, effects):
+            own, coefs = np.split(coefs, [len(effect.coefficients)])
+            which = slice(None) if effect.whole_robot else effect.joint
+            torque[:, which] += effect.columns(motion) @ own
+    return motion
+
+
+def is_plain(effect):
+    """Whether an effect needs no load, so that its torque is part of the load's."""
+    return "load" not in effect.needs
+
+
+def plain_coefficients(effects, coefs):
+    """Coefficients of the effects that need no load, from those of all."""
+    widths = np.cumsum([len(effect.coefficients) for effect in effects])
+    pieces = np.split(coefs, widths[:-1]) if effects else []
+    kept = [own for effect, own in zip(effects, pieces) if is_plain(effect)]
+    return np.concatenate([np.empty(0), *kept])
 
 
 class RegressorRows:
@@ -259,15 +291,18 @@ class RegressorRows:
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
     """Regressor of each segment, with the columns of the plan's effects.
 
-    Takes the states (n, 3 nv) of each segment, arrays or `SplineStates`; theta (p,)
-    gives the load, rest the velocity signs at rest. Returns a list of `RegressorRows`.
+    Takes the states (n, 3 nv) of each segment, arrays or `SplineStates`; theta gives
+    the load and the torque, see `make_motion`, rest the velocity signs at rest. Returns
+    a list of `RegressorRows`.
     """
     if not plan.effects:
         return [RegressorRows(features, own, rest=rest) for own in states]
     # Effects need all recordings together (time, largest speeds).
     whole = np.concatenate([own[:] for own in states])
     parts, clock = recording.segments, plan.clock(recording)
-    motion = make_motion(features, whole, clock, parts, theta, plan.cutoff, rest)
+    motion = make_motion(
+        features, whole, clock, parts, theta, plan.cutoff, rest, plan.effects
+    )
     rows = RegressorRows.with_effects(features, whole, plan.effects, motion, rest)
     return [rows.part(part) for part in parts]
 
@@ -410,7 +445,7 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
     """Combine a recording with its regressor, segment by segment.
 
     states : `RecordingStates`, with halves where the noise of the regressor is
-    measured; theta (p,) : parameters of the features, for the load in effects' columns;
+    measured; theta : parameters for the load in effects' columns, see `make_motion`;
     rest : velocity signs at rest, for comparisons only (a fit masks standstill); first
     : number of the first segment. Returns a list of `Segment`.
     """

@@ -23,6 +23,7 @@ from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
     joined,
+    plain_coefficients,
     regressor_rows,
     segments,
     unexcited_entries,
@@ -325,9 +326,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             )
         else:
             self.torque_noise_ = periods.filtered_torque_noise(plan.lowpass)
+        fitted = ()
         for one in plan.passes():
             if needs_load(one.effects):
-                self._load = self.theta_[: self.features_.n_parameters_]
+                self._load = self._known_torque(fitted)
+            fitted = one.effects
             made = segments(recording, states, one, self.features_, theta=self._load)
             self._set(self._estimate(made))
         if periods is None and self.torque_noise is None:
@@ -336,6 +339,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             facts = noise_of(self, X, recording.tau, recording.segments, clock)
             tell_noise(self, facts)
         return self
+
+    def _known_torque(self, effects):
+        """Parameters that a fit with some effects gives the load of the next."""
+        bodies, coefs = np.split(self.theta_, [self.features_.n_parameters_])
+        return np.concatenate([bodies, plain_coefficients(effects, coefs)])
 
     # -- from the arguments to a plan --------------------------------------------------
 
@@ -830,5 +838,8 @@ def estimate_of(identifier, pieces, settings):
 
 
 def load_parameters(identifier):
-    """Body parameters used for the effects' load in a fit; None without load."""
+    """Parameters used for the effects' load in a fit; None without load.
+
+    Those of the features, and behind them the effects' that need none: `make_motion`.
+    """
     return identifier._load

@@ -79,6 +79,7 @@ class FinalFit:
             view.parts,
             load_parameters(identifier),
             view.robot.cutoff_,
+            effects=effects,
         )
         self._columns = [view.in_equations(e, self.motion) for e in self.effects]
 

@@ -305,7 +305,7 @@ class BlockRegression:
         return Score(
             squares=self.blocks.sums(squares.T),
             best=best,
-            coef=refit.beta[best] * unit[best],
+            coefs=refit.beta * unit,
             outside=float(refit.kept[best]),
             drop=refit.drop,
         )
@@ -385,8 +385,8 @@ class Score:
         Squared residuals with the candidate.
     best : int
         Shape chosen on all rows.
-    coef : ndarray of shape (k,)
-        Its coefficients on all rows.
+    coefs : ndarray of shape (c, k)
+        Coefficients of all shapes on all rows.
     outside : float
         Share of its columns' power that the other columns do not explain.
     drop : ndarray of shape (c,)
@@ -395,6 +395,11 @@ class Score:
 
     squares: np.ndarray
     best: int
-    coef: np.ndarray
+    coefs: np.ndarray
     outside: float
     drop: np.ndarray
+
+    @property
+    def coef(self):
+        """Coefficients of the best shape on all rows, (k,)."""
+        return self.coefs[self.best]

@@ -19,11 +19,14 @@ from sklearn_vbjfa.diagnosis.search._exchange import backwards, exchange
 from sklearn_vbjfa.diagnosis.search._left_out import can_be_left_out, left_out
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._shapes import (
+    absorbing,
+    plainest,
     retuned,
     tuned,
     tuned_before,
     tuned_family,
 )
+from sklearn_vbjfa.diagnosis.search._symmetry import one_sided
 from sklearn_vbjfa.diagnosis.search._transfer import Transfer
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect
@@ -292,6 +295,7 @@ class EffectSearch:
             tried=others,
             rule=self._rule(chosen),
         )
+        effect = self.absorb(effect)
         self.prune(effect)
         self.model = retuned(self.model, effect.joint)
         self.compete(effect.joint)
@@ -345,11 +349,16 @@ class EffectSearch:
 
         None of both if there is nothing new. The evidence has no p-value yet.
         """
-        taken = {e.key() for e in base.effects} | self.refused
+        taken = self.refused.union(*(e.excludes() for e in base.effects))
         family = base.family(effect).where(lambda one: one.key() not in taken)
         if not family.effects:
             return None, None
-        score = base.fitted.score(self.view.joints_of(effect), family.columns)
+        joints = self.view.joints_of(effect)
+        family, score = plainest(base, effect, family)
+        if effect.opposite() is not None:
+            family, score = one_sided(base, family, joints, score)
+            if family is None:
+                return None, None
         best = family.effects[score.best]
         if not best.plausible(score.coef):
             return None, None
@@ -591,6 +600,30 @@ class EffectSearch:
         return case, None if case.gain > -case.gain_std else Rule(name=HARM)
 
     # -- second thoughts --------------------------------------------------------------
+
+    def absorb(self, effect):
+        """Drop plainer effects that a new one stands for if it takes another shape.
+
+        Returns the effect as it is then.
+        """
+        names = closure(effect, self.library)
+        plain = [
+            one
+            for one in self.model.effects
+            if one.joint == effect.joint and one.name in names
+        ]
+        if not plain or len(self.model.family(effect).effects) < 2:
+            return effect
+        trial = absorbing(effect, plain, self.model)
+        now, then = (trial.relevant(effect, m.squares)[0] for m in (self.model, trial))
+        if not no_worse(now, then):
+            return effect
+        case = compare(then, now)
+        for one in plain:
+            rest = self.model.without(one)
+            self.step("drop", one, rest, evidence=case, rule=Rule(name=SUPERFLUOUS))
+        self.model = trial
+        return trial.effects[-1]
 
     def prune(self, newest=None):
         """Drop what became superfluous or took a wrong sign, the least useful first."""

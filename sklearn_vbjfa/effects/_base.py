@@ -156,6 +156,14 @@ class Effect(TransformerMixin, BaseEstimator):
     nonnegative : tuple of str
         Coefficients that are not negative in nature: what a search finds with another
         sign is something else.
+    depends : tuple of {"position", "speed", "load"}
+        Quantities of its joint that its columns go on changing with however large they
+        become, so that outside the range of the fit its torque is extrapolated; see
+        `EffectRange`. What saturates or fades with them (a sign, a Stribeck curve) has
+        its value outside the range as well and is left out.
+    curved : bool
+        Whether the columns do so in another way than along a straight line, so that
+        less lies between what is known and what is not.
     visible : str
         What a recording must hold for the effect to show.
     record : str
@@ -190,6 +198,8 @@ class Effect(TransformerMixin, BaseEstimator):
     tangent = ()
     positive = ()
     nonnegative = ()
+    depends = ()
+    curved = False
     visible = "the joint moves"
     record = ""
     # True for a function of time, which would fit whatever changes slowly.

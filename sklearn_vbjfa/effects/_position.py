@@ -77,6 +77,7 @@ class Spring(Effect):
     units = (STIFFNESS, TORQUE)
     named_units = (("k", STIFFNESS), ("q0", POSITION))
     contains = ("offset",)
+    depends = ("position",)
     visible = "a wide range of positions"
     record = "a wide range of positions"
 
@@ -121,6 +122,8 @@ class Counterbalance(Effect):
     coefficients = ("a", "b", "c", "d", "e")
     units = (TORQUE,) * 5
     contains = ("offset", "spring")
+    depends = ("position",)
+    curved = True
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
 
@@ -171,6 +174,8 @@ class Ripple(Effect):
     contains = ("offset",)
     continuous = ("period",)
     positive = ("period",)
+    depends = ("position",)
+    curved = True
     visible = "motion across several periods, slow enough for the low-pass"
     record = "slow motion over the whole range"
 

@@ -8,7 +8,8 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.model._loading import joint_names
+from sklearn_vbjfa.effects._ranges import outside
+from sklearn_vbjfa.model._loading import is_prismatic, joint_names
 from sklearn_vbjfa.model._urdf import write_identified
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.recording._recording import (
@@ -42,6 +43,13 @@ from sklearn_vbjfa.robot._plan import (
     observe,
     resolve_standstill,
     takes_moments,
+)
+from sklearn_vbjfa.robot._query import Query
+from sklearn_vbjfa.robot._ranges import (
+    effect_ranges,
+    outside_text,
+    sum_ranges,
+    warn_outside,
 )
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
@@ -330,6 +338,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
                 self._load = self.theta_[: self.features_.n_parameters_]
             made = segments(recording, states, one, self.features_, theta=self._load)
             self._set(self._estimate(made))
+        self._tell_loads(made)
         if periods is None and self.torque_noise is None:
             X = recording.inputs
             clock = plan.clock(recording)
@@ -465,6 +474,34 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
+        self._motion_ranges = found.moments.ranges
+        self._tell_ranges()
+
+    def _tell_ranges(self, load=None):
+        """Set what each effect was fitted on; load : `SignalRanges` where known."""
+        self.effect_ranges_ = effect_ranges(
+            self.features_.friction_, self.effects_, self._motion_ranges, load
+        )
+
+    def _tell_loads(self, made):
+        """Add the ranges of the loads in the segments that were fitted.
+
+        Declared friction does not depend on the load; without effects it is not needed.
+        """
+        if self.effects_:
+            inertial = self._inertial(self.theta_)
+
+            def torques(q, v, a):
+                return self.features_.torques(q, v, a, inertial)
+
+            loads = [one.loads(self._plan.lowpass, torques) for one in made]
+            self._tell_ranges(sum_ranges(loads))
+
+    def _inertial(self, theta):
+        """Inertial parameters (nv, 10) among parameters theta."""
+        rigid = theta[: self.features_.n_parameters_]
+        bodies = rigid.reshape(self.features_.n_joints_, -1)
+        return np.ascontiguousarray(bodies[:, :10])
 
     def _bodies(self):
         """Parameters of the features, (nv, 10 + number of friction columns)."""
@@ -587,32 +624,75 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         """
         check_is_fitted(self)
         X = self._validate_query(X)
-        recording = self._recording(X, groups=groups, t=self._clock(t, X.shape[0]))
-        states, rest = self._query(X, groups, in_band=True)
-        own = [states[rows] for rows in recording.segments]
+        asked = self._ask(X, groups, t)
+        warn_outside(self._said_outside(asked), stacklevel=2)
+        return self._torques(asked)
+
+    def _ask(self, X, groups=None, t=None, weight=None):
+        """Make the `Query` of the rows of a recording."""
+        smoother = self._smoother(X, groups, in_band=True)
+        states, rest = self._smoothed(X, groups, smoother)
+        clock = self._clock(t, X.shape[0])
+        return Query(
+            recording=self._recording(X, None, groups, weight, clock),
+            states=states,
+            rest=rest,
+            smoother=smoother,
+        )
+
+    def _torques(self, asked):
+        """Torques (n, nv) that are predicted for a `Query`."""
+        recording = asked.recording
+        own = [asked.states[rows] for rows in recording.segments]
         rows = regressor_rows(
-            recording, own, self._plan, self.features_, theta=self._load, rest=rest
+            recording,
+            own,
+            self._plan,
+            self.features_,
+            theta=self._load,
+            rest=asked.rest,
         )
         return np.concatenate([one.predict(self.theta_) for one in rows])
+
+    def _outside(self, asked):
+        """Find where a `Query` leaves what was fitted, tuple of `OutsideRange`."""
+        inertial = None
+        if any("load" in one.depends for one in self.effect_ranges_):
+            inertial = self._inertial(self.theta_)
+        signals = asked.signals(self.features_, inertial)
+        return outside(self.effect_ranges_, signals, asked.counts(self.standstill_))
+
+    def _said_outside(self, asked):
+        """Say where a `Query` leaves what was fitted, a list of str."""
+        found = self._outside(asked)
+        prismatic = is_prismatic(self.features_.model_)
+        return [outside_text(found, self.joint_names_, prismatic)] if found else []
 
     def _clock(self, t, n_samples):
         """Return the time of each row of a query [s], stamped if effects need it."""
         timed = any("time" in effect.needs for effect in self.effects_)
         return check_clock(t if timed else None, n_samples, self.dt)
 
-    def _query(self, X, groups, *, in_band=False):
-        """States (n, 3 nv) of a query, and the `Rest` with their velocity signs.
+    def _query(self, X, groups):
+        """States (n, 3 nv) of a query, and the `Rest` with their velocity signs."""
+        return self._smoothed(X, groups, self._smoother(X, groups))
 
-        With `in_band` they are smoothed to the identified band.
+    def _smoother(self, X, groups, *, in_band=False):
+        """State estimator of a query; None if X holds states.
+
+        With `in_band` it smooths to the identified band.
         """
-        nv = self.features_.n_joints_
-        if X.shape[1] == 3 * nv:
-            return X, self._plan.rest(np.zeros(nv))
+        if X.shape[1] == 3 * self.features_.n_joints_:
+            return None
         estimator = self._plan.state_estimator
         if estimator is None:
             estimator = fit_states(check_dt(self.dt), self.state_cutoff, X, groups)
-        if in_band:
-            estimator = smooth_to(estimator, self.cutoff_)
+        return smooth_to(estimator, self.cutoff_) if in_band else estimator
+
+    def _smoothed(self, X, groups, estimator):
+        """States (n, 3 nv) by an estimator, and the `Rest` of their velocities."""
+        if estimator is None:
+            return X, self._plan.rest(np.zeros(self.features_.n_joints_))
         states = estimator.transform(X, groups=groups)
         return states, self._plan.rest(estimator.velocity_noise())
 
@@ -741,11 +821,11 @@ def noise_of(identifier, X, y, segments, clock=None):
         return []
     found = []
     for rows in map(rows_looked_at, segments):
-        states, _ = identifier._query(X[rows], None, in_band=True)
         t = None if clock is None else clock[rows]
-        residual = y[rows] - identifier.predict(states, t=t)
+        asked = identifier._ask(X[rows], t=t).noiseless(identifier._plan)
+        residual = y[rows] - identifier._torques(asked)
         band = identifier.dt, identifier.cutoff_
-        found.append(noise_facts(residual, y[rows], states, *band))
+        found.append(noise_facts(residual, y[rows], asked.states, *band))
     return found
 
 
@@ -783,6 +863,16 @@ def equations_of(identifier, X, y, groups, weight, t=None, *, states=None):
         theta=identifier._load,
     )
     return joined(equations(made, plan.lowpass))
+
+
+def outside_of(identifier, recording):
+    """Find where a recording leaves what a fitted identifier was fitted on.
+
+    Rows without weight do not count. Returns a tuple of `OutsideRange`.
+    """
+    t = recording.clock(stamped=True)
+    asked = identifier._ask(recording.inputs, recording.groups, t, recording.weight)
+    return identifier._outside(asked)
 
 
 def pieces_of(identifier, X, y, groups, *, halves=None):

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
+from sklearn_vbjfa.effects import EffectRange
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,9 @@ class DiscoveredEffect:
         Other effects that this data cannot tell from it.
     effect : Effect
         The transformer itself.
+    ranges : EffectRange or None
+        Positions, speeds and loads of its joint that it was fitted on, in the model
+        that is handed over.
     """
 
     name: str
@@ -44,6 +48,7 @@ class DiscoveredEffect:
     evidence: Evidence
     rivals: tuple = ()
     effect: object = None
+    ranges: EffectRange | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -228,6 +233,8 @@ class Outcome:
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
         part, its recordings joined [s].
+    outside : tuple of OutsideRange
+        Where the untouched part leaves what the judged model was fitted on.
     """
 
     declared: dict
@@ -251,3 +258,4 @@ class Outcome:
     library: dict
     settings: dict
     curves: dict = field(default_factory=dict)
+    outside: tuple = ()

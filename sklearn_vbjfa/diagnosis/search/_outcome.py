@@ -68,6 +68,7 @@ def make_outcome(search, models, judgement, channels, asked):
         library={effect.name: effect for effect in search.library},
         settings=_settings(search, judgement, asked),
         curves=_curves(models.judged, judgement.before, judgement.after),
+        outside=judgement.outside,
     )
 
 
@@ -104,8 +105,15 @@ def _effects(search, final, names, prismatic):
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
             rivals[step.effect.key()] = tuple(c.effect.name for c in step.rivals)
-    for one, evidence, effect, estimate in zip(
-        search.effects, search.evidence, final.effects, final.effect_estimates()
+    # The effects of the declared model come first.
+    count = len(final.effects)
+    ranges = final.identifier.effect_ranges_[-count:] if count else ()
+    for one, evidence, effect, estimate, fitted in zip(
+        search.effects,
+        search.evidence,
+        final.effects,
+        final.effect_estimates(),
+        ranges,
     ):
         values, deviations = _named(effect, estimate)
         half = quantile(estimate.freedom)
@@ -128,6 +136,7 @@ def _effects(search, final, names, prismatic):
             evidence=evidence,
             rivals=rivals.get(one.key(), ()),
             effect=effect,
+            ranges=fitted,
         )
 
 

@@ -82,8 +82,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     ----------
     effects_ : tuple of DiscoveredEffect
         Accepted effects in the order in which they were found; each has `name`,
-        `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`.
-        The values are those of `identifier_`.
+        `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`,
+        `ranges` (of the motion that it was fitted on). The values are those of
+        `identifier_`.
     rounds_ : tuple of Round
         Every step: what was added, replaced, dropped, refused or withdrawn, on what
         evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the

@@ -193,6 +193,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         for that.
     effects_ : tuple of Effect
         Effects in use.
+    effect_ranges_ : tuple of EffectRange
+        What each effect was fitted on, the declared friction joint by joint and then
+        `effects_`: positions, speeds and loads of its joint behind the low-pass, in
+        rows with weight in which it moves. `predict` warns outside. Loads are nan
+        without `effects`; `forgetting` does not narrow the ranges again.
     parameter_names_, parameter_units_ : tuple of str
         Names ("joint_1:m") and units of the parameters.
     identifiable_ : ndarray of shape (p,), bool
@@ -600,6 +605,14 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         -------
         ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N], friction included.
+
+        Warns
+        -----
+        UserWarning
+            If the motion leaves what effects were fitted on (`effect_ranges_`), once
+            for all of them: a joint's position, speed or load that one of its effects
+            `depends` on lies outside by more than a fifth of the range's width (a tenth
+            where the effect is curved) in more than 0.5 % of the rows.
 
         Notes
         -----

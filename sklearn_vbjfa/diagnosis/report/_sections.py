@@ -301,7 +301,7 @@ def _outside(outcome, verdict):
     return Section(
         heading=f"{title}, on untouched data",
         sentences=sentences,
-        terminal=tuple(f"{title}: {sentence}." for sentence in sentences),
+        terminal=_terminal([f"{title}: {sentence}." for sentence in sentences], ()),
     )
 
 

@@ -21,7 +21,11 @@ from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
-from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
+from sklearn_vbjfa.robot._identifier import (
+    RecordingRegressorMixin,
+    RobotIdentifier,
+    tell_spreads,
+)
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
 
@@ -309,9 +313,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         first.explore()
         say(len(first.model.effects), "plain friction")
         view = RecordingView(self.declared_, part, silent, origin, begins, start)
-        return EffectSearch(
-            view=view, max_effects=self.max_effects, **settings
-        ).resume(names, first.found())
+        return EffectSearch(view=view, max_effects=self.max_effects, **settings).resume(
+            names, first.found()
+        )
 
     def _with(self, effects):
         """Return the declared model with effects, not fitted."""
@@ -329,7 +333,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         view = RecordingView(self.declared_, whole, silent)
         effects = tuned_on(view, found.effects)
         self.identifier_ = _fitted(self._with(effects).set_params(**band), whole)
-        return FinalFit(self.declared_, self.identifier_, view, effects)
+        final = FinalFit(self.declared_, self.identifier_, view, effects)
+        tell_spreads(self.identifier_, final.effect_estimates)
+        return final
 
     def _set(self, outcome):
         """Set the results and the report."""

@@ -100,12 +100,21 @@ def joined(pieces):
 # -- regressor matrices ----------------------------------------------------------------
 
 
-def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=None):
+def make_motion(
+    features,
+    states,
+    t,
+    parts,
+    theta=None,
+    bandwidth=np.inf,
+    rest=None,
+    since=None,
+):
     """Build the `Motion` that effects are computed from.
 
     states (n, 3 nv); t (n,) [s] or None; parts : slices of the segments; theta (p,) :
     parameters of the features, for the load; bandwidth : cut-off of the low-pass [Hz];
-    rest : velocity signs at rest, see `Motion`.
+    rest : velocity signs at rest; since : first time of the fit [s], see `Motion`.
     """
     nv = features.n_joints_
     load = torque = rigid = None
@@ -143,6 +152,7 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=N
         last_body=last_body,
         bandwidth=float(bandwidth),
         rest=rest,
+        since=since,
     )
 
 
@@ -271,10 +281,23 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
         return [RegressorRows(features, own, rest=rest) for own in states]
     # Effects need all recordings together (time, largest speeds).
     whole = np.concatenate([own[:] for own in states])
-    parts, clock = recording.segments, plan.clock(recording)
-    motion = make_motion(features, whole, clock, parts, theta, plan.cutoff, rest)
+    motion = motion_of(recording, whole, plan, features, theta=theta, rest=rest)
     rows = RegressorRows.with_effects(features, whole, plan.effects, motion, rest)
-    return [rows.part(part) for part in parts]
+    return [rows.part(part) for part in recording.segments]
+
+
+def motion_of(recording, states, plan, features, *, theta=None, rest=None):
+    """Build the `Motion` of a recording by a plan, from its states (n, 3 nv)."""
+    return make_motion(
+        features,
+        states,
+        plan.clock(recording),
+        recording.segments,
+        theta,
+        plan.cutoff,
+        rest,
+        None if plan.time is None else plan.time[0],
+    )
 
 
 # -- segments --------------------------------------------------------------------------

@@ -24,6 +24,7 @@ from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
     joined,
+    motion_of,
     regressor_rows,
     segments,
     unexcited_entries,
@@ -63,6 +64,7 @@ from sklearn_vbjfa.robot._recording_checks import (
 )
 from sklearn_vbjfa.robot._residuals import collect_residuals
 from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
+from sklearn_vbjfa.robot._time_effects import Spread, beyond_text, effect_of_time
 from sklearn_vbjfa.robot._torque_noise import (
     filtered_noise,
     given_noise,
@@ -419,7 +421,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             estimator,
             facts,
         )
-        plan.clock(recording)  # rejects stamps that the effects cannot use
+        plan = plan.set_to(recording)
         if periods is None:
             check_length(recording.segments, plan.lowpass, plan.cutoff)
             return plan, recording, states
@@ -481,6 +483,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
         self._motion_ranges = found.moments.ranges
         self._tell_ranges()
+        self._spreads = tuple(
+            Spread.of_deviations(deviations) for deviations in self._split(found.std)
+        )
 
     def _tell_ranges(self, load=None):
         """Set what each effect was fitted on; load : `SignalRanges` where known."""
@@ -501,6 +506,15 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
             loads = [one.loads(self._plan.lowpass, torques) for one in made]
             self._tell_ranges(sum_ranges(loads))
+
+    def _split(self, parameters):
+        """Split parameters (p,) into those of each effect that is in use, a list.
+
+        In the first of several passes effects of the load are missing.
+        """
+        widths = [len(e.coefficients) for e in self.effects_]
+        own = parameters[self.features_.n_parameters_ :]
+        return np.split(own, np.cumsum(widths)[:-1]) if widths else []
 
     def _inertial(self, theta):
         """Inertial parameters (nv, 10) among parameters theta."""
@@ -599,7 +613,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
         t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, for effects that vary with time.
+            Time [s] on the clock of the fit, for effects that vary with time. None: the
+            motion begins when the first recording of the fit began, with the robot as
+            cold and as loaded as it was then.
 
         Returns
         -------
@@ -612,7 +628,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             If the motion leaves what effects were fitted on (`effect_ranges_`), once
             for all of them: a joint's position, speed or load that one of its effects
             `depends` on lies outside by more than a fifth of the range's width (a tenth
-            where the effect is curved) in more than 0.5 % of the rows.
+            where the effect is curved) in more than 0.5 % of the rows. The same warning
+            tells of effects of time outside the time of the fit, by more than a tenth
+            of its duration, what they add there and its standard deviation
+            (`effects_of_time`).
 
         Notes
         -----
@@ -634,6 +653,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         v / w up to w and the sign itself beyond. At rest s = 0; at a reversal the
         acceleration is large, w therefore small, and the sign is kept. The rule uses
         one row at a time: states may come one by one.
+
+        Effects of time use what is known: after the last time of the fit a drift fades
+        on, towards what remains when warm, and a payload stays; before the first time
+        both are as they were then.
         """
         check_is_fitted(self)
         X = self._validate_query(X)
@@ -678,13 +701,80 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def _said_outside(self, asked):
         """Say where a `Query` leaves what was fitted, a list of str."""
         found = self._outside(asked)
-        prismatic = is_prismatic(self.features_.model_)
-        return [outside_text(found, self.joint_names_, prismatic)] if found else []
+        joints = self.joint_names_, is_prismatic(self.features_.model_)
+        said = [outside_text(found, *joints)] if found else []
+        timed = self._of_time(asked)
+        return said + (beyond_text(timed, self._plan.time, *joints) if timed else [])
+
+    def _of_time(self, asked):
+        """Share of each effect of time in a `Query`, tuple of `EffectOfTime`."""
+        slow = [effect.slow for effect in self.effects_]
+        if not any(slow):
+            return ()
+        known = {"theta": self._load, "rest": asked.rest}
+        motion = motion_of(
+            asked.recording, asked.states, self._plan, self.features_, **known
+        )
+        coefs = self._split(self.theta_)
+        return tuple(
+            effect_of_time(effect, coef, spread, motion, self._plan.time)
+            for effect, coef, spread in zip(self.effects_, coefs, self._spreads)
+            if effect.slow
+        )
+
+    def effects_of_time(self, X, groups=None, t=None):
+        """Return what effects of time add to a prediction, and how well it is known.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+            Joint positions or states, as for `predict`.
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        t : array-like of shape (n_samples,), default=None
+            Time [s] on the clock of the fit, as for `predict`.
+
+        Returns
+        -------
+        tuple of EffectOfTime
+            One for each effect of time in `effects_` (a drift, a payload), with `name`,
+            `joint`, `torque` and its standard deviation `std`, (n_samples, nv) [N m or
+            N], and `beyond`, the time of each row after the fit [s]. The deviation
+            counts shape parameters (the time constant) as given, unless
+            `EffectDiscovery` tuned them.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import make_robot_recording
+        >>> from sklearn_vbjfa.effects import Drift
+        >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
+        >>> drift = Drift(joint=0, of="offset", time_constant=10.0)
+        >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt, effects=[drift])
+        >>> tau = recording.tau.copy()
+        >>> tau[:, 0] += 5.0 * np.exp(-recording.t / 10.0)
+        >>> robot = robot.fit(recording.q, tau)
+        >>> later = recording.t + 10.0
+        >>> (found,) = robot.effects_of_time(recording.q, t=later)
+        >>> float(found.beyond.max().round(6))
+        10.0
+        >>> bool((found.std[:, 0] > 0).all())
+        True
+        """
+        check_is_fitted(self)
+        return self._of_time(self._ask(self._validate_query(X), groups, t))
 
     def _clock(self, t, n_samples):
-        """Return the time of each row of a query [s], stamped if effects need it."""
-        timed = any("time" in effect.needs for effect in self.effects_)
-        return check_clock(t if timed else None, n_samples, self.dt)
+        """Return the time of each row of a query [s], stamped if effects need it.
+
+        Without stamps it begins as the fit did.
+        """
+        plan = self._plan
+        if t is not None and plan.timed:
+            return check_clock(t, n_samples, self.dt)
+        clock = check_clock(None, n_samples, self.dt)
+        return clock if plan.time is None or clock is None else clock + plan.time[0]
 
     def _query(self, X, groups):
         """States (n, 3 nv) of a query, and the `Rest` with their velocity signs."""
@@ -930,6 +1020,17 @@ def estimate_of(identifier, pieces, settings):
     other._declare()
     other._adopt(identifier._plan)
     return other._estimate_rows(pieces)
+
+
+def tell_spreads(identifier, estimates):
+    """Tell a fitted identifier how well its last effects are known, for predictions.
+
+    estimates : for each of them, with the tuned parameters `shape` and the joint
+    `covariance` of coefficients and shape.
+    """
+    if estimates:
+        own = [Spread(shape=one.shape, covariance=one.covariance) for one in estimates]
+        identifier._spreads = (*identifier._spreads[: -len(own)], *own)
 
 
 def load_parameters(identifier):

@@ -57,3 +57,16 @@ def outside_sentences(outcome):
             f"({words.percent(one.share)} of the rows; {words.join(labels)})"
         )
     return tuple(found)
+
+
+def afterwards_text(effect):
+    """Say what an effect of time is taken to do after the recording; else empty."""
+    known = effect.afterwards
+    if known is None:
+        return ""
+    when = f"after {words.number(known.seconds)} s"
+    left = [
+        words.with_error(value, known.intervals.get(name), effect.units.get(name, ""))
+        for name, value in known.left.items()
+    ]
+    return f"{when} it {known.how}" + (f" from {words.join(left)}" if left else "")

@@ -276,12 +276,13 @@ def _effects(outcome, verdict):
         told = [", ".join([f"- {joint}: {label}", *parameters]), evidence]
         if rivals:
             told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
-        told += filter(None, [ranges.known_for(outcome, e)])
+        afterwards = ranges.afterwards_text(e)
+        told += filter(None, [ranges.known_for(outcome, e), afterwards])
         sentences.append("; ".join(told))
         short.append((f"- {joint}", label, evidence))
         gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
         cannot = words.join(rivals, len(rivals), "or")
-        fitted = ranges.fitted_on(outcome, e)
+        fitted = (*ranges.fitted_on(outcome, e), *filter(None, [afterwards]))
         rows.append(
             (joint, label, tuple(parameters), fitted, gain, words.p_cell(p), cannot)
         )

@@ -8,6 +8,28 @@ from sklearn_vbjfa.effects import EffectRange
 
 
 @dataclass(frozen=True, kw_only=True)
+class Afterwards:
+    """What is known of an effect of time after the recording.
+
+    Attributes
+    ----------
+    seconds : float
+        Last time of the fit [s].
+    how : str
+        What the effect is taken to do from then on.
+    left : dict of str to float
+        What is left of its coefficients at that time; empty if it stays as it is.
+    intervals : dict of str to (float, float)
+        Their 90 % intervals.
+    """
+
+    seconds: float
+    how: str
+    left: dict
+    intervals: dict
+
+
+@dataclass(frozen=True, kw_only=True)
 class DiscoveredEffect:
     """An effect that the declared model lacked.
 
@@ -37,6 +59,8 @@ class DiscoveredEffect:
     ranges : EffectRange or None
         Positions, speeds and loads of its joint that it was fitted on, in the model
         that is handed over.
+    afterwards : Afterwards or None
+        What an effect of time is taken to do after the recording; None for others.
     """
 
     name: str
@@ -49,6 +73,7 @@ class DiscoveredEffect:
     rivals: tuple = ()
     effect: object = None
     ranges: EffectRange | None = None
+    afterwards: Afterwards | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from sklearn_vbjfa.effects._friction import (
 from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
 from sklearn_vbjfa.effects._library import available, resolve
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
+from sklearn_vbjfa.effects._ranges import EffectRange
 from sklearn_vbjfa.effects._time import Drift, Payload
 
 __all__ = [
@@ -25,6 +26,7 @@ __all__ = [
     "Delay",
     "Drift",
     "Effect",
+    "EffectRange",
     "Elastic",
     "Jerk",
     "JointEffect",

@@ -81,6 +81,7 @@ class Spring(Effect):
     units = (STIFFNESS, TORQUE)
     named_units = (("k", STIFFNESS), ("q0", POSITION))
     contains = ("offset",)
+    depends = ("position",)
     visible = "a wide range of positions"
     record = "a wide range of positions"
 
@@ -151,6 +152,8 @@ class Counterbalance(Effect):
     shape_units = (("ratio", ("", "")), ("angle", POSITION))
     contains = ("offset", "spring")
     cyclic = ("angle",)
+    depends = ("position",)
+    curved = True
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
 
@@ -266,6 +269,8 @@ class Ripple(Effect):
     contains = ("offset",)
     continuous = ("period",)
     positive = ("period",)
+    depends = ("position",)
+    curved = True
     visible = "motion across several periods, slow enough for the low-pass"
     record = "slow motion over the whole range"
 

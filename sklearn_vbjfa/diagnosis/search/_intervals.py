@@ -1,5 +1,6 @@
 """Intervals that respect correlation in time."""
 
+import functools
 import itertools
 from dataclasses import dataclass
 
@@ -111,6 +112,7 @@ class FinalFit:
             for predicted in (before, self._predicted(self.identifier.theta_))
         )
 
+    @functools.cached_property
     def effect_estimates(self):
         """Estimate of each effect, list of EffectEstimate.
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, error_intervals
 from sklearn_vbjfa.diagnosis.search._split import FEWEST_VALUES
+from sklearn_vbjfa.robot._identifier import outside_of
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 
 # The wider band reaches this many times as far as that of the fit, and at least to
@@ -41,6 +42,8 @@ class Judgement:
         Stretches left out since something jumps in them, the search cannot say when.
     guard : float
         Time left out next to the search part [s].
+    outside : tuple of OutsideRange
+        Where the untouched part leaves what the completed model was fitted on.
     """
 
     before: TorqueResiduals
@@ -54,6 +57,7 @@ class Judgement:
     n_stretches: int
     n_undecided: int
     guard: float
+    outside: tuple = ()
 
     @property
     def errors(self):
@@ -106,6 +110,7 @@ def judge(declared, completed, found, split, whole):
         n_stretches=len(split.stretches),
         n_undecided=count - len(split.stretches),
         guard=float(guard * dt),
+        outside=outside_of(completed, rest),
     )
 
 

@@ -202,9 +202,9 @@ class Judge:
         white = self._whiten(columns, joints)
         return self._fitted.score(joints, white).squares * self._precision
 
-    def without(self, joint, columns):
+    def without(self, joint, groups):
         """Squared residuals of a joint (n_blocks, c) where columns of Z are missing."""
-        return self._fitted.squares_without(joint, columns) * self._precision[joint]
+        return self._fitted.squares_without(joint, groups) * self._precision[joint]
 
     def forward(self, joints, columns, blocks, border):
         """Squared residuals of later blocks (n_blocks - border, nv), in units of noise.

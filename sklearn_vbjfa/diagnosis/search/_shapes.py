@@ -144,25 +144,25 @@ def _searched(effect, name, cost, best, motion, tolerance):
     return (at(found.x), found.fun) if found.fun < best else (effect, best)
 
 
-def tuned(effect, base):
-    """Return the effect with the shape that suits best, from several of its grid."""
-    if len(effect.continuous) < 2:
-        return refined(tuned_among(effect, base), base)
-    same = base.family(effect).like(effect)
-    joints = base.view.joints_of(effect)
-    drop = base.fitted.score(joints, same.columns).drop if same.effects else []
-    starts = [same.effects[i] for i in _peaks(same.effects, drop)]
-    found = [refined(one, base) for one in (effect, *starts)]
-    drops = [base.fitted.drop(joints, base.columns_of(e)[:, :, None]) for e in found]
-    return found[int(np.argmax(drops))]
+def _settings(effect):
+    """Shape parameters of an effect that no search between grid points tunes."""
+    tuned = {*effect.continuous, *effect.tangent}
+    shape = effect.shape().items()
+    return tuple(sorted((key, value) for key, value in shape if key not in tuned))
 
 
-def _peaks(effects, drop):
-    """Places of the best shapes of a grid, none beside a better one."""
-    if not effects:
-        return []
+def _starts(effects, drops):
+    """Return the shapes of a grid to search on from: its best, or its peaks.
+
+    A single parameter is searched around its best value; two may trade against each
+    other, with several peaks, none of which lies beside a better one.
+    """
+    order = np.argsort(drops)[::-1]
+    names = effects[0].continuous
+    if len(names) < 2:
+        return [effects[order[0]]]
     apart = []
-    for name in effects[0].continuous:
+    for name in names:
         values, place = np.unique(
             [getattr(e, name) for e in effects], return_inverse=True
         )
@@ -172,23 +172,42 @@ def _peaks(effects, drop):
         apart.append(steps)
     near = np.max(apart, axis=0) <= 1
     found = []
-    for i in np.argsort(drop)[::-1]:
+    for i in order:
         if not near[i, found].any():
             found.append(i)
-    return found[:_STARTS]
+    return [effects[i] for i in found[:_STARTS]]
 
 
-def tuned_among(effect, base):
-    """Return the effect with the shape of the grid that suits best, or its own."""
+def tuned(effect, base):
+    """Return the effect with the shape that suits a model best, or its own.
+
+    The grid is searched first, and then between its points: for each of the settings
+    (exponents) under which the effect is one and the same, since the best point of the
+    grid need not be near the best shape.
+    """
     same = base.family(effect).like(effect)
     if not same.effects:
-        return effect
+        return refined(effect, base)
     joints = base.view.joints_of(effect)
-    score = base.fitted.score(joints, same.columns)
-    own = base.view.columns([effect], base.motion)
-    if score.drop.max() > base.fitted.drop(joints, own):
-        return same.effects[score.best]
-    return effect
+    drops = base.fitted.score(joints, same.columns).drop
+    settings = {}
+    for one, drop in zip(same.effects, drops):
+        settings.setdefault(_settings(one), []).append((one, drop))
+    offers = [effect]
+    for members in settings.values():
+        offers += _starts(*zip(*members))
+
+    def drop(one):
+        return base.fitted.drop(joints, base.view.columns([one], base.motion))
+
+    found = max((refined(one, base) for one in offers), key=drop)
+    if effect.neutral:
+        # A parameter costs what it costs elsewhere (Schwarz's criterion).
+        plain = clone(found).set_params(**dict(effect.neutral))
+        rows = base.view.rows[joints].sum()
+        if drop(found) - drop(plain) < len(effect.neutral) * np.log(max(rows, 2.0)):
+            return plain
+    return found
 
 
 def tuned_before(effect, base, early):
@@ -280,10 +299,8 @@ def tuned_on(view, effects):
     found = list(effects)
     for i, effect in enumerate(effects):
         base = model.beside(e for k, e in enumerate(found) if k != i)
-        if effect.jumping:
-            # It may lie in a stretch that was not searched.
-            effect = tuned_among(effect, base)
-        found[i] = refined(effect, base)
+        # An instant may lie in a stretch that was not searched.
+        found[i] = (tuned if effect.jumping else refined)(effect, base)
     model = SearchModel.of(view, found, model)
     for joint in sorted({effect.joint for effect in found}):
         model = linearised(model, joint)

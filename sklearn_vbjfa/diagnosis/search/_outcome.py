@@ -67,6 +67,8 @@ def make_outcome(search, models, judgement, channels, asked):
         floor=relative_floor,
         library={effect.name: effect for effect in search.library},
         settings=_settings(search, judgement, asked),
+        band=judgement.band,
+        projection=judgement.price,
         curves=_curves(models.judged, judgement.before, judgement.after),
     )
 

@@ -7,6 +7,7 @@ from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa.diagnosis.report._report import Report
+from sklearn_vbjfa.diagnosis.search._common_start import plain_terms
 from sklearn_vbjfa.diagnosis.search._intervals import FinalFit
 from sklearn_vbjfa.diagnosis.search._judgement import judge
 from sklearn_vbjfa.diagnosis.search._outcome import Models, make_outcome
@@ -228,14 +229,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             part = split.searched(whole)
             self.declared_ = _fitted(clone(self.identifier), part)
             begins = tuple(whole.t[rows.start] for rows in whole.segments)
-            view = RecordingView(self.declared_, part, silent, split.origin, begins)
-            found = EffectSearch(
-                view=view,
-                library=library,
-                alpha=float(self.alpha),
-                max_effects=self.max_effects,
-                on_progress=say,
-            ).run()
+            found = self._search(part, silent, split.origin, begins, library, say)
             say(len(found.effects), "final model")
             self.judged_ = self.declared_
             if found.effects:
@@ -297,6 +291,30 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             raise ValueError(" ".join(errors))
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
         return findings, silent
+
+    def _search(self, part, silent, origin, begins, library, say):
+        """Search from the common start, then judge what of it is not declared."""
+        settings = {
+            "library": library,
+            "alpha": float(self.alpha),
+            "on_progress": say,
+        }
+        names = plain_terms(self.declared_.features_.friction_, library)
+        if not names:
+            view = RecordingView(self.declared_, part, silent, origin, begins)
+            return EffectSearch(
+                view=view, max_effects=self.max_effects, **settings
+            ).run()
+        friction = (*self.declared_.features_.friction_, *names)
+        fuller = _fitted(clone(self.identifier).set_params(friction=friction), part)
+        start = RecordingView(fuller, part, silent, origin, begins)
+        first = EffectSearch(view=start, **settings)
+        first.explore()
+        say(len(first.model.effects), "plain friction")
+        view = RecordingView(self.declared_, part, silent, origin, begins, start)
+        return EffectSearch(
+            view=view, max_effects=self.max_effects, **settings
+        ).resume(names, first.found())
 
     def _with(self, effects):
         """Return the declared model with effects, not fitted."""

@@ -33,6 +33,7 @@ def residuals(scale, index, tau):
         "errors_in_variables",
         "false_alarms",
         "feedforward",
+        "friction_none",
         "growth",
         "identification",
         "interval_coverage",
@@ -49,6 +50,7 @@ def residuals(scale, index, tau):
         "speed",
         "states",
         "synthetic",
+        "whole_robots",
     ],
 )
 def test_scripts_start_on_their_own(name):

@@ -1,6 +1,7 @@
 """The declared model with some effects, fitted to a recording, and how it is judged."""
 
 import functools
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,6 +67,16 @@ class SearchModel:
             view=view, effects=effects, motion=motion, fitted=fitted, scales=scales
         )
 
+    @classmethod
+    def on(cls, view, effects, model):
+        """Fit effects on another view of the rows that a model was fitted to.
+
+        Load and weights of that model are the first guess.
+        """
+        guess = cls._fit(view, effects, model.motion, model.precision, None)
+        motion = view.motion(guess.theta)
+        return cls._fit(view, effects, motion, model.precision, guess.ridge)
+
     def beside(self, effects, ridge="same"):
         """Fit other effects with the weights and the load of this model.
 
@@ -109,12 +120,15 @@ class SearchModel:
 
     def coefficients(self, effect):
         """Coefficients of one of the model's effects, in its own units."""
-        at = self.view.Z.shape[2]
-        for one, scale in zip(self.effects, self.scales):
+        for one, scale, place in zip(self.effects, self.scales, self.places()):
             if one is effect:
-                return self.fitted.theta[at : at + scale.size] * scale
-            at += scale.size
+                return self.fitted.theta[place] * scale
         raise ValueError(f"{effect} is not among the accepted effects.")
+
+    def places(self):
+        """Columns of the fit that belong to each effect, list of slice."""
+        edges = np.cumsum([self.view.Z.shape[2], *(s.size for s in self.scales)])
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
 
     def family(self, effect):
         """Effect with all shapes of its grid, and their columns."""
@@ -181,6 +195,10 @@ class Judge:
         """Squared out-of-sample residuals with a candidate, shape chosen by fold."""
         white = self._whiten(columns, joints)
         return self._fitted.score(joints, white).squares * self._precision
+
+    def without(self, joint, columns):
+        """Squared residuals of a joint (n_blocks, c) where columns of Z are missing."""
+        return self._fitted.squares_without(joint, columns) * self._precision[joint]
 
     def forward(self, joints, columns, blocks, border):
         """Squared residuals of later blocks (n_blocks - border, nv), in units of noise.

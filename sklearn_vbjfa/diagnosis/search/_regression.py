@@ -309,6 +309,23 @@ class BlockRegression:
             drop=refit.drop,
         )
 
+    def squares_without(self, joint, columns):
+        """Squared out-of-sample residuals of a joint (n_blocks, c) with less.
+
+        Each of the c columns of Z is left out alone, everything else fitted anew: by
+        the block inverse, without another factorisation.
+        """
+        out = np.empty((self.y.shape[1], len(columns)))
+        unit = np.zeros((self.Z.shape[2], len(columns)))
+        unit[columns, np.arange(len(columns))] = 1.0
+        for i, rows in enumerate(self._folds):
+            inverse = linalg.cho_solve(self._factors[i], unit)
+            own = inverse[columns, np.arange(len(columns))]
+            shift = inverse * (self._theta[i][columns] / own)
+            Z, y = self._parts[i][0][joint], self._parts[i][1][joint]
+            out[rows] = (y - Z @ self._theta[i])[:, None] + Z @ shift
+        return self.blocks.sums(out**2)
+
     def drop(self, joints, F):
         """Fall of the weighted squared error on all rows for one candidate."""
         moments = FamilyMoments.of(

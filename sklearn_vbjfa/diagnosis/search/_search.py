@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._common_start import earned
 from sklearn_vbjfa.diagnosis.search._evidence import (
     SMALLEST_GAIN,
     Candidate,
@@ -52,6 +53,7 @@ LATER = "an effect of time must help on later data"
 TOO_LATE = "acts in too few blocks to be tried on later data"
 HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
+MOST = "fewer effects were asked for"
 UNNATURAL = "took a sign that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
 BETTER = "better than what it replaces"
@@ -180,7 +182,28 @@ class EffectSearch:
     # -- the loop -------------------------------------------------------------------
 
     def run(self):
-        """Search until nothing is significant, and return what was `Found`."""
+        """Search from the declared model, and return what was `Found`."""
+        self.explore()
+        return self.settle()
+
+    def resume(self, names, found):
+        """Go on from a search beside plain terms of these names: what was `Found`."""
+        self.model, self.steps = earned(
+            self.view, names, found, self.library, self.alpha
+        )
+        self.steps += found.steps
+        self.threshold, self.n_tests = found.threshold, found.n_tests
+        self.prune()
+        return self.settle()
+
+    def settle(self):
+        """Keep what also holds elsewhere, as much as is wanted: what was `Found`."""
+        self.withdraw()
+        self._limit()
+        return self.found()
+
+    def explore(self):
+        """Search until nothing is significant."""
         self.accept(())
         number, most = 0, _MOST_ROUNDS_PER_JOINT * self.view.nv
         found = True
@@ -194,7 +217,9 @@ class EffectSearch:
                 if number < most and not self._is_full():
                     found = self._round(number)
                     number += 1
-        self.withdraw()
+
+    def found(self):
+        """Return what is `Found` as it is now."""
         return Found(
             model=self.model,
             evidence=tuple(self.evidence_of(effect) for effect in self.model.effects),
@@ -526,6 +551,16 @@ class EffectSearch:
                 return
             rest = self.model.without(worst)
             self._step("drop", worst, rest, evidence=evidence, rule=rule)
+
+    def _limit(self):
+        """Drop the least useful until no more are left than are wanted."""
+        while self.max_effects is not None and (
+            len(self.model.effects) > self.max_effects
+        ):
+            cases = [(self.evidence_of(e), e) for e in self.model.effects]
+            evidence, least = min(cases, key=lambda case: case[0].gain)
+            rest = self.model.without(least)
+            self._step("drop", least, rest, evidence=evidence, rule=Rule(name=MOST))
 
     def withdraw(self):
         """Drop what makes the error larger on motion that it was not fitted to."""

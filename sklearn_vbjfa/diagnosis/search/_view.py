@@ -1,5 +1,6 @@
 """A recording as the search for effects sees it: filtered rows, blocks, columns."""
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -67,6 +68,9 @@ class RecordingView:
         recordings; None where they are whole.
     begins : tuple of float or None
         When recordings begin [s], if their first rows are not among these.
+    like : RecordingView or None
+        View of the same rows whose noise floor, blocks and joint weights are taken
+        over, since its robot lacks less.
 
     Attributes
     ----------
@@ -108,13 +112,19 @@ class RecordingView:
         Root mean square of a column of Z.
     """
 
-    def __init__(self, robot, recording, leave_out=(), origin=None, begins=None):
+    def __init__(
+        self, robot, recording, leave_out=(), origin=None, begins=None, like=None
+    ):
         self.robot = robot
         self.declared = robot.features_.friction_
-        self.floor = robot.noise_floor_**2
+        self.floor = robot.noise_floor_**2 if like is None else like.floor
         self.parts = recording.segments
         self.clock = check_clock(recording.t, recording.n_samples, robot.dt)
-        self.states = states_of(robot, recording.inputs, recording.groups)
+        self.states = (
+            states_of(robot, recording.inputs, recording.groups)
+            if like is None
+            else like.states
+        )
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
         self._begins = begins
         self._families, self._columns = {}, {}
@@ -124,7 +134,11 @@ class RecordingView:
         self.starts = self.starts[self.starts < self.index.size]
         origin = recording.groups if origin is None else origin
         self.origin = origin[self.index]
-        self._set_blocks()
+        if like is None:
+            self._set_blocks()
+        else:
+            self.blocks, self.precision = like.blocks, like.precision
+        self._set_coordinates()
 
     def _set_equations(self, recording, leave_out):
         """Make the filtered equations of the declared model."""
@@ -146,7 +160,7 @@ class RecordingView:
         self.step = (self.robot.dt or 1.0) * self._lowpass.step
 
     def _set_blocks(self):
-        """Take blocks, joint weights and coordinates from the declared model."""
+        """Take blocks and joint weights from the robot's fit."""
         robot = self.robot
         weights = robot.estimator_.joint_weights_
         self.precision = np.where(self.root.any(axis=0), weights, 0.0)
@@ -157,8 +171,23 @@ class RecordingView:
         # What the low-pass spreads in time: the width of its main lobe.
         length = max(1.0 / robot.cutoff_, self.step)
         self.blocks = make_blocks(
-            self.index * (robot.dt or 1.0), self.starts, correlation, length
+            self.index * (robot.dt or 1.0),
+            self.starts,
+            correlation,
+            length,
+            self._by_content(),
         )
+
+    def _by_content(self):
+        """Order of the parts by what is in them, so that folds ignore how they came."""
+        keys = []
+        for start, end in itertools.pairwise([*self.starts, self.index.size]):
+            rows = self.index[[start, (start + end) // 2, end - 1]]
+            keys.append((end - start, *self.states[rows, : self.nv].round(6).ravel()))
+        return sorted(range(len(keys)), key=keys.__getitem__)
+
+    def _set_coordinates(self):
+        """Express the regressor in the directions that the data determine."""
         self.Z, self.back = reduced(self.equations, self.precision)
         self.moments = FoldMoments(self.Z, self.target, self.blocks.folds())
         # Effects' columns are brought to the size of the declared ones.

@@ -312,9 +312,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         first.explore()
         say(len(first.model.effects), "plain friction")
         view = RecordingView(self.declared_, part, silent, origin, begins, start)
-        return EffectSearch(
-            view=view, max_effects=self.max_effects, **settings
-        ).resume(names, first.found())
+        return EffectSearch(view=view, max_effects=self.max_effects, **settings).resume(
+            names, first.found()
+        )
 
     def _with(self, effects):
         """Return the declared model with effects, not fitted."""

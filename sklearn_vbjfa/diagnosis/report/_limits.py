@@ -9,6 +9,10 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 
 # Share of a value that rounding leaves of it.
 _ZERO = 1e-9
+# Masses of which one is less than this share of the other do not agree.
+_OTHER_MASS = 0.5
+# Half width of a 90 % interval in standard deviations.
+_HALF_WIDTH = 1.645
 
 # -- the band ---------------------------------------------------------------------
 
@@ -150,3 +154,64 @@ def _pushed(one, names):
     held = one.held if abs(one.held) > _ZERO * abs(one.free) else 0.0
     values = f"{words.number(one.free)} to {words.number(held)} {one.unit}"
     return f"{text} ({one.parameter} {values.rstrip()})"
+
+
+# -- masses -----------------------------------------------------------------------
+
+
+def mass_sentences(outcome):
+    """Say which masses are not measured, and which are not those of the description."""
+    return tuple(filter(None, (_unknown(outcome.bodies), _other(outcome.bodies))))
+
+
+def _unknown(bodies):
+    """Name the masses that the recording does not determine."""
+    alone = [b for b in bodies if b.known == "no"]
+    together = [b for b in bodies if b.known == "in combination"]
+    if not alone and not together:
+        return ""
+    parts = []
+    if alone:
+        parts.append(f"{_names(alone, bodies)} (not at all)")
+    if together:
+        parts.append(f"{_names(together, bodies)} (only together with others)")
+    text = f"Masses that this recording does not determine: {'; '.join(parts)}."
+    text += " The files hold values that agree with the torques, not measured ones"
+    odd = [b for b in bodies if b.known != "yes" and not _alike(b.mass, b.nominal)]
+    odd.sort(key=lambda b: min(b.mass, b.nominal) / max(b.mass, b.nominal))
+    values = [
+        f"{b.name} {words.number(b.mass)} kg, where the robot description has "
+        f"{words.number(b.nominal)} kg"
+        for b in odd
+    ]
+    return f"{text}: {words.join(values)}." if values else f"{text}."
+
+
+def _names(bodies, all_of_them):
+    """Write the names of bodies; one word for all."""
+    if len(bodies) == len(all_of_them) > 1:
+        return "all bodies"
+    return words.join([b.name for b in bodies], 6)
+
+
+def _alike(mass, nominal):
+    """Whether a mass may pass for that of the robot description."""
+    return min(mass, nominal) >= _OTHER_MASS * max(mass, nominal)
+
+
+def _other(bodies):
+    """Name masses that are measured and are not those of the robot description."""
+    heavy, light = [], []
+    for body in bodies:
+        off = body.mass - body.nominal
+        half = _HALF_WIDTH * body.std
+        if body.known == "yes" and abs(off) > half:
+            value = words.with_error(body.mass, (body.mass - half, body.mass + half))
+            text = f"{body.name} {value} kg instead of {words.number(body.nominal)} kg"
+            (heavy if off > 0 else light).append(text)
+    parts = [
+        f"{way} than in the robot description: {words.join(found, 6)}"
+        for way, found in (("heavier", heavy), ("lighter", light))
+        if found
+    ]
+    return f"{words.capital('; '.join(parts))}." if parts else ""

@@ -279,6 +279,10 @@ def _projection(outcome, verdict):
     return _paragraph("Price of physical consistency", found)
 
 
+def _masses(outcome, verdict):
+    return _paragraph("Masses", _limits.mass_sentences(outcome))
+
+
 # -- findings ---------------------------------------------------------------------
 
 
@@ -639,6 +643,7 @@ SECTIONS = (
     _unexplained,
     _record_next,
     _hidden,
+    _masses,
     _channels,
     _residuals,
     _steps,

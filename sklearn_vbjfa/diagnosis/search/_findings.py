@@ -231,6 +231,8 @@ class Outcome:
         The band of the fit; None if nothing is known of it.
     projection : ProjectionPrice or None
         What physically consistent parameters cost; None if they were not asked for.
+    bodies : tuple of BodyMass
+        Masses of the model that is handed over, and which of them are known.
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
         part, its recordings joined [s].
@@ -258,4 +260,5 @@ class Outcome:
     settings: dict
     band: Band | None = None
     projection: ProjectionPrice | None = None
+    bodies: tuple = ()
     curves: dict = field(default_factory=dict)

@@ -8,10 +8,12 @@ import pytest
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.report._limits import (
     band_sentences,
+    mass_sentences,
     projection_sentences,
 )
 from sklearn_vbjfa.diagnosis.report._verdict import judge
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice, Pushed
+from sklearn_vbjfa.robot._known import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome
 
 
@@ -143,3 +145,56 @@ def test_nothing_is_said_where_the_projection_costs_nothing():
     assert projection_sentences(price(price=np.zeros(3))) == ()
     assert projection_sentences(price(price=np.full(3, np.nan))) == ()
     assert projection_sentences(make_outcome(nv=3)) == ()
+
+
+def body(name, mass, nominal, known, std=np.inf):
+    return BodyMass(
+        joint=0, name=name, mass=mass, std=std, nominal=nominal, known=known
+    )
+
+
+def masses(*bodies):
+    return " ".join(mass_sentences(make_outcome(nv=3, bodies=bodies)))
+
+
+def test_masses_that_are_not_measured_are_said_to_be_so():
+    text = masses(
+        body("base", 9.0, 10.0, "no"),
+        body("upper", 257.0, 339.0, "in combination", std=80.0),
+        body("fore", 902.0, 339.0, "in combination", std=300.0),
+        body("tool", 3.0, 3.1, "yes", std=0.1),
+    )
+    assert text == (
+        "Masses that this recording does not determine: base (not at all); upper and "
+        "fore (only together with others). The files hold values that agree with the "
+        "torques, not measured ones: fore 902 kg, where the robot description has "
+        "339 kg."
+    )
+
+
+def test_one_word_for_all_bodies():
+    text = masses(
+        body("a", 1.0, 1.0, "in combination"), body("b", 1.0, 1.1, "in combination")
+    )
+    assert text == (
+        "Masses that this recording does not determine: all bodies (only together with "
+        "others). The files hold values that agree with the torques, not measured ones."
+    )
+
+
+def test_measured_masses_are_compared_with_the_description():
+    text = masses(
+        body("slide", 94.3, 95.1, "yes", std=0.175),
+        body("tool", 3.0, 2.0, "yes", std=0.1),
+        body("same", 5.0, 5.1, "yes", std=0.1),
+    )
+    assert text == (
+        "Heavier than in the robot description: tool 3.00 +- 0.16 kg instead of 2 kg; "
+        "lighter than in the robot description: slide 94.3 +- 0.3 kg instead of "
+        "95.1 kg."
+    )
+
+
+def test_known_masses_need_no_words():
+    assert mass_sentences(make_outcome(nv=3)) == ()
+    assert masses(body("same", 5.0, 5.1, "yes", std=0.1)) == ""

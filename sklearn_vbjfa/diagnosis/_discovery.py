@@ -102,6 +102,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     torque_spread_ : ndarray of shape (nv,)
         Standard deviation of each joint's torque in the moving time of the whole
         recording, behind the low-pass [N m or N]: times an error, the error in N m.
+    projection_price_ : ndarray of shape (nv,)
+        By how much physically consistent parameters raise `error_after_`; 0 where not
+        by more than chance, nan where it cannot be said or they were not asked for.
+        ``report_.outcome.projection`` has the body and the channel that it comes from.
     unexplained_ : tuple of Unexplained
         Joints whose residual stays above the noise floor, how much of the torque that
         is, and the signals it varies with.
@@ -343,6 +347,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.error_before_ = outcome.error_before
         self.error_after_ = outcome.error_after
         self.torque_spread_ = outcome.spread
+        self.projection_price_ = np.full(outcome.spread.size, np.nan)
+        if outcome.projection is not None:
+            self.projection_price_ = outcome.projection.price
         self.unexplained_, self.hidden_ = outcome.unexplained, outcome.hidden
         self.report_ = Report(outcome)
         return self

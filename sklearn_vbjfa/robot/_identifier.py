@@ -34,6 +34,7 @@ from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._known import note_of_masses
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
@@ -882,6 +883,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.
 
+        A comment names bodies whose masses the recording does not determine.
+
         Parameters
         ----------
         path : str or os.PathLike
@@ -901,6 +904,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             self._bodies(),
             self.features_.friction_,
             self.min_eigenvalues_,
+            note_of_masses(self),
         )
 
 

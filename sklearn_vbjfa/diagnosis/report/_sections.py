@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.report import _limits, _verdict
 from sklearn_vbjfa.diagnosis.report import _ranges as ranges
-from sklearn_vbjfa.diagnosis.report import _verdict
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
@@ -258,6 +258,30 @@ def _interval_text(settings):
         return "90 %"
     seconds = words.number(settings["error_seconds"], 2)
     return f"90 % of errors over the next {seconds} s of such motion"
+
+
+def _paragraph(heading, sentences):
+    """Make a section that is read as one paragraph, except where lists are."""
+    return Section(
+        heading=heading,
+        sentences=sentences,
+        terminal=(" ".join(sentences),) if sentences else (),
+        template="paragraph",
+    )
+
+
+def _band(outcome, verdict):
+    found = _limits.band_sentences(outcome, verdict.errors)
+    return _paragraph("Band of the errors", found)
+
+
+def _projection(outcome, verdict):
+    found = _limits.projection_sentences(outcome)
+    return _paragraph("Price of physical consistency", found)
+
+
+def _masses(outcome, verdict):
+    return _paragraph("Masses", _limits.mass_sentences(outcome))
 
 
 # -- findings ---------------------------------------------------------------------
@@ -631,11 +655,14 @@ def _declared(declared):
 SECTIONS = (
     _headline,
     _joints,
+    _band,
+    _projection,
     _effects,
     _outside,
     _unexplained,
     _record_next,
     _hidden,
+    _masses,
     _channels,
     _residuals,
     _steps,

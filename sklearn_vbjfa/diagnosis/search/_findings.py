@@ -2,8 +2,10 @@
 
 from dataclasses import dataclass, field
 
+from sklearn_vbjfa.diagnosis.search._band import Band
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
+from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
 from sklearn_vbjfa.effects import EffectRange
 
 
@@ -255,6 +257,12 @@ class Outcome:
         record to see it.
     settings : dict
         Thresholds, split, blocks, what intervals are of, seed, versions.
+    band : Band or None
+        The band of the fit; None if nothing is known of it.
+    projection : ProjectionPrice or None
+        What physically consistent parameters cost; None if they were not asked for.
+    bodies : tuple of BodyMass
+        Masses of the model that is handed over, and which of them are known.
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
         part, its recordings joined [s].
@@ -282,5 +290,8 @@ class Outcome:
     floor: object
     library: dict
     settings: dict
+    band: Band | None = None
+    projection: ProjectionPrice | None = None
+    bodies: tuple = ()
     curves: dict = field(default_factory=dict)
     outside: tuple = ()

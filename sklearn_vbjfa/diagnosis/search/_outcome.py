@@ -22,6 +22,7 @@ from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, qu
 from sklearn_vbjfa.diagnosis.search._search import STEP_UP
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
+from sklearn_vbjfa.robot._known import body_masses
 
 # Points of a picture.
 _POINTS = 4000
@@ -69,6 +70,9 @@ def make_outcome(search, models, judgement, channels, asked):
         floor=relative_floor,
         library={effect.name: effect for effect in search.library},
         settings=_settings(search, judgement, asked),
+        band=judgement.band,
+        projection=judgement.price,
+        bodies=body_masses(models.final.identifier),
         curves=_curves(models.judged, judgement.before, judgement.after),
         outside=judgement.outside,
     )

@@ -63,6 +63,7 @@ LATER = "an effect of time must help on later data"
 TOO_LATE = "acts in too few blocks to be tried on later data"
 HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
+ABSORBED = "the effect that contains it does as well alone, with another shape"
 MOST = "fewer effects were asked for"
 UNNATURAL = "took a sign that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
@@ -622,7 +623,7 @@ class EffectSearch:
             )
             if not no_worse(now, then):
                 continue
-            rule = Rule(name=SUPERFLUOUS)
+            rule = Rule(name=ABSORBED)
             for one in plain:
                 case = compare(then, now)
                 self.step(

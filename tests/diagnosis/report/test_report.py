@@ -28,6 +28,7 @@ from tests.diagnosis.report._outcomes import (
 LINES = {
     "What the declared model of arm lacks": 3,
     "Error of each joint on untouched data": 12,
+    "Band of the errors": 6,
     "Effects that were missing": 14,
     "Record next": 4,
     "Not visible in this recording": 4,
@@ -89,8 +90,8 @@ def test_six_effects_take_about_forty_lines_and_further_ones_a_line_each():
         assert len(lines) <= LINES.get(section.heading, 1), section.heading
     assert set(LINES) <= {section.heading for section in shown}
     few, many = (str(Report(outcome)).splitlines() for outcome in (few, many))
-    # Empty lines around the table and the list, and none besides.
-    assert few.count("") == 3
+    # Empty lines around the table, what is said of its band, and the list.
+    assert few.count("") == 4
     assert len(many) == len(few) + 6
 
 

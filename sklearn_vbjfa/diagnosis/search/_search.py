@@ -65,7 +65,7 @@ HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
 ABSORBED = "the effect that contains it does as well alone, with another shape"
 MOST = "fewer effects were asked for"
-UNNATURAL = "took a sign that it cannot have"
+UNNATURAL = "took a sign or size that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
 BETTER = "better than what it replaces"
 SIMPLER = "simpler than what it replaces, and no worse"
@@ -204,6 +204,9 @@ class EffectSearch:
         )
         self.steps += found.steps
         self.threshold, self.n_tests = found.threshold, found.n_tests
+        for effect in found.effects:
+            # Its shape was found beside the plain terms.
+            self.absorb(effect)
         self.prune()
         return self.settle()
 
@@ -580,6 +583,10 @@ class EffectSearch:
             # It has to be fitted where it acts, and tried there as well.
             border = where[int(_LATE * where.size)]
         larger = self.model.beside([*base.effects, effect])
+        if not effect.plausible(larger.coefficients(effect)):
+            # Between the points of the grid it became something else.
+            nothing = np.zeros(1)
+            return compare(nothing, nothing), Rule(name=UNNATURAL)
         judge = Judge(base, larger.residuals())
         if effect.slow or late:
             early = blocks.label < border
@@ -652,6 +659,8 @@ class EffectSearch:
                         rule = Rule(name=UNNATURAL)
             if worst is None:
                 return
+            if rule.name == UNNATURAL:
+                self.refusals[worst.key()] = self.refusals.get(worst.key(), 0) + 1
             rest = self.model.without(worst)
             self.step("drop", worst, rest, evidence=evidence, rule=rule)
 

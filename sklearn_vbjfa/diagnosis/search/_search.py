@@ -33,8 +33,8 @@ from sklearn_vbjfa.effects import JointEffect
 from sklearn_vbjfa.effects._library import closure
 
 # A joint whose out-of-sample error is within this factor of its noise floor lacks
-# nothing that could be named.
-AT_FLOOR = 1.15
+# nothing that could be named: an effect of a third of the noise adds as much to it.
+AT_FLOOR = 1.05
 # An effect stays as long as leaving it out would cost this share of the error.
 _SUPERFLUOUS = 0.01
 # What is found must hold beyond the data that it was found in: fitted to this first
@@ -336,11 +336,11 @@ class EffectSearch:
             rule=rule,
         )
 
-    def at_floor(self, squares):
-        """Joints whose error noise alone explains."""
+    def at_floor(self, squares, factor=AT_FLOOR):
+        """Joints whose error noise alone explains, but for a factor."""
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = squares.sum(axis=0) / self.view.rows
-        return mean < AT_FLOOR**2 * self.view.floor
+        return mean < factor**2 * self.view.floor
 
     # -- candidates -----------------------------------------------------------------
 
@@ -630,12 +630,10 @@ class EffectSearch:
             )
             if not no_worse(now, then):
                 continue
-            rule = Rule(name=ABSORBED)
+            case = compare(then, now)
             for one in plain:
-                case = compare(then, now)
-                self.step(
-                    "drop", one, self.model.without(one), evidence=case, rule=rule
-                )
+                rest = self.model.without(one)
+                self.step("drop", one, rest, evidence=case, rule=Rule(name=ABSORBED))
             self.model = trial
             return trial.effects[-1]
         return effect

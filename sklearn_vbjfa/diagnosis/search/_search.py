@@ -621,8 +621,10 @@ class EffectSearch:
             for one in self.model.effects
             if one.joint == effect.joint and one.name in names
         ]
-        family = self.model.family(effect)
-        if len(family.forms()) < 2 and not (plain and effect.continuous):
+        forms = (one.complexity for one in self.model.family(effect).effects)
+        if effect.complexity <= min(forms, default=effect.complexity) and not (
+            plain and effect.continuous
+        ):
             return effect
         for trial in absorbing(effect, plain, self.model):
             now, then = (

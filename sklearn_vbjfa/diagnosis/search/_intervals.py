@@ -1,5 +1,6 @@
 """Intervals that respect correlation in time."""
 
+import functools
 import itertools
 from dataclasses import dataclass
 
@@ -79,8 +80,18 @@ class FinalFit:
             view.parts,
             load_parameters(identifier),
             view.robot.cutoff_,
+            effects=effects,
         )
         self._columns = [view.in_equations(e, self.motion) for e in self.effects]
+
+    def columns(self, rows=slice(None)):
+        """Columns of the completed model in some equations, (n, nv, p)."""
+        own = [columns[rows] for columns in self._columns]
+        return np.concatenate([self.view.equations.Phi[rows], *own], axis=2)
+
+    def in_equations(self, effect):
+        """Columns of any effect, (m, nv, k), with the load of the completed model."""
+        return self.view.in_equations(effect, self.motion)
 
     def _predicted(self, theta):
         """Torques of the completed model with some parameters, (m, nv)."""
@@ -98,18 +109,23 @@ class FinalFit:
 
     def residuals(self):
         """Residuals before and after, a pair of TorqueResiduals."""
-        view = self.view
-        before = view.equations.Phi @ self.declared.theta_
-        return tuple(
-            TorqueResiduals(
-                index=view.index,
-                torque=view.equations.tau,
-                predicted=predicted,
-                weight=view.equations.weight,
-            )
-            for predicted in (before, self._predicted(self.identifier.theta_))
+        before = self.view.equations.Phi @ self.declared.theta_
+        return self._compared(before), self.residuals_of(self.identifier.theta_)
+
+    def residuals_of(self, theta):
+        """Residuals of the completed model with some parameters, TorqueResiduals."""
+        return self._compared(self._predicted(theta))
+
+    def _compared(self, predicted):
+        """Compare the torques with predicted ones (m, nv)."""
+        return TorqueResiduals(
+            index=self.view.index,
+            torque=self.view.equations.tau,
+            predicted=predicted,
+            weight=self.view.equations.weight,
         )
 
+    @functools.cached_property
     def effect_estimates(self):
         """Estimate of each effect, list of EffectEstimate.
 

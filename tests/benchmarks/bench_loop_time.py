@@ -9,15 +9,16 @@ Data, all at 200 Hz, seeds as given:
 - ``whole robot``: two recordings of 30 s of six joints with friction and further
   effects everywhere (``_undeclared_whole.py``, seed 0); viscous friction declared.
 - ``12 joints``, ``60 joints``: two and ten arms of six joints on one base for 15 s
-  (seed 0), viscous friction declared. Every joint also has Coulomb friction, and two torques that no effect of the
-  library has, each five times the noise of 3 %: a product of its speed with the
-  neighbour's angle, and a sine in time whose frequency rises.
+  (seed 0), viscous friction declared. Every joint also has Coulomb friction, and two
+  torques that no effect of the library has, each five times the noise of 3 %: a product
+  of its speed with the neighbour's angle, and a sine in time whose frequency rises.
 
 All effects of the library are looked for. The time is that of ``EffectDiscovery.fit``
 alone, in a process that has fitted a short recording before, the smallest of
-``--repeat``, and beside it how much of that the check of the channels took, which looks
-for swapped and misplaced ones where a model fits poorly; with and without the ceiling where the loop has one (`ceiling`). Targets
-on two cores: 10 s for six joints without the ceiling, 30 s with it, 60 s for 60 joints.
+``--repeat``, with and without the ceiling where the loop has one (`ceiling`). Beside it
+stands how much of it the check of the channels took, which looks for swapped and
+misplaced ones where a model fits poorly. Targets on two cores: 10 s for six joints
+without the ceiling, 30 s with it, 60 s for 60 joints.
 """
 
 import functools
@@ -163,16 +164,16 @@ def measure(case, repeat=1, **settings):
         loop = EffectDiscovery(identifier, random_state=0, **settings)
         inspected = []
 
-        def inspect_channels(*given, checks=_discovery.inspect_channels, sums=inspected):
+        def timed(*given, inspected=inspected, inspects=_discovery.inspect_channels):
             begun = time.perf_counter()
-            found = checks(*given)
-            sums.append(time.perf_counter() - begun)
+            found = inspects(*given)
+            inspected.append(time.perf_counter() - begun)
             return found
 
         started = time.perf_counter()
         with (
             warnings.catch_warnings(),
-            mock.patch.object(_discovery, "inspect_channels", inspect_channels),
+            mock.patch.object(_discovery, "inspect_channels", timed),
         ):
             warnings.simplefilter("ignore", UserWarning)
             loop.fit(case.q, case.tau, groups=case.groups)

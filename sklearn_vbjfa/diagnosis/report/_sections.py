@@ -279,6 +279,12 @@ def _projection(outcome, verdict):
     return _paragraph("Price of physical consistency", found)
 
 
+def _recordings(outcome, verdict):
+    """Say first what is wrong with recordings, then what their motion leaves open."""
+    found = _limits.contradiction_sentences(outcome) + _limits.motion_sentences(outcome)
+    return _paragraph("What the recordings do not tell", found)
+
+
 def _masses(outcome, verdict):
     return _paragraph("Masses", _limits.mass_sentences(outcome))
 
@@ -643,6 +649,7 @@ SECTIONS = (
     _unexplained,
     _record_next,
     _hidden,
+    _recordings,
     _masses,
     _channels,
     _residuals,

@@ -21,7 +21,11 @@ from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
-from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
+from sklearn_vbjfa.robot._identifier import (
+    RecordingRegressorMixin,
+    RobotIdentifier,
+    tell_spreads,
+)
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
 
@@ -83,8 +87,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     ----------
     effects_ : tuple of DiscoveredEffect
         Accepted effects in the order in which they were found; each has `name`,
-        `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`.
-        The values are those of `identifier_`.
+        `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`,
+        `ranges` (of the motion that it was fitted on). The values are those of
+        `identifier_`.
     rounds_ : tuple of Round
         Every step: what was added, replaced, dropped, refused or withdrawn, on what
         evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the
@@ -334,7 +339,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         view = RecordingView(self.declared_, whole, silent)
         effects = tuned_on(view, found.effects)
         self.identifier_ = _fitted(self._with(effects).set_params(**band), whole)
-        return FinalFit(self.declared_, self.identifier_, view, effects)
+        final = FinalFit(self.declared_, self.identifier_, view, effects)
+        tell_spreads(self.identifier_, final.effect_estimates)
+        return final
 
     def _set(self, outcome):
         """Set the results and the report."""

@@ -231,6 +231,14 @@ def regressor(model, q, v, a):
     return np.array(rows).reshape(len(rows), model.nv, -1)
 
 
+def own_inertia(model, q, joint):
+    """Inertia about one axis in every pose, all other joints fixed, shape (n,)."""
+    import pinocchio as pin
+
+    data = model.createData()
+    return np.array([pin.crba(model, data, x)[joint, joint] for x in q])
+
+
 def joint_inertia(model, q):
     """Mean inertia about each axis, all other joints fixed, shape (nv,)."""
     import pinocchio as pin

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _limits, _verdict
+from sklearn_vbjfa.diagnosis.report import _ranges as ranges
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
@@ -305,16 +306,33 @@ def _effects(outcome, verdict):
         told = [", ".join([f"- {joint}: {label}", *parameters]), evidence]
         if rivals:
             told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
+        afterwards = ranges.afterwards_text(e)
+        told += filter(None, [ranges.known_for(outcome, e), afterwards])
         sentences.append("; ".join(told))
         short.append((f"- {joint}", label, evidence))
         gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
         cannot = words.join(rivals, len(rivals), "or")
-        rows.append((joint, label, tuple(parameters), gain, words.p_cell(p), cannot))
-    heads = ("joint", "effect", "parameters (90 %)", "squared error saved", "p")
+        fitted = (*ranges.fitted_on(outcome, e), *filter(None, [afterwards]))
+        rows.append(
+            (joint, label, tuple(parameters), fitted, gain, words.p_cell(p), cannot)
+        )
+    heads = ("joint", "effect", "parameters (90 %)", "fitted on")
+    heads += ("squared error saved", "p")
     return Section(
         heading="Effects that were missing",
         table=_table((*heads, "cannot be told from"), rows),
         terminal=_terminal(sentences, short),
+    )
+
+
+def _outside(outcome, verdict):
+    """Say where the untouched part leaves what effects were fitted on."""
+    sentences = ranges.outside_sentences(outcome)
+    title = "Outside the range of the fit"
+    return Section(
+        heading=f"{title}, on untouched data",
+        sentences=sentences,
+        terminal=_terminal([f"{title}: {sentence}." for sentence in sentences], ()),
     )
 
 
@@ -646,6 +664,7 @@ SECTIONS = (
     _band,
     _projection,
     _effects,
+    _outside,
     _unexplained,
     _record_next,
     _hidden,

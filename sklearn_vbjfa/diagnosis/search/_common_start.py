@@ -9,20 +9,12 @@ on every joint, declared or not, and what was not declared has to earn its place
 end, beside the effects that were found.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._evidence import (
-    SMALLEST_GAIN,
-    Evidence,
-    Rule,
-    Step,
-    compare,
-)
-from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
-from sklearn_vbjfa.effects import Effect
+from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, Rule, Step
+from sklearn_vbjfa.diagnosis.search._left_out import left_out
+from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.effects._declared import available
 
 # Rule by which a plain term stays, as it is reported.
@@ -33,36 +25,6 @@ def plain_terms(declared, library):
     """Names of effects of a library that a robot could have declared and did not."""
     there = {effect.name for effect in library}
     return tuple(n for n in available() if n in there and n not in declared)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Term:
-    """A plain term of a model.
-
-    Attributes
-    ----------
-    effect : Effect
-        The term.
-    evidence : Evidence
-        For the model with the term, against the same without it.
-    squares : ndarray of shape (2, nv)
-        Sums of squared out-of-sample residuals without the term and with it.
-    """
-
-    effect: Effect
-    evidence: Evidence
-    squares: np.ndarray
-
-    def step(self, level, n_tests):
-        """Step that adds the term."""
-        return Step(
-            action="add",
-            effect=self.effect,
-            evidence=self.evidence,
-            rule=Rule(name=PLAIN, level=level, n_tests=n_tests),
-            squares_before=self.squares[0],
-            squares_after=self.squares[1],
-        )
 
 
 def earned(view, names, found, library, alpha):
@@ -97,7 +59,7 @@ def earned(view, names, found, library, alpha):
     n_tests = len(plain) + found.n_tests
     model = SearchModel.on(view, [*plain, *found.effects], found.model)
     while True:
-        terms = _judged(model, plain)
+        terms = left_out(model, plain)
         level = _level([t.evidence.p_value for t in terms], n_tests, alpha)
         worst = {}
         for term in terms:
@@ -115,37 +77,25 @@ def earned(view, names, found, library, alpha):
         rest = [effect for effect in model.effects if id(effect) not in gone]
         model = SearchModel.of(view, rest, model)
     terms = sorted(terms, key=lambda term: -_gain(term))
-    return model, [term.step(level, n_tests) for term in terms]
+    rule = Rule(name=PLAIN, level=level, n_tests=n_tests)
+    return model, [_step(term, rule) for term in terms]
 
 
 def _gain(term):
     return term.evidence.gain
 
 
-def _judged(model, plain):
-    """What leaving out each plain term would cost, list of Term."""
-    if not plain:
-        return []
-    judge = Judge(model, model.residuals())
-    place = {id(e): p.start for e, p in zip(model.effects, model.places())}
-    total = model.squares.sum(axis=0)
-    found = []
-    for joint in sorted({effect.joint for effect in plain}):
-        own = [effect for effect in plain if effect.joint == joint]
-        columns = [place[id(effect)] for effect in own]
-        without = model.fitted.squares_without(joint, columns)
-        white = judge.without(joint, columns)
-        for k, effect in enumerate(own):
-            evidence = compare(
-                without[:, k],
-                model.squares[:, joint],
-                white=(white[:, k], judge.squares[:, joint]),
-            )
-            before = total.copy()
-            before[joint] = without[:, k].sum()
-            squares = np.array([before, total])
-            found.append(Term(effect=effect, evidence=evidence, squares=squares))
-    return found
+def _step(term, rule):
+    """Step that adds a plain term."""
+    before, after = term.squares
+    return Step(
+        action="add",
+        effect=term.effect,
+        evidence=term.evidence,
+        rule=rule,
+        squares_before=before,
+        squares_after=after,
+    )
 
 
 def _level(p_values, n_tests, alpha):

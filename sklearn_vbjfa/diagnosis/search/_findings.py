@@ -7,6 +7,29 @@ from sklearn_vbjfa.diagnosis.search._contradictions import Contradictions
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
+from sklearn_vbjfa.effects import EffectRange
+
+
+@dataclass(frozen=True, kw_only=True)
+class Afterwards:
+    """What is known of an effect of time after the recording.
+
+    Attributes
+    ----------
+    seconds : float
+        Last time of the fit [s].
+    how : str
+        What the effect is taken to do from then on.
+    left : dict of str to float
+        What is left of its coefficients at that time; empty if it stays as it is.
+    intervals : dict of str to (float, float)
+        Their 90 % intervals.
+    """
+
+    seconds: float
+    how: str
+    left: dict
+    intervals: dict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +59,11 @@ class DiscoveredEffect:
         Other effects that this data cannot tell from it.
     effect : Effect
         The transformer itself.
+    ranges : EffectRange or None
+        Positions, speeds and loads of its joint that it was fitted on, in the model
+        that is handed over.
+    afterwards : Afterwards or None
+        What an effect of time is taken to do after the recording; None for others.
     """
 
     name: str
@@ -47,6 +75,8 @@ class DiscoveredEffect:
     evidence: Evidence
     rivals: tuple = ()
     effect: object = None
+    ranges: EffectRange | None = None
+    afterwards: Afterwards | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,6 +273,8 @@ class Outcome:
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
         part, its recordings joined [s].
+    outside : tuple of OutsideRange
+        Where the untouched part leaves what the judged model was fitted on.
     """
 
     declared: dict
@@ -272,3 +304,4 @@ class Outcome:
     contradictions: Contradictions = field(default_factory=Contradictions)
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)
+    outside: tuple = ()

@@ -1,5 +1,6 @@
 """Intervals that respect correlation in time."""
 
+import functools
 import itertools
 from dataclasses import dataclass
 
@@ -79,6 +80,7 @@ class FinalFit:
             view.parts,
             load_parameters(identifier),
             view.robot.cutoff_,
+            effects=effects,
         )
         self._columns = [view.in_equations(e, self.motion) for e in self.effects]
 
@@ -123,6 +125,7 @@ class FinalFit:
             weight=self.view.equations.weight,
         )
 
+    @functools.cached_property
     def effect_estimates(self):
         """Estimate of each effect, list of EffectEstimate.
 

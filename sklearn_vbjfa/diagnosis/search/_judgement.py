@@ -12,6 +12,7 @@ from sklearn_vbjfa.diagnosis.search._price import (
     without_constraints,
 )
 from sklearn_vbjfa.diagnosis.search._split import FEWEST_VALUES
+from sklearn_vbjfa.robot._identifier import outside_of
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 
 # The wider band reaches this many times as far as that of the fit, and at least to
@@ -52,6 +53,8 @@ class Judgement:
     price : ProjectionPrice or None
         What physically consistent parameters cost; None if the parameters were not
         made consistent.
+    outside : tuple of OutsideRange
+        Where the untouched part leaves what the completed model was fitted on.
     """
 
     before: TorqueResiduals
@@ -67,6 +70,7 @@ class Judgement:
     guard: float
     band: Band
     price: ProjectionPrice | None
+    outside: tuple = ()
 
     @property
     def errors(self):
@@ -136,6 +140,7 @@ def judge(declared, completed, found, split, whole):
             model.view, part.tau, max(p.stop - p.start for p in part.segments)
         ),
         price=price,
+        outside=outside_of(completed, rest),
     )
 
 

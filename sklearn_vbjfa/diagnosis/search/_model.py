@@ -47,13 +47,13 @@ class SearchModel:
         if start is not None:
             precision, ridge = start.precision, start.ridge
             if effects:
-                motion = view.motion(start.theta)
+                motion = start.signals()
         guess = cls._fit(view, effects, motion, precision, ridge)
         squares, rows = guess.squares.sum(axis=0), view.rows
         used = (rows > 0) & (squares > 0)
         precision = np.where(used, rows / np.where(used, squares, 1.0), 0.0)
         guess = cls._fit(view, effects, motion, precision, None)
-        motion = view.motion(guess.theta)
+        motion = guess.signals()
         return cls._fit(view, effects, motion, precision, guess.ridge)
 
     @classmethod
@@ -74,7 +74,7 @@ class SearchModel:
         Load and weights of that model are the first guess.
         """
         guess = cls._fit(view, effects, model.motion, model.precision, None)
-        motion = view.motion(guess.theta)
+        motion = guess.signals()
         return cls._fit(view, effects, motion, model.precision, guess.ridge)
 
     def beside(self, effects, ridge="same"):
@@ -84,6 +84,12 @@ class SearchModel:
         """
         ridge = self.ridge if ridge == "same" else ridge
         return self._fit(self.view, tuple(effects), self.motion, self.precision, ridge)
+
+    def signals(self):
+        """Signals with this model's load and torque, a `Motion`."""
+        scales = np.concatenate([np.empty(0), *self.scales])
+        coefs = self.fitted.theta[self.view.Z.shape[2] :] * scales
+        return self.view.motion(self.theta, self.effects, coefs)
 
     def without(self, effect):
         """Return the effects but one, tuple of Effect."""
@@ -196,9 +202,9 @@ class Judge:
         white = self._whiten(columns, joints)
         return self._fitted.score(joints, white).squares * self._precision
 
-    def without(self, joint, columns):
+    def without(self, joint, groups):
         """Squared residuals of a joint (n_blocks, c) where columns of Z are missing."""
-        return self._fitted.squares_without(joint, columns) * self._precision[joint]
+        return self._fitted.squares_without(joint, groups) * self._precision[joint]
 
     def forward(self, joints, columns, blocks, border):
         """Squared residuals of later blocks (n_blocks - border, nv), in units of noise.

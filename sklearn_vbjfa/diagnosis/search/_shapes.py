@@ -6,12 +6,19 @@ import numpy as np
 from scipy import optimize
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, no_worse
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
-from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
+from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE, BlockRegression
 from sklearn_vbjfa.diagnosis.search._view import variants
 
 # Times that what is linearised is linearised again.
 _TANGENTS = 2
+# Search of several shape parameters: it ends where the weighted squared error, in units
+# of noise, falls by less than this, or after so many trials.
+_WORTH, _MOST_TRIALS = 0.01, 100
+# Points of the grid from which several parameters are searched: two of them may trade
+# against each other.
+_STARTS = 3
 # Shapes between the neighbours of a tuned one, from which each fold takes its own.
 _FINER = 9
 
@@ -26,11 +33,18 @@ class Bracket:
         Bounds; of the logarithm where that is searched.
     logarithmic : bool
         Whether the logarithm is searched.
+    lowest, highest : float
+        Ends of the whole grid; infinite for an angle.
+    turn : float
+        Period of an angle; zero for what is none.
     """
 
     low: float
     high: float
     logarithmic: bool
+    lowest: float
+    highest: float
+    turn: float = 0.0
 
     @classmethod
     def of(cls, effect, name, motion):
@@ -38,6 +52,19 @@ class Bracket:
         value = getattr(effect, name)
         same = [v for v in variants(effect, motion) if v.key() == effect.key()]
         values = np.unique([getattr(v, name) for v in same])
+        if name in effect.cyclic and values.size > 1:
+            turn = 2 * np.pi
+            around = np.concatenate([values - turn, values, values + turn])
+            at = int(np.argmin(np.abs(around - value)))
+            low, high = around[at - 1], around[at + 1]
+            return cls(
+                low=low,
+                high=high,
+                logarithmic=False,
+                lowest=-np.inf,
+                highest=np.inf,
+                turn=turn,
+            )
         values = values[np.sign(values) == np.sign(value)]
         if value == 0 or values.size < 2:
             return None
@@ -45,10 +72,18 @@ class Bracket:
         positive = bool((values > 0).all())
         scaled = np.log(values) if positive else values
         low, high = scaled[max(at - 1, 0)], scaled[min(at + 1, values.size - 1)]
-        return cls(low=low, high=high, logarithmic=positive)
+        return cls(
+            low=low,
+            high=high,
+            logarithmic=positive,
+            lowest=scaled[0],
+            highest=scaled[-1],
+        )
 
     def value(self, u):
         """Return the parameter at a place between the bounds."""
+        if self.turn:
+            return float(u % self.turn)
         return float(np.exp(u) if self.logarithmic else u)
 
     def place(self, value):
@@ -56,47 +91,162 @@ class Bracket:
         return np.log(value) if self.logarithmic else value
 
 
+def plainest(base, effect, family):
+    """Return the plainest form of an effect that is no worse than any, and its score.
+
+    Forms differ in complexity. Within one, the shape is chosen by the score alone.
+    """
+    joints = base.view.joints_of(effect)
+
+    def scored(own):
+        return own, base.fitted.score(joints, own.columns)
+
+    def errors(form):
+        return base.relevant(effect, form[1].squares)[0]
+
+    forms = [scored(own) for own in family.forms()]
+    best = min(forms, key=lambda form: errors(form).sum())
+    before = base.relevant(effect, base.squares)[0].sum()
+    if errors(best).sum() > (1 - SMALLEST_GAIN) * before:
+        return best
+    for own, score in forms:
+        if own is best[0]:
+            break
+        # A grid of several parameters is coarse: between its points it may do as well.
+        finer = tuned(own.effects[score.best], base)
+        form = scored(own.extended(finer, base.columns_of(finer)))
+        if no_worse(errors(best), errors(form)):
+            return form
+    return best
+
+
 def refined(effect, base, rows=None):
     """Search an effect's shape parameters on between the points of the grid.
 
     It comes beside a model, which was fitted to some rows (m,) only if they are given.
     """
-    joints = base.view.joints_of(effect)
-    for name in effect.continuous:
-        bracket = Bracket.of(effect, name, base.motion)
-        if bracket is None:
-            continue
-
-        def cost(u, name=name, effect=effect, bracket=bracket):
-            trial = clone(effect).set_params(**{name: bracket.value(u)})
-            columns = base.view.columns([trial], base.motion)
-            if rows is not None:
-                columns *= rows[:, None, None]
-            return -base.fitted.drop(joints, columns)
-
-        low, high = bracket.low, bracket.high
-        found = optimize.minimize_scalar(
-            cost,
-            bounds=(low, high),
-            method="bounded",
-            options={"xatol": 1e-3 * (high - low)},
-        )
-        if found.fun < cost(bracket.place(getattr(effect, name))):
-            effect = clone(effect).set_params(**{name: bracket.value(found.x)})
-    return effect
-
-
-def tuned_among(effect, base):
-    """Return the effect with the shape of the grid that suits best, or its own."""
-    same = base.family(effect).like(effect)
-    if not same.effects:
+    brackets = {n: Bracket.of(effect, n, base.motion) for n in effect.continuous}
+    brackets = {n: bracket for n, bracket in brackets.items() if bracket is not None}
+    if not brackets:
         return effect
     joints = base.view.joints_of(effect)
-    score = base.fitted.score(joints, same.columns)
-    own = base.view.columns([effect], base.motion)
-    if score.drop.max() > base.fitted.drop(joints, own):
-        return same.effects[score.best]
-    return effect
+
+    def at(places):
+        values = {n: b.value(u) for (n, b), u in zip(brackets.items(), places)}
+        return clone(effect).set_params(**values)
+
+    def cost(effect):
+        columns = base.view.columns([effect], base.motion)
+        if rows is not None:
+            columns *= rows[:, None, None]
+        return -base.fitted.drop(joints, columns)
+
+    search = _along if len(brackets) == 1 else _downhill
+    start = [b.place(getattr(effect, n)) for n, b in brackets.items()]
+    place, value = search(lambda u: cost(at(u)), start, list(brackets.values()))
+    return at(place) if value < cost(effect) else effect
+
+
+def _along(cost, start, brackets):
+    """Search one parameter between its bounds: where, and the cost there."""
+    (bracket,) = brackets
+    low, high = bracket.low, bracket.high
+    found = optimize.minimize_scalar(
+        lambda u: cost([u]),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-3 * (high - low)},
+    )
+    return [found.x], found.fun
+
+
+def _downhill(cost, start, brackets):
+    """Search several parameters, which may trade against each other, as `_along`.
+
+    Nelder and Mead's simplex follows a narrow valley; it may leave the neighbours of
+    the start behind, but not what the parameter can be.
+    """
+    width = np.array([b.high - b.low for b in brackets])
+    simplex = np.vstack([start, start + 0.25 * np.diag(width)])
+    found = optimize.minimize(
+        cost,
+        start,
+        method="Nelder-Mead",
+        bounds=[(b.lowest, b.highest) for b in brackets],
+        options={
+            "initial_simplex": simplex,
+            "xatol": 1e-3 * width.min(),
+            "fatol": _WORTH,
+            "maxfev": _MOST_TRIALS,
+        },
+    )
+    return found.x, found.fun
+
+
+def _settings(effect):
+    """Shape parameters of an effect that no search between grid points tunes."""
+    tuned = {*effect.continuous, *effect.tangent}
+    shape = effect.shape().items()
+    return tuple(sorted((key, value) for key, value in shape if key not in tuned))
+
+
+def _starts(effects, drops):
+    """Return the shapes of a grid to search on from: its best, or its peaks.
+
+    A single parameter is searched around its best value; two may trade against each
+    other, with several peaks, none of which lies beside a better one.
+    """
+    order = np.argsort(drops)[::-1]
+    names = effects[0].continuous
+    if len(names) < 2:
+        return [effects[order[0]]]
+    apart = []
+    for name in names:
+        values, place = np.unique(
+            [getattr(e, name) for e in effects], return_inverse=True
+        )
+        steps = np.abs(place[:, None] - place)
+        if name in effects[0].cyclic:
+            steps = np.minimum(steps, values.size - steps)
+        apart.append(steps)
+    near = np.max(apart, axis=0) <= 1
+    found = []
+    for i in order:
+        if not near[i, found].any():
+            found.append(i)
+    return [effects[i] for i in found[:_STARTS]]
+
+
+def tuned(effect, base):
+    """Return the effect with the shape that suits a model best, or its own.
+
+    The grid is searched first, and then between its points: for each of the settings
+    (exponents) under which the effect is one and the same, since the best point of the
+    grid need not be near the best shape.
+    """
+    same = base.family(effect).like(effect)
+    if not same.effects:
+        return refined(effect, base)
+    joints = base.view.joints_of(effect)
+    drops = base.fitted.score(joints, same.columns).drop
+    settings = {}
+    for one, drop in zip(same.effects, drops):
+        settings.setdefault(_settings(one), []).append((one, drop))
+    offers = [effect]
+    for members in settings.values():
+        offers += _starts(*zip(*members))
+
+    def drop(one):
+        return base.fitted.drop(joints, base.view.columns([one], base.motion))
+
+    found = max((refined(one, base) for one in offers), key=drop)
+    if effect.neutral:
+        # A parameter costs what it costs elsewhere (Schwarz's criterion).
+        plain = clone(found).set_params(**dict(effect.neutral))
+        rows = base.view.rows[joints].sum()
+        if drop(found) - drop(plain) < len(effect.neutral) * np.log(max(rows, 2.0)):
+            return plain
+    return found
 
 
 def tuned_before(effect, base, early):
@@ -140,13 +290,31 @@ def tuned_family(effect, model):
     return np.concatenate([same.columns, np.stack(finer, axis=2)], axis=2)
 
 
+def absorbing(effect, plain, model):
+    """Yield models without plainer effects, for each form of one that contains them.
+
+    Its shape was found beside them, where it stood for what they had left over, and
+    with the ridge of a model that lacked it, which takes part of what it is to explain:
+    both are found anew, with hardly a ridge, the plainest form first.
+    """
+    gone = {id(effect), *map(id, plain)}
+    rest = tuple(one for one in model.effects if id(one) not in gone)
+    base, forms = model.beside(rest, LEAST_RIDGE), effect.excludes()
+    joints = model.view.joints_of(effect)
+    family = base.family(effect).where(lambda one: one.key() in forms)
+    for own in family.forms():
+        best = base.fitted.score(joints, own.columns).best
+        alone = tuned(own.effects[best], base)
+        yield SearchModel.of(model.view, [*rest, alone], model)
+
+
 def retuned(model, joint):
     """Search the shapes of a joint's effects again, each beside the others."""
     effects = list(model.effects)
     chosen = [i for i, e in enumerate(effects) if e.joint == joint and e.continuous]
     for i in chosen:
         base = model.beside(e for k, e in enumerate(effects) if k != i)
-        effects[i] = refined(tuned_among(effects[i], base), base)
+        effects[i] = tuned(effects[i], base)
     if not chosen:
         return model
     return linearised(SearchModel.of(model.view, effects, model), joint)
@@ -174,10 +342,8 @@ def tuned_on(view, effects):
     found = list(effects)
     for i, effect in enumerate(effects):
         base = model.beside(e for k, e in enumerate(found) if k != i)
-        if effect.jumping:
-            # It may lie in a stretch that was not searched.
-            effect = tuned_among(effect, base)
-        found[i] = refined(effect, base)
+        # An instant may lie in a stretch that was not searched.
+        found[i] = (tuned if effect.jumping else refined)(effect, base)
     model = SearchModel.of(view, found, model)
     for joint in sorted({effect.joint for effect in found}):
         model = linearised(model, joint)

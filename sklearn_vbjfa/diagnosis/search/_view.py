@@ -15,7 +15,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
 from sklearn_vbjfa.diagnosis.search._regression import FoldMoments, reduced
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock
-from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
 from sklearn_vbjfa.robot._identifier import equations_of, states_of
 
 
@@ -29,7 +29,8 @@ class Family:
         One for each shape; none where the motion leaves nothing to try.
     columns : ndarray of shape (nj, m, c, k) or None
         Their columns in the equations of the nj joints that they act on, rows scaled
-        by the root of the weights; None without effects.
+        by the root of the weights, with zeros behind those of a shape that has fewer;
+        None without effects.
     """
 
     effects: tuple[Effect, ...]
@@ -40,10 +41,23 @@ class Family:
         chosen = [k for k, effect in enumerate(self.effects) if wanted(effect)]
         if len(chosen) == len(self.effects):
             return self
+        effects = tuple(self.effects[k] for k in chosen)
         return Family(
-            effects=tuple(self.effects[k] for k in chosen),
-            columns=self.columns[:, :, chosen] if chosen else None,
+            effects=effects,
+            columns=self.columns[:, :, chosen, : _width(effects)] if chosen else None,
         )
+
+    def extended(self, effect, columns):
+        """Return the same with one more effect and its columns (nj, m, k)."""
+        return Family(
+            effects=(*self.effects, effect),
+            columns=np.concatenate([self.columns, columns[:, :, None]], axis=2),
+        )
+
+    def forms(self):
+        """Return a family for each complexity of its forms, the plainest first."""
+        sizes = sorted({effect.complexity for effect in self.effects})
+        return [self.where(lambda one, n=n: one.complexity == n) for n in sizes]
 
     def like(self, effect):
         """Return those that are the same use of the effect, see `Effect.key`."""
@@ -218,10 +232,15 @@ class RecordingView:
         root = self.root if root is None else root
         return Whitening(residual, root, self.starts, self.step, self.robot.cutoff_)
 
-    def motion(self, theta):
-        """Signals at the full rate; the load from reduced coordinates or None."""
-        rigid = self.robot.features_.n_parameters_
-        parameters = None if theta is None else (self.back @ theta)[:rigid]
+    def motion(self, theta, effects=(), coefs=()):
+        """Signals at the full rate; the load from reduced coordinates or None.
+
+        Effects, with the coefficients of all of them, are part of the torque.
+        """
+        rigid, parameters = self.robot.features_.n_parameters_, None
+        if theta is not None:
+            plain = plain_coefficients(effects, coefs)
+            parameters = np.concatenate([(self.back @ theta)[:rigid], plain])
         motion = make_motion(
             self.robot.features_,
             self.states,
@@ -229,6 +248,7 @@ class RecordingView:
             self.parts,
             parameters,
             self.robot.cutoff_,
+            effects=effects,
         )
         return replace(motion, begins=self._begins)
 
@@ -245,13 +265,13 @@ class RecordingView:
     def columns(self, effects, motion):
         """Columns (nj, m, c, k) of an effect with several shape parameters."""
         joints = self.joints_of(effects[0])
-        k = len(effects[0].coefficients)
-        out = np.empty((len(joints), self.index.size, len(effects), k))
+        k = _width(effects)
+        out = np.zeros((len(joints), self.index.size, len(effects), k))
         for c, effect in enumerate(effects):
             filtered = self.filtered(effect.columns(motion))
             for i, j in enumerate(joints):
                 own = filtered[:, j] if effect.whole_robot else filtered
-                out[i, :, c] = own * self.root[:, j, None]
+                out[i, :, c, : own.shape[1]] = own * self.root[:, j, None]
         return out
 
     def columns_of(self, effect, motion):
@@ -302,6 +322,11 @@ class RecordingView:
             scales.append(scale)
             Z.append(extra * scale)
         return np.concatenate(Z, axis=2), tuple(scales)
+
+
+def _width(effects):
+    """Most coefficients of any of some effects."""
+    return max((len(effect.coefficients) for effect in effects), default=0)
 
 
 def variants(effect, motion):

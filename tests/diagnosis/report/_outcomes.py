@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     Trial,
     Unexplained,
 )
-from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 
 EVIDENCE = Evidence(gain=0.46, gain_std=0.04, p_value=2.3e-9, n_blocks=52, helped=0.9)
@@ -50,6 +50,18 @@ def make_effect(i, joint, names):
         },
         evidence=EVIDENCE,
         rivals=rivals,
+        ranges=make_range(name, joint),
+    )
+
+
+def make_range(name, joint, depends=("position",)):
+    return EffectRange(
+        name=name,
+        joint=joint,
+        position=(-1.25, 1.5),
+        speed=(0.001, 2.0),
+        load=(-30.0, 45.0),
+        depends=depends if name == "ripple" else (),
     )
 
 

@@ -33,7 +33,7 @@ def band_sentences(outcome, errors):
 def _reason(outcome, band):
     """Say what the cut-off is and what decided it."""
     fastest = words.joint_label(outcome.joint_names, band.fastest)
-    cutoff, bandwidth = words.number(band.cutoff, 2), words.number(band.bandwidth, 2)
+    cutoff, bandwidth = words.number(band.cutoff), words.number(band.bandwidth)
     motion = (
         f"{bandwidth} Hz, below which 99 % of the power of the speed of {fastest} lies"
     )
@@ -286,28 +286,34 @@ def _recordings(outcome, numbers):
     return f"{noun} {words.join(names, 6)}"
 
 
+def contradiction(outcome):
+    """Say which recordings contradict which, without a full stop; empty for none."""
+    found = outcome.contradictions.found
+    if not found:
+        return ""
+    joints = words.joint_list(outcome.joint_names, [one.joint for one in found])
+    culprit = outcome.contradictions.culprit
+    if len(outcome.recordings) == 2:
+        first = f"recordings {words.join(outcome.recordings)} contradict each other"
+    elif culprit is not None:
+        first = f"{_recordings(outcome, [culprit])} contradicts the others"
+    else:
+        which = _recordings(outcome, [one.recording for one in found])
+        first = f"{which} and the others contradict each other"
+    return words.capital(f"{first} on {joints}")
+
+
 def contradiction_sentences(outcome):
     """Say which recordings are not of one robot, and what is another in them."""
     found = outcome.contradictions.found
     if not found:
         return ()
     names = outcome.joint_names
-    culprit = outcome.contradictions.culprit
-    joints = words.joint_list(names, [one.joint for one in found])
-    if len(outcome.recordings) == 2:
-        first = f"Recordings {words.join(outcome.recordings)} contradict each other"
-    elif culprit is not None:
-        first = (
-            f"{words.capital(_recordings(outcome, [culprit]))} contradicts the others"
-        )
-    else:
-        which = _recordings(outcome, [one.recording for one in found])
-        first = f"{words.capital(which)} and the others contradict each other"
     worst = max(found, key=lambda one: one.together / one.alone)
     joint = words.joint_label(names, worst.joint)
     number = _recordings(outcome, [worst.recording])
     sentences = [
-        f"{first} on {joints}: a fit to {number} alone predicts {joint} there to "
+        f"{contradiction(outcome)}: a fit to {number} alone predicts {joint} there to "
         f"{words.percent(worst.alone)} of its torque, one to all of them only to "
         f"{words.percent(worst.together)} ({words.p_text(worst.p_value)}, both on "
         "parts that were not fitted)."

@@ -283,7 +283,7 @@ def _projection(outcome, verdict):
 def _recordings(outcome, verdict):
     """Say first what is wrong with recordings, then what their motion leaves open."""
     found = _limits.contradiction_sentences(outcome) + _limits.motion_sentences(outcome)
-    return _paragraph("What the recordings do not tell", found)
+    return _paragraph("Limits of the recordings", found)
 
 
 def _masses(outcome, verdict):
@@ -662,13 +662,13 @@ SECTIONS = (
     _headline,
     _joints,
     _band,
+    _recordings,
     _projection,
     _effects,
     _outside,
     _unexplained,
     _record_next,
     _hidden,
-    _recordings,
     _masses,
     _channels,
     _residuals,

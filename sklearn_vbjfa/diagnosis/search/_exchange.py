@@ -21,6 +21,8 @@ from sklearn_vbjfa.diagnosis.search._shapes import retuned, tuned
 
 # Effects of a joint that a second one is tried beside, the best ones alone.
 _FIRST = 3
+# Where the error is this many times the noise floor, one effect may not be enough.
+_ABOVE = 1.15
 # Rules by which a step is taken, as they are reported.
 PAIR = "Bonferroni over the pairs of the joint, where no single effect passed"
 FOR_TWO = "Bonferroni over the pairs of the joint, in place of what they replace"
@@ -56,7 +58,7 @@ def exchange(search):
     Of an `EffectSearch` in which no single effect passes any more.
     """
     model = search.model
-    above = (model.precision > 0) & ~search.at_floor(model.squares)
+    above = (model.precision > 0) & ~search.at_floor(model.squares, _ABOVE)
     for joint in np.flatnonzero(model.precision > 0).tolist():
         own = [e for e in model.effects if e.joint == joint and not e.whole_robot]
         if _two_for_one(search, joint, own):
@@ -203,11 +205,12 @@ def backwards(search):
     better than the present one, or simpler and no worse.
     """
     present = {effect.key() for effect in search.model.effects}
+    taken = search.refused.union(*(e.excludes() for e in search.model.effects))
     again = {}
     for step in search.steps:
         offered = [step.effect, step.replaced, *(c.effect for c in step.rivals)]
         for effect in offered:
-            if effect is not None and effect.key() not in present | search.refused:
+            if effect is not None and effect.key() not in taken:
                 again[effect.key()] = effect
     if not again or search.max_effects is not None:
         return

@@ -33,8 +33,8 @@ from sklearn_vbjfa.effects import JointEffect
 from sklearn_vbjfa.effects._library import closure
 
 # A joint whose out-of-sample error is within this factor of its noise floor lacks
-# nothing that could be named.
-AT_FLOOR = 1.15
+# nothing that could be named: an effect of a third of the noise adds as much to it.
+AT_FLOOR = 1.05
 # An effect stays as long as leaving it out would cost this share of the error.
 _SUPERFLUOUS = 0.01
 # What is found must hold beyond the data that it was found in: fitted to this first
@@ -68,6 +68,7 @@ FADED = "has faded before there is later data to try it on"
 TOO_LATE = "acts in too few blocks to be tried on later data"
 HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
+ABSORBED = "the effect that contains it does as well alone, with another shape"
 MOST = "fewer effects were asked for"
 UNNATURAL = "took a sign that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
@@ -338,11 +339,11 @@ class EffectSearch:
             rule=rule,
         )
 
-    def at_floor(self, squares):
-        """Joints whose error noise alone explains."""
+    def at_floor(self, squares, factor=AT_FLOOR):
+        """Joints whose error noise alone explains, but for a factor."""
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = squares.sum(axis=0) / self.view.rows
-        return mean < AT_FLOOR**2 * self.view.floor
+        return mean < factor**2 * self.view.floor
 
     # -- candidates -----------------------------------------------------------------
 
@@ -619,7 +620,8 @@ class EffectSearch:
     def absorb(self, effect):
         """Drop plainer effects that a new one stands for if it takes another shape.
 
-        Returns the effect as it is then.
+        The plainest form of it that is no worse is taken. Returns the effect as it is
+        then.
         """
         names = closure(effect, self.library)
         plain = [
@@ -627,18 +629,22 @@ class EffectSearch:
             for one in self.model.effects
             if one.joint == effect.joint and one.name in names
         ]
-        if not plain or len(self.model.family(effect).effects) < 2:
+        family = self.model.family(effect)
+        if len(family.forms()) < 2 and not (plain and effect.continuous):
             return effect
-        trial = absorbing(effect, plain, self.model)
-        now, then = (trial.relevant(effect, m.squares)[0] for m in (self.model, trial))
-        if not no_worse(now, then):
-            return effect
-        case = compare(then, now)
-        for one in plain:
-            rest = self.model.without(one)
-            self.step("drop", one, rest, evidence=case, rule=Rule(name=SUPERFLUOUS))
-        self.model = trial
-        return trial.effects[-1]
+        for trial in absorbing(effect, plain, self.model):
+            now, then = (
+                trial.relevant(effect, m.squares)[0] for m in (self.model, trial)
+            )
+            if not no_worse(now, then):
+                continue
+            case = compare(then, now)
+            for one in plain:
+                rest = self.model.without(one)
+                self.step("drop", one, rest, evidence=case, rule=Rule(name=ABSORBED))
+            self.model = trial
+            return trial.effects[-1]
+        return effect
 
     def prune(self, newest=None):
         """Drop what became superfluous or took a wrong sign, the least useful first."""

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 
@@ -154,6 +156,37 @@ class Unexplained:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ceiling:
+    """How much of a joint's residual a function of any form explains.
+
+    Of its own speed and load; of its own state and history; of the states and loads of
+    all joints. Each includes the signals of the one before.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    within : tuple of 3 float
+        Shares of the squared residual that functions fitted to other blocks of time
+        explain; zero where that is no more than chance.
+    across : tuple of 3 float
+        The same of functions fitted to other recordings; nan if there is only one.
+    """
+
+    joint: int
+    joint_name: str
+    within: tuple
+    across: tuple
+
+    @property
+    def share(self):
+        """What repeats, tuple of 3 float: the smaller of the two."""
+        return tuple(map(float, np.fmin(self.within, self.across)))
+
+
+@dataclass(frozen=True, kw_only=True)
 class Hidden:
     """An effect that this data cannot show.
 
@@ -193,6 +226,9 @@ class Outcome:
         Steps of the search.
     unexplained : tuple of Unexplained
         Joints that stay above their noise floor.
+    ceiling : tuple of Ceiling
+        What functions of any form explain on these joints; empty if that was not asked
+        for.
     hidden : tuple of Hidden
         Effects that could not be looked for.
     channels : tuple of ChannelFinding
@@ -227,13 +263,14 @@ class Outcome:
         Thresholds, split, blocks, what intervals are of, seed, versions.
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
-        part, its recordings joined [s].
+        part, its recordings joined [s]; "maps" has a `Map` of some joints.
     """
 
     declared: dict
     effects: tuple
     rounds: tuple
     unexplained: tuple
+    ceiling: tuple
     hidden: tuple
     channels: tuple
     joint_names: tuple

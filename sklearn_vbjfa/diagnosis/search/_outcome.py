@@ -8,6 +8,7 @@ import scipy
 import sklearn
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.diagnosis.search._ceiling import ceilings
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis.search._findings import (
     DiscoveredEffect,
@@ -39,6 +40,8 @@ def make_outcome(search, models, judgement, channels, asked):
     with np.errstate(divide="ignore", invalid="ignore"):
         wide = np.array(judgement.wide or np.full((2, spread.size), np.nan)) / spread
         relative_floor = floor / spread
+    rest = unexplained(search.model, names, spread, floor, decided)
+    ceiling, maps = _ceiling(search.model, rest, names, asked)
     return Outcome(
         declared={
             "robot": features.model_.name,
@@ -50,7 +53,8 @@ def make_outcome(search, models, judgement, channels, asked):
         },
         effects=tuple(_effects(search, models.final, names, prismatic)),
         rounds=tuple(_rounds(search, names)),
-        unexplained=unexplained(search.model, names, spread, floor, decided),
+        unexplained=rest,
+        ceiling=ceiling,
         hidden=hidden(search, names),
         channels=channels,
         joint_names=names,
@@ -67,7 +71,7 @@ def make_outcome(search, models, judgement, channels, asked):
         floor=relative_floor,
         library={effect.name: effect for effect in search.library},
         settings=_settings(search, judgement, asked),
-        curves=_curves(models.judged, judgement.before, judgement.after),
+        curves=_curves(models.judged, judgement.before, judgement.after, maps),
     )
 
 
@@ -234,7 +238,15 @@ def _settings(search, judgement, asked):
     }
 
 
-def _curves(judged, before, after):
+def _ceiling(model, rest, names, asked):
+    """Return what functions of any form explain of the rest, and their maps."""
+    if not asked["ceiling"]:
+        return (), {}
+    joints = [u.joint for u in rest]
+    return ceilings(model, joints, names, asked["alpha"], asked["random_state"])
+
+
+def _curves(judged, before, after, maps):
     """Residuals of the untouched part with their signals, thinned for pictures."""
     m = before.torque.shape[0]
     rows = np.arange(0, m, max(1, m // _POINTS))
@@ -249,4 +261,5 @@ def _curves(judged, before, after):
         "after": after.residual[rows],
         "weight": before.weight[rows],
         "torque": before.torque[rows],
+        "maps": maps,
     }

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from sklearn.utils import check_random_state
+from threadpoolctl import threadpool_limits
 
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, compare
 from sklearn_vbjfa.diagnosis.search._findings import Ceiling
@@ -19,6 +20,8 @@ from sklearn_vbjfa.diagnosis.search._flexible import FlexibleFunction, Stretches
 SOURCES = ("speed and load", "state and history", "all joints")
 # Earlier speeds, in periods of the cut-off.
 _LAGS = (0.5, 1.0, 2.0, 4.0)
+# A function is judged where at least this share of the rows lies in its range.
+_TRIED = 0.5
 # Bins of a map over speed and load, and the quantiles at its edges.
 _COLUMNS, _ROWS, _EDGES = 16, 10, (0.005, 0.995)
 
@@ -84,7 +87,10 @@ def ceilings(model, joints, names, alpha, random_state=None):
             level=alpha / (len(SOURCES) * len(joints)),
             seed=seed,
         )
-        within, across, first = trial.shares(signals)
+        # Trees this small take longer on several threads, on a busy machine a hundred
+        # times as long.
+        with threadpool_limits(limits=1, user_api="openmp"):
+            within, across, first = trial.shares(signals)
         found.append(
             Ceiling(joint=j, joint_name=names[j], within=within, across=across)
         )
@@ -161,9 +167,11 @@ class _Trial:
         recordings = self.stretches.other_recordings(self.view.origin)
         within, across, first = [], [], None
         size = np.sqrt(np.average(self.residual**2, weights=self.weight))
+        speed_and_load = signals.own[self.joint][:, :2]
         for table in signals.tables(self.joint):
             function = FlexibleFunction(
                 signals=table,
+                span=speed_and_load,
                 target=self.residual / size,
                 weight=self.weight / self.weight.max(),
                 random_state=self.seed,
@@ -177,12 +185,18 @@ class _Trial:
                 across.append(self.explained(predicted))
             first = predicted if first is None else first
         # What fewer signals explain more of them do as well.
-        return *(tuple(np.maximum.accumulate(x)) for x in (within, across)), first
+        return *(_rising(x) for x in (within, across)), first
 
     def explained(self, predicted):
-        """Share of the squared residual that a function explains, beyond chance."""
-        view, weight = self.view, self.weight
-        left = self.residual - predicted
+        """Share of the squared residual that a function explains, beyond chance.
+
+        In rows where it says something; nan where that is less than half of them.
+        """
+        view, total = self.view, self.weight.sum()
+        weight = np.where(np.isnan(predicted), 0.0, self.weight)
+        if weight.sum() < _TRIED * total:
+            return np.nan
+        left = self.residual - np.nan_to_num(predicted)
         before = view.blocks.sums(weight * self.residual**2)
         after = view.blocks.sums(weight * left**2)
         if not before.sum() > after.sum():
@@ -199,7 +213,7 @@ class _Trial:
     def map(self, signals, predicted):
         """Measured residual and function over speed and load, `Map`."""
         speed, load = signals.own[self.joint][:, :2].T
-        used = self.weight > 0
+        used = (self.weight > 0) & np.isfinite(predicted)
         edges = [np.quantile(x[used], _EDGES) for x in (load, speed)]
         bins = [
             np.linspace(*edge, count + 1)
@@ -219,6 +233,11 @@ class _Trial:
             measured=means(self.residual),
             function=means(predicted),
         )
+
+
+def _rising(shares):
+    """Return the largest share so far, tuple of float; nan where it is not known."""
+    return tuple(float(x) for x in np.maximum.accumulate(shares))
 
 
 def since_reversal(q, v, still, parts):

@@ -172,7 +172,9 @@ class Ceiling:
         Shares of the squared residual that functions fitted to other blocks of time
         explain; zero where that is no more than chance.
     across : tuple of 3 float
-        The same of functions fitted to other recordings; nan if there is only one.
+        The same of functions fitted to other recordings, as far as these reach the
+        joint's speeds and loads; nan if that is less than half of the time, or there is
+        only one recording.
     """
 
     joint: int
@@ -182,7 +184,7 @@ class Ceiling:
 
     @property
     def share(self):
-        """What repeats, tuple of 3 float: the smaller of the two."""
+        """What repeats, tuple of 3 float: the smaller of those that are known."""
         return tuple(map(float, np.fmin(self.within, self.across)))
 
 

@@ -23,9 +23,9 @@ _BLOCKS_PER_FOLD = (2, 10)
 # what it is tried on, and most of the length of a block.
 _GAP_TIMES, _MOST_GAP = 3.0, 0.25
 # Trees: enough for a bent surface over two signals, few leaves since rows are noisy.
-_TREES, _LEAVES, _LEAF, _BINS, _RATE = 60, 8, 20, 64, 0.1
+_TREES, _LEAVES, _LEAF, _BINS, _RATE = 40, 8, 20, 64, 0.15
 # Rows that trees are grown on, at the most.
-_MOST_ROWS = 4000
+_MOST_ROWS = 3000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -147,6 +147,8 @@ class FlexibleFunction:
     ----------
     signals : ndarray of shape (m, k)
         What it is a function of; nan where unknown.
+    span : ndarray of shape (m, r)
+        Signals outside whose range a function says nothing.
     target : ndarray of shape (m,)
         What it should be.
     weight : ndarray of shape (m,)
@@ -156,29 +158,45 @@ class FlexibleFunction:
     """
 
     signals: np.ndarray
+    span: np.ndarray
     target: np.ndarray
     weight: np.ndarray
     random_state: int
     _stages: dict = field(default_factory=dict, repr=False)
 
     def out_of_sample(self, folds):
-        """Predict the rows of all folds by functions fitted to others, (m,)."""
-        out = np.zeros_like(self.target)
+        """Predict the rows of all folds by functions fitted to others, (m,).
+
+        nan where a function would have to leave its range, or there is none.
+        """
+        out = np.full(self.target.size, np.nan)
         for fold in folds:
+            if not fold.train[self._rows].any():
+                continue
+            test = np.flatnonzero(fold.test & self._reached(fold.train))
+            out[test] = 0.0
             count, share = self._believed(fold.trials)
-            test = np.flatnonzero(fold.test & (self.weight > 0))
-            if count and test.size:
-                trees = self._grown(fold.train, count)
-                if trees is not None:
-                    out[test] = share * trees.predict(self._ranks[test])
+            trees = self._grown(fold.train, count) if count and test.size else None
+            if trees is not None:
+                out[test] = share * trees.predict(self._ranks[test])
         return out
+
+    def _reached(self, train):
+        """Rows that count and lie between the smallest and largest fitted, (m,) bool.
+
+        Of the signals that the range is taken from.
+        """
+        fitted = self.span[self._rows[train[self._rows]]]
+        inside = (self.span >= fitted.min(axis=0)) & (self.span <= fitted.max(axis=0))
+        return inside.all(axis=1) & (self.weight > 0)
 
     def _believed(self, trials):
         """How many trees to take, and which share of their sum; 0 for nothing."""
         product, square = np.zeros(_TREES), np.zeros(_TREES)
         for train, valid in trials:
-            stages, used = self._stages_of(train), valid[self._rows]
+            stages = self._stages_of(train)
             if stages is not None:
+                used = (valid & self._reached(train))[self._rows]
                 weight = self.weight[self._rows[used]]
                 product += stages[:, used] @ (weight * self.target[self._rows[used]])
                 square += stages[:, used] ** 2 @ weight

@@ -78,7 +78,7 @@ def noise(model, seed, kind="white"):
 def bent(model):
     """Return a function of speed and load that is not linear in either."""
     v, load = model.motion.v[:, JOINT], model.motion.load[:, JOINT]
-    return filtered(model, np.cos(2 * v / v.std()) * (1 + np.tanh(load / load.std())))
+    return filtered(model, np.cos(1.5 * v / v.std()) * (2 + np.tanh(load / load.std())))
 
 
 def measured(model, residual, seed=0, joint=JOINT):

@@ -184,6 +184,7 @@ def constants_of_the_loop():
         _search,
         _shapes,
         _split,
+        _symmetry,
         _transfer,
     )
     from sklearn_vbjfa.diagnosis.search import _intervals as intervals
@@ -215,6 +216,7 @@ def constants_of_the_loop():
         f"save at least {100 * _evidence.SMALLEST_GAIN:g} % of the joint's squared",
         f"at most {_search.AT_FLOOR:g} times its noise floor is left alone",
         f"saves more than {100 * _search._CONTAINED:g} % of what the candidate saves",
+        f"the other way round saves more than {100 * _symmetry._SHARE:g} % of what",
         f"costs less than {100 * _search._SUPERFLUOUS:g} % of the squared error",
         f"above {varies:g} times the floor if it varies with any, above {any_case:g} t",
         f"({100 * _base._FAST:g} % of its speeds are slower)",
@@ -244,7 +246,13 @@ def test_numbers_of_the_loop_are_those_of_the_code():
 
 
 def test_shapes_in_the_guide_are_those_that_are_tried():
-    from sklearn_vbjfa.effects import _drive, _friction, _hysteresis, _position, _time
+    from sklearn_vbjfa.effects import (
+        _channels,
+        _friction,
+        _hysteresis,
+        _position,
+        _time,
+    )
 
     degrees = [
         round(math.degrees(x), 9) for x in (_position._SHORTEST, _position._LONGEST)
@@ -254,7 +262,8 @@ def test_shapes_in_the_guide_are_those_that_are_tried():
         "vs": _friction._STRIBECK,
         "displacement": _hysteresis._DISPLACEMENTS,
         "period": degrees,
-        "delay": _drive._DELAYS,
+        "delay": _channels._DELAYS,
+        "time_constant": _channels._CONSTANTS,
         "T": _time._CONSTANTS,
         "payload": [_time._INSTANTS],
     }

@@ -170,6 +170,8 @@ def _close(
 
 def _write(loop, out):
     """Write all files or none; each appears complete."""
+    from sklearn_vbjfa.robot._known import known_parameters
+
     report = loop.report_
     texts = {
         "report.html": report.to_html(),
@@ -180,27 +182,33 @@ def _write(loop, out):
     with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
         for name, text in texts.items():
             Path(folder, name).write_text(text, encoding="utf-8")
-        _write_parameters(loop.identifier_, Path(folder, "parameters.csv"))
+        known = known_parameters(loop.identifier_)
+        path = Path(folder, "parameters.csv")
+        _write_parameters(loop.identifier_, known, path)
         loop.identifier_.to_urdf(Path(folder, "identified.urdf"))
         for name in names:
             os.replace(Path(folder, name), out / name)
     return [out / name for name in names]
 
 
-def _write_parameters(robot, path):
-    """Write one row per parameter; std is empty where the data say nothing."""
+def _write_parameters(robot, known, path):
+    """Write one row per parameter; std is empty where the data say nothing.
+
+    known : what `known_parameters` says of each.
+    """
+    heads = ["parameter", "value", "unit", "std", "identifiable", "known"]
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow(["parameter", "value", "unit", "std", "identifiable"])
-        for row in zip(
+        table.writerow(heads)
+        for name, value, unit, std, alone, told in zip(
             robot.parameter_names_,
             robot.theta_,
             robot.parameter_units_,
             robot.theta_std_,
             robot.identifiable_,
+            known,
         ):
-            name, value, unit, std, known = row
             deviation = repr(float(std)) if np.isfinite(std) else ""
-            table.writerow(
-                [name, repr(float(value)), unit, deviation, "yes" if known else "no"]
-            )
+            alone = "yes" if alone else "no"
+            row = [name, repr(float(value)), unit, deviation, alone, told]
+            table.writerow(row)

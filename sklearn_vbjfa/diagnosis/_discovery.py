@@ -7,6 +7,7 @@ from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa.diagnosis.report._report import Report
+from sklearn_vbjfa.diagnosis.search._common_start import plain_terms
 from sklearn_vbjfa.diagnosis.search._intervals import FinalFit
 from sklearn_vbjfa.diagnosis.search._judgement import judge
 from sklearn_vbjfa.diagnosis.search._outcome import Models, make_outcome
@@ -20,7 +21,11 @@ from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
-from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
+from sklearn_vbjfa.robot._identifier import (
+    RecordingRegressorMixin,
+    RobotIdentifier,
+    tell_spreads,
+)
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
 
@@ -86,8 +91,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     ----------
     effects_ : tuple of DiscoveredEffect
         Accepted effects in the order in which they were found; each has `name`,
-        `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`.
-        The values are those of `identifier_`.
+        `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`,
+        `ranges` (of the motion that it was fitted on). The values are those of
+        `identifier_`.
     rounds_ : tuple of Round
         Every step: what was added, replaced, dropped, refused or withdrawn, on what
         evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the
@@ -100,6 +106,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     torque_spread_ : ndarray of shape (nv,)
         Standard deviation of each joint's torque in the moving time of the whole
         recording, behind the low-pass [N m or N]: times an error, the error in N m.
+    projection_price_ : ndarray of shape (nv,)
+        By how much physically consistent parameters raise `error_after_`; 0 where not
+        by more than chance, nan where it cannot be said or they were not asked for.
+        ``report_.outcome.projection`` has the body and the channel that it comes from.
     unexplained_ : tuple of Unexplained
         Joints whose residual stays above the noise floor, how much of the torque that
         is, and the signals it varies with.
@@ -237,14 +247,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             part = split.searched(whole)
             self.declared_ = _fitted(clone(self.identifier), part)
             begins = tuple(whole.t[rows.start] for rows in whole.segments)
-            view = RecordingView(self.declared_, part, silent, split.origin, begins)
-            found = EffectSearch(
-                view=view,
-                library=library,
-                alpha=float(self.alpha),
-                max_effects=self.max_effects,
-                on_progress=say,
-            ).run()
+            found = self._search(part, silent, split.origin, begins, library, say)
             say(len(found.effects), "final model")
             self.judged_ = self.declared_
             if found.effects:
@@ -307,6 +310,30 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
         return findings, silent
 
+    def _search(self, part, silent, origin, begins, library, say):
+        """Search from the common start, then judge what of it is not declared."""
+        settings = {
+            "library": library,
+            "alpha": float(self.alpha),
+            "on_progress": say,
+        }
+        names = plain_terms(self.declared_.features_.friction_, library)
+        if not names:
+            view = RecordingView(self.declared_, part, silent, origin, begins)
+            return EffectSearch(
+                view=view, max_effects=self.max_effects, **settings
+            ).run()
+        friction = (*self.declared_.features_.friction_, *names)
+        fuller = _fitted(clone(self.identifier).set_params(friction=friction), part)
+        start = RecordingView(fuller, part, silent, origin, begins)
+        first = EffectSearch(view=start, **settings)
+        first.explore()
+        say(len(first.model.effects), "plain friction")
+        view = RecordingView(self.declared_, part, silent, origin, begins, start)
+        return EffectSearch(view=view, max_effects=self.max_effects, **settings).resume(
+            names, first.found()
+        )
+
     def _with(self, effects):
         """Return the declared model with effects, not fitted."""
         own = (*self.declared_.effects_, *effects)
@@ -323,7 +350,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         view = RecordingView(self.declared_, whole, silent)
         effects = tuned_on(view, found.effects)
         self.identifier_ = _fitted(self._with(effects).set_params(**band), whole)
-        return FinalFit(self.declared_, self.identifier_, view, effects)
+        final = FinalFit(self.declared_, self.identifier_, view, effects)
+        tell_spreads(self.identifier_, final.effect_estimates)
+        return final
 
     def _set(self, outcome):
         """Set the results and the report."""
@@ -331,6 +360,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.error_before_ = outcome.error_before
         self.error_after_ = outcome.error_after
         self.torque_spread_ = outcome.spread
+        self.projection_price_ = np.full(outcome.spread.size, np.nan)
+        if outcome.projection is not None:
+            self.projection_price_ = outcome.projection.price
         self.unexplained_, self.hidden_ = outcome.unexplained, outcome.hidden
         self.ceiling_ = np.full((len(outcome.joint_names), 3), np.nan)
         for one in outcome.ceiling:

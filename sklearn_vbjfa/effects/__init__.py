@@ -1,7 +1,8 @@
 """Effects that a rigid-body model may lack, each a small transformer."""
 
 from sklearn_vbjfa.effects._base import Effect, JointEffect, Motion
-from sklearn_vbjfa.effects._drive import Coupling, Delay, Elastic, RotorInertia
+from sklearn_vbjfa.effects._channels import Delay, Jerk, TorqueFilter
+from sklearn_vbjfa.effects._drive import Coupling, Elastic, RotorInertia
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
     Coulomb,
@@ -13,6 +14,7 @@ from sklearn_vbjfa.effects._friction import (
 from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
 from sklearn_vbjfa.effects._library import available, resolve
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
+from sklearn_vbjfa.effects._ranges import EffectRange
 from sklearn_vbjfa.effects._time import Drift, Payload
 
 __all__ = [
@@ -24,7 +26,9 @@ __all__ = [
     "Delay",
     "Drift",
     "Effect",
+    "EffectRange",
     "Elastic",
+    "Jerk",
     "JointEffect",
     "LoadFriction",
     "Motion",
@@ -35,6 +39,7 @@ __all__ = [
     "RotorInertia",
     "Spring",
     "Stribeck",
+    "TorqueFilter",
     "Viscous",
     "ViscousQuadratic",
     "available",

@@ -50,6 +50,9 @@ class Motion:
     rest : Rest or None
         What to take for the sign of the velocity of a joint that may be standing; None
         takes the sign itself, as a fit does, whose equations are masked there.
+    since : float or None
+        First time of the fit [s]: before it an effect of time is as it was then. None
+        if that is not known, or this is the fit.
     """
 
     q: np.ndarray
@@ -65,6 +68,7 @@ class Motion:
     bandwidth: float = np.inf
     begins: tuple | None = None
     rest: Rest | None = None
+    since: float | None = None
     _speeds: dict = field(default_factory=dict, repr=False)
 
     def __post_init__(self):
@@ -95,6 +99,10 @@ class Motion:
     def range(self, joint):
         """Range of a joint's positions [rad or m]."""
         return float(np.ptp(self.q[:, joint]))
+
+    def known_time(self):
+        """Time of each row (n,) [s], at the earliest the first one of the fit."""
+        return self.t if self.since is None else np.maximum(self.t, self.since)
 
     def duration(self):
         """Return the time from the first to the last sample [s]."""
@@ -147,6 +155,11 @@ class Effect(TransformerMixin, BaseEstimator):
         Signals besides the states.
     continuous : tuple of str
         Shape parameters that take any value between those of `shapes`.
+    neutral : tuple of (str, float)
+        Those of them that do nothing at a value: a search leaves them there unless the
+        data say otherwise.
+    cyclic : tuple of str
+        Those of them that are angles [rad], the same again after a turn.
     jumping : tuple of str
         Those of them in which the torque jumps (an instant): they get no interval.
     tangent : tuple of str
@@ -156,10 +169,23 @@ class Effect(TransformerMixin, BaseEstimator):
     nonnegative : tuple of str
         Coefficients that are not negative in nature: what a search finds with another
         sign is something else.
+    depends : tuple of {"position", "speed", "load"}
+        Quantities of its joint that its columns go on changing with however large they
+        become, so that outside the range of the fit its torque is extrapolated; see
+        `EffectRange`. What saturates or fades with them (a sign, a Stribeck curve) has
+        its value outside the range as well and is left out.
+    curved : bool
+        Whether the columns do so in another way than along a straight line, so that
+        less lies between what is known and what is not.
     visible : str
         What a recording must hold for the effect to show.
     record : str
         What to record next to tell it from its rivals.
+    slow : bool
+        Whether it is a function of time, which could imitate whatever changes slowly:
+        it has to prove itself on later data.
+    afterwards : str
+        What a `slow` effect is taken to do after the last time of the fit.
 
     Examples
     --------
@@ -186,14 +212,18 @@ class Effect(TransformerMixin, BaseEstimator):
     contains = ()
     needs = ()
     continuous = ()
+    neutral = ()
+    cyclic = ()
     jumping = ()
     tangent = ()
     positive = ()
     nonnegative = ()
+    depends = ()
+    curved = False
     visible = "the joint moves"
     record = ""
-    # True for a function of time, which would fit whatever changes slowly.
     slow = False
+    afterwards = ""
     # True for an effect that acts on all joints: columns of shape (n, nv, k).
     whole_robot = False
 
@@ -243,9 +273,29 @@ class Effect(TransformerMixin, BaseEstimator):
         fitted = dict(zip(self.coefficients, coef))
         return all(fitted[name] >= 0 for name in self.nonnegative)
 
+    def opposite(self):
+        """Return the effect mirrored in what must have a sign, such as a delay in time.
+
+        Where the mirror image explains nearly as much, the data show something
+        symmetric, and a search finds neither. None where there is no such image.
+        """
+        return None
+
+    def excludes(self):
+        """Return the keys of effects that a search puts not beside this one, a set."""
+        opposite = self.opposite()
+        return {self.key()} | (set() if opposite is None else {opposite.key()})
+
     def parameters(self, coef):
         """Return what an engineer calls the coefficients, symbol -> value."""
         return dict(zip(self.coefficients, map(float, coef)))
+
+    def later(self, coef, t):
+        """Return what is left of the coefficients at a time [s], symbol -> value.
+
+        Empty for what does not change with time, and for what stays as it is.
+        """
+        return {}
 
     def at(self, coef):
         """Return the effect linearised at its coefficients; see `tangent`."""

@@ -1,13 +1,12 @@
-"""Effects of the drive: its inertia, its gears, its elasticity, its electronics."""
+"""Effects of the drive: its inertia, its gears, its elasticity."""
 
-from numbers import Integral, Real
+from numbers import Integral
 
 import numpy as np
 
 from sklearn_vbjfa.effects._base import (
     INERTIA,
     STIFFNESS,
-    TIME,
     TORQUE,
     VISCOSITY,
     Effect,
@@ -15,8 +14,6 @@ from sklearn_vbjfa.effects._base import (
 )
 from sklearn_vbjfa.effects._rest import mean_sign
 
-# Delays to try [s].
-_DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
 # Compliance of the finite difference: deflections of this share of the positions'
 # spread, small enough to be linear and large enough for the rounding.
 _DEFLECTION = 1e-4
@@ -219,77 +216,3 @@ class Elastic(Effect):
         """Stiffness; see `Effect.parameters`."""
         compliance = float(coef[0])
         return {"k": 1 / compliance if compliance else np.inf}
-
-
-class Delay(Effect):
-    """The torque signal lags behind the positions.
-
-    The column is (tau(t - delay) - tau(t)) / delay, the model's torque shifted, so
-    that its coefficient is the delay [s] again: to first order -dtau/dt.
-
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-    delay : float, default=0.001
-        Shift [s]; negative if the positions lag.
-
-    References
-    ----------
-    .. [1] L. Ljung, "System Identification: Theory for the User", Prentice Hall, 1999,
-       section 10.3 (delays).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.effects import Delay
-    >>> t = np.arange(5.0)
-    >>> states = np.zeros((5, 3))
-    >>> Delay(delay=1.0).fit(states).transform(states, t=t, load=t[:, None]).ravel()
-    array([ 0., -1., -1., -1., -1.])
-    """
-
-    name = "delay"
-    label = "delay of the torque signal"
-    formula = r"\tau(t - \mathrm{delay}) - \tau(t)"
-    coefficients = ("delay_estimate",)
-    units = (TIME,)
-    named_units = shape_units = (("delay", TIME),)
-    needs = ("load", "time")
-    continuous = ("delay",)
-    visible = "fast changes of the torque"
-    record = "fast changes of the torque"
-
-    def __init__(self, joint=0, delay=0.001):
-        super().__init__(joint)
-        self.delay = delay
-
-    def check(self):
-        """Refuse no delay at all; see `Effect.check`."""
-        super().check()
-        if not (isinstance(self.delay, Real) and 0 < abs(self.delay) < np.inf):
-            raise ValueError(f"delay must be finite and not zero; got {self.delay!r}.")
-
-    def plausible(self, coef):
-        """Whether the delay found is about the shift; see `Effect.plausible`."""
-        return 0.5 < float(coef[0]) / self.delay < 2.0
-
-    def columns(self, motion):
-        """Shifted torque less the torque itself; see `Effect.columns`."""
-        torque = (motion.load if motion.torque is None else motion.torque)[
-            :, self.joint
-        ]
-        out = np.empty_like(torque)
-        for part in motion.parts:
-            t = motion.t[part]
-            lagged = np.interp(t - self.delay, t, torque[part])
-            out[part] = (lagged - torque[part]) / self.delay
-        return out[:, None]
-
-    def shapes(self, motion):
-        """Delays up to 30 ms, of either signal."""
-        return [{"delay": way * d} for d in _DELAYS for way in (1, -1)]
-
-    def parameters(self, coef):
-        """Delay, the coefficient; see `Effect.parameters`."""
-        return {"delay": float(coef[0])}

@@ -14,6 +14,7 @@ class _Smoothed(Effect):
     """Dry friction, with a sign that may be smoothed."""
 
     continuous = ("smoothing",)
+    neutral = (("smoothing", 0.0),)
     shape_units = (("smoothing", SPEED),)
 
     def __init__(self, joint=0, smoothing=0.0):
@@ -54,6 +55,7 @@ class Viscous(JointEffect):
     coefficients = ("Fv",)
     nonnegative = ("Fv",)
     units = (VISCOSITY,)
+    depends = ("speed",)
     visible = "motion at several speeds"
     record = "motion at several speeds"
 
@@ -139,6 +141,7 @@ class AsymmetricFriction(Effect):
     coefficients = ("dFc", "dFv")
     units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
+    depends = ("speed",)
     visible = "both directions of motion, at several speeds"
     record = "both directions at several speeds"
 
@@ -241,6 +244,8 @@ class ViscousQuadratic(Effect):
     coefficients = ("F2",)
     units = (("N m s^2/rad^2", "N s^2/m^2"),)
     contains = ("viscous", "coulomb")
+    depends = ("speed",)
+    curved = True
     visible = "slow and fast motion"
     record = "slow and fast motion"
 
@@ -284,6 +289,7 @@ class LoadFriction(_Smoothed):
     units = (("", ""),)
     contains = ("coulomb", "viscous")
     needs = ("load",)
+    depends = ("load",)
     visible = "reversals under different loads"
     record = "reversals at two loads"
 

@@ -142,6 +142,7 @@ class Backlash(Effect):
     contains = ("spring", "coulomb")
     continuous = ("width",)
     positive = ("width",)
+    depends = ("position",)
     visible = "many reversals, at several positions"
     record = "reversals at several positions"
 

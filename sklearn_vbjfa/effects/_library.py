@@ -3,7 +3,8 @@
 from sklearn.base import clone
 
 from sklearn_vbjfa.effects._base import Effect
-from sklearn_vbjfa.effects._drive import Coupling, Delay, Elastic, RotorInertia
+from sklearn_vbjfa.effects._channels import Delay, Jerk, TorqueFilter
+from sklearn_vbjfa.effects._drive import Coupling, Elastic, RotorInertia
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
     Coulomb,
@@ -35,6 +36,8 @@ _LIBRARY = {
         Coupling,
         Elastic,
         Delay,
+        TorqueFilter,
+        Jerk,
         Drift,
         Payload,
     )

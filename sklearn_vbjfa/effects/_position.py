@@ -1,12 +1,16 @@
 """Effects that depend on the position."""
 
 import numpy as np
+from sklearn.base import clone
 
 from sklearn_vbjfa.effects._base import POSITION, STIFFNESS, TORQUE, Effect, JointEffect
 
 # Longest and shortest period to try: of a revolute joint [rad], and as shares of the
 # range of a prismatic one.
 _LONGEST, _SHORTEST = np.radians(75.0), np.radians(2.0)
+# Linkages to try: shorter over longer distance from the axis, and angles [degrees].
+_RATIOS = (0.2, 0.45, 0.7, 0.9)
+_ANGLES = tuple(range(0, 360, 30))
 # Neighbouring periods differ by this many cycles over the range of the motion.
 _CYCLES = 0.3
 
@@ -77,6 +81,7 @@ class Spring(Effect):
     units = (STIFFNESS, TORQUE)
     named_units = (("k", STIFFNESS), ("q0", POSITION))
     contains = ("offset",)
+    depends = ("position",)
     visible = "a wide range of positions"
     record = "a wide range of positions"
 
@@ -92,37 +97,113 @@ class Spring(Effect):
 
 
 class Counterbalance(Effect):
-    """Counterbalance, tau = a cos q + b sin q + c cos 2q + d sin 2q + e.
+    """Counterbalance: hydraulic, gas spring, coil spring or weight on a linkage.
 
-    Hydraulic, gas-spring and weight balancers between a link and a fixed point: the
-    force times its lever arm is a periodic function of the angle, of which two
-    harmonics are kept [1]_.
+    A balancer pulls between a point of the link, at the distance r from the joint's
+    axis, and a fixed point at the distance L. With x = q - angle, where the two points
+    are nearest at x = 0, and ratio = r / L, its length is L l(x) and the drive must
+    produce [1]_
+
+    tau = (Fr / l + krL) sin x,  l = sqrt(1 + ratio^2 - 2 ratio cos x),
+
+    Fr for the part of the force that does not depend on the length, times r, and krL
+    for the stiffness, times r and L. A gas spring pushes (Fr < 0).
+
+    Whatever else turns with the joint is a periodic function of the angle, of which two
+    harmonics are kept: tau = a cos q + b sin q + c cos 2q + d sin 2q + e. It fits more,
+    and says less about angles that were not visited.
 
     Parameters
     ----------
     joint : int, default=0
         Joint, from zero.
+    form : {"harmonics", "linkage"}, default="harmonics"
+        Two harmonics, or the geometry of a linkage.
+    ratio : float, default=0.5
+        Shorter distance from the axis over the longer one, for a linkage. Which of the
+        two points is the nearer one cannot be told.
+    angle : float, default=0.0
+        Position [rad] in which the two points are nearest, for a linkage.
 
     References
     ----------
     .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
-       Butterworth-Heinemann, 2004, chapter 9.
+       Butterworth-Heinemann, 2004, chapter 9 (harmonics); the linkage is the law of
+       cosines.
 
     Examples
     --------
+    >>> import numpy as np
     >>> from sklearn_vbjfa.effects import Counterbalance
     >>> Counterbalance().fit_transform([[0.0, -2.0, 0.0]])
     array([[1., 0., 1., 0., 1.]])
+    >>> linkage = Counterbalance(form="linkage", ratio=0.75)
+    >>> linkage.fit_transform([[np.pi / 2, 0.0, 0.0]])
+    array([[0.8, 1. ]])
     """
 
     name = "counterbalance"
     label = "counterbalance"
-    formula = r"a \cos q + b \sin q + c \cos 2q + d \sin 2q + e"
-    coefficients = ("a", "b", "c", "d", "e")
-    units = (TORQUE,) * 5
+    formula = (
+        r"(F_r / l + k_{rL}) \sin x, \quad x = q - \mathrm{angle},"
+        r"\ l^2 = 1 + \mathrm{ratio}^2 - 2\,\mathrm{ratio} \cos x"
+        r"\quad \text{or} \quad a \cos q + b \sin q + c \cos 2q + d \sin 2q + e"
+    )
+    shape_units = (("ratio", ("", "")), ("angle", POSITION))
     contains = ("offset", "spring")
+    cyclic = ("angle",)
+    depends = ("position",)
+    curved = True
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
+
+    def __init__(self, joint=0, form="harmonics", ratio=0.5, angle=0.0):
+        super().__init__(joint)
+        self.form = form
+        self.ratio = ratio
+        self.angle = angle
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Say whether it has the geometry of a linkage; see `Effect.describe`."""
+        if shape.get("form") == "linkage":
+            return "counterbalance (gas or coil spring on a linkage)"
+        return cls.label
+
+    @property
+    def coefficients(self):
+        """Symbols of the coefficients of the form; see `Effect`."""
+        return ("Fr", "krL") if self.form == "linkage" else ("a", "b", "c", "d", "e")
+
+    @property
+    def units(self):
+        """Units of the coefficients of the form; see `Effect`."""
+        return (TORQUE,) * len(self.coefficients)
+
+    @property
+    def continuous(self):
+        """Shape parameters of the form; see `Effect`."""
+        return ("ratio", "angle") if self.form == "linkage" else ()
+
+    def check(self):
+        """Refuse another form, and a ratio that is none; see `Effect.check`."""
+        super().check()
+        if self.form not in _FORMS:
+            raise ValueError(
+                f"form of {self.name} must be one of {list(_FORMS)}; got {self.form!r}."
+            )
+        if not 0 < self.ratio < 1:
+            raise ValueError(
+                f"ratio of {self.name} must lie between 0 and 1; got {self.ratio!r}."
+            )
+
+    def shape(self):
+        """Shape parameters of the form in use; see `Effect.shape`."""
+        return {"form": self.form} | {n: getattr(self, n) for n in self.continuous}
+
+    def excludes(self):
+        """Keys of both forms: there is one balancer; see `Effect.excludes`."""
+        return {clone(self).set_params(form=form).key() for form in _FORMS}
 
     def applies(self, motion):
         """Only a revolute joint has an angle; see `Effect.applies`."""
@@ -131,10 +212,27 @@ class Counterbalance(Effect):
         return super().applies(motion)
 
     def columns(self, motion):
-        """Two harmonics of the angle, and one; see `Effect.columns`."""
+        """Force times lever arm, or harmonics and one; see `Effect.columns`."""
+        self.check()
         q = motion.q[:, [self.joint]]
+        if self.form == "linkage":
+            x = q - self.angle
+            length = np.sqrt(1 + self.ratio**2 - 2 * self.ratio * np.cos(x))
+            return np.hstack([np.sin(x) / length, np.sin(x)])
         harmonics = [np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]
         return np.hstack([*harmonics, np.ones_like(q)])
+
+    def shapes(self, motion):
+        """Linkages all around the joint, and the harmonics."""
+        linkages = [
+            {"form": "linkage", "ratio": ratio, "angle": float(angle)}
+            for ratio in _RATIOS
+            for angle in np.radians(_ANGLES)
+        ]
+        return [{"form": "harmonics"}, *linkages]
+
+
+_FORMS = ("harmonics", "linkage")
 
 
 class Ripple(Effect):
@@ -171,6 +269,8 @@ class Ripple(Effect):
     contains = ("offset",)
     continuous = ("period",)
     positive = ("period",)
+    depends = ("position",)
+    curved = True
     visible = "motion across several periods, slow enough for the low-pass"
     record = "slow motion over the whole range"
 

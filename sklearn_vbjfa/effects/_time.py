@@ -29,6 +29,11 @@ class Drift(Effect):
     time_constant : float, default=100.0
         T [s] of the decay, which starts at t = 0.
 
+    Notes
+    -----
+    After the last time of the fit it goes on fading, towards what remains when warm;
+    before the first one it is as it was then, and does not grow.
+
     References
     ----------
     .. [1] A. Carvalho Bittencourt, S. Gunnarsson, "Static friction in a robot joint:
@@ -57,6 +62,7 @@ class Drift(Effect):
     continuous = ("time_constant",)
     positive = ("time_constant",)
     slow = True
+    afterwards = "fades on"
     visible = "the same motion early and late"
     record = "the same motion cold and warm"
 
@@ -81,8 +87,12 @@ class Drift(Effect):
         }
         if self.of not in signals:
             raise ValueError(f"of must be one of {list(signals)}; got {self.of!r}.")
-        decay = np.exp(-motion.t / self.time_constant)
+        decay = np.exp(-motion.known_time() / self.time_constant)
         return (signals[self.of] * decay)[:, None]
+
+    def later(self, coef, t):
+        """D exp(-t / T); see `Effect.later`."""
+        return {"D": float(coef[0] * np.exp(-t / self.time_constant))}
 
     def shapes(self, motion):
         """Time constants from a tenth to three times the recording."""
@@ -118,6 +128,10 @@ class Payload(Effect):
         Centre of mass [m] in the last body's frame around which the inertia is
         linearised.
 
+    Notes
+    -----
+    It is not there before the instant, and stays after the last time of the fit.
+
     References
     ----------
     .. [1] W. Khalil, M. Gautier, P. Lemoine, "Identification of the payload inertial
@@ -145,6 +159,7 @@ class Payload(Effect):
     jumping = ("instant",)
     tangent = ("centre",)
     slow = True
+    afterwards = "stays"
     visible = "motion against gravity before and after the change"
     record = "motion against gravity with and without payload"
     whole_robot = True

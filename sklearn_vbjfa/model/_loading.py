@@ -347,6 +347,20 @@ def joint_names(model):
     return tuple(model.names)[1:]
 
 
+def body_names(model):
+    """Names of the bodies that the joints move, in Pinocchio's order.
+
+    Of several links that are fixed to each other, the one next to the joint; the
+    joint's own name where the description names none.
+    """
+    body = import_pinocchio().FrameType.BODY
+    found = {}
+    for frame in model.frames:
+        if frame.type == body:
+            found.setdefault(frame.parentJoint, frame.name)
+    return tuple(found.get(j, name) for j, name in enumerate(model.names))[1:]
+
+
 def is_prismatic(model):
     """Return which joints are prismatic, ndarray of shape (nv,) of bool."""
     return np.array(

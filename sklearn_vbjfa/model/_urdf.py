@@ -46,7 +46,7 @@ def _set_inertial(link, phi):
         tensor.set(name, repr(float(inertia[i, j])))
 
 
-def write_urdf(source, target, model, parameters, friction):
+def write_urdf(source, target, model, parameters, friction, note=""):
     """Write a copy of a URDF with other inertias and friction.
 
     Parameters
@@ -60,9 +60,14 @@ def write_urdf(source, target, model, parameters, friction):
     friction : tuple of str
         Names of the friction columns; "viscous" and "coulomb" go to the joint's
         dynamics, others have no place in URDF.
+    note : str, default=""
+        Comment at the top of the robot.
     """
     tree = ElementTree.parse(source)
     root = tree.getroot()
+    if note:
+        # Two hyphens would end the comment.
+        root.insert(0, ElementTree.Comment(f" {note.replace('--', '- -')} "))
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     links = {link.get("name"): link for link in root.findall("link")}
     names = joint_names(model)
@@ -109,7 +114,7 @@ def write_urdf(source, target, model, parameters, friction):
         raise
 
 
-def write_identified(source, path, model, bodies, friction, min_eigenvalues):
+def write_identified(source, path, model, bodies, friction, min_eigenvalues, note=""):
     """Write a URDF with identified bodies, or say why there can be none.
 
     Parameters
@@ -126,6 +131,8 @@ def write_identified(source, path, model, bodies, friction, min_eigenvalues):
         Names of the friction columns.
     min_eigenvalues : ndarray of shape (nv,)
         Smallest pseudo-inertia eigenvalue of each body, positive where it can exist.
+    note : str, default=""
+        What a reader of the file has to know, written into it as a comment.
     """
     if not isinstance(source, (str, os.PathLike)):
         raise ValueError(
@@ -139,4 +146,4 @@ def write_identified(source, path, model, bodies, friction, min_eigenvalues):
             f"The bodies of {', '.join(bad)} are not physically consistent, and a "
             'URDF must be: identify with projector="default".'
         )
-    write_urdf(source, path, model, bodies, friction)
+    write_urdf(source, path, model, bodies, friction, note)

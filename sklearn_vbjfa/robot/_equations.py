@@ -25,6 +25,7 @@ from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.robot._joint_moments import Numbering, joint_moments, sum_moments
 from sklearn_vbjfa.robot._parallel import run
+from sklearn_vbjfa.robot._ranges import SignalRanges
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.
 _EDGE_PERIODS = 1.0
@@ -60,6 +61,8 @@ class Equations:
         Regressor matrices from the even samples minus those from the odd ones.
     blocks : tuple of ndarray or None
         Blocks of time of the rows, see `Numbering.parts`.
+    ranges : SignalRanges or None
+        Ranges of positions and speeds in rows with weight.
     """
 
     Phi: np.ndarray
@@ -69,12 +72,14 @@ class Equations:
     instruments: np.ndarray | None = None
     difference: np.ndarray | None = None
     blocks: tuple | None = None
+    ranges: SignalRanges | None = None
 
     def moments(self):
         """Return the second moments, `JointMoments`."""
-        return joint_moments(
+        found = joint_moments(
             self.Phi, self.tau, self.weight, self.difference, self.blocks
         )
+        return replace(found, ranges=self.ranges)
 
     def reweighted(self, factor):
         """Return the same equations with weights multiplied by factors (n, nv)."""
@@ -95,16 +100,29 @@ def joined(pieces):
 # -- regressor matrices ----------------------------------------------------------------
 
 
-def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=None):
+def make_motion(
+    features,
+    states,
+    t,
+    parts,
+    theta=None,
+    bandwidth=np.inf,
+    rest=None,
+    effects=(),
+    since=None,
+):
     """Build the `Motion` that effects are computed from.
 
-    states (n, 3 nv); t (n,) [s] or None; parts : slices of the segments; theta (p,) :
-    parameters of the features, for the load; bandwidth : cut-off of the low-pass [Hz];
-    rest : velocity signs at rest, see `Motion`.
+    states (n, 3 nv); t (n,) [s] or None; parts : slices of the segments; theta :
+    parameters of the features (p,), for the load, and behind them what
+    `plain_coefficients` picks of the effects' coefficients, for the whole torque;
+    bandwidth : cut-off of the low-pass [Hz]; rest : velocity signs at rest; since :
+    first time of the fit [s], see `Motion`.
     """
     nv = features.n_joints_
     load = torque = rigid = None
     if theta is not None:
+        theta, coefs = np.split(theta, [features.n_parameters_])
         parameters = theta.reshape(nv, -1)
         inertial = np.ascontiguousarray(parameters[:, :10])
         q, v, a = np.split(states, 3, axis=1)
@@ -125,7 +143,7 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=N
             out[piece] = Phi.reshape(*Phi.shape[:2], nv, -1)[:, :, -1, :10]
         return out
 
-    return Motion(
+    motion = Motion(
         q=states[:, :nv],
         v=states[:, nv : 2 * nv],
         a=states[:, 2 * nv :],
@@ -138,7 +156,28 @@ def make_motion(features, states, t, parts, theta=None, bandwidth=np.inf, rest=N
         last_body=last_body,
         bandwidth=float(bandwidth),
         rest=rest,
+        since=since,
     )
+    if torque is not None and coefs.size:
+        # The torque is the motion's own array.
+        for effect in filter(is_plain, effects):
+            own, coefs = np.split(coefs, [len(effect.coefficients)])
+            which = slice(None) if effect.whole_robot else effect.joint
+            torque[:, which] += effect.columns(motion) @ own
+    return motion
+
+
+def is_plain(effect):
+    """Whether an effect needs no load, so that its torque is part of the load's."""
+    return "load" not in effect.needs
+
+
+def plain_coefficients(effects, coefs):
+    """Coefficients of the effects that need no load, from those of all."""
+    widths = np.cumsum([len(effect.coefficients) for effect in effects])
+    pieces = np.split(coefs, widths[:-1]) if effects else []
+    kept = [own for effect, own in zip(effects, pieces) if is_plain(effect)]
+    return np.concatenate([np.empty(0), *kept])
 
 
 class RegressorRows:
@@ -259,17 +298,32 @@ class RegressorRows:
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
     """Regressor of each segment, with the columns of the plan's effects.
 
-    Takes the states (n, 3 nv) of each segment, arrays or `SplineStates`; theta (p,)
-    gives the load, rest the velocity signs at rest. Returns a list of `RegressorRows`.
+    Takes the states (n, 3 nv) of each segment, arrays or `SplineStates`; theta gives
+    the load and the torque, see `make_motion`, rest the velocity signs at rest. Returns
+    a list of `RegressorRows`.
     """
     if not plan.effects:
         return [RegressorRows(features, own, rest=rest) for own in states]
     # Effects need all recordings together (time, largest speeds).
     whole = np.concatenate([own[:] for own in states])
-    parts, clock = recording.segments, plan.clock(recording)
-    motion = make_motion(features, whole, clock, parts, theta, plan.cutoff, rest)
+    motion = motion_of(recording, whole, plan, features, theta=theta, rest=rest)
     rows = RegressorRows.with_effects(features, whole, plan.effects, motion, rest)
-    return [rows.part(part) for part in parts]
+    return [rows.part(part) for part in recording.segments]
+
+
+def motion_of(recording, states, plan, features, *, theta=None, rest=None):
+    """Build the `Motion` of a recording by a plan, from its states (n, 3 nv)."""
+    return make_motion(
+        features,
+        states,
+        plan.clock(recording),
+        recording.segments,
+        theta,
+        plan.cutoff,
+        rest,
+        plan.effects,
+        None if plan.time is None else plan.time[0],
+    )
 
 
 # -- segments --------------------------------------------------------------------------
@@ -359,14 +413,37 @@ class Segment:
             if self.rows is None:
                 Phi = 0.5 * (even + odd)
             difference = spread(np.subtract(even, odd, out=even))
+        weight = filter_weight(lowpass, self.counts(seen))
+        q, v = (
+            decimate(lowpass, signal)
+            for signal in (positions(self.states, seen), velocities(self.states, seen))
+        )
         return Equations(
             Phi=spread(Phi),
             tau=decimate(lowpass, self.torque[seen]),
-            weight=filter_weight(lowpass, self.counts(seen)),
+            weight=weight,
             index=self.first + chosen,
             difference=difference,
             blocks=numbering and numbering.parts(self.number, outputs),
+            ranges=SignalRanges.of([q, np.abs(v)], weight > 0),
         )
+
+    def loads(self, lowpass, torques):
+        """Range of the loads in filtered rows with weight, `SignalRanges`.
+
+        torques : (q, v, a) -> torques (n, nv) of the rigid bodies. The states are
+        filtered before, which is the same for motion in the band of the filter.
+        """
+        weight = filter_weight(lowpass, self.counts(slice(0, self.n_rows)))
+        states = decimate(lowpass, np.ascontiguousarray(self.states[:]))
+        return SignalRanges.of([torques(*np.split(states, 3, axis=1))], weight > 0)
+
+
+def positions(states, rows):
+    """Positions (n, nv) of a slice of rows."""
+    if not isinstance(states, np.ndarray):
+        return states.derivative(rows, 0)
+    return states[rows, : states.shape[1] // 3]
 
 
 def velocities(states, rows):
@@ -410,7 +487,7 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
     """Combine a recording with its regressor, segment by segment.
 
     states : `RecordingStates`, with halves where the noise of the regressor is
-    measured; theta (p,) : parameters of the features, for the load in effects' columns;
+    measured; theta : parameters for the load in effects' columns, see `make_motion`;
     rest : velocity signs at rest, for comparisons only (a fit masks standstill); first
     : number of the first segment. Returns a list of `Segment`.
     """

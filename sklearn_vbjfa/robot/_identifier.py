@@ -8,7 +8,8 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.model._loading import joint_names
+from sklearn_vbjfa.effects._ranges import outside
+from sklearn_vbjfa.model._loading import is_prismatic, joint_names
 from sklearn_vbjfa.model._urdf import write_identified
 from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
 from sklearn_vbjfa.recording._recording import (
@@ -23,6 +24,8 @@ from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
     joined,
+    motion_of,
+    plain_coefficients,
     regressor_rows,
     segments,
     unexcited_entries,
@@ -31,6 +34,7 @@ from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._known import note_of_masses
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
@@ -42,6 +46,13 @@ from sklearn_vbjfa.robot._plan import (
     observe,
     resolve_standstill,
     takes_moments,
+)
+from sklearn_vbjfa.robot._query import Query
+from sklearn_vbjfa.robot._ranges import (
+    effect_ranges,
+    outside_text,
+    sum_ranges,
+    warn_outside,
 )
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
@@ -55,6 +66,7 @@ from sklearn_vbjfa.robot._recording_checks import (
 )
 from sklearn_vbjfa.robot._residuals import collect_residuals
 from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
+from sklearn_vbjfa.robot._time_effects import Spread, beyond_text, effect_of_time
 from sklearn_vbjfa.robot._torque_noise import (
     filtered_noise,
     given_noise,
@@ -185,6 +197,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         for that.
     effects_ : tuple of Effect
         Effects in use.
+    effect_ranges_ : tuple of EffectRange
+        What each effect was fitted on, the declared friction joint by joint and then
+        `effects_`: positions, speeds and loads of its joint behind the low-pass, in
+        rows with weight in which it moves. `predict` warns outside. Loads are nan
+        without `effects`; `forgetting` does not narrow the ranges again.
     parameter_names_, parameter_units_ : tuple of str
         Names ("joint_1:m") and units of the parameters.
     identifiable_ : ndarray of shape (p,), bool
@@ -325,17 +342,25 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             )
         else:
             self.torque_noise_ = periods.filtered_torque_noise(plan.lowpass)
+        fitted = ()
         for one in plan.passes():
             if needs_load(one.effects):
-                self._load = self.theta_[: self.features_.n_parameters_]
+                self._load = self._known_torque(fitted)
+            fitted = one.effects
             made = segments(recording, states, one, self.features_, theta=self._load)
             self._set(self._estimate(made))
+        self._tell_loads(made)
         if periods is None and self.torque_noise is None:
             X = recording.inputs
             clock = plan.clock(recording)
             facts = noise_of(self, X, recording.tau, recording.segments, clock)
             tell_noise(self, facts)
         return self
+
+    def _known_torque(self, effects):
+        """Parameters that a fit with some effects gives the load of the next."""
+        bodies, coefs = np.split(self.theta_, [self.features_.n_parameters_])
+        return np.concatenate([bodies, plain_coefficients(effects, coefs)])
 
     # -- from the arguments to a plan --------------------------------------------------
 
@@ -405,7 +430,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             estimator,
             facts,
         )
-        plan.clock(recording)  # rejects stamps that the effects cannot use
+        plan = plan.set_to(recording)
         if periods is None:
             check_length(recording.segments, plan.lowpass, plan.cutoff)
             return plan, recording, states
@@ -465,6 +490,46 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
+        self._motion_ranges = found.moments.ranges
+        self._tell_ranges()
+        self._spreads = tuple(
+            Spread.of_deviations(deviations) for deviations in self._split(found.std)
+        )
+
+    def _tell_ranges(self, load=None):
+        """Set what each effect was fitted on; load : `SignalRanges` where known."""
+        self.effect_ranges_ = effect_ranges(
+            self.features_.friction_, self.effects_, self._motion_ranges, load
+        )
+
+    def _tell_loads(self, made):
+        """Add the ranges of the loads in the segments that were fitted.
+
+        Declared friction does not depend on the load; without effects it is not needed.
+        """
+        if self.effects_:
+            inertial = self._inertial(self.theta_)
+
+            def torques(q, v, a):
+                return self.features_.torques(q, v, a, inertial)
+
+            loads = [one.loads(self._plan.lowpass, torques) for one in made]
+            self._tell_ranges(sum_ranges(loads))
+
+    def _split(self, parameters):
+        """Split parameters (p,) into those of each effect that is in use, a list.
+
+        In the first of several passes effects of the load are missing.
+        """
+        widths = [len(e.coefficients) for e in self.effects_]
+        own = parameters[self.features_.n_parameters_ :]
+        return np.split(own, np.cumsum(widths)[:-1]) if widths else []
+
+    def _inertial(self, theta):
+        """Inertial parameters (nv, 10) among parameters theta."""
+        rigid = theta[: self.features_.n_parameters_]
+        bodies = rigid.reshape(self.features_.n_joints_, -1)
+        return np.ascontiguousarray(bodies[:, :10])
 
     def _bodies(self):
         """Parameters of the features, (nv, 10 + number of friction columns)."""
@@ -557,12 +622,25 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
         t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, for effects that vary with time.
+            Time [s] on the clock of the fit, for effects that vary with time. None: the
+            motion begins when the first recording of the fit began, with the robot as
+            cold and as loaded as it was then.
 
         Returns
         -------
         ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N], friction included.
+
+        Warns
+        -----
+        UserWarning
+            If the motion leaves what effects were fitted on (`effect_ranges_`), once
+            for all of them: a joint's position, speed or load that one of its effects
+            `depends` on lies outside by more than a fifth of the range's width (a tenth
+            where the effect is curved) in more than 0.5 % of the rows. The same warning
+            tells of effects of time outside the time of the fit, by more than a tenth
+            of its duration, what they add there and its standard deviation
+            (`effects_of_time`).
 
         Notes
         -----
@@ -584,35 +662,149 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         v / w up to w and the sign itself beyond. At rest s = 0; at a reversal the
         acceleration is large, w therefore small, and the sign is kept. The rule uses
         one row at a time: states may come one by one.
+
+        Effects of time use what is known: after the last time of the fit a drift fades
+        on, towards what remains when warm, and a payload stays; before the first time
+        both are as they were then.
         """
         check_is_fitted(self)
         X = self._validate_query(X)
-        recording = self._recording(X, groups=groups, t=self._clock(t, X.shape[0]))
-        states, rest = self._query(X, groups, in_band=True)
-        own = [states[rows] for rows in recording.segments]
+        asked = self._ask(X, groups, t)
+        warn_outside(self._said_outside(asked), stacklevel=2)
+        return self._torques(asked)
+
+    def _ask(self, X, groups=None, t=None, weight=None):
+        """Make the `Query` of the rows of a recording."""
+        smoother = self._smoother(X, groups, in_band=True)
+        states, rest = self._smoothed(X, groups, smoother)
+        clock = self._clock(t, X.shape[0])
+        return Query(
+            recording=self._recording(X, None, groups, weight, clock),
+            states=states,
+            rest=rest,
+            smoother=smoother,
+        )
+
+    def _torques(self, asked):
+        """Torques (n, nv) that are predicted for a `Query`."""
+        recording = asked.recording
+        own = [asked.states[rows] for rows in recording.segments]
         rows = regressor_rows(
-            recording, own, self._plan, self.features_, theta=self._load, rest=rest
+            recording,
+            own,
+            self._plan,
+            self.features_,
+            theta=self._load,
+            rest=asked.rest,
         )
         return np.concatenate([one.predict(self.theta_) for one in rows])
 
-    def _clock(self, t, n_samples):
-        """Return the time of each row of a query [s], stamped if effects need it."""
-        timed = any("time" in effect.needs for effect in self.effects_)
-        return check_clock(t if timed else None, n_samples, self.dt)
+    def _outside(self, asked):
+        """Find where a `Query` leaves what was fitted, tuple of `OutsideRange`."""
+        inertial = None
+        if any("load" in one.depends for one in self.effect_ranges_):
+            inertial = self._inertial(self.theta_)
+        signals = asked.signals(self.features_, inertial)
+        return outside(self.effect_ranges_, signals, asked.counts(self.standstill_))
 
-    def _query(self, X, groups, *, in_band=False):
-        """States (n, 3 nv) of a query, and the `Rest` with their velocity signs.
+    def _said_outside(self, asked):
+        """Say where a `Query` leaves what was fitted, a list of str."""
+        found = self._outside(asked)
+        joints = self.joint_names_, is_prismatic(self.features_.model_)
+        said = [outside_text(found, *joints)] if found else []
+        timed = self._of_time(asked)
+        return said + (beyond_text(timed, self._plan.time, *joints) if timed else [])
 
-        With `in_band` they are smoothed to the identified band.
+    def _of_time(self, asked):
+        """Share of each effect of time in a `Query`, tuple of `EffectOfTime`."""
+        slow = [effect.slow for effect in self.effects_]
+        if not any(slow):
+            return ()
+        known = {"theta": self._load, "rest": asked.rest}
+        motion = motion_of(
+            asked.recording, asked.states, self._plan, self.features_, **known
+        )
+        coefs = self._split(self.theta_)
+        return tuple(
+            effect_of_time(effect, coef, spread, motion, self._plan.time)
+            for effect, coef, spread in zip(self.effects_, coefs, self._spreads)
+            if effect.slow
+        )
+
+    def effects_of_time(self, X, groups=None, t=None):
+        """Return what effects of time add to a prediction, and how well it is known.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+            Joint positions or states, as for `predict`.
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        t : array-like of shape (n_samples,), default=None
+            Time [s] on the clock of the fit, as for `predict`.
+
+        Returns
+        -------
+        tuple of EffectOfTime
+            One for each effect of time in `effects_` (a drift, a payload), with `name`,
+            `joint`, `torque` and its standard deviation `std`, (n_samples, nv) [N m or
+            N], and `beyond`, the time of each row after the fit [s]. The deviation
+            counts shape parameters (the time constant) as given, unless
+            `EffectDiscovery` tuned them.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import make_robot_recording
+        >>> from sklearn_vbjfa.effects import Drift
+        >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
+        >>> drift = Drift(joint=0, of="offset", time_constant=10.0)
+        >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt, effects=[drift])
+        >>> tau = recording.tau.copy()
+        >>> tau[:, 0] += 5.0 * np.exp(-recording.t / 10.0)
+        >>> robot = robot.fit(recording.q, tau)
+        >>> later = recording.t + 10.0
+        >>> (found,) = robot.effects_of_time(recording.q, t=later)
+        >>> float(found.beyond.max().round(6))
+        10.0
+        >>> bool((found.std[:, 0] > 0).all())
+        True
         """
-        nv = self.features_.n_joints_
-        if X.shape[1] == 3 * nv:
-            return X, self._plan.rest(np.zeros(nv))
+        check_is_fitted(self)
+        return self._of_time(self._ask(self._validate_query(X), groups, t))
+
+    def _clock(self, t, n_samples):
+        """Return the time of each row of a query [s], stamped if effects need it.
+
+        Without stamps it begins as the fit did.
+        """
+        plan = self._plan
+        if t is not None and plan.timed:
+            return check_clock(t, n_samples, self.dt)
+        clock = check_clock(None, n_samples, self.dt)
+        return clock if plan.time is None or clock is None else clock + plan.time[0]
+
+    def _query(self, X, groups):
+        """States (n, 3 nv) of a query, and the `Rest` with their velocity signs."""
+        return self._smoothed(X, groups, self._smoother(X, groups))
+
+    def _smoother(self, X, groups, *, in_band=False):
+        """State estimator of a query; None if X holds states.
+
+        With `in_band` it smooths to the identified band.
+        """
+        if X.shape[1] == 3 * self.features_.n_joints_:
+            return None
         estimator = self._plan.state_estimator
         if estimator is None:
             estimator = fit_states(check_dt(self.dt), self.state_cutoff, X, groups)
-        if in_band:
-            estimator = smooth_to(estimator, self.cutoff_)
+        return smooth_to(estimator, self.cutoff_) if in_band else estimator
+
+    def _smoothed(self, X, groups, estimator):
+        """States (n, 3 nv) by an estimator, and the `Rest` of their velocities."""
+        if estimator is None:
+            return X, self._plan.rest(np.zeros(self.features_.n_joints_))
         states = estimator.transform(X, groups=groups)
         return states, self._plan.rest(estimator.velocity_noise())
 
@@ -691,6 +883,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.
 
+        A comment names bodies whose masses the recording does not determine.
+
         Parameters
         ----------
         path : str or os.PathLike
@@ -710,6 +904,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             self._bodies(),
             self.features_.friction_,
             self.min_eigenvalues_,
+            note_of_masses(self),
         )
 
 
@@ -741,11 +936,11 @@ def noise_of(identifier, X, y, segments, clock=None):
         return []
     found = []
     for rows in map(rows_looked_at, segments):
-        states, _ = identifier._query(X[rows], None, in_band=True)
         t = None if clock is None else clock[rows]
-        residual = y[rows] - identifier.predict(states, t=t)
+        asked = identifier._ask(X[rows], t=t).noiseless(identifier._plan)
+        residual = y[rows] - identifier._torques(asked)
         band = identifier.dt, identifier.cutoff_
-        found.append(noise_facts(residual, y[rows], states, *band))
+        found.append(noise_facts(residual, y[rows], asked.states, *band))
     return found
 
 
@@ -783,6 +978,16 @@ def equations_of(identifier, X, y, groups, weight, t=None, *, states=None):
         theta=identifier._load,
     )
     return joined(equations(made, plan.lowpass))
+
+
+def outside_of(identifier, recording):
+    """Find where a recording leaves what a fitted identifier was fitted on.
+
+    Rows without weight do not count. Returns a tuple of `OutsideRange`.
+    """
+    t = recording.clock(stamped=True)
+    asked = identifier._ask(recording.inputs, recording.groups, t, recording.weight)
+    return identifier._outside(asked)
 
 
 def pieces_of(identifier, X, y, groups, *, halves=None):
@@ -829,6 +1034,20 @@ def estimate_of(identifier, pieces, settings):
     return other._estimate_rows(pieces)
 
 
+def tell_spreads(identifier, estimates):
+    """Tell a fitted identifier how well its last effects are known, for predictions.
+
+    estimates : for each of them, with the tuned parameters `shape` and the joint
+    `covariance` of coefficients and shape.
+    """
+    if estimates:
+        own = [Spread(shape=one.shape, covariance=one.covariance) for one in estimates]
+        identifier._spreads = (*identifier._spreads[: -len(own)], *own)
+
+
 def load_parameters(identifier):
-    """Body parameters used for the effects' load in a fit; None without load."""
+    """Parameters used for the effects' load in a fit; None without load.
+
+    Those of the features, and behind them the effects' that need none: `make_motion`.
+    """
     return identifier._load

@@ -11,6 +11,7 @@ import numpy as np
 
 from sklearn_vbjfa._core._moments import Moments
 from sklearn_vbjfa._core._sandwich import block_variance
+from sklearn_vbjfa.robot._ranges import SignalRanges, sum_ranges
 
 # Number of blocks over all recordings of a fit, and the fewest rows per block: 2.5
 # periods of the cut-off.
@@ -182,6 +183,9 @@ class JointMoments:
         Contribution of input noise to G, if measured.
     blocks : tuple of BlockMoments or None
         G and g by blocks of time, if the time order of the rows is known.
+    ranges : SignalRanges or None
+        Ranges of positions and speeds in the joint's rows with weight, where the states
+        are known.
     """
 
     n: np.ndarray
@@ -191,6 +195,7 @@ class JointMoments:
     yy: np.ndarray
     noise: np.ndarray | None = None
     blocks: tuple | None = None
+    ranges: SignalRanges | None = None
 
     def __add__(self, other):
         """Merge the moments of disjoint rows."""
@@ -202,6 +207,7 @@ class JointMoments:
             yy=self.yy + other.yy,
             noise=None if self.noise is None else self.noise + other.noise,
             blocks=_merge_blocks(self.blocks, other.blocks),
+            ranges=sum_ranges([self.ranges, other.ranges]),
         )
 
     def zeroed(self, entries):

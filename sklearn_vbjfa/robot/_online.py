@@ -12,6 +12,7 @@ from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.robot._equations import RegressorRows
 from sklearn_vbjfa.robot._joint_moments import JointMoments, joint_moments
 from sklearn_vbjfa.robot._plan import takes_moments
+from sklearn_vbjfa.robot._ranges import SignalRanges
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
 # Up to this many rows are added one by one, more of them as a block.
@@ -40,6 +41,7 @@ class OnlineMoments:
         self._n, self._n_rows, self._yy = np.zeros(nv), np.zeros(nv, int), np.zeros(nv)
         self._g, self._G = np.zeros((nv, p)), np.zeros((nv, p, p))
         self._zero = ~self._rows.support
+        self._lowest, self._highest = np.full((2, 2, nv), [[[np.inf]], [[-np.inf]]])
         self._prepare()
 
     def _prepare(self):
@@ -75,11 +77,25 @@ class OnlineMoments:
         """
         nv = y.shape[1]
         weight = weight * (np.abs(X[:, nv : 2 * nv]) > standstill)
+        motion = X[:, : 2 * nv].reshape(-1, 2, nv).copy()
+        np.abs(motion[:, 1], out=motion[:, 1])
+        counts = weight[:, None] > 0
         if X.shape[0] > _FEW:
+            self._reach(
+                motion.min(axis=0, where=counts, initial=np.inf),
+                motion.max(axis=0, where=counts, initial=-np.inf),
+            )
             self._add_many(X, y, weight)
             return
+        for row, own in zip(motion, counts):
+            self._reach(row, row, own)
         for x, tau, w in zip(X, y, weight):
             self._add_one(x, tau, w)
+
+    def _reach(self, lowest, highest, where=True):
+        """Widen the ranges of positions and speeds (2, nv), which do not fade."""
+        np.minimum(self._lowest, lowest, out=self._lowest, where=where)
+        np.maximum(self._highest, highest, out=self._highest, where=where)
 
     def _add_one(self, x, tau, w):
         self._fade(self.forgetting)
@@ -145,6 +161,9 @@ class OnlineMoments:
             G=self._weight * self._full(),
             g=self._weight * self._g,
             yy=self._weight * self._yy,
+            ranges=SignalRanges(
+                lowest=self._lowest.copy(), highest=self._highest.copy()
+            ),
         )
 
 

@@ -57,6 +57,8 @@ class Plan:
         Whether the rows are periods continued at both ends, which need no edge mask.
     fastest_period : ndarray of shape (nv,) or None
         Period [s] of a sine as fast as the recorded motion, if nothing is filtered.
+    time : tuple of (float, float) or None
+        First and last time of the rows [s], if effects need the clock.
     """
 
     dt: float | None
@@ -68,6 +70,7 @@ class Plan:
     corrects_noise: bool = False
     repeats: bool = False
     fastest_period: np.ndarray | None = None
+    time: tuple | None = None
 
     @property
     def smoother(self):
@@ -76,8 +79,22 @@ class Plan:
 
     def clock(self, recording):
         """Return the time of each row [s]; stamped only if effects need it."""
-        timed = any("time" in effect.needs for effect in self.effects)
-        return recording.clock(stamped=timed)
+        return recording.clock(stamped=self.timed)
+
+    @property
+    def timed(self):
+        """Whether effects need the clock."""
+        return any("time" in effect.needs for effect in self.effects)
+
+    def set_to(self, recording):
+        """Return the plan with the time of the recording that it is for.
+
+        Rejects stamps that the effects cannot use.
+        """
+        clock = self.clock(recording)
+        if not self.timed or clock is None:
+            return self
+        return replace(self, time=(float(clock[0]), float(clock[-1])))
 
     def passes(self):
         """Plans of successive fits: effects that need the load come later."""

@@ -43,8 +43,12 @@ from _undeclared_strangers import STRANGERS
 # Viscous friction is declared unless asked otherwise, so it is not drawn.
 LIBRARY = (*(name for name in ADDED if name != "viscous"), "elastic", "delay")
 OUTSIDE = tuple(STRANGERS)
+# Not drawn unless asked for: a lag of one channel has several names.
+CHANNELS = ("jerk", "torque_filter")
 
 ATTEMPTS = 12
+# Robots tried for a size that has to be exact; one that no robot shows is given up.
+EXACT_ATTEMPTS = 4
 ENCODER_NOISE = (0.0, 3e-5, 1e-4, 3e-4)
 # Warm-up and payload are told from the time since the start, so there is one start.
 ONE_RECORDING = {"drift", "payload", "random_walk", "fading_gain"}
@@ -172,7 +176,7 @@ def _draw_setting(kinds, robot, declared, duration, rate, n_recordings, rng):
     return kind, setting
 
 
-def _populate(setting, kinds, sizes, joints, rng):
+def _populate(setting, kinds, sizes, joints, rng, exact):
     """Put all effects into one robot and motion; None if a joint is missing."""
     nv = setting.nominal.nv
     entries, torques = [None] * len(kinds), [None] * len(kinds)
@@ -183,8 +187,8 @@ def _populate(setting, kinds, sizes, joints, rng):
         return [int(j) for j in wanted if j < nv and int(j) not in taken]
 
     def rank(i):
-        # Elasticity changes the states and comes first, a delay shifts all others.
-        return {"elastic": 0, "delay": 2}.get(kinds[i], 1)
+        # Elasticity changes the states and comes first, a channel has all others.
+        return {"elastic": 0, "delay": 2, "torque_filter": 3}.get(kinds[i], 1)
 
     scene = None
     for i in sorted(range(len(kinds)), key=rank):
@@ -192,15 +196,21 @@ def _populate(setting, kinds, sizes, joints, rng):
         if not there:
             return None
         if kinds[i] == "elastic":
-            scene, parameters = soft_scene(setting, there[0], sizes[i], rng)
+            scene, parameters = soft_scene(setting, there[0], sizes[i], rng, exact)
             torques[i] = scene.elastic
             entries[i] = describe(
-                "elastic", there[0], parameters, scene.elastic, scene, sizes[i]
+                "elastic",
+                there[0],
+                parameters,
+                scene.elastic,
+                scene,
+                sizes[i],
+                exact=exact,
             )
             continue
         scene = scene or lay_out(setting)
         present = [x for x in torques if x is not None]
-        found = place(kinds[i], there, scene, present, sizes[i], rng)
+        found = place(kinds[i], there, scene, present, sizes[i], rng, exact)
         if found is None:
             return None
         entries[i], torques[i] = found
@@ -220,15 +230,16 @@ def simulate(
     rate=None,
     n_recordings=None,
     encoder_noise=None,
+    exact=False,
 ):
     """Simulate a robot with undeclared effects.
 
     Parameters
     ----------
     kinds : int or sequence of str, default=1
-        Names of the effects, of `LIBRARY` and `OUTSIDE`, or a number of different
-        ones to draw from `LIBRARY`; none makes a recording that the declared model
-        explains.
+        Names of the effects, of `LIBRARY`, `CHANNELS` and `OUTSIDE`, or a number of
+        different ones to draw from `LIBRARY`; none makes a recording that the declared
+        model explains.
     size : float or sequence of float, default=5.0
         RMS torque of each effect over the torque noise of the joint.
     seed : int or sequence of int, default=0
@@ -248,6 +259,10 @@ def simulate(
     encoder_noise : float, default=None
         Standard deviation of the position noise [rad]; a seventh in metres for a
         prismatic joint. None draws one of `ENCODER_NOISE`.
+    exact : bool, default=False
+        Whether `size` is that of the part outside the declared span: root mean square
+        of what the declared columns cannot absorb. An entry is visible then if that
+        part comes within a quarter of it.
 
     Returns
     -------
@@ -260,7 +275,7 @@ def simulate(
         kinds = first.choice(sorted(drawn), size=kinds, replace=False)
     kinds = tuple(str(kind) for kind in kinds)
     declared = _choose_declared(kinds, first) if declared is None else tuple(declared)
-    known = {"viscous", *LIBRARY, *OUTSIDE} - set(declared)
+    known = {"viscous", *LIBRARY, *CHANNELS, *OUTSIDE} - set(declared)
     if not known.issuperset(kinds) or kinds.count("elastic") > 1:
         raise ValueError(
             f"kinds={kinds} with declared={declared}: expected undeclared effects of "
@@ -270,11 +285,11 @@ def simulate(
     joints = [None] * len(kinds) if joints is None else list(joints)
     noise = first.choice(ENCODER_NOISE) if encoder_noise is None else encoder_noise
     best = None
-    for rng in first.spawn(ATTEMPTS):
+    for rng in first.spawn(EXACT_ATTEMPTS if exact else ATTEMPTS):
         kind, setting = _draw_setting(
             kinds, robot, declared, duration, rate, n_recordings, rng
         )
-        found = _populate(setting, kinds, sizes, joints, rng)
+        found = _populate(setting, kinds, sizes, joints, rng, exact)
         if found is None:
             continue
         seen = sum(entry.visible for entry in found[1])

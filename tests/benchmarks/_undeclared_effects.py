@@ -9,8 +9,14 @@ the effects has other formulas than what makes them.
 from dataclasses import dataclass, field
 
 import numpy as np
-from _undeclared_hysteresis import lugre, maxwell_slip, pieces, play
-from _undeclared_robots import is_prismatic, regressor
+from _undeclared_hysteresis import (
+    first_order_lag,
+    lugre,
+    maxwell_slip,
+    pieces,
+    play,
+)
+from _undeclared_robots import is_prismatic, own_inertia, regressor
 
 # Speed [rad/s] within which a Coulomb friction changes its sign.
 STEEP = 0.01
@@ -275,6 +281,24 @@ def payload(world, j, rng):
     return Draw(torque, {"mass": 1.0}, fixed)
 
 
+def jerk(world, j, rng):
+    """Draw the inertia behind a coupling that lags, or an encoder that lags.
+
+    The bodies' inertia about the axis, which varies with the pose, times what a lag of
+    the first order takes from the acceleration; the drive's friction and the gravity
+    do not take part. The torque lags behind the positions, or they behind it.
+    """
+    time_constant = rng.uniform(0.002, 0.02)
+    a = world.a[:, j]
+    behind = np.empty_like(a)
+    for rows in pieces(world.groups):
+        behind[rows] = first_order_lag(a[rows], world.dt, time_constant)
+    inertia = own_inertia(world.model, world.q, j)
+    way = float(rng.choice([-1.0, 1.0]))
+    torque = way * inertia / inertia.mean() * (a - behind) / time_constant
+    return Draw(torque, {"J": way}, {"time_constant": time_constant})
+
+
 def can_carry(name, world, j):
     """Whether an effect has a meaning on a joint."""
     if name == "coupling":
@@ -302,3 +326,6 @@ ADDED = {
     "drift": drift,
     "payload": payload,
 }
+
+# Effects of channels; the filter of a torque is made where that torque is known.
+CHANNELS = {"jerk": jerk}

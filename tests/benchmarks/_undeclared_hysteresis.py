@@ -1,4 +1,4 @@
-"""Torques that remember the path: bristles, slipping springs, play.
+"""Signals that remember: bristles, slipping springs, play, lags.
 
 All are integrated sample by sample within one recording.
 """
@@ -80,3 +80,25 @@ def play(q, width):
         follower = min(max(follower, x - half), x + half)
         out[i] = follower
     return out
+
+
+def first_order_lag(x, dt, time_constant):
+    """Signal y of T dy/dt = x - y, which begins at rest, by steps of a tenth of T."""
+    steps = max(1, int(np.ceil(10.0 * dt / time_constant)))
+    h = dt / steps
+    keep = (time_constant - 0.5 * h) / (time_constant + 0.5 * h)
+    y, out = float(x[0]), np.empty(x.size)
+    out[0] = y
+    for i in range(1, x.size):
+        fine = np.linspace(x[i - 1], x[i], steps + 1)
+        # the trapezoidal rule
+        for u in 0.5 * (fine[1:] + fine[:-1]):
+            y = keep * y + (1.0 - keep) * u
+        out[i] = y
+    return out
+
+
+def two_sided_average(x, dt, time_constant):
+    """Average of a signal with weights exp(-|s| / T): a lag forwards and backwards."""
+    forwards = first_order_lag(x, dt, time_constant)
+    return first_order_lag(forwards[::-1], dt, time_constant)[::-1]

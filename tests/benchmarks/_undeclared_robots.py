@@ -51,11 +51,11 @@ def _body(mass, length, rng):
     return pin.SE3(_rotation(rng), centre).act(box)
 
 
-def _random_arm(kind, rng):
+def _random_arm(kind, rng, nv=None):
     import pinocchio as pin
 
     smallest = {"serial": 2, "prismatic": 3, "tree": 4}[kind]
-    nv = int(rng.integers(smallest, 8))
+    nv = int(rng.integers(smallest, 8)) if nv is None else nv
     model = pin.Model()
     slider = int(rng.integers(nv)) if kind == "prismatic" else -1
     fork = int(rng.integers(1, nv - 1)) if kind == "tree" else -1
@@ -89,7 +89,7 @@ def _demo_arm():
     return pin.buildModelFromUrdf(str(folder.joinpath("demo_arm.urdf")))
 
 
-def nominal_robot(kind, rng):
+def nominal_robot(kind, rng, nv=None):
     """Make a robot as its data sheet has it.
 
     Parameters
@@ -99,13 +99,15 @@ def nominal_robot(kind, rng):
         one that forks behind the first body, or the demo arm of the package.
     rng : numpy.random.Generator
         Source of everything random.
+    nv : int, default=None
+        Number of joints of a random arm; None draws it.
 
     Returns
     -------
     pinocchio.Model
         Robot, its first axis in any direction of space.
     """
-    return _demo_arm() if kind == "demo" else _random_arm(kind, rng)
+    return _demo_arm() if kind == "demo" else _random_arm(kind, rng, nv)
 
 
 def true_robot(nominal, rng):
@@ -227,6 +229,14 @@ def regressor(model, q, v, a):
     ]
     # Pinocchio drops the axis of the joints where there is one.
     return np.array(rows).reshape(len(rows), model.nv, -1)
+
+
+def own_inertia(model, q, joint):
+    """Inertia about one axis in every pose, all other joints fixed, shape (n,)."""
+    import pinocchio as pin
+
+    data = model.createData()
+    return np.array([pin.crba(model, data, x)[joint, joint] for x in q])
 
 
 def joint_inertia(model, q):

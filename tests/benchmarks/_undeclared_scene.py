@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from _undeclared_effects import ADDED, World, can_carry
-from _undeclared_hysteresis import pieces
+from _undeclared_effects import ADDED, CHANNELS, World, can_carry
+from _undeclared_hysteresis import first_order_lag, pieces, two_sided_average
 from _undeclared_robots import (
     inverse_dynamics,
     joint_inertia,
@@ -15,8 +15,17 @@ from _undeclared_span import DeclaredSpan, friction_shapes
 from _undeclared_strangers import STRANGERS, has_partner
 
 MAX_RESCALE = 4.0
+# With exact sizes: least share of a torque outside the declared span with which it is
+# scaled until that part has the size asked for, and what counts as that size.
+MIN_SHARE = 0.05
+CLOSE = (0.8, 1.25)
 DELAYS = (0.002, 0.015)
+WIDE_DELAYS = (0.0005, 0.04)
+TIME_CONSTANTS = (0.001, 0.15)
 NATURAL_FREQUENCIES = (8.0, 20.0)
+# Shaking over the acceleration of the motion: more would be the whole motion.
+STRONGEST = 2.0
+STRONGEST_EXACT = 6.0
 
 
 class Entry(NamedTuple):
@@ -174,7 +183,7 @@ def lay_out(setting, soft=None):
     return Scene(world, friction, noise, span, elastic)
 
 
-def soft_scene(setting, joint, asked, rng):
+def soft_scene(setting, joint, asked, rng, exact=False):
     """Make a joint elastic and shake it until the size is reached, within limits.
 
     Parameters
@@ -187,6 +196,8 @@ def soft_scene(setting, joint, asked, rng):
         Size of the effect.
     rng : numpy.random.Generator
         Source of everything random.
+    exact : bool, default=False
+        Whether the size is that of the part outside the declared span.
 
     Returns
     -------
@@ -204,8 +215,9 @@ def soft_scene(setting, joint, asked, rng):
     shaking = natural * np.array([rng.uniform(0.2, 0.3), rng.uniform(0.32, 0.45)])
     phases = rng.uniform(0, 2 * np.pi, size=2)
     acceleration = np.sqrt(np.mean(a[:, joint] ** 2))
-    strength = 1.0
-    for _ in range(2):
+    strength, used = 1.0, 1.0
+    for _ in range(4 if exact else 2):
+        used = strength
         amplitude = strength * acceleration / (2 * np.pi * shaking) ** 2
         motions = [
             motion.with_vibration(joint, shaking, amplitude, phases)
@@ -213,8 +225,10 @@ def soft_scene(setting, joint, asked, rng):
         ]
         scene = lay_out(replace(setting, motions=motions), soft=(joint, stiffness))
         reached = relative_size(scene.elastic, scene.noise)
-        # a stronger shaking than that would be the whole motion
-        strength = float(np.clip(asked / max(reached, 1e-12), 0.3, 2.0))
+        if exact:
+            reached *= scene.span.share(scene.elastic) / used
+        limits = (0.05, STRONGEST_EXACT) if exact else (0.3, STRONGEST)
+        strength = float(np.clip(asked / max(reached, 1e-12), *limits))
     parameters = {
         "stiffness": stiffness,
         "frequency": float(natural),
@@ -233,7 +247,17 @@ def _delayed(torque, world, delay):
     return late
 
 
-def _enough(size, outside, asked):
+def _filtered(torque, world, kind, time_constant):
+    out = torque.copy()
+    make = {"lag": first_order_lag, "smooth": two_sided_average}[kind]
+    for rows in pieces(world.groups):
+        out[rows] = make(torque[rows], world.dt, time_constant)
+    return out
+
+
+def _enough(size, outside, asked, exact):
+    if exact:
+        return CLOSE[0] <= outside / asked <= CLOSE[1]
     # Only bounded effects can be smaller than asked; below half the noise they are
     # no effect at all.
     return outside >= 0.499 * min(asked, size) and size >= 0.999 * min(asked, 0.5)
@@ -247,7 +271,9 @@ def _on_joint(torque, j, nv):
     return out
 
 
-def describe(name, joint, parameters, torque, scene, asked, contains=()):
+def describe(
+    name, joint, parameters, torque, scene, asked, contains=(), *, exact=False
+):
     """Measure an effect and make its entry."""
     size = relative_size(torque, scene.noise)
     outside = scene.span.share(torque) * size
@@ -261,7 +287,7 @@ def describe(name, joint, parameters, torque, scene, asked, contains=()):
         asked=float(asked),
         outside=outside,
         distinct=outside,
-        visible=_enough(size, outside, asked),
+        visible=_enough(size, outside, asked, exact),
         in_library=name not in STRANGERS,
         contains=contains,
         felt_by=tuple(felt_by.tolist()),
@@ -278,36 +304,73 @@ def _boost(share):
     return float(np.clip(0.5 / max(share, 1e-12), 1.0, MAX_RESCALE))
 
 
-def _delay(j, scene, present, asked):
+def _outside_size(torque, scene):
+    return scene.span.share(torque) * relative_size(torque, scene.noise)
+
+
+def _value_of_size(make, asked, scene, limits):
+    """Value, between limits, with which a torque has a size outside the span."""
+    low, high = limits
+    for _ in range(14):
+        middle = float(np.sqrt(low * high))
+        if _outside_size(make(middle), scene) < asked:
+            low = middle
+        else:
+            high = middle
+    return float(np.sqrt(low * high))
+
+
+def _delay(j, scene, present, asked, exact):
     world, nv = scene.world, scene.noise.size
     whole = sum(present, world.declared_torque)[:, j]
 
     def shifted(delay):
         return _on_joint(_delayed(whole, world, delay) - whole, j, nv)
 
-    middle = float(np.mean(DELAYS))
-    trial = shifted(middle)
-    wanted = asked * _boost(scene.span.share(trial))
-    delay = wanted / relative_size(trial, scene.noise) * middle
-    delay = float(np.clip(delay, *DELAYS))
+    if exact:
+        delay = _value_of_size(shifted, asked, scene, WIDE_DELAYS)
+    else:
+        middle = float(np.mean(DELAYS))
+        trial = shifted(middle)
+        wanted = asked * _boost(scene.span.share(trial))
+        delay = wanted / relative_size(trial, scene.noise) * middle
+        delay = float(np.clip(delay, *DELAYS))
     torque = shifted(delay)
-    return describe("delay", j, {"delay": delay}, torque, scene, asked), torque
+    named = {"delay": delay}
+    return describe("delay", j, named, torque, scene, asked, exact=exact), torque
 
 
-def _added(name, j, scene, asked, rng):
-    make = ADDED.get(name) or STRANGERS[name]
+def _torque_filter(j, scene, present, asked, exact, rng):
+    world, nv = scene.world, scene.noise.size
+    whole = sum(present, world.declared_torque)[:, j]
+    kind = str(rng.choice(["lag", "smooth"]))
+
+    def changed(time_constant):
+        return _on_joint(_filtered(whole, world, kind, time_constant) - whole, j, nv)
+
+    time_constant = _value_of_size(changed, asked, scene, TIME_CONSTANTS)
+    torque = changed(time_constant)
+    named = {"time_constant": time_constant, "kind": kind}
+    entry = describe("torque_filter", j, named, torque, scene, asked, exact=exact)
+    return entry, torque
+
+
+def _added(name, j, scene, asked, rng, exact):
+    make = ADDED.get(name) or CHANNELS.get(name) or STRANGERS[name]
     drawn = make(scene.world, j, rng)
     torque = _on_joint(drawn.torque, j, scene.noise.size)
-    boost = _boost(scene.span.share(torque))
+    share = scene.span.share(torque)
+    boost = 1.0 / max(share, MIN_SHARE) if exact else _boost(share)
     amplitude = asked * boost / max(relative_size(torque, scene.noise), 1e-300)
     parameters = {key: amplitude * x for key, x in drawn.scaled.items()} | drawn.fixed
     parameters = {key: _plain(x) for key, x in parameters.items()}
     torque = amplitude * torque
-    entry = describe(name, j, parameters, torque, scene, asked, drawn.contains)
+    contains = drawn.contains
+    entry = describe(name, j, parameters, torque, scene, asked, contains, exact=exact)
     return entry, torque
 
 
-def place(name, joints, scene, present, asked, rng):
+def place(name, joints, scene, present, asked, rng, exact=False):
     """Put an effect on the first joint where it is visible, or where it is most so.
 
     Parameters
@@ -324,6 +387,8 @@ def place(name, joints, scene, present, asked, rng):
         Size.
     rng : numpy.random.Generator
         Source of everything random.
+    exact : bool, default=False
+        Whether the size is that of the part outside the declared span.
 
     Returns
     -------
@@ -335,9 +400,11 @@ def place(name, joints, scene, present, asked, rng):
         if not can_carry(name, scene.world, j) or not has_partner(name, scene.world):
             continue
         if name == "delay":
-            found = _delay(j, scene, present, asked)
+            found = _delay(j, scene, present, asked, exact)
+        elif name == "torque_filter":
+            found = _torque_filter(j, scene, present, asked, exact, rng)
         else:
-            found = _added(name, j, scene, asked, rng)
+            found = _added(name, j, scene, asked, rng, exact)
         if found[0].visible:
             return found
         if best is None or found[0].outside > best[0].outside:

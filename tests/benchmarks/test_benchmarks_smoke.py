@@ -33,6 +33,7 @@ def residuals(scale, index, tau):
         "errors_in_variables",
         "false_alarms",
         "feedforward",
+        "friction_none",
         "growth",
         "identification",
         "interval_coverage",
@@ -46,9 +47,11 @@ def residuals(scale, index, tau):
         "recording_files",
         "rest",
         "simulated_arms",
+        "single_effects",
         "speed",
         "states",
         "synthetic",
+        "whole_robots",
     ],
 )
 def test_scripts_start_on_their_own(name):

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import warnings
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -122,7 +123,7 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     folder = tmp_path / "swing-report"
     assert sorted(path.name for path in folder.iterdir()) == FILES
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    assert report["schema_version"] == 3
+    assert report["schema_version"] == 4
     (effect,) = report["effects"]
     assert (effect["name"], effect["joint"]) == ("spring", 0)
     low, high = effect["intervals"]["k"]
@@ -155,6 +156,13 @@ def test_parameters_are_a_table(good, urdf, capsys):
         if row["std"]:
             assert 0 <= float(row["std"]) < np.inf, row
     assert {row["identifiable"] for row in rows} == {"yes", "no"}
+    assert {row["known"] for row in rows} == {"yes", "no", "in combination"}
+    told = {row["parameter"]: row["known"] for row in rows}
+    # No joint feels a weight on a vertical axis, or that of a single link.
+    assert told["shoulder:m"] == "no"
+    assert told["elbow:m"] == "in combination"
+    text = Path("here/there/identified.urdf").read_text()
+    assert "does not determine the masses of" in text
     assert all(row["std"] for row in rows if row["identifiable"] == "yes")
 
 
@@ -167,11 +175,11 @@ def test_undetermined_parameters_have_no_deviation(tmp_path):
         identifiable_=np.array([False, True]),
     )
     path = tmp_path / "parameters.csv"
-    _close_loop._write_parameters(robot, path)
+    _close_loop._write_parameters(robot, ("in combination", "yes"), path)
     assert path.read_text().splitlines() == [
-        "parameter,value,unit,std,identifiable",
-        '"a,b:m",1.0,kg,,no',
-        "a:viscous,0.30000000000000004,N m s/rad,0.25,yes",
+        "parameter,value,unit,std,identifiable,known",
+        '"a,b:m",1.0,kg,,no,in combination',
+        "a:viscous,0.30000000000000004,N m s/rad,0.25,yes,yes",
     ]
     pandas = pytest.importorskip("pandas")
     table = pandas.read_csv(path)

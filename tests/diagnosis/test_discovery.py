@@ -221,6 +221,43 @@ def test_effects_carry_what_is_needed(one):
     assert "spring" in str(one.report_)
 
 
+def test_effects_carry_the_ranges_that_they_were_fitted_on(one):
+    (spring,) = one.effects_
+    assert spring.ranges == one.identifier_.effect_ranges_[-1]
+    assert (spring.ranges.name, spring.ranges.joint) == ("spring", 0)
+    inside = slice(50, -50)
+    for quantity, values in (
+        ("position", ARM.q[inside, 0]),
+        ("load", ARM.load[inside, 0]),
+    ):
+        low, high = getattr(spring.ranges, quantity)
+        width = np.ptp(values)
+        assert_allclose([low, high], [values.min(), values.max()], atol=0.1 * width)
+    # A quarter of the motion, in stretches, does not leave the rest of it.
+    assert one.report_.outcome.outside == ()
+
+
+def test_untouched_data_outside_of_the_fit_are_told():
+    position, states = ARM.position.copy(), ARM.q
+    rows = split_of(ARM.robot(), position)[2].test
+    weight = np.ones(position.shape)
+    # Beyond the middle third of its range joint 1 counts in the untouched part alone.
+    far = np.abs(states[:, 0] - np.median(states[:, 0])) > 0.15 * np.ptp(states[:, 0])
+    searched = np.ones(len(position), dtype=bool)
+    searched[rows] = False
+    weight[far & searched, 0] = 0.0
+    loop = EffectDiscovery(ARM.robot(), effects=PLAIN)
+    loop.fit(position, ARM.torque(joint_1=spring(4.0, 1.0)), sample_weight=weight)
+    found = [f for f in loop.report_.outcome.outside if f.quantity == "position"]
+    (one,) = found
+    assert (one.names, one.joint) == (("spring",), 0)
+    low, high = loop.judged_.effect_ranges_[-1].position
+    assert one.fitted == (low, high)
+    assert max(low - one.reached, one.reached - high) > 0.2 * (high - low)
+    assert 0.05 < one.share < 1.0
+    assert "Outside the range of the fit: joint 1: position" in str(loop.report_)
+
+
 def test_intervals_of_the_errors_hold_them(one):
     added = [r for r in one.rounds_ if r.action == "add"]
     assert [r.name for r in added][-1:] == ["spring"]

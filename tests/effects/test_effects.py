@@ -100,7 +100,8 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
         f"joint {effect.joint + 1}:{name}:{c}" for c in effect.coefficients
     ]
     assert set(effect.continuous) <= set(effect.get_params())
-    assert effect.complexity == k + len(effect.continuous)
+    # A jerk is no simpler than the delay or filter that it may stand for.
+    assert effect.complexity == k + len(effect.continuous) + (name == "jerk")
     assert set(effect.needs) <= {"time", "load"}
     assert effect.visible
 
@@ -226,6 +227,7 @@ def closed_forms():
             [w - v, np.sign(w - v), A[:, 0] - a],
         ),
         "delay": ({"delay": 0.034}, [(lagged - load) / 0.034]),
+        "jerk": ({}, [np.r_[a[1] - a[0], (a[2:] - a[:-2]) / 2, a[-1] - a[-2]] / 0.01]),
         "drift": ({"time_constant": 7.0}, [sign * np.exp(-T / 7)]),
         "drift offset": (
             {"of": "offset", "time_constant": 7.0},
@@ -405,12 +407,12 @@ def recordings_of(effect):
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in ("elastic", "payload")])
 def test_nothing_is_remembered_across_recordings(name):
     effect = library_effect(name)
-    if name in ("delay", "presliding", "backlash"):
+    memory = name in ("delay", "torque_filter", "jerk", "presliding", "backlash")
+    if memory and effect.continuous:
         (shape,) = effect.continuous
         effect.set_params(**{shape: 0.2})
     together, apart, one = recordings_of(effect)
     assert_array_equal(together, apart)
-    memory = name in ("delay", "presliding", "backlash")
     assert np.array_equal(together, one) != memory
 
 
@@ -677,6 +679,7 @@ def test_joints_that_do_not_exist_are_refused(effect):
         effects.Ripple(period=0.0),
         effects.Presliding(displacement=0.0),
         effects.Delay(delay=0.0),
+        effects.TorqueFilter(time_constant=0.0),
         effects.Drift(time_constant=0.0),
     ],
 )

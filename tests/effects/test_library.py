@@ -38,10 +38,39 @@ def test_every_effect_says_what_reports_and_guide_need():
             "coupling to joint 1 (difference)",
         ),
         (effects.Ripple(period=0.2), "torque ripple"),
+        (effects.Delay(delay=0.004), "delay: torque lags position by 4 ms"),
+        (effects.Delay(delay=-0.0123), "delay: position lags torque by 12 ms"),
+        (
+            effects.TorqueFilter(time_constant=0.005),
+            "filter: torque lags position by a low-pass of 5 ms",
+        ),
+        (
+            effects.TorqueFilter(of="position", time_constant=0.005),
+            "filter: position lags torque by a low-pass of 5 ms",
+        ),
+        (
+            effects.TorqueFilter(kind="smooth", time_constant=0.022),
+            "filter: the torque was smoothed with about 6 Hz",
+        ),
+        (
+            effects.TorqueFilter(kind="smooth", of="position", time_constant=0.022),
+            "filter: the position was smoothed with about 6 Hz, the torque was not",
+        ),
     ],
 )
 def test_labels_say_what_matters_of_the_shape(effect, expected):
     assert effect.describe(effect.shape(), plain_label) == expected
+
+
+@pytest.mark.parametrize(
+    ("J", "expected"),
+    [
+        (0.05, "jerk: position lags torque, or flexibility"),
+        (-0.05, "jerk: torque lags position, or flexibility"),
+    ],
+)
+def test_the_sign_of_a_jerk_says_which_channel_is_late(J, expected):
+    assert effects.Jerk.describe({"J": J}, plain_label) == expected
 
 
 def test_an_effect_of_ones_own_is_called_by_its_name():

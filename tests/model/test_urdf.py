@@ -197,3 +197,16 @@ def test_shapes_are_not_read(tmp_path):
     expected = nominal_parameters(load_model(path))
     path.write_text(TREE.replace('size="1 1 1"', 'size="big"'))
     np.testing.assert_array_equal(nominal_parameters(load_model(path)), expected)
+
+
+def test_a_note_is_a_comment_that_no_reader_minds(simulated, tmp_path):
+    tree = simulated.urdf
+    model = load_model(tree)
+    path, bare = tmp_path / "noted.urdf", tmp_path / "bare.urdf"
+    bodies = nominal_parameters(model)
+    write_urdf(tree, path, model, bodies, (), "Masses of a--b are not known.")
+    write_urdf(tree, bare, model, bodies, ())
+    assert "<!-- Masses of a- -b are not known. -->" in path.read_text()
+    assert "<!--" not in bare.read_text()
+    read, plain = (nominal_parameters(load_model(one)) for one in (path, bare))
+    np.testing.assert_array_equal(read, plain)

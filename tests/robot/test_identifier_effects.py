@@ -208,6 +208,46 @@ def test_delay_of_the_load(late):
     assert np.std(error) < 0.1 * np.std((lagged - LOAD)[middle, 1])
 
 
+@pytest.mark.parametrize("kind", ["lag", "smooth"])
+def test_filters_act_on_all_of_the_torque(kind):
+    """On the friction that is an effect as well; sample by sample in another code."""
+    T_lag = 0.03
+    whole = DECLARED[:, 1] + 4 * np.sign(V[:, 1])
+    if kind == "lag":
+        fine = DT / 200
+        times = np.arange(0, T.size * 200 - 199) * fine
+        x = np.interp(times, T, whole)
+        y = np.empty_like(x)
+        y[0] = x[0]
+        for i in range(1, x.size):
+            y[i] = y[i - 1] + fine / T_lag * (0.5 * (x[i - 1] + x[i]) - y[i - 1])
+        passed = y[::200]
+    else:
+        weights = np.exp(-0.5 * ((T[:, None] - T) / T_lag) ** 2)
+        passed = weights @ whole / weights.sum(axis=1)
+    added = on_joint(1, passed - DECLARED[:, 1])
+    used = effects.Coulomb(1), effects.TorqueFilter(1, kind, time_constant=T_lag)
+    robot = fit(added, *used)
+    Fc, found = coefficients(robot)
+    assert Fc == pytest.approx(4, rel=0.01)
+    assert used[1].parameters([found])["time_constant"] == pytest.approx(T_lag, 0.02)
+    # At the ends a mean over what is there is not that of a torque that stays.
+    middle = slice(20, -20)
+    error = (robot.predict(STATES) - DECLARED - added)[middle, 1]
+    assert np.std(error) < 0.02 * np.std((passed - whole)[middle])
+    # The states of another motion need no torque of their own.
+    assert np.isfinite(robot.predict(STATES[300:600], t=T[300:600])).all()
+
+
+def test_jerk_of_late_positions():
+    rate = np.gradient(A[:, 1], DT)
+    robot = fit(on_joint(1, 0.02 * rate), effects.Jerk(1))
+    assert coefficients(robot)[0] == pytest.approx(0.02, rel=1e-3)
+    assert_allclose(
+        robot.predict(STATES)[:, 1], DECLARED[:, 1] + 0.02 * rate, atol=1e-3
+    )
+
+
 def test_load_friction_is_a_fixed_point(monkeypatch):
     mu = 0.15
     added = on_joint(1, mu * np.abs(LOAD[:, 1]) * np.sign(V[:, 1]))

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.report import _verdict
+from sklearn_vbjfa.diagnosis.report import _limits, _verdict
+from sklearn_vbjfa.diagnosis.report import _ranges as ranges
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
@@ -259,6 +260,30 @@ def _interval_text(settings):
     return f"90 % of errors over the next {seconds} s of such motion"
 
 
+def _paragraph(heading, sentences):
+    """Make a section that is read as one paragraph, except where lists are."""
+    return Section(
+        heading=heading,
+        sentences=sentences,
+        terminal=(" ".join(sentences),) if sentences else (),
+        template="paragraph",
+    )
+
+
+def _band(outcome, verdict):
+    found = _limits.band_sentences(outcome, verdict.errors)
+    return _paragraph("Band of the errors", found)
+
+
+def _projection(outcome, verdict):
+    found = _limits.projection_sentences(outcome)
+    return _paragraph("Price of physical consistency", found)
+
+
+def _masses(outcome, verdict):
+    return _paragraph("Masses", _limits.mass_sentences(outcome))
+
+
 # -- findings ---------------------------------------------------------------------
 
 
@@ -275,16 +300,33 @@ def _effects(outcome, verdict):
         told = [", ".join([f"- {joint}: {label}", *parameters]), evidence]
         if rivals:
             told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
+        afterwards = ranges.afterwards_text(e)
+        told += filter(None, [ranges.known_for(outcome, e), afterwards])
         sentences.append("; ".join(told))
         short.append((f"- {joint}", label, evidence))
         gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
         cannot = words.join(rivals, len(rivals), "or")
-        rows.append((joint, label, tuple(parameters), gain, words.p_cell(p), cannot))
-    heads = ("joint", "effect", "parameters (90 %)", "squared error saved", "p")
+        fitted = (*ranges.fitted_on(outcome, e), *filter(None, [afterwards]))
+        rows.append(
+            (joint, label, tuple(parameters), fitted, gain, words.p_cell(p), cannot)
+        )
+    heads = ("joint", "effect", "parameters (90 %)", "fitted on")
+    heads += ("squared error saved", "p")
     return Section(
         heading="Effects that were missing",
         table=_table((*heads, "cannot be told from"), rows),
         terminal=_terminal(sentences, short),
+    )
+
+
+def _outside(outcome, verdict):
+    """Say where the untouched part leaves what effects were fitted on."""
+    sentences = ranges.outside_sentences(outcome)
+    title = "Outside the range of the fit"
+    return Section(
+        heading=f"{title}, on untouched data",
+        sentences=sentences,
+        terminal=_terminal([f"{title}: {sentence}." for sentence in sentences], ()),
     )
 
 
@@ -613,10 +655,14 @@ def _declared(declared):
 SECTIONS = (
     _headline,
     _joints,
+    _band,
+    _projection,
     _effects,
+    _outside,
     _unexplained,
     _record_next,
     _hidden,
+    _masses,
     _channels,
     _residuals,
     _steps,

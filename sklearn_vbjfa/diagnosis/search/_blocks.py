@@ -272,10 +272,11 @@ def correlation_time(residual, weight, step, starts):
     return float(max(times, default=0.0))
 
 
-def make_blocks(time, starts, correlation, filter_length):
+def make_blocks(time, starts, correlation, filter_length, order=None):
     """Divide rows at times (m,) [s] into blocks as long as independence asks for.
 
-    The residual's correlation time and the filter's length are in seconds.
+    The residual's correlation time and the filter's length are in seconds. Blocks go
+    to the folds in turns, recording after recording in the given order of these.
     """
     edges = np.r_[starts, time.size]
     lengths = [float(np.ptp(time[a:b])) for a, b in itertools.pairwise(edges)]
@@ -292,11 +293,21 @@ def make_blocks(time, starts, correlation, filter_length):
     wanted = int(np.clip(total / least, *_WANTED))
     wanted = min(wanted, int(total / filter_length))
     label = np.empty(time.size, dtype=int)
-    first = 0
+    counts = []
     for a, b, length in zip(edges[:-1], edges[1:], lengths):
         count = max(1, round(wanted * length / total)) if total else 1
         count = min(count, b - a)
-        label[a:b] = first + (np.arange(b - a) * count) // (b - a)
-        first += count
-    folds = min(_FOLDS, first)
-    return Blocks(label=label, fold=label % folds, length=total / max(first, 1))
+        label[a:b] = sum(counts) + (np.arange(b - a) * count) // (b - a)
+        counts.append(count)
+    counts = np.array(counts)
+    order = np.arange(counts.size) if order is None else np.asarray(order)
+    before = np.empty_like(counts)
+    before[order] = np.r_[0, np.cumsum(counts[order])[:-1]]
+    # Place of each block in its recording, and of that among the others.
+    place = np.concatenate([np.arange(n) + b for n, b in zip(counts, before)])
+    n_blocks = int(counts.sum())
+    return Blocks(
+        label=label,
+        fold=place[label] % min(_FOLDS, n_blocks),
+        length=total / max(n_blocks, 1),
+    )

@@ -4,8 +4,33 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.search._band import Band
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
+from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
+from sklearn_vbjfa.effects import EffectRange
+
+
+@dataclass(frozen=True, kw_only=True)
+class Afterwards:
+    """What is known of an effect of time after the recording.
+
+    Attributes
+    ----------
+    seconds : float
+        Last time of the fit [s].
+    how : str
+        What the effect is taken to do from then on.
+    left : dict of str to float
+        What is left of its coefficients at that time; empty if it stays as it is.
+    intervals : dict of str to (float, float)
+        Their 90 % intervals.
+    """
+
+    seconds: float
+    how: str
+    left: dict
+    intervals: dict
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +60,11 @@ class DiscoveredEffect:
         Other effects that this data cannot tell from it.
     effect : Effect
         The transformer itself.
+    ranges : EffectRange or None
+        Positions, speeds and loads of its joint that it was fitted on, in the model
+        that is handed over.
+    afterwards : Afterwards or None
+        What an effect of time is taken to do after the recording; None for others.
     """
 
     name: str
@@ -46,6 +76,8 @@ class DiscoveredEffect:
     evidence: Evidence
     rivals: tuple = ()
     effect: object = None
+    ranges: EffectRange | None = None
+    afterwards: Afterwards | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -263,9 +295,17 @@ class Outcome:
         record to see it.
     settings : dict
         Thresholds, split, blocks, what intervals are of, seed, versions.
+    band : Band or None
+        The band of the fit; None if nothing is known of it.
+    projection : ProjectionPrice or None
+        What physically consistent parameters cost; None if they were not asked for.
+    bodies : tuple of BodyMass
+        Masses of the model that is handed over, and which of them are known.
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
         part, its recordings joined [s]; "maps" has a `Map` of some joints.
+    outside : tuple of OutsideRange
+        Where the untouched part leaves what the judged model was fitted on.
     """
 
     declared: dict
@@ -289,4 +329,8 @@ class Outcome:
     floor: object
     library: dict
     settings: dict
+    band: Band | None = None
+    projection: ProjectionPrice | None = None
+    bodies: tuple = ()
     curves: dict = field(default_factory=dict)
+    outside: tuple = ()

@@ -1,5 +1,6 @@
 """Intervals that respect correlation in time."""
 
+import functools
 import itertools
 from dataclasses import dataclass
 
@@ -79,6 +80,7 @@ class FinalFit:
             view.parts,
             load_parameters(identifier),
             view.robot.cutoff_,
+            effects=effects,
         )
         self._columns = [view.in_equations(e, self.motion) for e in self.effects]
 
@@ -98,18 +100,23 @@ class FinalFit:
 
     def residuals(self):
         """Residuals before and after, a pair of TorqueResiduals."""
-        view = self.view
-        before = view.equations.Phi @ self.declared.theta_
-        return tuple(
-            TorqueResiduals(
-                index=view.index,
-                torque=view.equations.tau,
-                predicted=predicted,
-                weight=view.equations.weight,
-            )
-            for predicted in (before, self._predicted(self.identifier.theta_))
+        before = self.view.equations.Phi @ self.declared.theta_
+        return self._compared(before), self.residuals_of(self.identifier.theta_)
+
+    def residuals_of(self, theta):
+        """Residuals of the completed model with some parameters, TorqueResiduals."""
+        return self._compared(self._predicted(theta))
+
+    def _compared(self, predicted):
+        """Compare the torques with predicted ones (m, nv)."""
+        return TorqueResiduals(
+            index=self.view.index,
+            torque=self.view.equations.tau,
+            predicted=predicted,
+            weight=self.view.equations.weight,
         )
 
+    @functools.cached_property
     def effect_estimates(self):
         """Estimate of each effect, list of EffectEstimate.
 

@@ -4,8 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.search._band import Band, measure_band
 from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, error_intervals
+from sklearn_vbjfa.diagnosis.search._price import (
+    ProjectionPrice,
+    price_of,
+    without_constraints,
+)
 from sklearn_vbjfa.diagnosis.search._split import FEWEST_VALUES
+from sklearn_vbjfa.robot._identifier import outside_of
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 
 # The wider band reaches this many times as far as that of the fit, and at least to
@@ -41,6 +48,13 @@ class Judgement:
         Stretches left out since something jumps in them, the search cannot say when.
     guard : float
         Time left out next to the search part [s].
+    band : Band
+        The band of the fit.
+    price : ProjectionPrice or None
+        What physically consistent parameters cost; None if the parameters were not
+        made consistent.
+    outside : tuple of OutsideRange
+        Where the untouched part leaves what the completed model was fitted on.
     """
 
     before: TorqueResiduals
@@ -54,6 +68,9 @@ class Judgement:
     n_stretches: int
     n_undecided: int
     guard: float
+    band: Band
+    price: ProjectionPrice | None
+    outside: tuple = ()
 
     @property
     def errors(self):
@@ -82,8 +99,8 @@ def judge(declared, completed, found, split, whole):
         return tuple(one.residuals(*given, **band) for one in (declared, completed))
 
     before, after = (_numbered(part, rows) for part in errors())
-    fitted = FinalFit(declared, completed, model.view, found.effects).residuals()
-    searched = tuple(_numbered(part, split.search) for part in fitted)
+    fit = FinalFit(declared, completed, model.view, found.effects)
+    searched = tuple(_numbered(part, split.search) for part in fit.residuals())
     spread = torque_spread(searched[0], before)
     wide_cutoff = _wide(completed.cutoff_, dt)
     wide = None
@@ -94,6 +111,19 @@ def judge(declared, completed, found, split, whole):
     step = model.view.step
     seconds = (before.weight / full).sum(axis=0) * step
     cutoff = min(completed.cutoff_, 0.5 / dt)
+    price = None
+    if completed.projector_ is not None:
+        given = rest.inputs, rest.tau, rest.groups, rest.weight, rest.t
+        free = without_constraints(completed).residuals(*given)
+        of_free = fit.residuals_of(completed.theta_unconstrained_)
+        price = price_of(
+            completed,
+            (_numbered(free, rows), after),
+            (_numbered(of_free, split.search), searched[1]),
+            spread,
+            step,
+        )
+    part = split.searched(whole)
     return Judgement(
         before=before,
         after=after,
@@ -106,6 +136,11 @@ def judge(declared, completed, found, split, whole):
         n_stretches=len(split.stretches),
         n_undecided=count - len(split.stretches),
         guard=float(guard * dt),
+        band=measure_band(
+            model.view, part.tau, max(p.stop - p.start for p in part.segments)
+        ),
+        price=price,
+        outside=outside_of(completed, rest),
     )
 
 

@@ -1,6 +1,7 @@
 """The declared model with some effects, fitted to a recording, and how it is judged."""
 
 import functools
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,13 +47,13 @@ class SearchModel:
         if start is not None:
             precision, ridge = start.precision, start.ridge
             if effects:
-                motion = view.motion(start.theta)
+                motion = start.signals()
         guess = cls._fit(view, effects, motion, precision, ridge)
         squares, rows = guess.squares.sum(axis=0), view.rows
         used = (rows > 0) & (squares > 0)
         precision = np.where(used, rows / np.where(used, squares, 1.0), 0.0)
         guess = cls._fit(view, effects, motion, precision, None)
-        motion = view.motion(guess.theta)
+        motion = guess.signals()
         return cls._fit(view, effects, motion, precision, guess.ridge)
 
     @classmethod
@@ -66,6 +67,16 @@ class SearchModel:
             view=view, effects=effects, motion=motion, fitted=fitted, scales=scales
         )
 
+    @classmethod
+    def on(cls, view, effects, model):
+        """Fit effects on another view of the rows that a model was fitted to.
+
+        Load and weights of that model are the first guess.
+        """
+        guess = cls._fit(view, effects, model.motion, model.precision, None)
+        motion = guess.signals()
+        return cls._fit(view, effects, motion, model.precision, guess.ridge)
+
     def beside(self, effects, ridge="same"):
         """Fit other effects with the weights and the load of this model.
 
@@ -73,6 +84,12 @@ class SearchModel:
         """
         ridge = self.ridge if ridge == "same" else ridge
         return self._fit(self.view, tuple(effects), self.motion, self.precision, ridge)
+
+    def signals(self):
+        """Signals with this model's load and torque, a `Motion`."""
+        scales = np.concatenate([np.empty(0), *self.scales])
+        coefs = self.fitted.theta[self.view.Z.shape[2] :] * scales
+        return self.view.motion(self.theta, self.effects, coefs)
 
     def without(self, effect):
         """Return the effects but one, tuple of Effect."""
@@ -109,12 +126,15 @@ class SearchModel:
 
     def coefficients(self, effect):
         """Coefficients of one of the model's effects, in its own units."""
-        at = self.view.Z.shape[2]
-        for one, scale in zip(self.effects, self.scales):
+        for one, scale, place in zip(self.effects, self.scales, self.places()):
             if one is effect:
-                return self.fitted.theta[at : at + scale.size] * scale
-            at += scale.size
+                return self.fitted.theta[place] * scale
         raise ValueError(f"{effect} is not among the accepted effects.")
+
+    def places(self):
+        """Columns of the fit that belong to each effect, list of slice."""
+        edges = np.cumsum([self.view.Z.shape[2], *(s.size for s in self.scales)])
+        return [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
 
     def family(self, effect):
         """Effect with all shapes of its grid, and their columns."""
@@ -181,6 +201,10 @@ class Judge:
         """Squared out-of-sample residuals with a candidate, shape chosen by fold."""
         white = self._whiten(columns, joints)
         return self._fitted.score(joints, white).squares * self._precision
+
+    def without(self, joint, groups):
+        """Squared residuals of a joint (n_blocks, c) where columns of Z are missing."""
+        return self._fitted.squares_without(joint, groups) * self._precision[joint]
 
     def forward(self, joints, columns, blocks, border):
         """Squared residuals of later blocks (n_blocks - border, nv), in units of noise.

@@ -6,11 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 import sklearn
+from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._ceiling import ceilings
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis.search._findings import (
+    Afterwards,
     DiscoveredEffect,
     Outcome,
     Round,
@@ -21,6 +23,7 @@ from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, qu
 from sklearn_vbjfa.diagnosis.search._search import STEP_UP
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
+from sklearn_vbjfa.robot._known import body_masses
 
 # Points of a picture.
 _POINTS = 4000
@@ -71,7 +74,11 @@ def make_outcome(search, models, judgement, channels, asked):
         floor=relative_floor,
         library={effect.name: effect for effect in search.library},
         settings=_settings(search, judgement, asked),
+        band=judgement.band,
+        projection=judgement.price,
+        bodies=body_masses(models.final.identifier),
         curves=_curves(models.judged, judgement.before, judgement.after, maps),
+        outside=judgement.outside,
     )
 
 
@@ -108,8 +115,15 @@ def _effects(search, final, names, prismatic):
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
             rivals[step.effect.key()] = tuple(c.effect.name for c in step.rivals)
-    for one, evidence, effect, estimate in zip(
-        search.effects, search.evidence, final.effects, final.effect_estimates()
+    # The effects of the declared model come first.
+    count = len(final.effects)
+    ranges = final.identifier.effect_ranges_[-count:] if count else ()
+    for one, evidence, effect, estimate, fitted in zip(
+        search.effects,
+        search.evidence,
+        final.effects,
+        final.effect_estimates,
+        ranges,
     ):
         values, deviations = _named(effect, estimate)
         half = quantile(estimate.freedom)
@@ -132,7 +146,38 @@ def _effects(search, final, names, prismatic):
             evidence=evidence,
             rivals=rivals.get(one.key(), ()),
             effect=effect,
+            ranges=fitted,
+            afterwards=_afterwards(effect, estimate, float(final.view.clock[-1])),
         )
+
+
+def _afterwards(effect, estimate, seconds):
+    """Return what is known of an effect of time after the recording, or None."""
+    if not effect.slow:
+        return None
+    k = len(estimate.coef)
+    values = np.r_[estimate.coef, [getattr(effect, name) for name in estimate.shape]]
+
+    def left(given):
+        shape = dict(zip(estimate.shape, given[k:].tolist()))
+        return clone(effect).set_params(**shape).later(given[:k], seconds)
+
+    half, found = quantile(estimate.freedom), left(values)
+    scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 0.0))
+    # Small beside what the value itself is, where the deviation is not.
+    steps = 1e-4 * np.minimum(scale, np.abs(values))
+    steps[steps == 0] = 1e-9
+    sides = [
+        [left(values + way * step) for way in (0.5, -0.5)] for step in np.diag(steps)
+    ]
+    intervals = {}
+    for name, value in found.items():
+        slope = np.array([above[name] - below[name] for above, below in sides]) / steps
+        reach = half * np.sqrt(max(slope @ estimate.covariance @ slope, 0.0))
+        intervals[name] = (value - float(reach), value + float(reach))
+    return Afterwards(
+        seconds=seconds, how=effect.afterwards, left=found, intervals=intervals
+    )
 
 
 def _named(effect, estimate):

@@ -7,6 +7,7 @@ Schur complement of its own few columns.
 """
 
 import functools
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -304,10 +305,32 @@ class BlockRegression:
         return Score(
             squares=self.blocks.sums(squares.T),
             best=best,
-            coef=refit.beta[best] * unit[best],
+            coefs=refit.beta * unit,
             outside=float(refit.kept[best]),
             drop=refit.drop,
         )
+
+    def squares_without(self, joint, groups):
+        """Squared out-of-sample residuals of a joint (n_blocks, c) with less.
+
+        Each of c groups of columns of Z is left out, everything else fitted anew: by
+        the block inverse, without another factorisation.
+        """
+        columns = np.concatenate(groups)
+        edges = np.cumsum([0, *(len(group) for group in groups)])
+        unit = np.zeros((self.Z.shape[2], columns.size))
+        unit[columns, np.arange(columns.size)] = 1.0
+        out = np.empty((self.y.shape[1], len(groups)))
+        for i, rows in enumerate(self._folds):
+            inverse = linalg.cho_solve(self._factors[i], unit)
+            shift = np.empty((unit.shape[0], len(groups)))
+            for k, (a, b) in enumerate(itertools.pairwise(edges)):
+                group = columns[a:b]
+                own = np.linalg.solve(inverse[group, a:b], self._theta[i][group])
+                shift[:, k] = inverse[:, a:b] @ own
+            Z, y = self._parts[i][0][joint], self._parts[i][1][joint]
+            out[rows] = (y - Z @ self._theta[i])[:, None] + Z @ shift
+        return self.blocks.sums(out**2)
 
     def drop(self, joints, F):
         """Fall of the weighted squared error on all rows for one candidate."""
@@ -362,8 +385,8 @@ class Score:
         Squared residuals with the candidate.
     best : int
         Shape chosen on all rows.
-    coef : ndarray of shape (k,)
-        Its coefficients on all rows.
+    coefs : ndarray of shape (c, k)
+        Coefficients of all shapes on all rows.
     outside : float
         Share of its columns' power that the other columns do not explain.
     drop : ndarray of shape (c,)
@@ -372,6 +395,11 @@ class Score:
 
     squares: np.ndarray
     best: int
-    coef: np.ndarray
+    coefs: np.ndarray
     outside: float
     drop: np.ndarray
+
+    @property
+    def coef(self):
+        """Coefficients of the best shape on all rows, (k,)."""
+        return self.coefs[self.best]

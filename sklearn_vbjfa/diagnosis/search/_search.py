@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._common_start import earned
 from sklearn_vbjfa.diagnosis.search._evidence import (
     SMALLEST_GAIN,
     Candidate,
@@ -14,15 +15,21 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
     compare,
     no_worse,
 )
+from sklearn_vbjfa.diagnosis.search._exchange import backwards, exchange
+from sklearn_vbjfa.diagnosis.search._left_out import can_be_left_out, left_out
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._shapes import (
-    refined,
+    absorbing,
+    plainest,
     retuned,
+    tuned,
     tuned_before,
     tuned_family,
 )
+from sklearn_vbjfa.diagnosis.search._symmetry import one_sided
 from sklearn_vbjfa.diagnosis.search._transfer import Transfer
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.effects import JointEffect
 from sklearn_vbjfa.effects._library import closure
 
 # A joint whose out-of-sample error is within this factor of its noise floor lacks
@@ -40,8 +47,12 @@ _FADED = 0.01
 # Blocks on either side of that border in which it acts, at the least: fewer cannot tell
 # it from chance.
 _ACTIVE = 3
+# Candidates of a joint that are judged with its other shapes tuned anew.
+_ANEW = 4
 # A plain effect that saves this share of what one that contains it saves goes first.
 _CONTAINED = 0.5
+# A plain term that saves this share of a joint's error needs no other motion to judge.
+_CLEAR = 0.5
 # Effects of one kind on one joint, with different settings (drift of this and that).
 _MOST_ROUNDS_PER_JOINT = 6
 
@@ -52,6 +63,8 @@ LATER = "an effect of time must help on later data"
 TOO_LATE = "acts in too few blocks to be tried on later data"
 HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
+ABSORBED = "the effect that contains it does as well alone, with another shape"
+MOST = "fewer effects were asked for"
 UNNATURAL = "took a sign that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
 BETTER = "better than what it replaces"
@@ -180,24 +193,55 @@ class EffectSearch:
     # -- the loop -------------------------------------------------------------------
 
     def run(self):
-        """Search until nothing is significant, and return what was `Found`."""
+        """Search from the declared model, and return what was `Found`."""
+        self.explore()
+        return self.settle()
+
+    def resume(self, names, found):
+        """Go on from a search beside plain terms of these names: what was `Found`."""
+        self.model, self.steps = earned(
+            self.view, names, found, self.library, self.alpha
+        )
+        self.steps += found.steps
+        self.threshold, self.n_tests = found.threshold, found.n_tests
+        self.prune()
+        return self.settle()
+
+    def settle(self):
+        """Keep what also holds elsewhere, as much as is wanted: what was `Found`."""
+        self.withdraw()
+        self._limit()
+        return self.found()
+
+    def explore(self):
+        """Search until nothing is significant."""
         self.accept(())
         number, most = 0, _MOST_ROUNDS_PER_JOINT * self.view.nv
-        found = True
+        found, seen = True, set()
         while found:
-            while number < most and not self._is_full() and self._round(number):
+            while number < most and not self.is_full() and self._round(number):
                 number += 1
             found = False
             if self.model.effects:
                 self._polish()
                 # What was hidden by shapes that were not yet tuned may show now.
-                if number < most and not self._is_full():
+                if number < most and not self.is_full():
                     found = self._round(number)
                     number += 1
-        self.withdraw()
+            # Each set of effects is looked at once: swaps must not go in circles.
+            names = frozenset(effect.key() for effect in self.model.effects)
+            if not found and names not in seen and number < most:
+                seen.add(names)
+                found = exchange(self)
+                number += found
+        backwards(self)
+
+    def found(self):
+        """Return what is `Found` as it is now."""
+        cases = self.all_evidence()
         return Found(
             model=self.model,
-            evidence=tuple(self.evidence_of(effect) for effect in self.model.effects),
+            evidence=tuple(cases[id(effect)] for effect in self.model.effects),
             steps=tuple(self.steps),
             threshold=self.threshold,
             n_tests=self.n_tests,
@@ -208,7 +252,7 @@ class EffectSearch:
         """Take effects for what the declared model lacks."""
         self.model = SearchModel.of(self.view, effects, self.model)
 
-    def _is_full(self):
+    def is_full(self):
         """Whether as many effects are accepted as may be."""
         return (
             self.max_effects is not None and len(self.model.effects) >= self.max_effects
@@ -235,14 +279,15 @@ class EffectSearch:
         if not offers:
             return False
         _, chosen, rivals, others = max(offers, key=lambda offer: offer[0])
-        effect = refined(chosen.effect, model)
-        case, refusal = self._later(effect, model)
+        chosen, rivals = self._judged_anew(chosen, rivals, others)
+        effect = tuned(chosen.effect, model)
+        case, refusal = self.later(effect, model)
         if refusal is not None:
             self._refuse(effect, case, rivals, others, refusal)
             return True
         # Beside another model they may hold.
         self.refused.clear()
-        self._step(
+        self.step(
             "add",
             effect,
             [*model.effects, effect],
@@ -251,12 +296,13 @@ class EffectSearch:
             tried=others,
             rule=self._rule(chosen),
         )
+        effect = self.absorb(effect)
         self.prune(effect)
         self.model = retuned(self.model, effect.joint)
         self.compete(effect.joint)
         return True
 
-    def _step(self, action, effect, effects, *, rivals=(), tried=(), **given):
+    def step(self, action, effect, effects, *, rivals=(), tried=(), **given):
         """Go on to a model with other effects, and note it."""
         before = self.model.squares.sum(axis=0)
         if effects is not None:
@@ -277,7 +323,7 @@ class EffectSearch:
         """Note that an effect does not hold; every trial counts, see `_evidence`."""
         self.refused.add(effect.key())
         self.refusals[effect.key()] = self.refusals.get(effect.key(), 0) + 1
-        self._step(
+        self.step(
             "refuse",
             effect,
             None,
@@ -304,11 +350,16 @@ class EffectSearch:
 
         None of both if there is nothing new. The evidence has no p-value yet.
         """
-        taken = {e.key() for e in base.effects} | self.refused
+        taken = self.refused.union(*(e.excludes() for e in base.effects))
         family = base.family(effect).where(lambda one: one.key() not in taken)
         if not family.effects:
             return None, None
-        score = base.fitted.score(self.view.joints_of(effect), family.columns)
+        joints = self.view.joints_of(effect)
+        family, score = plainest(base, effect, family)
+        if effect.opposite() is not None:
+            family, score = one_sided(base, family, joints, score)
+            if family is None:
+                return None, None
         best = family.effects[score.best]
         if not best.plausible(score.coef):
             return None, None
@@ -320,6 +371,16 @@ class EffectSearch:
             white=score.squares * base.precision,
         )
         return candidate, family.columns
+
+    def scored(self, joint, base):
+        """Effects on a joint alone that are worth a name beside a model, scored."""
+        found = []
+        for effect in self.candidates_of(joint):
+            if not effect.whole_robot:
+                candidate, _ = self.score(effect, base)
+                if candidate and candidate.evidence.gain >= SMALLEST_GAIN:
+                    found.append(candidate)
+        return found
 
     def try_joint(self, joint, base, quiet=False):
         """Try all effects on a joint beside a model, name -> Candidate, plainer first.
@@ -402,6 +463,31 @@ class EffectSearch:
         )
         return simplest, rivals
 
+    def _judged_anew(self, chosen, rivals, others):
+        """Judge the best candidates of a joint with its other shapes tuned beside them.
+
+        A shape that was tuned to what the joint lacked may hide what is right. Returns
+        the chosen candidate, and its rivals.
+        """
+        joint, model = chosen.effect.joint, self.model
+        shaped = any(e.joint == joint and e.continuous for e in model.effects)
+        if not shaped or chosen.effect.whole_robot:
+            return chosen, rivals
+        first = sorted(
+            (c for c in others if c is not chosen and not c.effect.whole_robot),
+            key=lambda c: c.white[:, joint].sum(),
+        )
+        error = {}
+        for one in [chosen, *first[: _ANEW - 1]]:
+            effects = [*model.effects, tuned(one.effect, model)]
+            with_it = retuned(SearchModel.of(self.view, effects, model), joint)
+            error[id(one)] = one, with_it.squares[:, joint]
+        best = min((squares for _, squares in error.values()), key=np.sum)
+        close = [(c, e) for c, e in error.values() if no_worse(best, e)]
+        simplest, _ = min(close, key=lambda x: (x[0].effect.complexity, x[1].sum()))
+        near = [c for c, _ in close] + [c for c in rivals if id(c) not in error]
+        return simplest, tuple(c for c in near if c is not simplest)
+
     # -- levels ---------------------------------------------------------------------
 
     def _set_threshold(self, tried):
@@ -426,9 +512,9 @@ class EffectSearch:
         """Rule by which a candidate is added in this round."""
         if candidate.evidence.significant(self.threshold):
             return Rule(name=STEP_UP, level=self.threshold, n_tests=self.n_tests)
-        return self._one_test(CONTAINED)
+        return self.one_test(CONTAINED)
 
-    def _one_test(self, name):
+    def one_test(self, name):
         return Rule(name=name, level=self.alpha, n_tests=1)
 
     # -- evidence -------------------------------------------------------------------
@@ -462,7 +548,17 @@ class EffectSearch:
             effect, (place.base.squares, place.squares), (before, white)
         )
 
-    def _later(self, effect, base):
+    def all_evidence(self):
+        """Evidence for all accepted effects, a dict by the effect's id."""
+        own = self.model.effects
+        linear = [effect for effect in own if can_be_left_out(effect)]
+        cases = {id(x.effect): x.evidence for x in left_out(self.model, linear)}
+        for effect in own:
+            if id(effect) not in cases:
+                cases[id(effect)] = self.evidence_of(effect)
+        return cases
+
+    def later(self, effect, base):
         """Try an effect on later data: Evidence, and the Rule that refuses it or None.
 
         Both models are fitted and judged in rows without the residual's memory: slow
@@ -501,39 +597,77 @@ class EffectSearch:
             # whatever happened once by what begins late.
             if case.gain > 0 and case.p_value < self.alpha:
                 return case, None
-            return case, self._one_test(LATER)
+            return case, self.one_test(LATER)
         return case, None if case.gain > -case.gain_std else Rule(name=HARM)
 
     # -- second thoughts --------------------------------------------------------------
+
+    def absorb(self, effect):
+        """Drop plainer effects that a new one stands for if it takes another shape.
+
+        Returns the effect as it is then.
+        """
+        names = closure(effect, self.library)
+        plain = [
+            one
+            for one in self.model.effects
+            if one.joint == effect.joint and one.name in names
+        ]
+        if not plain or len(self.model.family(effect).effects) < 2:
+            return effect
+        trial = absorbing(effect, plain, self.model)
+        now, then = (trial.relevant(effect, m.squares)[0] for m in (self.model, trial))
+        if not no_worse(now, then):
+            return effect
+        case = compare(then, now)
+        for one in plain:
+            rest = self.model.without(one)
+            self.step("drop", one, rest, evidence=case, rule=Rule(name=ABSORBED))
+        self.model = trial
+        return trial.effects[-1]
 
     def prune(self, newest=None):
         """Drop what became superfluous or took a wrong sign, the least useful first."""
         while True:
             worst, evidence, rule = None, None, None
+            cases = self.all_evidence()
             for effect in self.model.effects:
                 if effect is newest:
                     continue
-                case = self.evidence_of(effect)
+                case = cases[id(effect)]
                 natural = effect.natural(self.model.coefficients(effect))
                 if natural and case.significant(self.alpha, _SUPERFLUOUS):
                     continue
                 if evidence is None or case.gain < evidence.gain:
                     worst, evidence = effect, case
-                    rule = self._one_test(SUPERFLUOUS)
+                    rule = self.one_test(SUPERFLUOUS)
                     if not natural:
                         rule = Rule(name=UNNATURAL)
             if worst is None:
                 return
             rest = self.model.without(worst)
-            self._step("drop", worst, rest, evidence=evidence, rule=rule)
+            self.step("drop", worst, rest, evidence=evidence, rule=rule)
+
+    def _limit(self):
+        """Drop the least useful until no more are left than are wanted."""
+        while self.max_effects is not None and (
+            len(self.model.effects) > self.max_effects
+        ):
+            cases = self.all_evidence()
+            least = min(self.model.effects, key=lambda e: cases[id(e)].gain)
+            evidence = cases[id(least)]
+            rest = self.model.without(least)
+            self.step("drop", least, rest, evidence=evidence, rule=Rule(name=MOST))
 
     def withdraw(self):
         """Drop what makes the error larger on motion that it was not fitted to."""
         while self.model.effects:
             model = self.model
             transfer = Transfer(self.view, model.motion, model.effects, model.precision)
-            with_all, worst, evidence = transfer.squares(model.effects), None, None
-            for effect in model.effects:
+            with_all, worst, evidence = None, None, None
+            for effect in self._doubtful():
+                if with_all is None:
+                    with_all = transfer.squares(model.effects)
                 rest = transfer.squares(model.without(effect))
                 case = compare(*model.relevant(effect, rest, with_all))
                 # A single stretch that differs from the others decides nothing.
@@ -543,9 +677,22 @@ class EffectSearch:
             if worst is None:
                 return
             rest, rule = model.without(worst), Rule(name=ELSEWHERE)
-            self._step("withdraw", worst, rest, evidence=evidence, rule=rule)
+            self.step("withdraw", worst, rest, evidence=evidence, rule=rule)
             # What only made up for it, or shared its place with it, goes as well.
             self.prune()
+
+    def _doubtful(self):
+        """Effects that other motion may speak against.
+
+        Plain friction that takes most of a joint's error off block by block does so in
+        other motion as well; it is a straight line or a step in the velocity.
+        """
+        cases = self.all_evidence()
+        return [
+            effect
+            for effect in self.model.effects
+            if not (isinstance(effect, JointEffect) and cases[id(effect)].gain > _CLEAR)
+        ]
 
     def compete(self, joint):
         """Let rivals compete for the place of each effect of the joint."""
@@ -569,12 +716,12 @@ class EffectSearch:
             better = case.significant(self.alpha)
             if not better and not (simpler and case.gain > 0):
                 continue
-            successor = refined(best.effect, base)
-            later, refusal = self._later(successor, base)
+            successor = tuned(best.effect, base)
+            later, refusal = self.later(successor, base)
             if refusal is not None:
                 self._refuse(successor, later, rivals, others, refusal)
                 continue
-            self._step(
+            self.step(
                 "replace",
                 successor,
                 [*base.effects, successor],
@@ -582,7 +729,7 @@ class EffectSearch:
                 evidence=case,
                 rivals=rivals,
                 tried=others,
-                rule=self._one_test(BETTER) if better else Rule(name=SIMPLER),
+                rule=self.one_test(BETTER) if better else Rule(name=SIMPLER),
             )
 
     def _polish(self):

@@ -6,12 +6,16 @@ import numpy as np
 from scipy import optimize
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, no_worse
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
 from sklearn_vbjfa.diagnosis.search._view import variants
 
 # Times that what is linearised is linearised again.
 _TANGENTS = 2
+# Times that several shape parameters are searched one after the other, as long as the
+# fall of the squared error still grows by this share.
+_SWEEPS, _WORTH = 4, 1e-3
 # Shapes between the neighbours of a tuned one, from which each fold takes its own.
 _FINER = 9
 
@@ -26,11 +30,14 @@ class Bracket:
         Bounds; of the logarithm where that is searched.
     logarithmic : bool
         Whether the logarithm is searched.
+    turn : float
+        Period of an angle; zero for what is none.
     """
 
     low: float
     high: float
     logarithmic: bool
+    turn: float = 0.0
 
     @classmethod
     def of(cls, effect, name, motion):
@@ -38,6 +45,12 @@ class Bracket:
         value = getattr(effect, name)
         same = [v for v in variants(effect, motion) if v.key() == effect.key()]
         values = np.unique([getattr(v, name) for v in same])
+        if name in effect.cyclic and values.size > 1:
+            turn = 2 * np.pi
+            around = np.concatenate([values - turn, values, values + turn])
+            at = int(np.argmin(np.abs(around - value)))
+            low, high = around[at - 1], around[at + 1]
+            return cls(low=low, high=high, logarithmic=False, turn=turn)
         values = values[np.sign(values) == np.sign(value)]
         if value == 0 or values.size < 2:
             return None
@@ -49,54 +62,120 @@ class Bracket:
 
     def value(self, u):
         """Return the parameter at a place between the bounds."""
+        if self.turn:
+            return float(u % self.turn)
         return float(np.exp(u) if self.logarithmic else u)
 
-    def place(self, value):
-        """Return the place of a parameter."""
-        return np.log(value) if self.logarithmic else value
+
+def plainest(base, effect, family):
+    """Return the plainest form of an effect that is no worse than any, and its score.
+
+    Forms differ in complexity. Within one, the shape is chosen by the score alone.
+    """
+    joints = base.view.joints_of(effect)
+
+    def scored(own):
+        return own, base.fitted.score(joints, own.columns)
+
+    def errors(form):
+        return base.relevant(effect, form[1].squares)[0]
+
+    forms = [scored(own) for own in family.forms()]
+    best = min(forms, key=lambda form: errors(form).sum())
+    before = base.relevant(effect, base.squares)[0].sum()
+    if errors(best).sum() > (1 - SMALLEST_GAIN) * before:
+        return best
+    for own, score in forms:
+        if own is best[0]:
+            break
+        # A grid of several parameters is coarse: between its points it may do as well.
+        finer = refined(own.effects[score.best], base)
+        form = scored(own.extended(finer, base.columns_of(finer)))
+        if no_worse(errors(best), errors(form)):
+            return form
+    return best
 
 
 def refined(effect, base, rows=None):
     """Search an effect's shape parameters on between the points of the grid.
 
     It comes beside a model, which was fitted to some rows (m,) only if they are given.
+    Several parameters are searched one after the other, and again beside each other.
     """
     joints = base.view.joints_of(effect)
-    for name in effect.continuous:
-        bracket = Bracket.of(effect, name, base.motion)
-        if bracket is None:
-            continue
 
-        def cost(u, name=name, effect=effect, bracket=bracket):
-            trial = clone(effect).set_params(**{name: bracket.value(u)})
-            columns = base.view.columns([trial], base.motion)
-            if rows is not None:
-                columns *= rows[:, None, None]
-            return -base.fitted.drop(joints, columns)
+    def cost(effect):
+        columns = base.view.columns([effect], base.motion)
+        if rows is not None:
+            columns *= rows[:, None, None]
+        return -base.fitted.drop(joints, columns)
 
-        low, high = bracket.low, bracket.high
-        found = optimize.minimize_scalar(
-            cost,
-            bounds=(low, high),
-            method="bounded",
-            options={"xatol": 1e-3 * (high - low)},
-        )
-        if found.fun < cost(bracket.place(getattr(effect, name))):
-            effect = clone(effect).set_params(**{name: bracket.value(found.x)})
+    best = cost(effect)
+    for _ in range(_SWEEPS if len(effect.continuous) > 1 else 1):
+        before = best
+        for name in effect.continuous:
+            effect, best = _searched(effect, name, cost, best, base.motion)
+        if not before - best > _WORTH * abs(before):
+            break
     return effect
 
 
-def tuned_among(effect, base):
-    """Return the effect with the shape of the grid that suits best, or its own."""
+def _searched(effect, name, cost, best, motion):
+    """Search one shape parameter; the effect, and what it costs."""
+    bracket = Bracket.of(effect, name, motion)
+    if bracket is None:
+        return effect, best
+
+    def at(u):
+        return clone(effect).set_params(**{name: bracket.value(u)})
+
+    low, high = bracket.low, bracket.high
+    found = optimize.minimize_scalar(
+        lambda u: cost(at(u)),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 1e-3 * (high - low)},
+    )
+    return (at(found.x), found.fun) if found.fun < best else (effect, best)
+
+
+def _settings(effect):
+    """Shape parameters of an effect that no search between grid points tunes."""
+    tuned = {*effect.continuous, *effect.tangent}
+    shape = effect.shape().items()
+    return tuple(sorted((key, value) for key, value in shape if key not in tuned))
+
+
+def tuned(effect, base):
+    """Return the effect with the shape that suits a model best, or its own.
+
+    The grid is searched first, and then between its points: for each of the settings
+    (exponents) under which the effect is one and the same, since the best point of the
+    grid need not be near the best shape.
+    """
     same = base.family(effect).like(effect)
     if not same.effects:
-        return effect
+        return refined(effect, base)
     joints = base.view.joints_of(effect)
-    score = base.fitted.score(joints, same.columns)
-    own = base.view.columns([effect], base.motion)
-    if score.drop.max() > base.fitted.drop(joints, own):
-        return same.effects[score.best]
-    return effect
+    drops = base.fitted.score(joints, same.columns).drop
+    best = {}
+    for one, drop in zip(same.effects, drops):
+        key = _settings(one)
+        if key not in best or drop > best[key][0]:
+            best[key] = drop, one
+    offers = [effect, *(one for _, one in best.values())]
+
+    def drop(one):
+        return base.fitted.drop(joints, base.view.columns([one], base.motion))
+
+    found = max((refined(one, base) for one in offers), key=drop)
+    if effect.neutral:
+        # A parameter costs what it costs elsewhere (Schwarz's criterion).
+        plain = clone(found).set_params(**dict(effect.neutral))
+        rows = base.view.rows[joints].sum()
+        if drop(found) - drop(plain) < len(effect.neutral) * np.log(max(rows, 2.0)):
+            return plain
+    return found
 
 
 def tuned_before(effect, base, early):
@@ -140,13 +219,27 @@ def tuned_family(effect, model):
     return np.concatenate([same.columns, np.stack(finer, axis=2)], axis=2)
 
 
+def absorbing(effect, plain, model):
+    """Return the model without plainer effects, the one that contains them anew.
+
+    Its shape was found beside them, where it stood for what they had left over.
+    """
+    gone = {id(effect), *map(id, plain)}
+    rest = tuple(one for one in model.effects if id(one) not in gone)
+    base, forms = model.beside(rest), effect.excludes()
+    family = base.family(effect).where(lambda one: one.key() in forms)
+    own, score = plainest(base, effect, family)
+    alone = refined(own.effects[score.best], base)
+    return SearchModel.of(model.view, [*rest, alone], model)
+
+
 def retuned(model, joint):
     """Search the shapes of a joint's effects again, each beside the others."""
     effects = list(model.effects)
     chosen = [i for i, e in enumerate(effects) if e.joint == joint and e.continuous]
     for i in chosen:
         base = model.beside(e for k, e in enumerate(effects) if k != i)
-        effects[i] = refined(tuned_among(effects[i], base), base)
+        effects[i] = tuned(effects[i], base)
     if not chosen:
         return model
     return linearised(SearchModel.of(model.view, effects, model), joint)
@@ -174,10 +267,8 @@ def tuned_on(view, effects):
     found = list(effects)
     for i, effect in enumerate(effects):
         base = model.beside(e for k, e in enumerate(found) if k != i)
-        if effect.jumping:
-            # It may lie in a stretch that was not searched.
-            effect = tuned_among(effect, base)
-        found[i] = refined(effect, base)
+        # An instant may lie in a stretch that was not searched.
+        found[i] = (tuned if effect.jumping else refined)(effect, base)
     model = SearchModel.of(view, found, model)
     for joint in sorted({effect.joint for effect in found}):
         model = linearised(model, joint)

@@ -1,5 +1,6 @@
 """A recording as the search for effects sees it: filtered rows, blocks, columns."""
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
 from sklearn_vbjfa.diagnosis.search._regression import FoldMoments, reduced
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock
-from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
 from sklearn_vbjfa.robot._identifier import equations_of, states_of
 
 
@@ -28,7 +29,8 @@ class Family:
         One for each shape; none where the motion leaves nothing to try.
     columns : ndarray of shape (nj, m, c, k) or None
         Their columns in the equations of the nj joints that they act on, rows scaled
-        by the root of the weights; None without effects.
+        by the root of the weights, with zeros behind those of a shape that has fewer;
+        None without effects.
     """
 
     effects: tuple[Effect, ...]
@@ -39,10 +41,23 @@ class Family:
         chosen = [k for k, effect in enumerate(self.effects) if wanted(effect)]
         if len(chosen) == len(self.effects):
             return self
+        effects = tuple(self.effects[k] for k in chosen)
         return Family(
-            effects=tuple(self.effects[k] for k in chosen),
-            columns=self.columns[:, :, chosen] if chosen else None,
+            effects=effects,
+            columns=self.columns[:, :, chosen, : _width(effects)] if chosen else None,
         )
+
+    def extended(self, effect, columns):
+        """Return the same with one more effect and its columns (nj, m, k)."""
+        return Family(
+            effects=(*self.effects, effect),
+            columns=np.concatenate([self.columns, columns[:, :, None]], axis=2),
+        )
+
+    def forms(self):
+        """Return a family for each complexity of its forms, the plainest first."""
+        sizes = sorted({effect.complexity for effect in self.effects})
+        return [self.where(lambda one, n=n: one.complexity == n) for n in sizes]
 
     def like(self, effect):
         """Return those that are the same use of the effect, see `Effect.key`."""
@@ -67,6 +82,9 @@ class RecordingView:
         recordings; None where they are whole.
     begins : tuple of float or None
         When recordings begin [s], if their first rows are not among these.
+    like : RecordingView or None
+        View of the same rows whose noise floor, blocks and joint weights are taken
+        over, since its robot lacks less.
 
     Attributes
     ----------
@@ -108,13 +126,19 @@ class RecordingView:
         Root mean square of a column of Z.
     """
 
-    def __init__(self, robot, recording, leave_out=(), origin=None, begins=None):
+    def __init__(
+        self, robot, recording, leave_out=(), origin=None, begins=None, like=None
+    ):
         self.robot = robot
         self.declared = robot.features_.friction_
-        self.floor = robot.noise_floor_**2
+        self.floor = robot.noise_floor_**2 if like is None else like.floor
         self.parts = recording.segments
         self.clock = check_clock(recording.t, recording.n_samples, robot.dt)
-        self.states = states_of(robot, recording.inputs, recording.groups)
+        self.states = (
+            states_of(robot, recording.inputs, recording.groups)
+            if like is None
+            else like.states
+        )
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
         self._begins = begins
         self._families, self._columns = {}, {}
@@ -124,7 +148,11 @@ class RecordingView:
         self.starts = self.starts[self.starts < self.index.size]
         origin = recording.groups if origin is None else origin
         self.origin = origin[self.index]
-        self._set_blocks()
+        if like is None:
+            self._set_blocks()
+        else:
+            self.blocks, self.precision = like.blocks, like.precision
+        self._set_coordinates()
 
     def _set_equations(self, recording, leave_out):
         """Make the filtered equations of the declared model."""
@@ -146,7 +174,7 @@ class RecordingView:
         self.step = (self.robot.dt or 1.0) * self._lowpass.step
 
     def _set_blocks(self):
-        """Take blocks, joint weights and coordinates from the declared model."""
+        """Take blocks and joint weights from the robot's fit."""
         robot = self.robot
         weights = robot.estimator_.joint_weights_
         self.precision = np.where(self.root.any(axis=0), weights, 0.0)
@@ -157,8 +185,23 @@ class RecordingView:
         # What the low-pass spreads in time: the width of its main lobe.
         length = max(1.0 / robot.cutoff_, self.step)
         self.blocks = make_blocks(
-            self.index * (robot.dt or 1.0), self.starts, correlation, length
+            self.index * (robot.dt or 1.0),
+            self.starts,
+            correlation,
+            length,
+            self._by_content(),
         )
+
+    def _by_content(self):
+        """Order of the parts by what is in them, so that folds ignore how they came."""
+        keys = []
+        for start, end in itertools.pairwise([*self.starts, self.index.size]):
+            rows = self.index[[start, (start + end) // 2, end - 1]]
+            keys.append((end - start, *self.states[rows, : self.nv].round(6).ravel()))
+        return sorted(range(len(keys)), key=keys.__getitem__)
+
+    def _set_coordinates(self):
+        """Express the regressor in the directions that the data determine."""
         self.Z, self.back = reduced(self.equations, self.precision)
         self.moments = FoldMoments(self.Z, self.target, self.blocks.folds())
         # Effects' columns are brought to the size of the declared ones.
@@ -189,10 +232,15 @@ class RecordingView:
         root = self.root if root is None else root
         return Whitening(residual, root, self.starts, self.step, self.robot.cutoff_)
 
-    def motion(self, theta):
-        """Signals at the full rate; the load from reduced coordinates or None."""
-        rigid = self.robot.features_.n_parameters_
-        parameters = None if theta is None else (self.back @ theta)[:rigid]
+    def motion(self, theta, effects=(), coefs=()):
+        """Signals at the full rate; the load from reduced coordinates or None.
+
+        Effects, with the coefficients of all of them, are part of the torque.
+        """
+        rigid, parameters = self.robot.features_.n_parameters_, None
+        if theta is not None:
+            plain = plain_coefficients(effects, coefs)
+            parameters = np.concatenate([(self.back @ theta)[:rigid], plain])
         motion = make_motion(
             self.robot.features_,
             self.states,
@@ -200,6 +248,7 @@ class RecordingView:
             self.parts,
             parameters,
             self.robot.cutoff_,
+            effects=effects,
         )
         return replace(motion, begins=self._begins)
 
@@ -216,13 +265,13 @@ class RecordingView:
     def columns(self, effects, motion):
         """Columns (nj, m, c, k) of an effect with several shape parameters."""
         joints = self.joints_of(effects[0])
-        k = len(effects[0].coefficients)
-        out = np.empty((len(joints), self.index.size, len(effects), k))
+        k = _width(effects)
+        out = np.zeros((len(joints), self.index.size, len(effects), k))
         for c, effect in enumerate(effects):
             filtered = self.filtered(effect.columns(motion))
             for i, j in enumerate(joints):
                 own = filtered[:, j] if effect.whole_robot else filtered
-                out[i, :, c] = own * self.root[:, j, None]
+                out[i, :, c, : own.shape[1]] = own * self.root[:, j, None]
         return out
 
     def columns_of(self, effect, motion):
@@ -273,6 +322,11 @@ class RecordingView:
             scales.append(scale)
             Z.append(extra * scale)
         return np.concatenate(Z, axis=2), tuple(scales)
+
+
+def _width(effects):
+    """Most coefficients of any of some effects."""
+    return max((len(effect.coefficients) for effect in effects), default=0)
 
 
 def variants(effect, motion):

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.search._band import Band
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._findings import (
@@ -12,7 +13,7 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     Trial,
     Unexplained,
 )
-from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 
 EVIDENCE = Evidence(gain=0.46, gain_std=0.04, p_value=2.3e-9, n_blocks=52, helped=0.9)
@@ -49,6 +50,18 @@ def make_effect(i, joint, names):
         },
         evidence=EVIDENCE,
         rivals=rivals,
+        ranges=make_range(name, joint),
+    )
+
+
+def make_range(name, joint, depends=("position",)):
+    return EffectRange(
+        name=name,
+        joint=joint,
+        position=(-1.25, 1.5),
+        speed=(0.001, 2.0),
+        load=(-30.0, 45.0),
+        depends=depends if name == "ripple" else (),
     )
 
 
@@ -166,6 +179,17 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             "random_state": 0,
             "versions": {"numpy": "2.0"},
         },
+        "band": Band(
+            cutoff=10.0,
+            decided_by="motion",
+            automatic=10.0,
+            bandwidth=2.0,
+            fastest=nv - 1,
+            smoothed_at=4.2,
+            speed_share=np.full(nv, 0.9999),
+            torque_share=np.linspace(0.91, 0.974, nv),
+            sample_rate=200.0,
+        ),
         "curves": {
             "index": np.arange(m),
             "before": residual + 0.1 * np.sin(np.arange(m) / 40)[:, None],

@@ -15,6 +15,7 @@ from sklearn_vbjfa.diagnosis.report._sections import sections
 from sklearn_vbjfa.diagnosis.report._verdict import judge
 from sklearn_vbjfa.diagnosis.search._findings import Hidden
 from sklearn_vbjfa.effects import Coulomb, Effect, available
+from sklearn_vbjfa.effects._ranges import OutsideRange
 from tests.diagnosis.report._outcomes import (
     finding,
     make_effect,
@@ -27,7 +28,8 @@ from tests.diagnosis.report._outcomes import (
 LINES = {
     "What the declared model of arm lacks": 3,
     "Error of each joint on untouched data": 12,
-    "Effects that were missing": 13,
+    "Band of the errors": 6,
+    "Effects that were missing": 14,
     "Record next": 4,
     "Not visible in this recording": 4,
     "Channels": 2,
@@ -88,8 +90,8 @@ def test_six_effects_take_about_forty_lines_and_further_ones_a_line_each():
         assert len(lines) <= LINES.get(section.heading, 1), section.heading
     assert set(LINES) <= {section.heading for section in shown}
     few, many = (str(Report(outcome)).splitlines() for outcome in (few, many))
-    # Empty lines around the table and the list, and none besides.
-    assert few.count("") == 3
+    # Empty lines around the table, what is said of its band, and the list.
+    assert few.count("") == 4
     assert len(many) == len(few) + 6
 
 
@@ -330,7 +332,7 @@ def test_dict_round_trip(outcome):
     data = Report(outcome).to_dict()
     text = json.dumps(data, allow_nan=False)
     assert json.loads(text) == data
-    assert data["schema_version"] == 3
+    assert data["schema_version"] == 4
     assert "curves" not in data
     assert len(data["effects"]) == len(outcome.effects)
     assert len(data["error_before"]) == len(outcome.joint_names)
@@ -590,3 +592,71 @@ def test_numbers_are_short(value, expected):
 )
 def test_joints_are_counted_from_one_or_named(name, expected):
     assert words.joint_label(("first", name), 1) == expected
+
+
+# -- ranges
+
+
+def outside(joint=1, quantity="position", **given):
+    return OutsideRange(
+        **{
+            "names": ("ripple", "spring"),
+            "joint": joint,
+            "quantity": quantity,
+            "fitted": (-1.25, 1.5),
+            "reached": 2.04,
+            "share": 0.125,
+            **given,
+        }
+    )
+
+
+def formats(report):
+    texts = (str(report), report.to_markdown().replace("\\", ""), report.to_html())
+    return [" ".join(text.replace("\u00a0", " ").split()) for text in texts]
+
+
+def test_effects_say_what_they_were_fitted_on():
+    effects = (make_effect(2, 1, NAMES), make_effect(0, 0, NAMES))
+    report = Report(make_outcome(effects=effects))
+    text, *others = formats(report)
+    # What an effect does not depend on is left to the table.
+    assert text.count("fitted on") == 1
+    assert "ripple" in text[: text.index("fitted on positions of -1.25 to 1.5 rad")]
+    for shown in others:
+        assert shown.count("up to 2 rad/s") == 2
+        assert shown.count("-30 to 45 N m") == 2
+    data = report.to_dict()["effects"][0]["ranges"]
+    assert data["position"] == [-1.25, 1.5]
+    assert data["depends"] == ["position"]
+
+
+def test_ranges_of_a_slider_are_in_metres():
+    effects = (make_effect(2, 0, NAMES),)
+    outcome = make_outcome(nv=1, effects=effects, torque_units=("N",))
+    for shown in formats(Report(outcome)):
+        assert "-1.25 to 1.5 m" in shown
+        assert " rad" not in shown.split("fitted on")[1][:60]
+
+
+def test_ranges_that_are_not_known_are_not_shown():
+    (effect,) = make_outcome(n_effects=1).effects
+    for ranges in (None, replace(effect.ranges, position=(np.nan,) * 2)):
+        report = Report(make_outcome(effects=(replace(effect, ranges=ranges),)))
+        for shown in formats(report):
+            assert "nan" not in shown
+            assert "-1.25 to 1.5" not in shown
+
+
+def test_untouched_data_outside_of_the_fit_are_marked():
+    found = (outside(), outside(0, "speed", fitted=(0.5, 1.0), names=("viscous",)))
+    report = Report(make_outcome(outside=found))
+    for shown in formats(report):
+        assert (
+            "joint 2: position reaches 2.04, fitted on -1.25 to 1.5 rad "
+            "(12.5 % of the rows; torque ripple and spring)"
+        ) in shown
+        assert "joint 1: speed reaches 2.04, fitted on 0.5 to 1 rad/s" in shown
+    assert report.to_dict()["outside"][0]["reached"] == 2.04
+    inside = formats(Report(make_outcome()))
+    assert not any("Outside the range" in shown for shown in inside)

@@ -48,7 +48,6 @@ def test_brackets_reach_to_the_next_points_of_the_grid():
     assert inner.logarithmic
     assert inner.value(inner.low) == pytest.approx(grid[1])
     assert inner.value(inner.high) == pytest.approx(grid[3])
-    assert inner.value(inner.place(grid[2])) == pytest.approx(grid[2])
     last = Bracket.of(effects.Stribeck(1, vs=grid[-1]), "vs", motion)
     assert last.value(last.high) == pytest.approx(grid[-1])
     # The sign itself has no smoothing to go on from.

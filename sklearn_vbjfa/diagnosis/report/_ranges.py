@@ -1,0 +1,72 @@
+"""The ranges that effects were fitted on, in words, and the section on leaving them."""
+
+from sklearn_vbjfa.diagnosis.report import _words as words
+
+_WHERE = {"position": "positions", "speed": "speeds", "load": "loads"}
+# A speed below this share of the fastest is that of a reversal.
+_SLOW = 0.1
+_UNITS = {"position": ("rad", "m"), "speed": ("rad/s", "m/s"), "load": ("N m", "N")}
+
+
+def range_text(outcome, joint, quantity, pair):
+    """Write a range with its unit, "-1.2 to 1.3 rad"."""
+    unit = _UNITS[quantity][int(outcome.torque_units[joint] == "N")]
+    low, high = (words.number(x) for x in pair)
+    if quantity == "speed" and pair[0] < _SLOW * pair[1]:
+        return f"up to {high} {unit}"
+    return f"{low} to {high} {unit}"
+
+
+def fitted_on(outcome, effect):
+    """List the ranges that an effect was fitted on, one a line; () if unknown."""
+    known = effect.ranges
+    if known is None:
+        return ()
+    lines = []
+    for quantity in _UNITS:
+        low, high = pair = getattr(known, quantity)
+        if low <= high:
+            lines.append(range_text(outcome, effect.joint, quantity, pair))
+    return tuple(lines)
+
+
+def known_for(outcome, effect):
+    """Say for which motion an effect is known; empty where it does not matter."""
+    known = effect.ranges
+    if known is None:
+        return ""
+    told = [
+        f"{_WHERE[quantity]} of "
+        f"{range_text(outcome, effect.joint, quantity, getattr(known, quantity))}"
+        for quantity in known.depends
+        if getattr(known, quantity)[0] <= getattr(known, quantity)[1]
+    ]
+    return f"fitted on {words.join(told)}" if told else ""
+
+
+def outside_sentences(outcome):
+    """Say where the untouched part leaves what effects were fitted on."""
+    found = []
+    for one in outcome.outside:
+        labels = [words.effect_label(outcome, name) for name in one.names]
+        fitted = range_text(outcome, one.joint, one.quantity, one.fitted)
+        reached = words.number(one.reached)
+        found.append(
+            f"{words.joint_label(outcome.joint_names, one.joint)}: {one.quantity} "
+            f"reaches {reached}, fitted on {fitted} "
+            f"({words.percent(one.share)} of the rows; {words.join(labels)})"
+        )
+    return tuple(found)
+
+
+def afterwards_text(effect):
+    """Say what an effect of time is taken to do after the recording; else empty."""
+    known = effect.afterwards
+    if known is None:
+        return ""
+    when = f"after {words.number(known.seconds)} s"
+    left = [
+        words.with_error(value, known.intervals.get(name), effect.units.get(name, ""))
+        for name, value in known.left.items()
+    ]
+    return f"{when} it {known.how}" + (f" from {words.join(left)}" if left else "")

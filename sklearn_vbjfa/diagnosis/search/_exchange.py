@@ -1,0 +1,245 @@
+"""What one step at a time cannot reach: pairs, swaps, and a last pass backwards.
+
+A greedy search stops where no single effect is worth its name, although two would be,
+and it keeps what it took early for two others, or two for one. The shape of what a
+joint has is tuned to what it lacked, so that whatever is tried beside it has to be
+judged with that shape free again.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.search._evidence import (
+    Evidence,
+    Rule,
+    compare,
+    no_worse,
+)
+from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
+from sklearn_vbjfa.diagnosis.search._shapes import retuned, tuned
+
+# Effects of a joint that a second one is tried beside, the best ones alone.
+_FIRST = 3
+# Rules by which a step is taken, as they are reported.
+PAIR = "Bonferroni over the pairs of the joint, where no single effect passed"
+FOR_TWO = "Bonferroni over the pairs of the joint, in place of what they replace"
+FOR_ONE = "one effect in place of two, simpler and no worse"
+BACKWARDS = "last pass from the full model backwards"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Pair:
+    """The best two effects of a joint beside a model, shapes tuned with each other.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        The two.
+    evidence : Evidence
+        For the model with them, against the present one.
+    model : SearchModel
+        That model.
+    n_tests : int
+        Pairs that were tried.
+    """
+
+    effects: tuple
+    evidence: Evidence
+    model: SearchModel
+    n_tests: int
+
+
+def exchange(search):
+    """Try pairs and swaps on every joint; whether anything was changed.
+
+    Of an `EffectSearch` in which no single effect passes any more.
+    """
+    model = search.model
+    above = (model.precision > 0) & ~search.at_floor(model.squares)
+    for joint in np.flatnonzero(model.precision > 0).tolist():
+        own = [e for e in model.effects if e.joint == joint and not e.whole_robot]
+        if _two_for_one(search, joint, own):
+            return True
+        if not above[joint] or search.is_full():
+            continue
+        if _pair(search, joint, None):
+            return True
+        if any(_pair(search, joint, effect) for effect in own):
+            return True
+    return False
+
+
+def _pair(search, joint, replaced):
+    """Add two effects, in place of one where that is given; whether that was done."""
+    pair = _best_pair(search, joint, replaced)
+    if pair is None:
+        return False
+    level = search.alpha / (pair.n_tests * max(int((search.view.rows > 0).sum()), 1))
+    if not pair.evidence.significant(level):
+        return False
+    for effect in pair.effects:
+        base = pair.model.beside(pair.model.without(effect))
+        _, refusal = search.later(effect, base)
+        if refusal is not None:
+            return False
+        # Each has to earn its place beside the other.
+        alone = compare(*pair.model.relevant(effect, base.squares, pair.model.squares))
+        if not alone.gain > alone.gain_std:
+            return False
+    rest = [e for e in search.model.effects if e is not replaced]
+    rule = Rule(
+        name=PAIR if replaced is None else FOR_TWO, level=level, n_tests=pair.n_tests
+    )
+    first, second = pair.effects
+    search.step(
+        "add" if replaced is None else "replace",
+        first,
+        [*rest, first],
+        evidence=pair.evidence,
+        replaced=replaced,
+        rule=rule,
+    )
+    search.step(
+        "add", second, list(pair.model.effects), evidence=pair.evidence, rule=rule
+    )
+    return True
+
+
+def _best_pair(search, joint, replaced):
+    """Best two effects of a joint in place of one or none, a `_Pair` or None."""
+    model = search.model
+    rest = [e for e in model.effects if e is not replaced]
+    base = model if replaced is None else model.beside(rest, None)
+    singles = search.scored(joint, base)
+    if not singles:
+        return None
+    singles.sort(key=lambda one: one.squares[:, joint].sum())
+    best, n_tests = None, 0
+    tried = set()
+    for one in singles[:_FIRST]:
+        beside = base.beside([*rest, one.effect])
+        for other in search.scored(joint, beside):
+            names = frozenset((one.effect.key(), other.effect.key()))
+            n_tests += names not in tried
+            tried.add(names)
+            error = other.squares[:, joint].sum()
+            if best is None or error < best[0]:
+                best = error, one.effect, other.effect
+    if best is None or best[0] >= model.squares[:, joint].sum():
+        return None
+    _, first, second = best
+    larger = retuned(SearchModel.of(model.view, [*rest, first, second], model), joint)
+    residual = larger.residuals()
+    white = [Judge(m, residual).squares[:, joint] for m in (model, larger)]
+    squares = [m.squares[:, joint] for m in (model, larger)]
+    return _Pair(
+        effects=larger.effects[-2:],
+        evidence=compare(*squares, white=white),
+        model=larger,
+        n_tests=n_tests,
+    )
+
+
+def _two_for_one(search, joint, own):
+    """Put one effect in the place of two of a joint; whether that was done."""
+    model = search.model
+    for i, first in enumerate(own):
+        for second in own[i + 1 :]:
+            rest = [e for e in model.effects if e is not first and e is not second]
+            base = model.beside(rest, None)
+            both = model.squares[:, joint]
+            fit = [
+                one
+                for one in search.scored(joint, base)
+                if one.effect.complexity < first.complexity + second.complexity
+                and no_worse(both, one.squares[:, joint])
+            ]
+            if not fit:
+                continue
+            best = min(
+                fit,
+                key=lambda one: (one.effect.complexity, one.squares[:, joint].sum()),
+            )
+            if best.effect.key() in {first.key(), second.key()}:
+                # Then the other one is superfluous, for which there is a rule.
+                continue
+            if _put(search, best, base, (first, second)):
+                return True
+    return False
+
+
+def _put(search, candidate, base, replaced):
+    """Put a candidate in the place of two effects unless later data refuse it."""
+    successor = tuned(candidate.effect, base)
+    _, refusal = search.later(successor, base)
+    if refusal is not None:
+        return False
+    evidence = compare(
+        *base.relevant(successor, search.model.squares, candidate.squares)
+    )
+    rule = Rule(name=FOR_ONE)
+    first, second = replaced
+    search.step(
+        "replace",
+        successor,
+        [*base.effects, second, successor],
+        replaced=first,
+        evidence=evidence,
+        rule=rule,
+    )
+    search.step(
+        "drop", second, [*base.effects, successor], evidence=evidence, rule=rule
+    )
+    return True
+
+
+def backwards(search):
+    """Prune once more from all that was ever accepted or a rival of it.
+
+    What a step replaced or dropped was judged beside the model of that time. Taken
+    together again and dropped one by one, the least useful first, the effects end at a
+    set that does not depend on the order in which they were found; it is taken if it is
+    better than the present one, or simpler and no worse.
+    """
+    present = {effect.key() for effect in search.model.effects}
+    again = {}
+    for step in search.steps:
+        offered = [step.effect, step.replaced, *(c.effect for c in step.rivals)]
+        for effect in offered:
+            if effect is not None and effect.key() not in present | search.refused:
+                again[effect.key()] = effect
+    if not again or search.max_effects is not None:
+        return
+    model = search.model
+    full = SearchModel.of(search.view, [*model.effects, *again.values()], model)
+    trial = replace(search, model=full, steps=[])
+    trial.prune()
+    other = trial.model
+    ends = {effect.key(): effect for effect in other.effects}
+    joints = sorted({e[1] for e in present ^ ends.keys()})
+    new = [effect for key, effect in ends.items() if key not in present]
+    if not joints or any(
+        search.later(e, other.beside(other.without(e)))[1] for e in new
+    ):
+        return
+    residual = other.residuals()
+    white = [Judge(m, residual).squares[:, joints].sum(axis=1) for m in (model, other)]
+    raw = [m.squares[:, joints] @ model.precision[joints] for m in (model, other)]
+    evidence = compare(*raw, white=white)
+    level = search.alpha / len(again)
+    simpler = _complexity(other) < _complexity(model)
+    if not evidence.significant(level) and not (simpler and no_worse(*raw)):
+        return
+    rule = Rule(name=BACKWARDS, level=level, n_tests=len(again))
+    effects = list(model.effects)
+    for effect in new:
+        effects.append(effect)
+        search.step("add", effect, effects, evidence=evidence, rule=rule)
+    for effect in [e for e in model.effects if e.key() not in ends]:
+        effects = [e for e in effects if e is not effect]
+        search.step("drop", effect, effects, evidence=evidence, rule=rule)
+
+
+def _complexity(model):
+    return sum(effect.complexity for effect in model.effects)

@@ -1,0 +1,236 @@
+"""What physically consistent parameters cost, and which body or channel makes them.
+
+A model without the constraints fits its recording better, if only its noise. Where it
+also predicts untouched data better, by more than chance, the constraints contradict
+the torques: something that is not in the model was taken up by impossible bodies.
+"""
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+from sklearn.base import clone
+
+from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN
+from sklearn_vbjfa.diagnosis.search._intervals import error_intervals, quantile
+from sklearn_vbjfa.model._loading import body_names
+from sklearn_vbjfa.robot._estimate import estimate, from_moments, project
+
+# What is freed is to blame if most of the distance goes with it.
+_MOST = 0.5
+# Of bodies that can be freed with nearly the same effect, this many are named; more are
+# no answer, as neighbouring bodies stand in for each other.
+_AS_GOOD, _NAMED = 0.9, 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pushed:
+    """A body, or a joint's friction, that the constraints hold back.
+
+    Attributes
+    ----------
+    joint : int
+        Its joint, from zero.
+    name : str
+        Name of the body that the joint moves.
+    kind : {"body", "friction"}
+        Whose constraint it is.
+    share : float
+        Share of the distance between the estimate and the consistent parameters, in
+        the metric of the fit, that goes if this constraint alone is lifted.
+    parameter : str
+        What the constraints move most of it, in standard deviations, among what the
+        data determine by itself; empty if they leave all of that in its interval.
+    unit : str
+        Its unit.
+    free, held : float
+        Its values without and with the constraints; nan without a parameter.
+    deviations : float
+        By how many standard deviations it moves; nan without a parameter.
+    """
+
+    joint: int
+    name: str
+    kind: str
+    share: float
+    parameter: str = ""
+    unit: str = ""
+    free: float = np.nan
+    held: float = np.nan
+    deviations: float = np.nan
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ProjectionPrice:
+    """Errors on untouched data with and without physically consistent parameters.
+
+    Attributes
+    ----------
+    free, held : ndarray of shape (nv,)
+        Error of the completed model with `theta_unconstrained_` and with `theta_`,
+        over the spread of the torque.
+    interval : ndarray of shape (2, nv)
+        90 % interval of their difference, held minus free, over the next 50 s of the
+        same motion.
+    price : ndarray of shape (nv,)
+        The difference where it is above 0 by more than its interval, and as large as
+        what an effect has to save to be named; 0 elsewhere, nan where unknown.
+    pushed : tuple of Pushed
+        What is held back, the most costly first; empty where the constraints cost
+        nothing or no single one of them does.
+    channel : int or None
+        Joint, from zero, without whose torques the others need most of the constraints
+        no more; None if there is no such joint.
+    channel_share : float
+        Share of the distance that goes without them; nan without a channel.
+    """
+
+    free: np.ndarray
+    held: np.ndarray
+    interval: np.ndarray
+    price: np.ndarray
+    pushed: tuple = ()
+    channel: int | None = None
+    channel_share: float = np.nan
+
+    @property
+    def costs(self):
+        """Joints whose error the constraints raise by more than chance, (nv,), bool."""
+        return self.price > 0
+
+
+def without_constraints(robot):
+    """Copy a fitted identifier, which predicts with its unconstrained parameters."""
+    other = copy.copy(robot)
+    other.theta_ = robot.theta_unconstrained_
+    return other
+
+
+def price_of(robot, untouched, searched, spread, step):
+    """Price of the constraints of a fitted identifier, a `ProjectionPrice`.
+
+    untouched, searched : pairs of `TorqueResiduals`, with its unconstrained and with
+    its own parameters; spread (nv,) : of the torque [N m or N]; step : time between
+    rows [s].
+    """
+    free, held = (part.relative_error(spread) for part in untouched)
+    interval = error_intervals(untouched, searched, spread, step)["difference"]
+    with np.errstate(invalid="ignore"):
+        material = free**2 < (1.0 - SMALLEST_GAIN) * held**2
+        price = np.where((interval[0] > 0) & material, held - free, 0.0)
+    price[~np.isfinite(held - free)] = np.nan
+    found = ProjectionPrice(free=free, held=held, interval=interval, price=price)
+    if not found.costs.any():
+        return found
+    channel, share = _channel(robot)
+    return replace(found, pushed=_pushed(robot), channel=channel, channel_share=share)
+
+
+def _distance(metric, theta, other):
+    """Squared distance of two vectors of parameters in a metric."""
+    moved = other - theta
+    return float(moved @ metric @ moved)
+
+
+def _pushed(robot):
+    """Bodies and friction whose constraint alone is most of the price."""
+    projector, theta = robot.projector_, robot.theta_unconstrained_
+    covered = projector.n_features_in_
+    whole = _distance(projector.metric_, theta[:covered], robot.theta_[:covered])
+    if not whole > 0:
+        return ()
+    per_joint = robot.features_.n_parameters_ // robot.features_.n_joints_
+    starts, signs = projector.body_starts_, projector.nonnegative_
+    found = []
+    for joint in range(robot.features_.n_joints_):
+        own = slice(joint * per_joint, (joint + 1) * per_joint)
+        friction = signs[(signs >= own.start) & (signs < own.stop)]
+        lifted = []
+        # A robot needs a body; of a single one the whole price is its own.
+        if starts.size > 1:
+            others = starts[starts != own.start]
+            lifted.append(("body", {"body_starts": others, "nonnegative": signs}))
+        else:
+            found.append(_moved(robot, joint, "body", 1.0))
+        if (theta[friction] < 0).any():
+            kept = np.setdiff1d(signs, friction)
+            lifted.append(("friction", {"body_starts": starts, "nonnegative": kept}))
+        for kind, constraints in lifted:
+            freed = _lift(projector, theta[:covered], constraints)
+            left = _distance(projector.metric_, theta[:covered], freed) / whole
+            found.append(_moved(robot, joint, kind, 1.0 - left))
+    found.sort(key=lambda one: -one.share)
+    least = max(_MOST, _AS_GOOD * found[0].share)
+    named = tuple(one for one in found if one.share >= least)
+    return named if len(named) <= _NAMED else ()
+
+
+def _lift(projector, theta, constraints):
+    """Project a vector with fewer constraints than a fitted projector has."""
+    scales = {}
+    if "body_starts" in constraints:
+        kept = np.isin(projector.body_starts_, constraints["body_starts"])
+        scales = {
+            "mass_scale": projector.mass_scale_[kept],
+            "length_scale": projector.length_scale_[kept],
+        }
+    other = clone(projector).set_params(**constraints, **scales)
+    return other.fit(theta[None]).transform(theta[None])[0]
+
+
+def _moved(robot, joint, kind, share):
+    """Describe what the constraints move most of a body or of a joint's friction."""
+    per_joint = robot.features_.n_parameters_ // robot.features_.n_joints_
+    start = joint * per_joint
+    if kind == "body":
+        own = np.arange(start, start + 10)
+    else:
+        own = np.arange(start + 10, start + per_joint)
+    std = robot.theta_std_[own]
+    moved = np.abs(robot.theta_ - robot.theta_unconstrained_)[own]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where(robot.identifiable_[own] & (std > 0), moved / std, -1.0)
+    best = int(np.argmax(ratio))
+    name = body_names(robot.features_.model_)[joint]
+    found = Pushed(joint=joint, name=name, kind=kind, share=share)
+    if not ratio[best] > quantile(np.inf):
+        return found
+    at = own[best]
+    return replace(
+        found,
+        parameter=robot.parameter_names_[at].rpartition(":")[2],
+        unit=robot.parameter_units_[at],
+        free=float(robot.theta_unconstrained_[at]),
+        held=float(robot.theta_[at]),
+        deviations=float(ratio[best]),
+    )
+
+
+def _channel(robot):
+    """Joint without whose torques most of the constraints are not needed, and how much.
+
+    The fit is repeated without the torques of each joint in turn. (None, nan) if no
+    joint stands out: its share has to be most of the price, and what is left without
+    it less than half of what is left without any other.
+    """
+    moments = robot.estimator_.statistics_
+    weights = robot.estimator_.joint_weights_
+    regressor = robot.regressor if from_moments(robot.regressor) else None
+
+    def distance(weight):
+        found = estimate(moments, regressor, joint_weights=weight)
+        held = project(found, robot.projector, robot.features_)
+        return _distance(found.metric, found.theta, held.theta)
+
+    whole, left = distance(weights), np.full(weights.size, np.inf)
+    others = np.flatnonzero(weights > 0)
+    if others.size < 2 or not whole > 0:
+        return None, np.nan
+    for joint in others:
+        weight = weights.copy()
+        weight[joint] = 0.0
+        left[joint] = distance(weight) / whole
+    first, second = np.argsort(left)[:2]
+    if left[first] < min(1.0 - _MOST, 0.5 * left[second]):
+        return int(first), float(1.0 - left[first])
+    return None, np.nan

@@ -1,0 +1,359 @@
+"""Effects of the channels: positions and torques that passed different filters."""
+
+from numbers import Real
+
+import numpy as np
+from scipy import signal
+from sklearn.base import clone
+
+from sklearn_vbjfa.effects._base import TIME, Effect
+
+# Delays to try [s].
+_DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
+# Time constants to try, in periods of the low-pass over 2 pi.
+_CONSTANTS = (0.2, 0.6, 1.8)
+# Fastest that a filter can be and still show between samples: its time constant, in
+# samples.
+_SAMPLES = 0.5
+# Without a low-pass, this share of the sample rate is what is let through.
+_SLOWEST = 0.1
+# A normal weight function is cut off after so many standard deviations.
+_TAIL = 4.0
+# Frequency at which a normal weight function of 1 s leaves half the power [Hz].
+_HALF_POWER = np.sqrt(np.log(2.0)) / (2 * np.pi)
+# A coefficient may differ by this factor from what the columns were made with: beyond,
+# they stand for something else.
+_FACTOR = 2.0
+
+
+def model_torque(motion, joint):
+    """Torque of the model on a joint (n,), or of its rigid bodies where unknown."""
+    torque = motion.load if motion.torque is None else motion.torque
+    return torque[:, joint]
+
+
+def low_pass(x, dt, time_constant):
+    """First-order low-pass of a signal (n,) between whose samples it is straight.
+
+    T dy/dt = x - y, solved exactly, from the state that the first sample would keep.
+    """
+    left = np.exp(-dt / time_constant)
+    mean = time_constant / dt * (1 - left)
+    return signal.lfilter([1 - mean, mean - left], [1, -left], x, zi=mean * x[:1])[0]
+
+
+def smooth(x, dt, time_constant):
+    """Average a signal (n,) with normal weights of a standard deviation [s].
+
+    Beyond its ends the signal keeps its first and last value.
+    """
+    sigma = time_constant / dt
+    reach = int(np.ceil(_TAIL * sigma))
+    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    padded = np.pad(x, reach, mode="edge")
+    return signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
+
+
+class Delay(Effect):
+    """The torque signal lags behind the positions.
+
+    The column is (tau(t - delay) - tau(t)) / delay, the model's torque shifted, so
+    that its coefficient is the delay [s] again: to first order -dtau/dt.
+
+    A smoothing of the torque looks like a delay of either signal: where the same delay
+    the other way round saves nearly as much, a search finds none.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    delay : float, default=0.001
+        Shift [s]; negative if the positions lag.
+
+    References
+    ----------
+    .. [1] L. Ljung, "System Identification: Theory for the User", Prentice Hall, 1999,
+       section 10.3 (delays).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa.effects import Delay
+    >>> t = np.arange(5.0)
+    >>> states = np.zeros((5, 3))
+    >>> Delay(delay=1.0).fit(states).transform(states, t=t, load=t[:, None]).ravel()
+    array([ 0., -1., -1., -1., -1.])
+    """
+
+    name = "delay"
+    label = "delay of the torque signal"
+    formula = r"\tau(t - \mathrm{delay}) - \tau(t)"
+    coefficients = ("delay_estimate",)
+    units = (TIME,)
+    named_units = shape_units = (("delay", TIME),)
+    needs = ("load", "time")
+    continuous = ("delay",)
+    visible = "fast changes of the torque"
+    record = "fast changes of the torque"
+
+    def __init__(self, joint=0, delay=0.001):
+        super().__init__(joint)
+        self.delay = delay
+
+    def check(self):
+        """Refuse no delay at all; see `Effect.check`."""
+        super().check()
+        if not (isinstance(self.delay, Real) and 0 < abs(self.delay) < np.inf):
+            raise ValueError(f"delay must be finite and not zero; got {self.delay!r}.")
+
+    def plausible(self, coef):
+        """Whether the delay found is about the shift; see `Effect.plausible`."""
+        return 1 / _FACTOR < float(coef[0]) / self.delay < _FACTOR
+
+    def natural(self, coef):
+        """Whether the delay found has the sign of the shift; see `Effect.natural`."""
+        return float(coef[0]) / self.delay > 0
+
+    def opposite(self):
+        """Return the same delay of the other signal; see `Effect.opposite`."""
+        return clone(self).set_params(delay=-self.delay)
+
+    def key(self):
+        """Tell a delay of the torque from one of the positions; see `Effect.key`."""
+        return (self.name, self.joint, bool(self.delay > 0))
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Say which signal is late, and by how much; see `Effect.describe`."""
+        delay = shape.get("delay")
+        if not delay:
+            return cls.label
+        late, other = ("torque", "position")[:: 1 if delay > 0 else -1]
+        return f"delay: {late} lags {other} by {1e3 * abs(delay):.2g} ms"
+
+    def columns(self, motion):
+        """Shifted torque less the torque itself; see `Effect.columns`."""
+        torque = model_torque(motion, self.joint)
+        out = np.empty_like(torque)
+        for part in motion.parts:
+            t = motion.t[part]
+            lagged = np.interp(t - self.delay, t, torque[part])
+            out[part] = (lagged - torque[part]) / self.delay
+        return out[:, None]
+
+    def shapes(self, motion):
+        """Delays up to 30 ms, of either signal."""
+        return [{"delay": way * d} for d in _DELAYS for way in (1, -1)]
+
+    def parameters(self, coef):
+        """Delay, the coefficient; see `Effect.parameters`."""
+        return {"delay": float(coef[0])}
+
+
+class TorqueFilter(Effect):
+    """The torque passed a filter that the positions did not pass, or the reverse.
+
+    The column is (F tau - tau) / T for a filter F of the time constant T that acts on
+    the model's torque, so that its coefficient is T again. Where the positions passed
+    it, the measured torque is the inverse filter's,
+    to second order tau + (1 - F) tau + (1 - F)^2 tau.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    kind : {"lag", "smooth"}, default="lag"
+        A causal low-pass of the first order, T dy/dt = x - y, or an average with normal
+        weights that delays nothing, of standard deviation T.
+    of : {"torque", "position"}, default="torque"
+        Which channel passed it.
+    time_constant : float, default=0.01
+        T [s].
+
+    Notes
+    -----
+    The normal weights leave half the power at the frequency sqrt(log 2) / (2 pi T),
+    the cut-off that a filter is usually called by; `parameters` gives it as "cutoff"
+    [Hz]. What an engineer's smoothing is made of, a moving average or a filter applied
+    forwards and backwards, differs from it little in the band that it lets through.
+
+    Where T is short beside the motion, the lag is a `Delay` by T, and the torque of an
+    `Elastic` joint or a `Jerk` can be the same.
+
+    References
+    ----------
+    .. [1] L. Ljung, "System Identification: Theory for the User", Prentice Hall, 1999,
+       section 14.4 (prefilters: input and output must pass the same one).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa.effects import TorqueFilter
+    >>> t = 0.01 * np.arange(4)
+    >>> states = np.zeros((4, 3))
+    >>> step = np.array([[0.0], [1.0], [1.0], [1.0]])
+    >>> lag = TorqueFilter(time_constant=0.01).fit(states)
+    >>> (step + 0.01 * lag.transform(states, t=t, load=step)).ravel().round(3)
+    array([0.   , 0.368, 0.767, 0.914])
+    """
+
+    name = "torque_filter"
+    label = "filter of the torque signal"
+    formula = r"F_T\,\tau - \tau"
+    coefficients = ("time_constant_estimate",)
+    units = (TIME,)
+    named_units = (("time_constant", TIME), ("cutoff", ("Hz", "Hz")))
+    shape_units = (("time_constant", TIME),)
+    needs = ("load", "time")
+    continuous = ("time_constant",)
+    positive = ("time_constant",)
+    nonnegative = ("time_constant_estimate",)
+    visible = "changes of the torque as fast as the filter"
+    record = "fast changes of the torque, both channels unfiltered"
+
+    def __init__(self, joint=0, kind="lag", of="torque", time_constant=0.01):
+        super().__init__(joint)
+        self.kind = kind
+        self.of = of
+        self.time_constant = time_constant
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Say which channel was filtered, and how; see `Effect.describe`."""
+        T = shape.get("time_constant")
+        if not T:
+            return cls.label
+        if shape.get("kind") == "smooth":
+            about = f"with about {_HALF_POWER / T:.2g} Hz"
+            if shape.get("of") == "position":
+                return f"filter: the position was smoothed {about}, the torque was not"
+            return f"filter: the torque was smoothed {about}"
+        late, other = "torque", "position"
+        if shape.get("of") == "position":
+            late, other = other, late
+        return f"filter: {late} lags {other} by a low-pass of {1e3 * T:.2g} ms"
+
+    def check(self):
+        """Refuse an unknown kind or channel; see `Effect.check`."""
+        super().check()
+        for name, known in (("kind", _FILTERS), ("of", ("torque", "position"))):
+            if getattr(self, name) not in known:
+                raise ValueError(
+                    f"{name} of {self.name} must be one of {list(known)}; got "
+                    f"{getattr(self, name)!r}."
+                )
+
+    def plausible(self, coef):
+        """Whether the filter found is about the column's; see `Effect.plausible`."""
+        return 1 / _FACTOR < float(coef[0]) / self.time_constant < _FACTOR
+
+    def opposite(self):
+        """Return the same filter of the other channel; see `Effect.opposite`."""
+        other = "torque" if self.of == "position" else "position"
+        return clone(self).set_params(of=other)
+
+    def columns(self, motion):
+        """Return what the filter changes in the torque; see `Effect.columns`."""
+        self.check()
+        torque = model_torque(motion, self.joint)
+        out = np.zeros_like(torque)
+        for part in motion.parts:
+            if part.stop - part.start < 2:
+                continue
+            t, T = motion.t[part], self.time_constant
+            dt = (t[-1] - t[0]) / (t.size - 1)
+            change = _FILTERS[self.kind](torque[part], dt, T) - torque[part]
+            if self.of == "position":
+                # 1 / F = 1 / (1 - (1 - F))
+                change = _FILTERS[self.kind](change, dt, T) - 2 * change
+            out[part] = change / T
+        return out[:, None]
+
+    def shapes(self, motion):
+        """Time constants around what the low-pass lets through."""
+        if motion.t.size < 2:
+            return []
+        dt = np.median(np.diff(motion.t))
+        band = min(motion.bandwidth, _SLOWEST / dt)
+        shapes = [s / (2 * np.pi * band) for s in _CONSTANTS]
+        return [
+            {"kind": kind, "of": of, "time_constant": float(T)}
+            for kind in _FILTERS
+            for of in ("torque", "position")
+            for T in shapes
+            if T >= _SAMPLES * dt
+        ]
+
+    def parameters(self, coef):
+        """Time constant, the coefficient, and the cut-off; see `Effect.parameters`."""
+        T = float(coef[0])
+        if self.kind == "smooth":
+            # The column goes with the square of the time constant.
+            T = float(np.sqrt(max(T, 0.0) * self.time_constant))
+        cutoff = _HALF_POWER if self.kind == "smooth" else 1 / (2 * np.pi)
+        return {"time_constant": T, "cutoff": float(cutoff / T) if T else np.inf}
+
+
+_FILTERS = {"lag": low_pass, "smooth": smooth}
+
+
+class Jerk(Effect):
+    """Torque in proportion to the third derivative of the position, tau = J da/dt.
+
+    Nothing in a rigid body has it. Positions that lag by a time T make it, with J = T
+    times the inertia: the torque of the inertia is ahead of them by T da/dt, while
+    the reversal of the friction need not be, where it is the drive's own. A torque that
+    lags makes it with J < 0, and so does what is left of a flexible drive whose spring
+    is damped [1]_.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+
+    Notes
+    -----
+    `Delay` and `TorqueFilter` shift or filter all of the model's torque; where it is
+    mostly inertia they are the same to first order.
+
+    References
+    ----------
+    .. [1] A. Janot, M. Gautier, M. Brunot, "Data set and reference models of EMPS",
+       Workshop on Nonlinear System Identification Benchmarks, 2019.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa.effects import Jerk
+    >>> t = 0.1 * np.arange(4)
+    >>> states = np.column_stack([0 * t, 0 * t, 3 * t])
+    >>> Jerk().fit(states).transform(states, t=t).ravel().round(9)
+    array([3., 3., 3., 3.])
+    """
+
+    name = "jerk"
+    label = "third derivative of the position"
+    formula = r"J\,\dot a"
+    coefficients = ("J",)
+    units = (("N m s^3/rad", "N s^3/m"),)
+    needs = ("time",)
+    visible = "fast changes of the acceleration"
+    record = "fast changes of the acceleration"
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Say which signal is late, from the sign; see `Effect.describe`."""
+        J = shape.get("J")
+        if not J:
+            return cls.label
+        late, other = ("position", "torque")[:: 1 if J > 0 else -1]
+        return f"jerk: {late} lags {other}, or flexibility"
+
+    @property
+    def complexity(self):
+        """As many as a delay or a filter has, which are what it stands for."""
+        return 2
+
+    def columns(self, motion):
+        """Differentiate the acceleration; see `Effect.columns`."""
+        return motion.derivative(motion.a[:, [self.joint]])

@@ -1,0 +1,175 @@
+"""The ranges of motion that an effect was fitted on, and what lies outside of them."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+# A prediction is outside where it leaves the range of the fit by more than this share
+# of its width. The standard deviation of a straight line through evenly spread data is
+# 1.31 times that at the end of the range there, that of a parabola 1.46 times (Legendre
+# polynomials), and both grow from there on, the latter with the square.
+STRAIGHT, CURVED = 0.2, 0.1
+# Share of the rows that may be farther out: peaks of a random motion, and outliers.
+OUTLIERS = 0.005
+# Share of a value by which two computations of the same motion may differ.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectRange:
+    """What an effect was fitted on: ranges of its joint's signals in the fit.
+
+    The signals are those behind the low-pass of the fit, in rows with weight in which
+    the joint moves. A range is (lowest, highest), (nan, nan) where it is not known.
+
+    Attributes
+    ----------
+    name : str
+        Effect.
+    joint : int
+        Joint, from zero.
+    position : tuple of (float, float)
+        Positions [rad or m].
+    speed : tuple of (float, float)
+        Speeds in either direction, the slowest and the fastest [rad/s or m/s].
+    load : tuple of (float, float)
+        Torques of the rigid bodies [N m or N].
+    depends : tuple of {"position", "speed", "load"}
+        Those of them that the effect's columns go on changing with, so that its torque
+        is extrapolated outside the range; see `Effect`.
+    curved : bool
+        Whether they do so in another way than along a straight line.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import EffectRange
+    >>> spring = EffectRange(
+    ...     name="spring", joint=0, position=(-1.0, 1.0), speed=(0.1, 2.0),
+    ...     load=(0.0, 9.0), depends=("position",),
+    ... )
+    >>> spring.excess("position", [-1.5, 0.0, 1.1]).round(6)
+    array([0.5, 0. , 0.1])
+    """
+
+    name: str
+    joint: int
+    position: tuple
+    speed: tuple
+    load: tuple
+    depends: tuple = ()
+    curved: bool = False
+
+    def excess(self, quantity, values):
+        """How far values lie outside the range of a quantity.
+
+        Parameters
+        ----------
+        quantity : {"position", "speed", "load"}
+            What they are.
+        values : array-like of shape (n,)
+            Values, in the unit of the range.
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Distance from the range; zero within it, and where it is not known.
+        """
+        low, high = getattr(self, quantity)
+        values = np.asarray(values, dtype=float)
+        beyond = np.maximum(low - values, values - high)
+        return np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
+
+    def margin(self, quantity):
+        """How far outside a prediction still counts as inside.
+
+        Parameters
+        ----------
+        quantity : {"position", "speed", "load"}
+            Of which range.
+
+        Returns
+        -------
+        float
+            A fifth of the width of the range, a tenth if the effect is `curved`, in the
+            unit of the range; nan where it is not known. Speeds have both directions,
+            and their range counts twice.
+        """
+        low, high = getattr(self, quantity)
+        share = CURVED if self.curved else STRAIGHT
+        sides = 2.0 if quantity == "speed" else 1.0
+        return share * sides * (high - low) + ROUNDING * max(abs(low), abs(high))
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutsideRange:
+    """Motion outside the range that effects of a joint were fitted on.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Effects whose torque is extrapolated.
+    joint : int
+        Joint, from zero.
+    quantity : {"position", "speed", "load"}
+        What is outside.
+    fitted : tuple of (float, float)
+        Range of the fit.
+    reached : float
+        Farthest value, but for the farthest half per cent of the rows.
+    share : float
+        Share of the rows that lie outside by more than the margin, see `EffectRange`.
+    """
+
+    names: tuple
+    joint: int
+    quantity: str
+    fitted: tuple
+    reached: float
+    share: float
+
+
+def outside(ranges, signals, counts):
+    """Find what lies outside the ranges of effects, a tuple of `OutsideRange`.
+
+    Parameters
+    ----------
+    ranges : iterable of EffectRange
+        Of all effects.
+    signals : dict of str to ndarray of shape (n, nv)
+        Positions, speeds and loads by quantity.
+    counts : dict of str to ndarray of shape (n, nv), bool
+        Rows to judge, by quantity.
+    """
+    found = {}
+    for one in ranges:
+        for quantity in one.depends:
+            joint = one.joint
+            values = signals[quantity][counts[quantity][:, joint], joint]
+            said = _outside(one, quantity, values)
+            if said is not None:
+                found.setdefault((joint, quantity), []).append(said)
+    return tuple(
+        replace(
+            max(several, key=lambda one: one.share),
+            names=tuple(dict.fromkeys(name for one in several for name in one.names)),
+        )
+        for _, several in sorted(found.items())
+    )
+
+
+def _outside(one, quantity, values):
+    """Judge values (n,) by one effect's range; None if they are inside."""
+    excess = one.excess(quantity, values)
+    far = excess > one.margin(quantity)
+    if not far.sum() > OUTLIERS * far.size:
+        return None
+    order = np.argsort(excess, kind="stable")
+    last = order[far.size - 1 - int(OUTLIERS * far.size)]
+    return OutsideRange(
+        names=(one.name,),
+        joint=one.joint,
+        quantity=quantity,
+        fitted=getattr(one, quantity),
+        reached=float(values[last]),
+        share=float(far.mean()),
+    )

@@ -1,0 +1,119 @@
+"""Ranges of a robot's signals in the rows of a fit, and those of each effect."""
+
+import functools
+import operator
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.effects import EffectRange, resolve
+from sklearn_vbjfa.effects._base import POSITION, SPEED, TORQUE
+
+_UNITS = {"position": POSITION, "speed": SPEED, "load": TORQUE}
+_PLURALS = {"position": "positions", "speed": "speeds", "load": "loads"}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SignalRanges:
+    """Lowest and highest values of signals in the rows of each joint that count.
+
+    Attributes
+    ----------
+    lowest, highest : ndarray of shape (k, nv)
+        Of k signals of each joint; infinite, and of the wrong order, without a row.
+    """
+
+    lowest: np.ndarray
+    highest: np.ndarray
+
+    @classmethod
+    def of(cls, signals, counts):
+        """Ranges of signals (k arrays of shape (n, nv)) in rows that count, (n, nv)."""
+        return cls(
+            lowest=np.array([_extreme(np.min, x, counts, np.inf) for x in signals]),
+            highest=np.array([_extreme(np.max, x, counts, -np.inf) for x in signals]),
+        )
+
+    def __add__(self, other):
+        """Merge the ranges of disjoint rows."""
+        return SignalRanges(
+            lowest=np.minimum(self.lowest, other.lowest),
+            highest=np.maximum(self.highest, other.highest),
+        )
+
+    def pairs(self):
+        """Return (lowest, highest) by signal and joint; nan where there is no row."""
+        return [
+            [
+                (float(low), float(high)) if low <= high else _UNKNOWN
+                for low, high in zip(lows, highs)
+            ]
+            for lows, highs in zip(self.lowest, self.highest)
+        ]
+
+
+_UNKNOWN = (float("nan"), float("nan"))
+
+
+def _extreme(function, values, counts, nothing):
+    return function(values, axis=0, where=counts, initial=nothing)
+
+
+def sum_ranges(several):
+    """Merge `SignalRanges`; None if one of them is not known."""
+    several = list(several)
+    if any(one is None for one in several):
+        return None
+    return functools.reduce(operator.add, several)
+
+
+def effect_ranges(friction, effects, motion, load=None):
+    """Return an `EffectRange` for each joint's declared friction, then each effect.
+
+    friction : names of the declared columns; effects : tuple of Effect; motion :
+    `SignalRanges` of positions and speeds; load : that of the loads, if known.
+    """
+    positions, speeds = motion.pairs()
+    nv = len(positions)
+    loads = nv * [_UNKNOWN] if load is None else load.pairs()[0]
+    declared = resolve(friction) if friction else ()
+    used = [(effect, joint) for joint in range(nv) for effect in declared]
+    used += [(effect, effect.joint) for effect in effects]
+    return tuple(
+        EffectRange(
+            name=effect.name,
+            joint=joint,
+            position=positions[joint],
+            speed=speeds[joint],
+            load=loads[joint],
+            depends=effect.depends,
+            curved=effect.curved,
+        )
+        for effect, joint in used
+    )
+
+
+def outside_text(found, names, prismatic):
+    """Say what lies outside the ranges of a fit; `found` are `OutsideRange`."""
+    said = []
+    for one in found:
+        unit = _UNITS[one.quantity][int(prismatic[one.joint])]
+        low, high = one.fitted
+        share = round(100 * one.share, 0 if one.share > 0.02 else 1)
+        said.append(
+            f"{names[one.joint]}: {_PLURALS[one.quantity]} to {one.reached:.3g} {unit},"
+            f" fitted on {low:.3g} to {high:.3g} {unit} ({', '.join(one.names)}; "
+            f"{share:g} % of the rows)"
+        )
+    return "; ".join(said)
+
+
+def warn_outside(messages, stacklevel):
+    """Warn of a prediction outside the range of the fit, once for all that is said."""
+    if messages:
+        warnings.warn(
+            f"Predicted outside what the fit has seen. {'. '.join(messages)}.",
+            UserWarning,
+            stacklevel=stacklevel + 1,
+        )

@@ -1,0 +1,352 @@
+"""Single effects by kind and size: the right name on the right joint, how often.
+
+Run ``python tests/benchmarks/bench_single_effects.py --out FILE [--studies single two]
+[--kinds spring ...] [--sizes 0.5 1 2 6] [--jobs N] [--write]``.
+
+Data: ``_undeclared.py``, which shares no code with the library of effects: robots of
+two to seven joints, 30 to 60 s at 100 to 200 Hz in one or two recordings, white torque
+noise of 2 to 5 % of the spread, viscous or viscous and Coulomb friction declared (for
+an undeclared viscous friction, Coulomb friction). The size of an effect is the root
+mean square of the part that the declared columns cannot absorb, weighted by the torque
+noise, over that noise. Where an effect cannot have the size asked for within what is
+physical (an elastic joint, a delay of 40 ms), in none of four robots, the case is not
+counted.
+
+- ``single``: every kind at every size, seeds 0 to 9. Named: the right name, or one
+  whose declared rivals have it, on the right joint; other names are counted apart.
+- ``two``, ``three``: kinds drawn evenly, sizes 1 to 6; all of them named, as above,
+  and nothing else but what the simulated effects contain.
+- ``none``: nothing is missing; any name is wrong.
+
+Split: that of `EffectDiscovery`. Beside every share stands its lower bound at 90 %,
+one-sided (Clopper and Pearson, Biometrika 26(4), 1934).
+
+Seeds 0 to 99 are for work, 100 to 199 to confirm (``--seed``). ``--out`` keeps the
+results; what the file holds is not run again, and the table is of all tasks asked for
+that it holds.
+"""
+
+import time
+import warnings
+from collections import Counter
+
+import numpy as np
+from _ledger import Ledger, results_of
+from _report import parser, publish, rst_table, rst_title
+from _undeclared import CHANNELS, LIBRARY, draw_cases, simulate
+from scipy.stats import beta
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+
+KINDS = ("viscous", *LIBRARY, *CHANNELS)
+# Sizes with the shares that are to be named.
+SIZES = {0.5: 0.70, 1.0: 0.85, 2.0: 0.94, 6.0: 0.96}
+SEVERAL = {"two": 2, "three": 3}
+SEVERAL_SIZES = (1.0, 6.0)
+SEVERAL_TARGET = 0.85
+FALSE_ALARMS = 0.05
+STUDIES = ("single", *SEVERAL, "none")
+KEYS = ("study", "kinds", "sizes", "seed")
+LEVEL = 0.9
+
+
+def lower_bound(successes, n):
+    """Bound that a share exceeds with `LEVEL`, after Clopper and Pearson."""
+    if successes == 0 or n == 0:
+        return 0.0
+    return float(beta.ppf(1.0 - LEVEL, successes, n - successes + 1))
+
+
+def tasks_of(studies, kinds, sizes, seed, n_seeds, n_cases):
+    """Tasks as dicts with `KEYS`, seeds outermost, so that a part of them is a sample.
+
+    Parameters
+    ----------
+    studies, kinds : sequence of str
+        Of `STUDIES` and `KINDS`.
+    sizes : sequence of float
+        Sizes of the single effects.
+    seed : int
+        First seed.
+    n_seeds : int
+        Seeds of the single effects.
+    n_cases : int
+        Cases of each other study.
+
+    Returns
+    -------
+    list of dict
+        Tasks.
+    """
+    tasks = []
+    if "single" in studies:
+        tasks += [
+            {"study": "single", "kinds": [kind], "sizes": [float(size)], "seed": s}
+            for s in range(seed, seed + n_seeds)
+            for kind in kinds
+            for size in sizes
+        ]
+    drawn = [kind for kind in (*LIBRARY, *CHANNELS) if kind in kinds]
+    for study in (study for study in SEVERAL if study in studies):
+        cases = draw_cases(n_cases, SEVERAL[study], SEVERAL_SIZES, seed, kinds=drawn)
+        tasks += [
+            {
+                "study": study,
+                "kinds": list(case.kinds),
+                "sizes": [round(size, 6) for size in case.size],
+                "seed": seed + i,
+            }
+            for i, case in enumerate(cases)
+        ]
+    if "none" in studies:
+        tasks += [
+            {"study": "none", "kinds": [], "sizes": [], "seed": s}
+            for s in range(seed, seed + n_cases)
+        ]
+    return tasks
+
+
+def draw(task, **settings):
+    """Draw the recording of a task; settings are those of `simulate`."""
+    declared = ("coulomb",) if "viscous" in task["kinds"] else None
+    number = KINDS.index(task["kinds"][0]) if task["kinds"] else len(KINDS)
+    return simulate(
+        task["kinds"],
+        size=task["sizes"],
+        seed=(task["seed"], STUDIES.index(task["study"]), number),
+        **{"declared": declared, "exact": True, **settings},
+    )
+
+
+def judge(recording, effects):
+    """Compare what was found with the truth.
+
+    Parameters
+    ----------
+    recording : UndeclaredRecording
+        Recording with its truth.
+    effects : sequence of DiscoveredEffect
+        What was found.
+
+    Returns
+    -------
+    named : list of bool
+        For each true effect whether it is named, itself or as a rival.
+    by_rival : list of bool
+        Whether it is named as a rival only.
+    extra : list of (str, int)
+        Names that are neither in the recording nor contained in what is, nor have a
+        true effect among their rivals.
+    """
+    truth = [(e.name, e.joint) for e in recording.truth]
+    contained = {(name, e.joint) for e in recording.truth for name in e.contains}
+    found = {(e.name, e.joint) for e in effects}
+    rivals = {(name, e.joint) for e in effects for name in e.rivals}
+    excused = {
+        (e.name, e.joint)
+        for e in effects
+        if {(name, e.joint) for name in e.rivals} & set(truth)
+    }
+    named = [pair in found | rivals for pair in truth]
+    by_rival = [pair in rivals - found for pair in truth]
+    return named, by_rival, sorted(found - set(truth) - contained - excused)
+
+
+def run(task, simulation=None, **settings):
+    """Close the loop on one case.
+
+    Parameters
+    ----------
+    task : dict
+        With `KEYS`.
+    simulation : dict, default=None
+        Further arguments of `simulate`.
+    **settings
+        Further parameters of `EffectDiscovery`.
+
+    Returns
+    -------
+    dict
+        The task and its result, as plain numbers and lists.
+    """
+    recording = draw(task, **(simulation or {}))
+    result = {
+        **task,
+        "visible": recording.visible,
+        "truth": [[e.name, e.joint, round(e.outside, 3)] for e in recording.truth],
+        "declared": list(recording.declared),
+    }
+    if not recording.visible:
+        return result
+    identifier = RobotIdentifier(
+        recording.model, dt=recording.dt, friction=recording.declared
+    )
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
+    started = time.perf_counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        loop.fit(recording.q, recording.tau, groups=recording.groups)
+    named, by_rival, extra = judge(recording, loop.effects_)
+    return {
+        **result,
+        "named": named,
+        "by_rival": by_rival,
+        "extra": [list(pair) for pair in extra],
+        "found": [[e.name, e.joint, list(e.rivals)] for e in loop.effects_],
+        "seconds": time.perf_counter() - started,
+    }
+
+
+def line(result):
+    """One line about one case."""
+    truth = ", ".join(f"{n} {j + 1} ({size:.2g})" for n, j, size in result["truth"])
+    start = f"{result['study']} seed {result['seed']}: {truth or 'nothing'}"
+    if not result["visible"]:
+        return f"{start}: not of this size in any robot"
+    found = ", ".join(f"{n} {j + 1}" for n, j, _ in result["found"]) or "nothing"
+    verdict = "named" if all(result["named"]) else "MISSED"
+    wrong = "; wrong name" if result["extra"] else ""
+    return f"{start}: {verdict}{wrong}; found {found}; {result['seconds']:.0f} s"
+
+
+def _share(flags):
+    n, k = len(flags), sum(flags)
+    if not n:
+        return ["0", "–", "–"]
+    return [str(n), f"{100 * k / n:.0f} %", f"{100 * lower_bound(k, n):.0f} %"]
+
+
+def _sizes_table(results):
+    rows = []
+    for size, target in SIZES.items():
+        own = [r for r in results if r["sizes"] == [size]]
+        if not own:
+            continue
+        counted = [r for r in own if r["visible"]]
+        rivals = [r["by_rival"][0] for r in counted]
+        wrong = [bool(r["extra"]) for r in counted]
+        rows.append(
+            [
+                f"{size:g}",
+                *_share([r["named"][0] for r in counted]),
+                f"{100 * target:.0f} %",
+                f"{sum(rivals)}",
+                f"{sum(wrong)}",
+                f"{len(own) - len(counted)}",
+            ]
+        )
+    headers = [
+        "size",
+        "cases",
+        "named",
+        "lower bound",
+        "target",
+        "of these as a rival",
+        "with another name",
+        "not of this size",
+    ]
+    return rst_table(rows, headers)
+
+
+def _kinds_table(results):
+    rows = []
+    for kind in KINDS:
+        own = [r for r in results if r["kinds"] == [kind]]
+        if not own:
+            continue
+        cells = []
+        for size in SIZES:
+            here = [r for r in own if r["sizes"] == [size] and r["visible"]]
+            named = sum(r["named"][0] for r in here)
+            cells.append(f"{named} of {len(here)}" if here else "–")
+        instead = Counter(
+            name
+            for r in own
+            if r["visible"] and not r["named"][0]
+            for name in {found[0] for found in r["found"]} or {"nothing"}
+        )
+        words = ", ".join(f"{name} {n}" for name, n in instead.most_common(4))
+        rows.append([kind, *cells, words or "–"])
+    headers = ["kind", *(f"size {size:g}" for size in SIZES), "found instead"]
+    return rst_table(rows, headers)
+
+
+def _others_table(results):
+    rows = []
+    for study in SEVERAL:
+        own = [r for r in results if r["study"] == study]
+        counted = [r for r in own if r["visible"]]
+        if own:
+            right = [all(r["named"]) and not r["extra"] for r in counted]
+            each = [flag for r in counted for flag in r["named"]]
+            rows.append(
+                [
+                    f"{study} effects, sizes {SEVERAL_SIZES[0]:g} to "
+                    f"{SEVERAL_SIZES[1]:g}: all named, nothing else",
+                    *_share(right),
+                    f"{100 * SEVERAL_TARGET:.0f} %",
+                    f"{100 * np.mean(each):.0f} %" if each else "–",
+                ]
+            )
+    clean = [not r["extra"] for r in results if r["study"] == "none"]
+    if clean:
+        label = "nothing missing: nothing named"
+        target = f"{100 * (1 - FALSE_ALARMS):.0f} %"
+        rows.append([label, *_share(clean), target, "–"])
+    if not rows:
+        return ""
+    headers = ["undeclared", "cases", "share", "lower bound", "target", "each effect"]
+    return rst_table(rows, headers)
+
+
+def report(results):
+    """Text with the tables of the results that there are."""
+    single = [r for r in results if r["study"] == "single"]
+    parts = ["Sizes: the part that the declared columns cannot absorb, over the noise."]
+    if single:
+        parts += [_sizes_table(single), rst_title("By kind"), _kinds_table(single)]
+    others = _others_table(results)
+    if others:
+        parts += [rst_title("Several, and none"), others]
+    times = [r["seconds"] for r in results if "seconds" in r]
+    if times:
+        parts.append(f"Median time of the loop: {np.median(times):.1f} s.")
+    return "\n\n".join(parts)
+
+
+def main(argv=None):
+    """Print the tables."""
+    arguments = parser(__doc__.splitlines()[0])
+    arguments.add_argument("--studies", nargs="+", choices=STUDIES, default=STUDIES)
+    arguments.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
+    arguments.add_argument(
+        "--sizes", nargs="+", type=float, choices=tuple(SIZES), default=tuple(SIZES)
+    )
+    arguments.add_argument("--seed", type=int, default=0, help="seed of the first")
+    arguments.add_argument("--seeds", type=int, default=10, help="of single effects")
+    arguments.add_argument("--cases", type=int, default=40, help="of the others")
+    arguments.add_argument("--jobs", type=int, default=1)
+    arguments.add_argument(
+        "--out", default=None, metavar="FILE", help="results so far, as JSON lines"
+    )
+    arguments = arguments.parse_args(argv)
+    tasks = tasks_of(
+        arguments.studies,
+        arguments.kinds,
+        arguments.sizes,
+        arguments.seed,
+        arguments.seeds,
+        arguments.cases,
+    )
+    ledger = Ledger(arguments.out, KEYS)
+    for result in results_of(run, ledger.missing(tasks), arguments.jobs):
+        ledger.add(result)
+        print(line(result), flush=True)
+    name = "single_effects" + ("" if arguments.seed < 100 else "_confirmation")
+    command = "python tests/benchmarks/bench_single_effects.py"
+    command += "" if arguments.seed == 0 else f" --seed {arguments.seed}"
+    publish(name, report(ledger.of(tasks)), write=arguments.write, command=command)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,200 @@
+"""What reports say of the limits of their figures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.diagnosis.report._limits import (
+    band_sentences,
+    mass_sentences,
+    projection_sentences,
+)
+from sklearn_vbjfa.diagnosis.report._verdict import judge
+from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice, Pushed
+from sklearn_vbjfa.robot._known import BodyMass
+from tests.diagnosis.report._outcomes import make_outcome
+
+
+def with_band(outcome=None, **changes):
+    """Sentences on an outcome whose band is another."""
+    outcome = make_outcome(nv=2) if outcome is None else outcome
+    outcome = replace(outcome, band=replace(outcome.band, **changes))
+    return " ".join(band_sentences(outcome, judge(outcome).errors))
+
+
+def test_band_of_the_motion():
+    after = 100 * make_outcome(nv=2).error_after.mean()
+    assert with_band() == (
+        "Errors are taken up to 10 Hz: five times 2 Hz, below which 99 % of the power "
+        "of the speed of joint 2 lies (the fastest joint; its position is smoothed at "
+        "4.2 Hz, where the motion meets the encoder noise). That band holds over "
+        "99.9 % of the power of the speeds and 91.0 % to 97.4 % of that of the "
+        "torques. A controller meets what lies above as well: up to 40 Hz, where "
+        f"nothing was identified, the mean error is {1.4 * after:.1f} % instead of "
+        f"{after:.1f} %."
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (
+            {"decided_by": "given", "automatic": 3.0},
+            "Errors are taken up to 10 Hz, as was asked for; the motion asks for 3 Hz.",
+        ),
+        (
+            {"decided_by": "given", "automatic": np.inf},
+            "up to 10 Hz, as was asked for; the motion asks for no low-pass.",
+        ),
+        (
+            {"decided_by": "given", "automatic": np.nan, "bandwidth": np.nan},
+            "Errors are taken up to 10 Hz, as was asked for. ",
+        ),
+        (
+            {"decided_by": "length"},
+            "up to 10 Hz, as the low-pass has to be short beside the recording; five "
+            "times 2 Hz, below which 99 % of the power of the speed of joint 2 lies, "
+            "would be less.",
+        ),
+        ({"smoothed_at": np.inf}, "the speed of joint 2 lies (the fastest joint)."),
+    ],
+)
+def test_what_decided_the_band(changes, text):
+    assert text in with_band(**changes)
+
+
+@pytest.mark.parametrize(
+    ("decided_by", "text"),
+    [
+        ("none", "Nothing is filtered, as was asked for; the motion asks for 10 Hz;"),
+        ("states", "States were given, which are not filtered;"),
+        (
+            "sample rate",
+            "Nothing is filtered, as five times 2 Hz, below which 99 % of the power of "
+            "the speed of joint 2 lies, is too close to half the sample rate;",
+        ),
+    ],
+)
+def test_without_a_band_the_torque_as_recorded_counts(decided_by, text):
+    outcome = make_outcome(nv=2, wide_cutoff=np.nan, wide_after=np.full(2, np.nan))
+    assert with_band(outcome, cutoff=np.inf, decided_by=decided_by) == (
+        f"{text} errors are those of the torque as recorded, and there is no wider "
+        "band."
+    )
+
+
+def test_no_room_for_a_wider_band():
+    outcome = make_outcome(nv=2, wide_cutoff=np.nan, wide_after=np.full(2, np.nan))
+    text = with_band(outcome, sample_rate=25.0)
+    assert text.endswith("25 samples a second leave no room for a wider band.")
+    assert "controller" not in text
+
+
+def test_an_unknown_band_is_not_described():
+    outcome = make_outcome(nv=2, band=None)
+    assert band_sentences(outcome, judge(outcome).errors) == ()
+    assert "Band of the errors" not in Report(outcome).to_html()
+
+
+def price(**changes):
+    found = ProjectionPrice(
+        free=np.array([0.05, 0.19, 0.08]),
+        held=np.array([0.05, 0.241, 0.09]),
+        interval=np.array([[-0.01, 0.02, 0.001], [0.01, 0.07, 0.02]]),
+        price=np.array([0.0, 0.051, 0.01]),
+    )
+    return make_outcome(nv=3, projection=replace(found, **changes))
+
+
+def test_price_with_body_and_channel():
+    body = Pushed(
+        joint=1,
+        name="forearm",
+        kind="body",
+        share=0.93,
+        parameter="m",
+        unit="kg",
+        free=12.1,
+        held=8.3,
+        deviations=9.0,
+    )
+    outcome = price(pushed=(body,), channel=2, channel_share=0.88)
+    assert " ".join(projection_sentences(outcome)) == (
+        "Bodies that are physically possible cost joint 2 5.1 % of its torque (19.0 to "
+        "24.1 %) and joint 3 1.0 % of its torque (8.0 to 9.0 %): forearm (the body of "
+        "joint 2) is held at the border (m 12.1 to 8.3 kg). Of that, 88 % goes if the "
+        "torque of joint 3 is left out: a wrong gain of the torque channel, a wrong "
+        "geometry or a missing effect there does that."
+    )
+    for text in (str(Report(outcome)), Report(outcome).to_html()):
+        assert "forearm" in text
+
+
+def test_price_that_comes_from_nowhere_in_particular():
+    assert projection_sentences(price()) == (
+        "Bodies that are physically possible cost joint 2 5.1 % of its torque (19.0 to "
+        "24.1 %) and joint 3 1.0 % of its torque (8.0 to 9.0 %).",
+        "A wrong gain of the torque channel, a wrong geometry or a missing effect "
+        "does that.",
+    )
+
+
+def test_nothing_is_said_where_the_projection_costs_nothing():
+    assert projection_sentences(price(price=np.zeros(3))) == ()
+    assert projection_sentences(price(price=np.full(3, np.nan))) == ()
+    assert projection_sentences(make_outcome(nv=3)) == ()
+
+
+def body(name, mass, nominal, known, std=np.inf):
+    return BodyMass(
+        joint=0, name=name, mass=mass, std=std, nominal=nominal, known=known
+    )
+
+
+def masses(*bodies):
+    return " ".join(mass_sentences(make_outcome(nv=3, bodies=bodies)))
+
+
+def test_masses_that_are_not_measured_are_said_to_be_so():
+    text = masses(
+        body("base", 9.0, 10.0, "no"),
+        body("upper", 257.0, 339.0, "in combination", std=80.0),
+        body("fore", 902.0, 339.0, "in combination", std=300.0),
+        body("tool", 3.0, 3.1, "yes", std=0.1),
+    )
+    assert text == (
+        "Masses that this recording does not determine: base (not at all); upper and "
+        "fore (only together with others). The files hold values that agree with the "
+        "torques, not measured ones: fore 902 kg, where the robot description has "
+        "339 kg."
+    )
+
+
+def test_one_word_for_all_bodies():
+    text = masses(
+        body("a", 1.0, 1.0, "in combination"), body("b", 1.0, 1.1, "in combination")
+    )
+    assert text == (
+        "Masses that this recording does not determine: all bodies (only together with "
+        "others). The files hold values that agree with the torques, not measured ones."
+    )
+
+
+def test_measured_masses_are_compared_with_the_description():
+    text = masses(
+        body("slide", 94.3, 95.1, "yes", std=0.175),
+        body("tool", 3.0, 2.0, "yes", std=0.1),
+        body("same", 5.0, 5.1, "yes", std=0.1),
+    )
+    assert text == (
+        "Heavier than in the robot description: tool 3.00 +- 0.16 kg instead of 2 kg; "
+        "lighter than in the robot description: slide 94.3 +- 0.3 kg instead of "
+        "95.1 kg."
+    )
+
+
+def test_known_masses_need_no_words():
+    assert mass_sentences(make_outcome(nv=3)) == ()
+    assert masses(body("same", 5.0, 5.1, "yes", std=0.1)) == ""

@@ -1,0 +1,113 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.robot._estimate import estimate, project
+from tests.diagnosis._recordings import record
+
+ARM = record("ZYY", seed=1)
+TWO = record("ZY")
+CLOSED = {"effects": ["coulomb"]}
+
+
+@pytest.fixture(scope="module", name="gain")
+def fixture_gain():
+    """Torque channel of the second joint with a gain of 1.3."""
+    torque = ARM.torque()
+    torque[:, 1] *= 1.3
+    return torque, ARM.discover(torque, **CLOSED)
+
+
+@pytest.fixture(scope="module", name="driven")
+def fixture_driven():
+    """First joint whose friction drives it, as its torque has the wrong sign."""
+    torque = TWO.torque(joint_1=lambda r: -1.3 * r.v[:, 0])
+    return TWO.discover(torque, **CLOSED)
+
+
+def test_a_sound_recording_costs_nothing():
+    loop = ARM.discover(ARM.torque(), **CLOSED)
+    assert (loop.projection_price_ == 0).all()
+    assert "cost" not in str(loop.report_)
+    price = loop.report_.outcome.projection
+    assert (price.pushed, price.channel) == ((), None)
+
+
+def test_errors_are_those_of_models_with_and_without_constraints(gain):
+    torque, loop = gain
+    price = loop.report_.outcome.projection
+    assert price.held == pytest.approx(loop.error_after_)
+    # A model that was never projected, fitted anew to the same rows.
+    free = ARM.discover(torque, robot=ARM.robot(projector=None), **CLOSED)
+    assert free.report_.outcome.projection is None
+    assert np.isnan(free.projection_price_).all()
+    assert [e.name for e in free.effects_] == [e.name for e in loop.effects_]
+    assert price.free == pytest.approx(free.error_after_, rel=1e-6)
+
+
+def test_the_channel_with_the_wrong_gain_is_named(gain):
+    _, loop = gain
+    price = loop.report_.outcome.projection
+    assert price.costs.tolist() == [False, True, False]
+    assert price.price[1] == price.held[1] - price.free[1]
+    assert (price.interval[0] > 0).tolist() == [False, True, False]
+    assert price.channel == 1
+    assert price.channel_share > 0.99
+    for text in (loop.report_.to_markdown(), loop.report_.to_html()):
+        assert "the torque of joint 2 is left out" in " ".join(text.split())
+
+
+def test_the_channel_s_share_is_what_a_fit_without_it_saves(gain):
+    _, loop = gain
+    robot = loop.judged_
+
+    def distance(weights):
+        moments = robot.estimator_.statistics_
+        free = estimate(moments, joint_weights=weights)
+        held = project(free, "default", robot.features_)
+        moved = held.theta - free.theta
+        return moved @ held.metric @ moved
+
+    weights = robot.estimator_.joint_weights_
+    without = weights * np.array([1.0, 0.0, 1.0])
+    left = distance(without) / distance(weights)
+    price = loop.report_.outcome.projection
+    assert price.channel_share == pytest.approx(1 - left, abs=1e-6)
+
+
+def test_the_unit_of_the_torque_does_not_matter(gain):
+    torque, loop = gain
+    other = ARM.discover(1e3 * torque, **CLOSED)
+    assert other.projection_price_ == pytest.approx(loop.projection_price_, rel=1e-4)
+    assert other.report_.outcome.projection.channel == 1
+
+
+def test_friction_that_drives_is_named_with_its_value(driven):
+    price = driven.report_.outcome.projection
+    (pushed,) = price.pushed
+    assert (pushed.joint, pushed.kind, pushed.name) == (0, "friction", "joint_1")
+    assert (pushed.parameter, pushed.unit) == ("viscous", "N m s/rad")
+    assert pushed.free == pytest.approx(0.8 - 1.3, abs=0.01)
+    assert pushed.held == pytest.approx(0.0, abs=1e-9)
+    std = driven.judged_.theta_std_[10]
+    assert pushed.deviations == pytest.approx((pushed.held - pushed.free) / std)
+    assert pushed.share == pytest.approx(1.0)
+    text = " ".join(str(driven.report_).split())
+    assert "the friction of joint 1 is held at zero (viscous -0.5 to 0 N m s" in text
+
+
+def test_the_dict_has_the_price_and_what_it_comes_from(driven):
+    data = driven.report_.to_dict()["projection"]
+    assert data["price"] == driven.projection_price_.tolist()
+    assert data["pushed"][0]["kind"] == "friction"
+    assert data["channel"] == 0
+
+
+def test_a_price_within_chance_is_not_mentioned(driven):
+    outcome = driven.report_.outcome
+    nothing = replace(outcome.projection, price=np.zeros(2))
+    report = Report(replace(outcome, projection=nothing))
+    assert "physically possible" not in str(report)
+    assert "physically possible" in str(driven.report_)

@@ -1,0 +1,210 @@
+"""Filters of the channels against closed forms, step by step and in the limit."""
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.base import clone
+
+from sklearn_vbjfa import effects
+from sklearn_vbjfa.effects import Motion
+from sklearn_vbjfa.effects._channels import low_pass, smooth
+
+DT = 0.002
+T = DT * np.arange(4000)
+STILL = np.zeros((T.size, 1))
+
+
+def moving(load, **given):
+    return Motion(q=STILL, v=STILL, a=STILL, t=T, load=load[:, None], **given)
+
+
+def filtered(effect, torque, **given):
+    """Torque behind the channel that an effect describes."""
+    scale = getattr(effect, effect.continuous[0])
+    return torque + scale * effect.columns(moving(torque, **given))[:, 0]
+
+
+def lag_in_small_steps(x, dt, time_constant, parts=400):
+    """T dy/dt = x - y by explicit Euler steps, x straight between its samples."""
+    y, h = x[0], dt / parts
+    out = [y]
+    for before, after in itertools.pairwise(x):
+        for i in range(parts):
+            now = before + (i + 0.5) / parts * (after - before)
+            y += h / time_constant * (now - y)
+        out.append(y)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("frequency", [0.5, 3.0, 11.0])
+@pytest.mark.parametrize("constant", [0.004, 0.05])
+def test_a_lag_turns_a_sine_as_its_transfer_function_says(frequency, constant):
+    w = 2 * np.pi * frequency
+    # y' = (sin(w t) - y) / T from y(0) = 0
+    steady = (np.sin(w * T) - w * constant * np.cos(w * T)) / (1 + (w * constant) ** 2)
+    fades = np.exp(-T / constant) * w * constant / (1 + (w * constant) ** 2)
+    effect = effects.TorqueFilter(kind="lag", time_constant=constant)
+    found = filtered(effect, np.sin(w * T))
+    # The sine is straight between samples: an error of (w dt)^2 / 8 at the most.
+    assert_allclose(found, steady + fades, atol=(w * DT) ** 2 / 8 + 1e-12)
+
+
+def test_a_lag_is_its_differential_equation_on_any_signal():
+    x = np.random.default_rng(0).normal(size=60)
+    assert_allclose(
+        low_pass(x, 0.01, 0.013), lag_in_small_steps(x, 0.01, 0.013), atol=1e-3
+    )
+    assert_allclose(low_pass(x, 0.01, 1e-9), x, atol=1e-6)
+
+
+@pytest.mark.parametrize("frequency", [0.5, 3.0, 11.0])
+@pytest.mark.parametrize("constant", [0.004, 0.03])
+def test_smoothing_shrinks_a_sine_and_does_not_shift_it(frequency, constant):
+    w = 2 * np.pi * frequency
+    effect = effects.TorqueFilter(kind="smooth", time_constant=constant)
+    inside = slice(100, -100)
+    found = filtered(effect, np.sin(w * T))[inside]
+    expected = np.exp(-0.5 * (w * constant) ** 2) * np.sin(w * T)[inside]
+    # Four standard deviations hold all but 6e-5 of the weights.
+    assert_allclose(found, expected, atol=1e-3)
+
+
+def test_smoothing_is_a_weighted_mean_sample_by_sample():
+    x = np.random.default_rng(1).normal(size=50)
+    found = smooth(x, 0.01, 0.017)
+    for i in (0, 3, 25, 49):
+        k = np.arange(-7, 8)
+        weights = np.exp(-0.5 * (k * 0.01 / 0.017) ** 2)
+        own = x[np.clip(i + k, 0, 49)]
+        assert found[i] == pytest.approx((weights * own).sum() / weights.sum())
+
+
+@pytest.mark.parametrize("kind", ["lag", "smooth"])
+def test_what_does_not_change_passes(kind):
+    for of in ("torque", "position"):
+        effect = effects.TorqueFilter(kind=kind, of=of)
+        assert_allclose(effect.columns(moving(np.full(T.size, 7.0))), 0.0, atol=1e-9)
+
+
+def test_the_cut_off_leaves_half_the_power():
+    for kind, constant in (("lag", 0.02), ("smooth", 0.02)):
+        effect = effects.TorqueFilter(kind=kind, time_constant=constant)
+        found = effect.parameters([constant])
+        assert found["time_constant"] == pytest.approx(constant)
+        tone = np.sin(2 * np.pi * found["cutoff"] * T)
+        inside = slice(500, -500)
+        power = filtered(effect, tone)[inside].var() / tone[inside].var()
+        assert power == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_coefficient_gives_the_time_constant_to_first_order():
+    """Columns of another time constant: of a lag by T, of a smoothing by T^2."""
+    w = 2 * np.pi * 0.2
+    tone = np.sin(w * T)
+    inside = slice(1000, -1000)
+    for kind in ("lag", "smooth"):
+        truth = effects.TorqueFilter(kind=kind, time_constant=0.012)
+        made = clone(truth).set_params(time_constant=0.01)
+        change = (filtered(truth, tone) - tone)[inside]
+        column = made.columns(moving(tone))[inside, 0]
+        coef = column @ change / (column @ column)
+        assert made.plausible([coef])
+        assert made.parameters([coef])["time_constant"] == pytest.approx(0.012, 0.01)
+
+
+@pytest.mark.parametrize("kind", ["lag", "smooth"])
+def test_positions_behind_a_filter_ask_for_its_inverse(kind):
+    """What is filtered after that is the torque again, but for the third order."""
+    errors = []
+    for frequency in (0.4, 0.8):
+        tone = np.sin(2 * np.pi * frequency * T)
+        effect = effects.TorqueFilter(kind=kind, of="position", time_constant=0.05)
+        back = {"lag": low_pass, "smooth": smooth}[kind](
+            filtered(effect, tone), DT, 0.05
+        )
+        errors.append(np.abs(back - tone)[800:-800].max())
+    assert errors[0] < 0.01
+    # (w T)^3 of the lag, (w T)^6 of the average
+    order = {"lag": 3, "smooth": 6}[kind]
+    assert np.log2(errors[1] / errors[0]) == pytest.approx(order, abs=0.5)
+
+
+def test_filters_act_on_the_whole_torque_where_it_is_known():
+    torque = np.sign(np.sin(3 * T))
+    motion = moving(0 * torque, torque=torque[:, None])
+    column = effects.TorqueFilter(time_constant=0.02).columns(motion)[:, 0]
+    assert_allclose(torque + 0.02 * column, low_pass(torque, DT, 0.02), atol=1e-12)
+
+
+def test_filters_between_samples_are_not_tried():
+    motion = moving(np.sin(T), bandwidth=40.0)
+    tried = [s["time_constant"] for s in effects.TorqueFilter().shapes(motion)]
+    assert min(tried) >= 0.5 * DT
+    wide = moving(np.sin(T))
+    assert effects.TorqueFilter().shapes(wide)
+    slow = [
+        s["time_constant"]
+        for s in effects.TorqueFilter().shapes(moving(np.sin(T), bandwidth=4.0))
+    ]
+    assert_allclose(min(slow), 0.2 / (2 * np.pi * 4.0))
+
+
+@pytest.mark.parametrize(
+    "given", [{"kind": "notch"}, {"of": "current"}, {"time_constant": 0.0}]
+)
+def test_unknown_filters_are_refused(given):
+    effect = effects.TorqueFilter(**given).fit
+    with pytest.raises(ValueError, match=f"{next(iter(given))} of torque_filter"):
+        effect(np.zeros((4, 3)))
+
+
+def test_jerk_is_the_derivative_of_the_acceleration():
+    w = 2 * np.pi * 1.5
+    a = np.cos(w * T)[:, None]
+    motion = Motion(q=STILL, v=STILL, a=a, t=T)
+    column = effects.Jerk().columns(motion)[:, 0]
+    assert_allclose(column[1:-1], -w * np.sin(w * T)[1:-1], atol=w**3 * DT**2 / 4)
+
+
+def test_positions_that_lag_make_a_jerk_term():
+    """An inertia I whose positions are late by T: J = T I, to first order."""
+    inertia, late, w = 3.0, 0.004, 2 * np.pi * 0.8
+    a = -(w**2) * np.sin(w * (T - late))[:, None]
+    torque = -inertia * w**2 * np.sin(w * T)
+    column = effects.Jerk().columns(Motion(q=STILL, v=STILL, a=a, t=T))
+    found = np.linalg.lstsq(np.hstack([a, column])[5:-5], torque[5:-5], rcond=None)[0]
+    assert_allclose(found, [inertia, late * inertia], rtol=1e-3)
+
+
+@pytest.mark.parametrize("effect", [effects.Delay(), effects.TorqueFilter()])
+def test_opposites_are_opposites_of_each_other(effect):
+    other = effect.opposite()
+    assert other.key() != effect.key()
+    assert other.opposite().get_params() == effect.get_params()
+    assert effects.Viscous().opposite() is None
+
+
+def test_directions_are_not_mixed():
+    assert effects.Delay(delay=0.001).key() == effects.Delay(delay=0.016).key()
+    assert effects.Delay(delay=0.001).key() != effects.Delay(delay=-0.001).key()
+    assert effects.Delay(delay=-0.004).natural([-0.001])
+    assert not effects.Delay(delay=-0.004).natural([0.001])
+    assert not effects.TorqueFilter().natural([-0.01])
+
+
+def test_millimetres_and_joint_order_do_not_matter():
+    torque = np.column_stack([np.sin(3 * T), np.cos(5 * T)])
+    still = np.zeros_like(torque)
+    both = Motion(q=still, v=still, a=still, t=T, load=torque)
+    turned = Motion(q=still, v=still, a=still, t=T, load=1e3 * torque[:, ::-1])
+    for effect in (effects.TorqueFilter(0), effects.TorqueFilter(0, "smooth")):
+        other = clone(effect).set_params(joint=1)
+        assert_allclose(1e3 * effect.columns(both), other.columns(turned), atol=1e-6)
+
+
+def test_short_recordings_have_nothing_to_filter():
+    one = Motion(q=STILL[:1], v=STILL[:1], a=STILL[:1], t=T[:1], load=np.ones((1, 1)))
+    assert_array_equal(effects.TorqueFilter().columns(one), 0.0)
+    assert effects.TorqueFilter().shapes(one) == []

@@ -1,0 +1,191 @@
+"""Ranges of effects and what lies outside of them, against hand-made cases."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sklearn_vbjfa import effects
+from sklearn_vbjfa.effects import EffectRange
+from sklearn_vbjfa.effects._ranges import CURVED, STRAIGHT, OutsideRange, outside
+from tests.effects.test_effects import NAMES, library_effect, signals
+
+NAN = float("nan")
+SPRING = EffectRange(
+    name="spring",
+    joint=1,
+    position=(-1.0, 3.0),
+    speed=(0.5, 2.0),
+    load=(-4.0, 6.0),
+    depends=("position",),
+)
+
+
+def judged(ranges, values, quantity="position", joint=1, counts=None):
+    """Judge the values of one joint of two, the other far outside."""
+    values = np.asarray(values, dtype=float)
+    both = np.full((values.size, 2), 1e3)
+    both[:, joint] = values
+    if counts is None:
+        counts = np.ones(both.shape, dtype=bool)
+    return outside(ranges, {quantity: both}, {quantity: counts})
+
+
+@pytest.mark.parametrize(
+    ("quantity", "value", "expected"),
+    [
+        ("position", 0.0, 0.0),
+        ("position", 3.0, 0.0),
+        ("position", 3.5, 0.5),
+        ("position", -1.25, 0.25),
+        ("speed", 0.25, 0.25),
+        ("speed", 2.5, 0.5),
+        ("load", -6.0, 2.0),
+    ],
+)
+def test_excess_is_the_distance_from_the_range(quantity, value, expected):
+    assert_allclose(SPRING.excess(quantity, [value]), [expected], atol=1e-12)
+
+
+def test_margin_is_a_share_of_the_width():
+    assert_allclose(SPRING.margin("position"), 0.2 * 4.0, rtol=1e-6)
+    # Both directions.
+    assert_allclose(SPRING.margin("speed"), 0.2 * 2 * 1.5, rtol=1e-6)
+    curved = dataclasses.replace(SPRING, curved=True)
+    assert_allclose(curved.margin("load"), 0.1 * 10.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("degree", "share", "factor"), [(1, STRAIGHT, 1.31), (2, CURVED, 1.46)]
+)
+def test_margin_is_where_polynomials_are_known_that_much_worse(degree, share, factor):
+    x = np.linspace(-1, 1, 100_001)
+    covariance = np.linalg.inv(np.vander(x, degree + 1).T @ np.vander(x, degree + 1))
+    # The range is 2 wide.
+    ends = np.vander([1.0, 1.0 + 2 * share], degree + 1)
+    deviation = np.sqrt(np.einsum("ij,jk,ik->i", ends, covariance, ends))
+    assert deviation[1] / deviation[0] == pytest.approx(factor, abs=0.01)
+
+
+def test_what_is_not_known_is_never_outside():
+    unknown = dataclasses.replace(SPRING, position=(NAN, NAN))
+    assert_array_equal(unknown.excess("position", [-9.0, 9.0]), [0.0, 0.0])
+    assert judged([unknown], [9.0] * 10) == ()
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"), [(3.79, False), (3.81, True), (-1.79, False), (-1.81, True)]
+)
+def test_a_prediction_is_outside_beyond_the_margin(value, expected):
+    assert bool(judged([SPRING], [value] * 10)) == expected
+
+
+def test_what_is_outside_is_told_with_its_size():
+    values = np.r_[np.zeros(75), np.full(25, -2.0)]
+    assert judged([SPRING], values) == (
+        OutsideRange(
+            names=("spring",),
+            joint=1,
+            quantity="position",
+            fitted=(-1.0, 3.0),
+            reached=-2.0,
+            share=0.25,
+        ),
+    )
+
+
+def test_few_rows_are_outliers():
+    values = np.zeros(1000)
+    values[:5] = 50.0
+    assert judged([SPRING], values) == ()
+    values[:6] = [50.0, 49.0, 48.0, 47.0, 46.0, 9.0]
+    (found,) = judged([SPRING], values)
+    assert found.reached == 9.0
+    assert found.share == 0.006
+
+
+def test_rows_that_do_not_count_are_not_judged():
+    values, counts = np.full(10, 9.0), np.zeros((10, 2), dtype=bool)
+    assert judged([SPRING], values, counts=counts) == ()
+    counts[3, 1] = True
+    (found,) = judged([SPRING], values, counts=counts)
+    assert found.share == 1.0
+
+
+def test_effects_of_a_joint_are_told_together():
+    ripple = dataclasses.replace(SPRING, name="ripple", curved=True)
+    # 0.6 beyond: outside for what is curved alone.
+    (found,) = judged([SPRING, ripple], np.full(10, 3.6))
+    assert found.names == ("ripple",)
+    (found,) = judged([SPRING, ripple], np.full(10, 3.9))
+    assert found.names == ("spring", "ripple")
+
+
+def test_one_speed_only_is_known_at_that_speed_only():
+    viscous = dataclasses.replace(
+        SPRING, name="viscous", depends=("speed",), speed=(0.99, 1.01)
+    )
+    assert judged([viscous], [1.0, 0.985, 1.015], "speed") == ()
+    (slower,) = judged([viscous], np.full(3, 0.5), "speed")
+    assert slower.reached == 0.5
+
+
+def test_the_unit_does_not_matter():
+    degrees = dataclasses.replace(
+        SPRING, position=tuple(np.degrees(SPRING.position).tolist())
+    )
+    values = np.random.default_rng(0).normal(1.0, 1.5, 400)
+    (one,), (other,) = judged([SPRING], values), judged([degrees], np.degrees(values))
+    assert one.share == other.share
+    assert np.degrees(one.reached) == pytest.approx(other.reached)
+
+
+# -- what effects say of themselves
+
+
+QUANTITIES = {"position": "q", "speed": "v", "load": "load"}
+
+
+def far_out(name, quantity, factor):
+    """Columns of an effect on joint 1, with one signal of it times a factor."""
+    motion = signals()
+    changed = getattr(motion, QUANTITIES[quantity]).copy()
+    changed[:, 0] *= factor
+    effect = library_effect(name)
+    return effect.columns(
+        dataclasses.replace(motion, **{QUANTITIES[quantity]: changed})
+    )
+
+
+@pytest.mark.parametrize("quantity", QUANTITIES)
+@pytest.mark.parametrize("name", ["viscous", "coulomb", "offset", "stribeck"])
+def test_columns_that_go_on_changing_are_declared(name, quantity):
+    effect = library_effect(name)
+    one, other = (far_out(name, quantity, f) for f in (1e4, 1e6))
+    moves = np.abs(signals().v[:, 0]) > 1e-2
+    grows = np.abs(other - one)[moves].max() > 1e-6
+    assert grows == (quantity in effect.depends)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_quantities_are_known_ones(name):
+    effect = library_effect(name)
+    assert set(effect.depends) <= set(QUANTITIES)
+    assert isinstance(effect.curved, bool)
+    assert not (effect.curved and not effect.depends)
+
+
+def test_straight_lines_are_straight_and_others_are_not():
+    for name in NAMES:
+        effect = library_effect(name)
+        for quantity in effect.depends:
+            # A hysteresis is no function of the position.
+            if name != "backlash":
+                one, two, three = (far_out(name, quantity, f) for f in (1.0, 2.0, 3.0))
+                straight = np.allclose(three - two, two - one, atol=1e-9)
+                assert straight != effect.curved, name
+
+
+def test_an_effect_of_ones_own_says_nothing_by_default():
+    assert effects.Effect.depends == ()

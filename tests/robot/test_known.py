@@ -1,0 +1,75 @@
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.model._loading import body_names
+from sklearn_vbjfa.robot._known import (
+    body_masses,
+    known_parameters,
+    note_of_masses,
+)
+from tests.effects._arms import arm, inverse_dynamics, motion
+
+
+def fitted(axes, noise=0.01, friction=()):
+    """Identify an arm from states and torques with noise."""
+    model = arm(axes)
+    _, states = motion(model.nv, dt=0.01, seed=3)
+    torque = inverse_dynamics(model, states)
+    torque += noise * np.random.default_rng(0).normal(size=torque.shape)
+    robot = RobotIdentifier(model, dt=0.01, friction=friction, standstill=None)
+    return robot.fit(states, torque), states
+
+
+def spanned(robot, states):
+    """Tell what is known from the null space of the regressor, literally."""
+    Phi = robot.features_.matrices(states[::7]).reshape(-1, robot.theta_.size)
+    size = np.linalg.norm(Phi, axis=0)
+    _, values, Vt = np.linalg.svd(Phi / np.where(size > 0, size, 1.0))
+    kernel = Vt[(values > 1e-6 * values[0]).sum() :]
+    lost = (kernel**2).sum(axis=0)
+    found = np.where(lost < 1e-6, "yes", "in combination")
+    return np.where(size == 0, "no", found)
+
+
+@pytest.mark.parametrize("axes", ["Y", "ZY", "ZYX", "zY", "xy"])
+def test_what_is_known_is_what_no_motion_of_parameters_hides(axes):
+    robot, states = fitted(axes)
+    assert list(known_parameters(robot)) == spanned(robot, states).tolist()
+
+
+def test_a_slider_is_weighed_and_the_link_of_a_revolute_joint_is_not():
+    slide, link = body_masses(fitted("zY")[0])
+    assert (slide.known, link.known) == ("in combination", "in combination")
+    alone = body_masses(fitted("x")[0])[0]
+    assert alone.known == "yes"
+    assert alone.mass == pytest.approx(4.0, abs=0.05)
+    assert alone.nominal == pytest.approx(4.0)
+    assert 0 < alone.std < 0.05
+    turning = body_masses(fitted("Y")[0])[0]
+    assert turning.known == "no"
+    assert "joint_1" in note_of_masses(fitted("Y")[0])
+    assert note_of_masses(fitted("x")[0]) == ""
+
+
+def test_a_mass_in_much_noise_is_not_known():
+    quiet, loud = (fitted("x", noise=noise)[0] for noise in (1.0, 2000.0))
+    assert body_masses(quiet)[0].known == "yes"
+    assert quiet.theta_std_[0] < 0.5 * quiet.theta_[0]
+    assert body_masses(loud)[0].known == "no"
+    assert loud.identifiable_[0]
+
+
+def test_friction_is_known_beside_unknown_bodies():
+    robot, _ = fitted("ZY", friction=("viscous",))
+    known = dict(zip(robot.parameter_names_, known_parameters(robot)))
+    assert known["joint_1:viscous"] == known["joint_2:viscous"] == "yes"
+    assert known["joint_1:m"] == "no"
+    assert known["joint_2:m"] == "in combination"
+
+
+def test_bodies_are_those_of_the_links():
+    # without links a body is called after its joint
+    assert body_names(arm("ZY")) == ("joint_1", "joint_2")

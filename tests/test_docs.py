@@ -262,6 +262,8 @@ def test_shapes_in_the_guide_are_those_that_are_tried():
         "vs": _friction._STRIBECK,
         "displacement": _hysteresis._DISPLACEMENTS,
         "period": degrees,
+        "ratio": _position._RATIOS,
+        "angle": [_position._ANGLES[1]],
         "delay": _channels._DELAYS,
         "time_constant": _channels._CONSTANTS,
         "T": _time._CONSTANTS,

@@ -125,7 +125,10 @@ def test_scikit_learn_contract(name):
     twin = clone(effect)
     assert twin is not effect
     assert twin.get_params() == effect.get_params()
-    assert set(effect.shape()) == set(effect.get_params()) - {"joint"}
+    used = set(effect.get_params()) - {"joint"}
+    if name == "counterbalance":
+        used -= {"ratio", "angle"}  # of its other form
+    assert set(effect.shape()) == used
     assert effect.set_params(joint=1) is effect
     assert effect.joint == 1
     assert repr(effect).startswith(type(effect).__name__)
@@ -173,6 +176,18 @@ def test_unknown_effects_are_refused(given, message):
 # -- columns
 
 
+def distance(angle, r):
+    """Distance of the point (r, 0) turned by an angle from the point (1, 0)."""
+    return np.hypot(r * np.cos(angle) - 1, r * np.sin(angle))
+
+
+def lever_arm(angle, r):
+    """Distance from the axis of the line through both, with its sign."""
+    x, y = r * np.cos(angle), r * np.sin(angle)
+    # cross product of a point of the line with its direction
+    return (x * 0 - y * 1) / -np.hypot(x - 1, y)
+
+
 def closed_forms():
     """Effect on the second joint, and its columns by hand."""
     q, v, a, load = Q[:, 1], V[:, 1], A[:, 1], LOAD[:, 1]
@@ -207,6 +222,14 @@ def closed_forms():
                 np.cos(q) ** 2 - np.sin(q) ** 2,
                 2 * np.sin(q) * np.cos(q),
                 one,
+            ],
+        ),
+        "counterbalance linkage": (
+            {"form": "linkage", "ratio": 0.4, "angle": 0.3},
+            [
+                # 1 m and 0.4 m from the axis: lever arm of a unit force, and of 1 N / m
+                lever_arm(q - 0.3, 0.4) / 0.4,
+                lever_arm(q - 0.3, 0.4) * distance(q - 0.3, 0.4) / 0.4,
             ],
         ),
         "ripple": (
@@ -433,7 +456,7 @@ def test_most_effects_have_one_shape_and_the_others_say_which():
     for effect in effects.resolve("all"):
         shapes = clone(effect).set_params(joint=1).shapes(signals())
         searched = {key for shape in shapes for key in shape}
-        assert searched <= set(effect.shape())
+        assert searched <= set(effect.get_params()) - {"joint"}
         assert (searched == set()) == (shapes == [{}])
         assert set(effect.continuous) <= searched
         assert len({tuple(sorted(s.items())) for s in shapes}) == len(shapes)
@@ -621,6 +644,41 @@ def test_unknown_settings_are_refused(effect):
         transform(effect)
 
 
+def test_a_linkage_cannot_be_longer_than_long_or_of_another_form():
+    for ratio in (1.0, -0.5):
+        with pytest.raises(
+            ValueError, match="ratio of counterbalance must lie between"
+        ):
+            transform(effects.Counterbalance(form="linkage", ratio=ratio))
+    with pytest.raises(ValueError, match="form of counterbalance must be one of"):
+        transform(effects.Counterbalance(form="cam"))
+
+
+@given(
+    ratio=st.floats(0.05, 0.95), angle=st.floats(-3.0, 3.0), rest=st.floats(0.0, 1.5)
+)
+@settings(deadline=None, max_examples=25)
+def test_a_linkage_has_the_work_of_its_spring(ratio, angle, rest):
+    """The torque is the derivative of the energy of a coil spring of length `rest`."""
+    q = np.linspace(-1.0, 1.0, 2001)
+    energy = 0.5 * 7.0 * (distance(q - angle, ratio) - rest) ** 2
+    effect = effects.Counterbalance(form="linkage", ratio=ratio, angle=angle)
+    coef = [-7.0 * rest * ratio, 7.0 * ratio]
+    torque = effect.fit_transform(np.c_[q, q, q]) @ coef
+    assert_allclose(torque[1:-1], np.gradient(energy, q)[1:-1], atol=2e-3)
+
+
+def test_there_is_one_counterbalance():
+    linkage = effects.Counterbalance(form="linkage", ratio=0.3, angle=1.0)
+    harmonics = effects.Counterbalance()
+    assert (
+        linkage.excludes() == harmonics.excludes() == {linkage.key(), harmonics.key()}
+    )
+    assert linkage.complexity < harmonics.complexity
+    assert linkage.shape() == {"form": "linkage", "ratio": 0.3, "angle": 1.0}
+    assert harmonics.shape() == {"form": "harmonics"}
+
+
 @pytest.mark.parametrize("cls", [effects.Coulomb, effects.LoadFriction])
 def test_friction_does_not_drive(cls):
     assert cls().plausible([0.1])
@@ -677,6 +735,7 @@ def test_joints_that_do_not_exist_are_refused(effect):
     [
         effects.Stribeck(vs=0.0),
         effects.Ripple(period=0.0),
+        effects.Counterbalance(form="linkage", ratio=0.0),
         effects.Presliding(displacement=0.0),
         effects.Delay(delay=0.0),
         effects.TorqueFilter(time_constant=0.0),

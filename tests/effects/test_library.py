@@ -38,6 +38,11 @@ def test_every_effect_says_what_reports_and_guide_need():
             "coupling to joint 1 (difference)",
         ),
         (effects.Ripple(period=0.2), "torque ripple"),
+        (effects.Counterbalance(), "counterbalance"),
+        (
+            effects.Counterbalance(form="linkage"),
+            "counterbalance (gas or coil spring on a linkage)",
+        ),
         (effects.Delay(delay=0.004), "delay: torque lags position by 4 ms"),
         (effects.Delay(delay=-0.0123), "delay: position lags torque by 12 ms"),
         (

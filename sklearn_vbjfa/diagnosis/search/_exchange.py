@@ -203,11 +203,12 @@ def backwards(search):
     better than the present one, or simpler and no worse.
     """
     present = {effect.key() for effect in search.model.effects}
+    taken = search.refused.union(*(e.excludes() for e in search.model.effects))
     again = {}
     for step in search.steps:
         offered = [step.effect, step.replaced, *(c.effect for c in step.rivals)]
         for effect in offered:
-            if effect is not None and effect.key() not in present | search.refused:
+            if effect is not None and effect.key() not in taken:
                 again[effect.key()] = effect
     if not again or search.max_effects is not None:
         return

@@ -84,6 +84,15 @@ class FinalFit:
         )
         self._columns = [view.in_equations(e, self.motion) for e in self.effects]
 
+    def columns(self, rows=slice(None)):
+        """Columns of the completed model in some equations, (n, nv, p)."""
+        own = [columns[rows] for columns in self._columns]
+        return np.concatenate([self.view.equations.Phi[rows], *own], axis=2)
+
+    def in_equations(self, effect):
+        """Columns of any effect, (m, nv, k), with the load of the completed model."""
+        return self.view.in_equations(effect, self.motion)
+
     def _predicted(self, theta):
         """Torques of the completed model with some parameters, (m, nv)."""
         Phi = self.view.equations.Phi

@@ -15,6 +15,7 @@ from scipy import linalg
 
 # Ridge to choose from, relative to columns of unit mean square.
 _RIDGES = 10.0 ** np.arange(-10, -2)
+LEAST_RIDGE = float(_RIDGES[0])
 # Directions of the scaled Gram matrix below this are never used.
 _RANK = 1e-12
 # Share of its own power that a column must keep outside the declared ones' span.

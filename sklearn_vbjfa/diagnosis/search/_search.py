@@ -605,7 +605,8 @@ class EffectSearch:
     def absorb(self, effect):
         """Drop plainer effects that a new one stands for if it takes another shape.
 
-        Returns the effect as it is then.
+        The plainest form of it that is no worse is taken. Returns the effect as it is
+        then.
         """
         names = closure(effect, self.library)
         plain = [
@@ -613,18 +614,22 @@ class EffectSearch:
             for one in self.model.effects
             if one.joint == effect.joint and one.name in names
         ]
-        if not plain or len(self.model.family(effect).effects) < 2:
+        family = self.model.family(effect)
+        if len(family.forms()) < 2 and not (plain and effect.continuous):
             return effect
-        trial = absorbing(effect, plain, self.model)
-        now, then = (trial.relevant(effect, m.squares)[0] for m in (self.model, trial))
-        if not no_worse(now, then):
-            return effect
-        case = compare(then, now)
-        for one in plain:
-            rest = self.model.without(one)
-            self.step("drop", one, rest, evidence=case, rule=Rule(name=ABSORBED))
-        self.model = trial
-        return trial.effects[-1]
+        for trial in absorbing(effect, plain, self.model):
+            now, then = (
+                trial.relevant(effect, m.squares)[0] for m in (self.model, trial)
+            )
+            if not no_worse(now, then):
+                continue
+            case = compare(then, now)
+            for one in plain:
+                rest = self.model.without(one)
+                self.step("drop", one, rest, evidence=case, rule=Rule(name=ABSORBED))
+            self.model = trial
+            return trial.effects[-1]
+        return effect
 
     def prune(self, newest=None):
         """Drop what became superfluous or took a wrong sign, the least useful first."""

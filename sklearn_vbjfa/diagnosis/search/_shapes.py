@@ -8,14 +8,17 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, no_worse
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
-from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
+from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE, BlockRegression
 from sklearn_vbjfa.diagnosis.search._view import variants
 
 # Times that what is linearised is linearised again.
 _TANGENTS = 2
-# Times that several shape parameters are searched one after the other, as long as the
-# fall of the squared error still grows by this share.
-_SWEEPS, _WORTH = 4, 1e-3
+# Search of several shape parameters: it ends where the weighted squared error, in units
+# of noise, falls by less than this, or after so many trials.
+_WORTH, _MOST_TRIALS = 0.01, 100
+# Points of the grid from which several parameters are searched: two of them may trade
+# against each other.
+_STARTS = 3
 # Shapes between the neighbours of a tuned one, from which each fold takes its own.
 _FINER = 9
 
@@ -30,6 +33,8 @@ class Bracket:
         Bounds; of the logarithm where that is searched.
     logarithmic : bool
         Whether the logarithm is searched.
+    lowest, highest : float
+        Ends of the whole grid; infinite for an angle.
     turn : float
         Period of an angle; zero for what is none.
     """
@@ -37,6 +42,8 @@ class Bracket:
     low: float
     high: float
     logarithmic: bool
+    lowest: float
+    highest: float
     turn: float = 0.0
 
     @classmethod
@@ -50,7 +57,14 @@ class Bracket:
             around = np.concatenate([values - turn, values, values + turn])
             at = int(np.argmin(np.abs(around - value)))
             low, high = around[at - 1], around[at + 1]
-            return cls(low=low, high=high, logarithmic=False, turn=turn)
+            return cls(
+                low=low,
+                high=high,
+                logarithmic=False,
+                lowest=-np.inf,
+                highest=np.inf,
+                turn=turn,
+            )
         values = values[np.sign(values) == np.sign(value)]
         if value == 0 or values.size < 2:
             return None
@@ -58,13 +72,23 @@ class Bracket:
         positive = bool((values > 0).all())
         scaled = np.log(values) if positive else values
         low, high = scaled[max(at - 1, 0)], scaled[min(at + 1, values.size - 1)]
-        return cls(low=low, high=high, logarithmic=positive)
+        return cls(
+            low=low,
+            high=high,
+            logarithmic=positive,
+            lowest=scaled[0],
+            highest=scaled[-1],
+        )
 
     def value(self, u):
         """Return the parameter at a place between the bounds."""
         if self.turn:
             return float(u % self.turn)
         return float(np.exp(u) if self.logarithmic else u)
+
+    def place(self, value):
+        """Return the place of a parameter."""
+        return np.log(value) if self.logarithmic else value
 
 
 def plainest(base, effect, family):
@@ -89,7 +113,7 @@ def plainest(base, effect, family):
         if own is best[0]:
             break
         # A grid of several parameters is coarse: between its points it may do as well.
-        finer = refined(own.effects[score.best], base)
+        finer = tuned(own.effects[score.best], base)
         form = scored(own.extended(finer, base.columns_of(finer)))
         if no_worse(errors(best), errors(form)):
             return form
@@ -100,9 +124,16 @@ def refined(effect, base, rows=None):
     """Search an effect's shape parameters on between the points of the grid.
 
     It comes beside a model, which was fitted to some rows (m,) only if they are given.
-    Several parameters are searched one after the other, and again beside each other.
     """
+    brackets = {n: Bracket.of(effect, n, base.motion) for n in effect.continuous}
+    brackets = {n: bracket for n, bracket in brackets.items() if bracket is not None}
+    if not brackets:
+        return effect
     joints = base.view.joints_of(effect)
+
+    def at(places):
+        values = {n: b.value(u) for (n, b), u in zip(brackets.items(), places)}
+        return clone(effect).set_params(**values)
 
     def cost(effect):
         columns = base.view.columns([effect], base.motion)
@@ -110,33 +141,46 @@ def refined(effect, base, rows=None):
             columns *= rows[:, None, None]
         return -base.fitted.drop(joints, columns)
 
-    best = cost(effect)
-    for _ in range(_SWEEPS if len(effect.continuous) > 1 else 1):
-        before = best
-        for name in effect.continuous:
-            effect, best = _searched(effect, name, cost, best, base.motion)
-        if not before - best > _WORTH * abs(before):
-            break
-    return effect
+    search = _along if len(brackets) == 1 else _downhill
+    start = [b.place(getattr(effect, n)) for n, b in brackets.items()]
+    place, value = search(lambda u: cost(at(u)), start, list(brackets.values()))
+    return at(place) if value < cost(effect) else effect
 
 
-def _searched(effect, name, cost, best, motion):
-    """Search one shape parameter; the effect, and what it costs."""
-    bracket = Bracket.of(effect, name, motion)
-    if bracket is None:
-        return effect, best
-
-    def at(u):
-        return clone(effect).set_params(**{name: bracket.value(u)})
-
+def _along(cost, start, brackets):
+    """Search one parameter between its bounds: where, and the cost there."""
+    (bracket,) = brackets
     low, high = bracket.low, bracket.high
     found = optimize.minimize_scalar(
-        lambda u: cost(at(u)),
+        lambda u: cost([u]),
         bounds=(low, high),
         method="bounded",
         options={"xatol": 1e-3 * (high - low)},
     )
-    return (at(found.x), found.fun) if found.fun < best else (effect, best)
+    return [found.x], found.fun
+
+
+def _downhill(cost, start, brackets):
+    """Search several parameters, which may trade against each other, as `_along`.
+
+    Nelder and Mead's simplex follows a narrow valley; it may leave the neighbours of
+    the start behind, but not what the parameter can be.
+    """
+    width = np.array([b.high - b.low for b in brackets])
+    simplex = np.vstack([start, start + 0.25 * np.diag(width)])
+    found = optimize.minimize(
+        cost,
+        start,
+        method="Nelder-Mead",
+        bounds=[(b.lowest, b.highest) for b in brackets],
+        options={
+            "initial_simplex": simplex,
+            "xatol": 1e-3 * width.min(),
+            "fatol": _WORTH,
+            "maxfev": _MOST_TRIALS,
+        },
+    )
+    return found.x, found.fun
 
 
 def _settings(effect):
@@ -144,6 +188,33 @@ def _settings(effect):
     tuned = {*effect.continuous, *effect.tangent}
     shape = effect.shape().items()
     return tuple(sorted((key, value) for key, value in shape if key not in tuned))
+
+
+def _starts(effects, drops):
+    """Return the shapes of a grid to search on from: its best, or its peaks.
+
+    A single parameter is searched around its best value; two may trade against each
+    other, with several peaks, none of which lies beside a better one.
+    """
+    order = np.argsort(drops)[::-1]
+    names = effects[0].continuous
+    if len(names) < 2:
+        return [effects[order[0]]]
+    apart = []
+    for name in names:
+        values, place = np.unique(
+            [getattr(e, name) for e in effects], return_inverse=True
+        )
+        steps = np.abs(place[:, None] - place)
+        if name in effects[0].cyclic:
+            steps = np.minimum(steps, values.size - steps)
+        apart.append(steps)
+    near = np.max(apart, axis=0) <= 1
+    found = []
+    for i in order:
+        if not near[i, found].any():
+            found.append(i)
+    return [effects[i] for i in found[:_STARTS]]
 
 
 def tuned(effect, base):
@@ -158,12 +229,12 @@ def tuned(effect, base):
         return refined(effect, base)
     joints = base.view.joints_of(effect)
     drops = base.fitted.score(joints, same.columns).drop
-    best = {}
+    settings = {}
     for one, drop in zip(same.effects, drops):
-        key = _settings(one)
-        if key not in best or drop > best[key][0]:
-            best[key] = drop, one
-    offers = [effect, *(one for _, one in best.values())]
+        settings.setdefault(_settings(one), []).append((one, drop))
+    offers = [effect]
+    for members in settings.values():
+        offers += _starts(*zip(*members))
 
     def drop(one):
         return base.fitted.drop(joints, base.view.columns([one], base.motion))
@@ -220,17 +291,21 @@ def tuned_family(effect, model):
 
 
 def absorbing(effect, plain, model):
-    """Return the model without plainer effects, the one that contains them anew.
+    """Yield models without plainer effects, for each form of one that contains them.
 
-    Its shape was found beside them, where it stood for what they had left over.
+    Its shape was found beside them, where it stood for what they had left over, and
+    with the ridge of a model that lacked it, which takes part of what it is to explain:
+    both are found anew, with hardly a ridge, the plainest form first.
     """
     gone = {id(effect), *map(id, plain)}
     rest = tuple(one for one in model.effects if id(one) not in gone)
-    base, forms = model.beside(rest), effect.excludes()
+    base, forms = model.beside(rest, LEAST_RIDGE), effect.excludes()
+    joints = model.view.joints_of(effect)
     family = base.family(effect).where(lambda one: one.key() in forms)
-    own, score = plainest(base, effect, family)
-    alone = refined(own.effects[score.best], base)
-    return SearchModel.of(model.view, [*rest, alone], model)
+    for own in family.forms():
+        best = base.fitted.score(joints, own.columns).best
+        alone = tuned(own.effects[best], base)
+        yield SearchModel.of(model.view, [*rest, alone], model)
 
 
 def retuned(model, joint):

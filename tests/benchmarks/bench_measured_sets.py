@@ -1,0 +1,272 @@
+"""The measured robots: declared, completed, and other methods, on one untouched part.
+
+Run ``python tests/benchmarks/bench_measured_sets.py --sets development --data-home DIR
+[--write]``; the confirmation sets are run once, see ``README.md``.
+
+Data, filters, masks and declared model (ten inertial parameters and viscous friction
+per joint) are those of ``bench_discovery_measured.py``. Split: the loop's own. Every
+method is fitted to the rows that the loop searched and judged on those that it left
+untouched, in the same band and with the same mask; errors are root mean squares over
+the spread of the torque in the moving time of the whole recording, as in the report.
+
+Methods, all for the declared model:
+
+- WLS: least squares, joints weighted by their noise.
+- ridge, LASSO, PLS: their strength or number of components (up to the rank of the
+  equations) is chosen by cross-validation over five blocks of time of the fitted rows.
+- stepwise: forwards and backwards by F-tests.
+- IDIM-IV: two-stage least squares. The equations are made of the positions of every
+  other sample, the instruments are the regressor matrices of the samples in between,
+  both interpolated, differentiated and low-passed alike: their noise is independent
+  where the encoder's is white. None of the sets has what a simulation of the closed
+  loop would take, the controller.
+"""
+
+import json
+import time
+import warnings
+
+import numpy as np
+from _ledger import Ledger
+from _report import fixed, parser, publish, rst_table
+from bench_discovery_measured import load
+from sklearn.base import clone
+
+from sklearn_vbjfa import EffectDiscovery
+from sklearn_vbjfa.diagnosis.search._split import split_in_time
+from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
+from sklearn_vbjfa.robot._identifier import estimate_of, pieces_of
+from sklearn_vbjfa.robot._residuals import collect_residuals
+
+SETS = {
+    "development": ("emps", "ur5", "staubli_tx40", "bam_xl330", "tflex_1dof"),
+    "confirmation": (
+        "kuka_kr300",
+        "franka_panda",
+        "kuka_lbr_med7",
+        "dfki_double_pendulum",
+        "tiago",
+    ),
+}
+# Name in the table -> name in the comparison of methods.
+RIVALS = {
+    "WLS": "WLS",
+    "ridge": "ridge",
+    "LASSO": "LASSO",
+    "PLS": "PLS",
+    "stepwise": "stepwise",
+    "IDIM-IV": "IV",
+}
+# Errors of one model computed in two ways agree to this.
+SAME = 1e-6
+
+
+def split_of(loop, q, tau, groups):
+    """Return (X, y, groups) of the searched and of the untouched part of a loop.
+
+    Parameters
+    ----------
+    loop : EffectDiscovery
+        Fitted to q and tau.
+    q, tau : ndarray of shape (n, nv)
+        Positions and torques.
+    groups : ndarray of shape (n,)
+        Labels.
+    """
+    dt = loop.identifier.dt
+    whole = take_arrays(
+        q, tau, groups, None, None, dt=dt, joint_names=loop.joint_names_
+    )
+    split = split_in_time(loop.identifier, whole.inputs, whole.groups, loop.test_size)
+    effects = loop.judged_.effects_
+    instants = [getattr(e, name) for e in effects for name in e.jumping]
+    guard = round(loop.report_.outcome.settings["guard_seconds"] / dt)
+    split = split.decided(whole.t, instants).guarded(guard)
+    return (
+        (q[split.search], tau[split.search], split.pieces),
+        (q[split.test], tau[split.test], split.test_pieces),
+    )
+
+
+def _rank(pieces):
+    """Rank of the equations of all pieces, their columns in units of their length."""
+    gram = 0.0
+    for piece in pieces:
+        rows = (piece.Phi * np.sqrt(piece.weight)[:, :, None]).reshape(
+            -1, piece.Phi.shape[2]
+        )
+        gram = gram + rows.T @ rows
+    length = np.sqrt(np.diag(gram))
+    gram = gram[np.ix_(length > 0, length > 0)]
+    length = length[length > 0]
+    return int(np.linalg.matrix_rank(gram / np.outer(length, length), hermitian=True))
+
+
+def partial_least_squares(base, train, test):
+    """Errors of PLS on the untouched part, of components up to the equations' rank."""
+    settings = dict(methods(len(base.parameter_names_))["PLS"])
+    pieces = list(pieces_of(base, *train))
+    counts = sorted({int(c) for c in np.geomspace(1, _rank(pieces), 8)})
+    grid = {"n_components": counts}
+    settings["regressor"] = clone(settings["regressor"]).set_params(param_grid=grid)
+    found = estimate_of(base, pieces, clone(base).set_params(**settings))
+    return collect_residuals(pieces_of(base, *test), found.theta).normalised_error()
+
+
+def judge_set(q, tau, groups, identifier, names=tuple(RIVALS), **settings):
+    """Close the loop on a recording and judge the other methods beside it.
+
+    Parameters
+    ----------
+    q, tau, groups : ndarray
+        Recording.
+    identifier : RobotIdentifier
+        Declared model.
+    names : sequence of str
+        Methods, of `RIVALS`.
+    **settings
+        Further parameters of `EffectDiscovery`.
+
+    Returns
+    -------
+    dict
+        ``errors``: method -> errors of the joints; effects, failures and times.
+    """
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
+    started = time.perf_counter()
+    loop.fit(q, tau, groups)
+    seconds = time.perf_counter() - started
+    train, test = split_of(loop, q, tau, groups)
+    chosen = [OURS, *(RIVALS[name] for name in names if name != "PLS")]
+    results, base = compare_methods(identifier, train, test, names=chosen)
+    by_name = {result.name: result for result in results}
+    rest = base.residuals(test[0], test[1], groups=test[2])
+    # the comparison divides by the spread of the untouched part alone
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = rest.rms() / rest.normalised_error() / loop.torque_spread_
+    declared = by_name[OURS].error * scale
+    if not np.allclose(declared, loop.error_before_, atol=SAME, equal_nan=True):
+        raise RuntimeError(
+            f"The declared model has {declared} on the untouched part; the loop says "
+            f"{loop.error_before_}: not the same rows."
+        )
+    errors = {"declared": loop.error_before_, "completed": loop.error_after_}
+    for name in names:
+        if name == "PLS":
+            error = partial_least_squares(base, train, test)
+        else:
+            error = by_name[RIVALS[name]].error
+        errors[name] = error * scale
+    return {
+        "errors": {name: np.asarray(x).tolist() for name, x in errors.items()},
+        "failures": {
+            name: result.message
+            for name in names
+            if (result := by_name.get(RIVALS[name])) and result.message
+        },
+        "effects": [[e.name, e.joint] for e in loop.effects_],
+        "cutoff": float(base.cutoff_),
+        "seconds": seconds,
+    }
+
+
+def run(name, data_home=None):
+    """Judge all methods on one set, as a dict."""
+    recording, rows, identifier = load(name, data_home)
+    parts = recording.q[rows], recording.tau[rows], recording.groups[rows]
+    with warnings.catch_warnings():
+        # How rivals converge is shown by their errors.
+        warnings.simplefilter("ignore")
+        return {"set": name, **judge_set(*parts, identifier)}
+
+
+def _mean(values):
+    finite = np.asarray(values, dtype=float)
+    finite = finite[np.isfinite(finite)]
+    return finite.mean() if finite.size else np.nan
+
+
+def report(results):
+    """Text with the tables."""
+    names = list(results[0]["errors"])
+    means = {name: [_mean(r["errors"][name]) for r in results] for name in names}
+    rows = [
+        [r["set"], *fixed([100 * means[name][i] for name in names])]
+        for i, r in enumerate(results)
+    ]
+    rows.append(["mean", *fixed([100 * _mean(means[name]) for name in names])])
+    completed = np.array(means["completed"])
+    others = [name for name in names if name != "completed"]
+    better = [
+        [name, f"{int(np.sum(completed < np.array(means[name])))} of {len(results)}"]
+        for name in others
+    ]
+    joints = [
+        [r["set"], name, " ".join(fixed(100 * np.array(r["errors"][name])))]
+        for r in results
+        for name in names
+    ]
+    found = [
+        [
+            r["set"],
+            f"{r['cutoff']:.3g}",
+            ", ".join(f"{n} {j + 1}" for n, j in r["effects"]) or "nothing",
+            f"{r['seconds']:.0f}",
+        ]
+        for r in results
+    ]
+    failures = [
+        f"{r['set']}, {name}: {message}"
+        for r in results
+        for name, message in r["failures"].items()
+    ]
+    parts = [
+        "Errors on the untouched part over the spread of the torque in the moving time "
+        "of the whole recording, mean over the joints [%].",
+        rst_table(rows, ["set", *names]),
+        rst_table(better, ["completed better in the mean than", "sets"]),
+        rst_table(joints, ["set", "method", "each joint [%]"], n_labels=3),
+        rst_table(
+            found, ["set", "cut-off [Hz]", "found, joint from 1", "s"], n_labels=1
+        ),
+        *failures,
+    ]
+    return "\n\n".join(parts)
+
+
+def main(argv=None):
+    """Print the tables."""
+    arguments = parser(__doc__.splitlines()[0])
+    arguments.add_argument("--sets", choices=SETS, default="development")
+    arguments.add_argument(
+        "--data", nargs="*", default=None, help="some of the sets only"
+    )
+    arguments.add_argument("--data-home", default=None, metavar="DIR")
+    arguments.add_argument(
+        "--out", default=None, metavar="FILE", help="results so far, as JSON lines"
+    )
+    arguments = arguments.parse_args(argv)
+    known = SETS[arguments.sets]
+    chosen = arguments.data or known
+    if not set(chosen) <= set(known):
+        raise SystemExit(f"--data must name some of {', '.join(known)}.")
+    tasks = [{"set": name} for name in chosen]
+    ledger = Ledger(arguments.out, ("set",))
+    for task in ledger.missing(tasks):
+        result = run(task["set"], arguments.data_home)
+        ledger.add(result)
+        means = {name: _mean(x) for name, x in result["errors"].items()}
+        words = " ".join(f"{name} {100 * x:.1f}" for name, x in means.items())
+        print(f"{task['set']}: {words}; {json.dumps(result['effects'])}", flush=True)
+    publish(
+        f"measured_sets_{arguments.sets}",
+        report(ledger.of(tasks)),
+        write=arguments.write,
+        command="python tests/benchmarks/bench_measured_sets.py "
+        f"--sets {arguments.sets}",
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -207,17 +207,19 @@ class Ceiling:
         The same of functions fitted to other recordings, as far as these reach the
         joint's speeds and loads; nan if that is less than half of the time, or there is
         only one recording.
+    share : tuple of 3 float
+        What repeats: the smaller of those that are known.
     """
 
     joint: int
     joint_name: str
     within: tuple
     across: tuple
+    share: tuple = field(init=False)
 
-    @property
-    def share(self):
-        """What repeats, tuple of 3 float: the smaller of those that are known."""
-        return tuple(map(float, np.fmin(self.within, self.across)))
+    def __post_init__(self):
+        share = tuple(map(float, np.fmin(self.within, self.across)))
+        object.__setattr__(self, "share", share)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -398,10 +398,12 @@ def _of_the_rest(outcome, rest):
 
 
 def _unexplained_groups(outcome, unexplained):
-    """Put joints together of which the same is said but for the size."""
+    """Put joints together of which only the size is known, or not even the floor."""
     groups = {}
     for u in unexplained:
-        said, _ = _of_the_rest(outcome, u)
+        found = _remains.remains(outcome, u.joint)
+        known = bool(u.signals) if found is None else found.kind != "nothing"
+        said = u.joint if known else _of_the_rest(outcome, u)
         groups.setdefault((u.floor > 0, said), []).append(u)
     return groups.values()
 
@@ -410,13 +412,12 @@ def _ceiling_note(outcome):
     """Say what a share of what remains is, for a page."""
     if not outcome.ceiling:
         return ""
-    on = "blocks of time and, where it could be tried, recordings"
-    if all(math.isnan(c.across[-1]) for c in outcome.ceiling):
-        on = "blocks of time"
+    on = "blocks of time that they were not fitted to"
+    if not all(math.isnan(c.across[-1]) for c in outcome.ceiling):
+        on += ", and on other recordings within the speeds and loads fitted"
     return (
-        "What remains: the squared residual of the completed model in the search part. "
-        f"Its share that boosted trees explain, on {on} that they were not fitted to; "
-        "other joints: beside the joint's own state and history."
+        "What remains is the squared residual of the completed model in the search "
+        f"part; shares are what boosted trees explain of it on {on}."
     )
 
 

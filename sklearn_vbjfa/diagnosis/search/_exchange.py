@@ -21,6 +21,8 @@ from sklearn_vbjfa.diagnosis.search._shapes import retuned, tuned
 
 # Effects of a joint that a second one is tried beside, the best ones alone.
 _FIRST = 3
+# Where the error is this many times the noise floor, one effect may not be enough.
+_ABOVE = 1.15
 # Rules by which a step is taken, as they are reported.
 PAIR = "Bonferroni over the pairs of the joint, where no single effect passed"
 FOR_TWO = "Bonferroni over the pairs of the joint, in place of what they replace"
@@ -56,7 +58,7 @@ def exchange(search):
     Of an `EffectSearch` in which no single effect passes any more.
     """
     model = search.model
-    above = (model.precision > 0) & ~search.at_floor(model.squares)
+    above = (model.precision > 0) & ~search.at_floor(model.squares, _ABOVE)
     for joint in np.flatnonzero(model.precision > 0).tolist():
         own = [e for e in model.effects if e.joint == joint and not e.whole_robot]
         if _two_for_one(search, joint, own):

@@ -33,8 +33,8 @@ from sklearn_vbjfa.effects import JointEffect
 from sklearn_vbjfa.effects._library import closure
 
 # A joint whose out-of-sample error is within this factor of its noise floor lacks
-# nothing that could be named.
-AT_FLOOR = 1.15
+# nothing that could be named: an effect of a third of the noise adds as much to it.
+AT_FLOOR = 1.05
 # An effect stays as long as leaving it out would cost this share of the error.
 _SUPERFLUOUS = 0.01
 # What is found must hold beyond the data that it was found in: fitted to this first
@@ -170,6 +170,8 @@ class EffectSearch:
         Keys of effects that did not hold on later data, beside the model as it is.
     refusals : dict
         How often each effect was refused, by its key.
+    tried : dict
+        By joint, the model that candidates were last tried beside, and what they were.
     threshold, n_tests : float and int
         Level of the last round, and among how many tests it was shared out.
     """
@@ -183,6 +185,7 @@ class EffectSearch:
     steps: list = field(default_factory=list)
     refused: set = field(default_factory=set)
     refusals: dict = field(default_factory=dict)
+    tried: dict = field(default_factory=dict)
     threshold: float | None = None
     n_tests: int = 0
 
@@ -261,24 +264,10 @@ class EffectSearch:
     def _round(self, number):
         """Add or refuse one effect; whether there was one."""
         model = self.model
-        quiet = self.at_floor(model.squares) | (model.precision == 0)
-        tried = {}
-        for joint in range(self.view.nv):
-            if self.on_progress is not None:
-                self.on_progress(number, f"joint {joint + 1} of {self.view.nv}")
-            if model.precision[joint] > 0 and not quiet.all():
-                tried[joint], _ = self.try_joint(joint, model, quiet[joint])
-        self._set_threshold(tried)
-        gain = _weighted_gain(model)
-        offers = []
-        for joint, candidates in tried.items():
-            found, others = self.eligible(candidates, joint, model.effects)
-            if found:
-                chosen, rivals = self.best_of(found, others)
-                offers.append((gain(chosen), chosen, rivals, others))
-        if not offers:
+        offer = self._best_offer(number)
+        if offer is None:
             return False
-        _, chosen, rivals, others = max(offers, key=lambda offer: offer[0])
+        chosen, rivals, others = offer
         chosen, rivals = self._judged_anew(chosen, rivals, others)
         effect = tuned(chosen.effect, model)
         case, refusal = self.later(effect, model)
@@ -286,6 +275,7 @@ class EffectSearch:
             self._refuse(effect, case, rivals, others, refusal)
             return True
         # Beside another model they may hold.
+        self.tried = {j: t for j, t in self.tried.items() if j not in self._refusing()}
         self.refused.clear()
         self.step(
             "add",
@@ -301,6 +291,50 @@ class EffectSearch:
         self.model = retuned(self.model, effect.joint)
         self.compete(effect.joint)
         return True
+
+    def _best_offer(self, number):
+        """Best candidate that may be added, its rivals and all that beat chance.
+
+        None if there is none. What one joint gains changes little on the others, so
+        that only the joint of the best candidate is tried again beside the model as it
+        is [1]_; all of them are before it is said that there is nothing.
+
+        References
+        ----------
+        .. [1] M. Minoux, "Accelerated greedy algorithms for maximizing submodular set
+           functions", Optimization Techniques, Springer, 1978.
+           :doi:`10.1007/BFb0006528`
+        """
+        model = self.model
+        quiet = self.at_floor(model.squares) | (model.precision == 0)
+        joints = np.flatnonzero(model.precision > 0).tolist()
+        if quiet.all():
+            return None
+        while True:
+            best = max(self._offers(), key=lambda offer: offer[0], default=None)
+            stale = [
+                j
+                for j in joints
+                if j not in self.tried or self.tried[j][0] is not model
+            ]
+            if best is not None and best[1] not in stale:
+                return best[2:]
+            for joint in stale if best is None else [best[1]]:
+                if self.on_progress is not None:
+                    self.on_progress(number, f"joint {joint + 1} of {self.view.nv}")
+                found, _ = self.try_joint(joint, model, quiet[joint])
+                self.tried[joint] = model, found
+            if best is None and not stale:
+                return None
+
+    def _offers(self):
+        """Yield (gain, joint, candidate, rivals, others) of joints as last tried."""
+        self._set_threshold({j: found for j, (_, found) in self.tried.items()})
+        for joint, (model, found) in self.tried.items():
+            offered, others = self.eligible(found, joint, self.model.effects)
+            if offered:
+                chosen, rivals = self.best_of(offered, others)
+                yield _weighted_gain(model)(chosen), joint, chosen, rivals, others
 
     def step(self, action, effect, effects, *, rivals=(), tried=(), **given):
         """Go on to a model with other effects, and note it."""
@@ -322,6 +356,7 @@ class EffectSearch:
     def _refuse(self, effect, case, rivals, tried, rule):
         """Note that an effect does not hold; every trial counts, see `_evidence`."""
         self.refused.add(effect.key())
+        self.tried.pop(effect.joint, None)
         self.refusals[effect.key()] = self.refusals.get(effect.key(), 0) + 1
         self.step(
             "refuse",
@@ -333,11 +368,15 @@ class EffectSearch:
             rule=rule,
         )
 
-    def at_floor(self, squares):
-        """Joints whose error noise alone explains."""
+    def _refusing(self):
+        """Joints on which something was refused beside the present model."""
+        return {joint for _, joint, *_ in self.refused}
+
+    def at_floor(self, squares, factor=AT_FLOOR):
+        """Joints whose error noise alone explains, but for a factor."""
         with np.errstate(invalid="ignore", divide="ignore"):
             mean = squares.sum(axis=0) / self.view.rows
-        return mean < AT_FLOOR**2 * self.view.floor
+        return mean < factor**2 * self.view.floor
 
     # -- candidates -----------------------------------------------------------------
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.report import _remains
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._limits import contradiction
 from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
@@ -35,6 +36,8 @@ class JointVerdict:
         Accepted effects.
     text : str
         The same in words.
+    remains : str
+        What is known of what remains, in a sentence.
     """
 
     joint: int
@@ -42,6 +45,7 @@ class JointVerdict:
     status: str
     n_effects: int
     text: str
+    remains: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +108,7 @@ def _judge_joint(outcome, j):
         status=status,
         n_effects=sum(e.joint == j for e in outcome.effects),
         text=text,
+        remains=_remains.of_joint(outcome, j, text),
     )
 
 

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from sklearn_vbjfa.diagnosis.search._band import Band
 from sklearn_vbjfa.diagnosis.search._contradictions import Contradictions
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
@@ -187,6 +189,41 @@ class Unexplained:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ceiling:
+    """How much of a joint's residual a function of any form explains.
+
+    Of its own speed and load; of its own state and history; of the states and loads of
+    all joints. Each includes the signals of the one before.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    within : tuple of 3 float
+        Shares of the squared residual that functions fitted to other blocks of time
+        explain; zero where that is no more than chance.
+    across : tuple of 3 float
+        The same of functions fitted to other recordings, as far as these reach the
+        joint's speeds and loads; nan if that is less than half of the time, or there is
+        only one recording.
+    share : tuple of 3 float
+        What repeats: the smaller of those that are known.
+    """
+
+    joint: int
+    joint_name: str
+    within: tuple
+    across: tuple
+    share: tuple = field(init=False)
+
+    def __post_init__(self):
+        share = tuple(map(float, np.fmin(self.within, self.across)))
+        object.__setattr__(self, "share", share)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Hidden:
     """An effect that this data cannot show.
 
@@ -226,6 +263,9 @@ class Outcome:
         Steps of the search.
     unexplained : tuple of Unexplained
         Joints that stay above their noise floor.
+    ceiling : tuple of Ceiling
+        What functions of any form explain on these joints; empty if that was not asked
+        for.
     hidden : tuple of Hidden
         Effects that could not be looked for.
     channels : tuple of ChannelFinding
@@ -272,7 +312,7 @@ class Outcome:
         Masses of the model that is handed over, and which of them are known.
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
-        part, its recordings joined [s].
+        part, its recordings joined [s]; "maps" has a `Map` of some joints.
     outside : tuple of OutsideRange
         Where the untouched part leaves what the judged model was fitted on.
     """
@@ -281,6 +321,7 @@ class Outcome:
     effects: tuple
     rounds: tuple
     unexplained: tuple
+    ceiling: tuple
     hidden: tuple
     channels: tuple
     joint_names: tuple

@@ -9,6 +9,7 @@ import sklearn
 from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.diagnosis.search._ceiling import ceilings
 from sklearn_vbjfa.diagnosis.search._contradictions import contradictions
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis.search._findings import (
@@ -45,6 +46,8 @@ def make_outcome(search, models, judgement, channels, asked, recordings=()):
     with np.errstate(divide="ignore", invalid="ignore"):
         wide = np.array(judgement.wide or np.full((2, spread.size), np.nan)) / spread
         relative_floor = floor / spread
+    rest = unexplained(search.model, names, spread, floor, decided)
+    ceiling, maps = _ceiling(search.model, rest, names, asked)
     return Outcome(
         declared={
             "robot": features.model_.name,
@@ -56,7 +59,8 @@ def make_outcome(search, models, judgement, channels, asked, recordings=()):
         },
         effects=tuple(_effects(search, models.final, names, prismatic)),
         rounds=tuple(_rounds(search, names)),
-        unexplained=unexplained(search.model, names, spread, floor, decided),
+        unexplained=rest,
+        ceiling=ceiling,
         hidden=hidden(search, names),
         channels=channels,
         joint_names=names,
@@ -79,7 +83,7 @@ def make_outcome(search, models, judgement, channels, asked, recordings=()):
         recordings=recordings,
         motion_limits=motion_limits(models.final.view),
         contradictions=contradictions(models.final, spread, float(asked["alpha"])),
-        curves=_curves(models.judged, judgement.before, judgement.after),
+        curves=_curves(models.judged, judgement.before, judgement.after, maps),
         outside=judgement.outside,
     )
 
@@ -285,7 +289,15 @@ def _settings(search, judgement, asked):
     }
 
 
-def _curves(judged, before, after):
+def _ceiling(model, rest, names, asked):
+    """Return what functions of any form explain of the rest, and their maps."""
+    if not asked["ceiling"]:
+        return (), {}
+    joints = [u.joint for u in rest]
+    return ceilings(model, joints, names, asked["alpha"], asked["random_state"])
+
+
+def _curves(judged, before, after, maps):
     """Residuals of the untouched part with their signals, thinned for pictures."""
     m = before.torque.shape[0]
     rows = np.arange(0, m, max(1, m // _POINTS))
@@ -300,4 +312,5 @@ def _curves(judged, before, after):
         "after": after.residual[rows],
         "weight": before.weight[rows],
         "torque": before.torque[rows],
+        "maps": maps,
     }

@@ -111,8 +111,13 @@ class Delay(Effect):
         return 1 / _FACTOR < float(coef[0]) / self.delay < _FACTOR
 
     def natural(self, coef):
-        """Whether it still is; see `Effect.natural`."""
-        return self.plausible(coef)
+        """Whether it has the sign of the shift, and is one; see `Effect.natural`.
+
+        Short delays differ in the coefficient, and hardly in the shift that the column
+        is made with: the one may be far from the other.
+        """
+        found = float(coef[0])
+        return found / self.delay > 0 and abs(found) < _FACTOR * _DELAYS[-1]
 
     def opposite(self):
         """Return the same delay of the other signal; see `Effect.opposite`."""
@@ -204,6 +209,7 @@ class TorqueFilter(Effect):
     units = (TIME,)
     named_units = (("time_constant", TIME), ("cutoff", ("Hz", "Hz")))
     shape_units = (("time_constant", TIME),)
+    contains = ("delay",)
     needs = ("load", "time")
     continuous = ("time_constant",)
     positive = ("time_constant",)
@@ -246,10 +252,6 @@ class TorqueFilter(Effect):
     def plausible(self, coef):
         """Whether the filter found is about the column's; see `Effect.plausible`."""
         return 1 / _FACTOR < float(coef[0]) / self.time_constant < _FACTOR
-
-    def natural(self, coef):
-        """Whether it still is; see `Effect.natural`."""
-        return self.plausible(coef)
 
     def opposite(self):
         """Return the same filter of the other channel; see `Effect.opposite`."""

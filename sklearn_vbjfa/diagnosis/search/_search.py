@@ -630,7 +630,7 @@ class EffectSearch:
         # trend goes on for another quarter more often than for another half.
         shares = [_LATE] if late else [_LATE, _FORWARD] if effect.slow else [_FORWARD]
         larger = self.model.beside([*base.effects, effect])
-        if not effect.plausible(larger.coefficients(effect)):
+        if not effect.natural(larger.coefficients(effect)):
             # Between the points of the grid it became something else.
             nothing = np.zeros(1)
             return compare(nothing, nothing), Rule(name=UNNATURAL)

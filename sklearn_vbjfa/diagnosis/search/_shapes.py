@@ -9,6 +9,7 @@ from sklearn.base import clone
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, no_worse
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE, BlockRegression
+from sklearn_vbjfa.diagnosis.search._symmetry import one_sided
 from sklearn_vbjfa.diagnosis.search._view import variants
 
 # Times that what is linearised is linearised again.
@@ -290,6 +291,16 @@ def tuned_family(effect, model):
     return np.concatenate([same.columns, np.stack(finer, axis=2)], axis=2)
 
 
+def _sided(effect, rest, base, model):
+    """Yield the model with the plausible direction of an effect, as `absorbing`."""
+    joints, family = model.view.joints_of(effect), base.family(effect)
+    score = base.fitted.score(joints, family.columns)
+    own, score = one_sided(base, family, joints, score)
+    if own is not None:
+        alone = tuned(own.effects[score.best], base)
+        yield SearchModel.of(model.view, [*rest, alone], model)
+
+
 def absorbing(effect, plain, model):
     """Yield models without plainer effects, for each form of one that contains them.
 
@@ -300,6 +311,9 @@ def absorbing(effect, plain, model):
     gone = {id(effect), *map(id, plain)}
     rest = tuple(one for one in model.effects if id(one) not in gone)
     base, forms = model.beside(rest, LEAST_RIDGE), effect.excludes()
+    if effect.opposite() is not None:
+        yield from _sided(effect, rest, base, model)
+        return
     joints = model.view.joints_of(effect)
     family = base.family(effect).where(lambda one: one.key() in forms)
     for own in family.forms():

@@ -11,7 +11,7 @@ from sklearn_vbjfa.effects._base import TIME, Effect
 # Delays to try [s].
 _DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
 # Time constants to try, in periods of the low-pass over 2 pi.
-_CONSTANTS = (0.2, 0.6, 1.8)
+_CONSTANTS = (0.2, 0.6, 1.8, 5.4)
 # Fastest that a filter can be and still show between samples: its time constant, in
 # samples.
 _SAMPLES = 0.5
@@ -251,7 +251,8 @@ class TorqueFilter(Effect):
 
     def plausible(self, coef):
         """Whether the filter found is about the column's; see `Effect.plausible`."""
-        return 1 / _FACTOR < float(coef[0]) / self.time_constant < _FACTOR
+        found = self.parameters(coef)["time_constant"]
+        return 1 / _FACTOR < found / self.time_constant < _FACTOR
 
     def opposite(self):
         """Return the same filter of the other channel; see `Effect.opposite`."""

@@ -92,12 +92,12 @@ def test_a_short_lag_is_called_a_delay_and_a_long_one_a_filter():
     (effect,) = loop.effects_
     assert (effect.name, effect.joint) == ("delay", 1)
     assert effect.parameters["delay"] == pytest.approx(0.015, rel=0.2)
-    loop = FAST.discover(lagged(FAST.torque(), 0.12), CHANNELS)
+    loop = FAST.discover(lagged(FAST.torque(), 0.06), CHANNELS)
     (effect,) = loop.effects_
     assert (effect.name, effect.joint) == ("torque_filter", 1)
     assert effect.parameters["kind"] == "lag"
     assert effect.parameters["of"] == "torque"
-    assert effect.parameters["time_constant"] == pytest.approx(0.12, rel=0.1)
+    assert effect.parameters["time_constant"] == pytest.approx(0.06, rel=0.1)
 
 
 def test_a_smoothed_torque_is_named():

@@ -74,7 +74,15 @@ def add_to(commands):
         "--seed",
         type=int,
         default=0,
-        help="recorded in the report; nothing is random",
+        help="order in which blocks of time are left out for the ceiling; nothing else "
+        "is random",
+    )
+    parser.add_argument(
+        "--no-ceiling",
+        dest="ceiling",
+        action="store_false",
+        help="do not measure what functions of any form would explain of what remains; "
+        "saves some seconds",
     )
     parser.set_defaults(run=run)
 
@@ -110,6 +118,7 @@ def run(arguments):
                 friction=friction,
                 effects=library,
                 cutoff=cutoff,
+                ceiling=arguments.ceiling,
                 seed=seed,
                 torque_noise=recording.torque_noise,
             )
@@ -152,6 +161,7 @@ def _close(
     friction,
     effects="all",
     cutoff="auto",
+    ceiling=True,
     seed=0,
     torque_noise=None,
 ):
@@ -164,7 +174,9 @@ def _close(
         cutoff=cutoff,
         torque_noise=torque_noise,
     )
-    loop = EffectDiscovery(identifier, effects=effects, random_state=seed, verbose=True)
+    loop = EffectDiscovery(
+        identifier, effects=effects, ceiling=ceiling, random_state=seed, verbose=True
+    )
     return loop.fit(recording.q, recording.tau, groups=recording.groups)
 
 

@@ -78,8 +78,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Significance level over all effects and joints together.
     max_effects : int or None, default=None
         Maximum number of effects to add.
+    ceiling : bool, default=True
+        Whether to measure what functions of any form would explain of the residual of
+        joints that stay above their noise floor, see `ceiling_`.
     random_state : int, RandomState instance or None, default=None
-        Not used: neither search nor intervals are random. Recorded in the report.
+        Seed of the order in which blocks of time are left out for `ceiling_`; None
+        counts as 0. Neither search nor intervals are random. Recorded in the report.
     verbose : bool, default=False
         Whether a progress bar is shown, on terminals only.
 
@@ -109,6 +113,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     unexplained_ : tuple of Unexplained
         Joints whose residual stays above the noise floor, how much of the torque that
         is, and the signals it varies with.
+    ceiling_ : ndarray of shape (nv, 3)
+        Share of the squared residual of the completed model, in the search part, that
+        a flexible function explains of a joint's own speed and load; of its own state
+        and history; of the states and loads of all joints. It is what repeats, on other
+        blocks of time and, where there are several, on other recordings;
+        ``report_.outcome.ceiling`` has both. Zero where it is no more than chance, nan
+        for joints that are not in `unexplained_`, or with ``ceiling=False``.
     hidden_ : tuple of Hidden
         Effects that this robot or this recording cannot show.
     identifier_ : RobotIdentifier
@@ -181,6 +192,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         test_size=0.25,
         alpha=0.05,
         max_effects=None,
+        ceiling=True,
         random_state=None,
         verbose=False,
     ):
@@ -189,6 +201,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.test_size = test_size
         self.alpha = alpha
         self.max_effects = max_effects
+        self.ceiling = ceiling
         self.random_state = random_state
         self.verbose = verbose
 
@@ -243,7 +256,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             final = self._hand_over(found, whole, silent)
         models = Models(declared=self.declared_, judged=self.judged_, final=final)
         asked = self.get_params(deep=False)
-        return self._set(make_outcome(found, models, judgement, channels, asked))
+        names = _names(whole, groups)
+        outcome = make_outcome(found, models, judgement, channels, asked, names)
+        return self._set(outcome)
 
     # -- stages ---------------------------------------------------------------------
 
@@ -351,6 +366,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if outcome.projection is not None:
             self.projection_price_ = outcome.projection.price
         self.unexplained_, self.hidden_ = outcome.unexplained, outcome.hidden
+        self.ceiling_ = np.full((len(outcome.joint_names), 3), np.nan)
+        for one in outcome.ceiling:
+            self.ceiling_[one.joint] = one.share
         self.report_ = Report(outcome)
         return self
 
@@ -375,6 +393,16 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         X = positions_in_order(X, self.identifier_.joint_names_)
         X = check_array(X, dtype=np.float64)
         return self.identifier_.predict(X, groups=groups, t=t)
+
+
+def _names(whole, groups):
+    """Return what each recording is called: its label, or its number from 1."""
+    labels = range(1, len(whole.segments) + 1)
+    if groups is not None:
+        given = [np.asarray(groups)[rows.start] for rows in whole.segments]
+        if given != list(range(len(given))):
+            labels = given
+    return tuple(str(label) for label in labels)
 
 
 def _fitted(identifier, recording):

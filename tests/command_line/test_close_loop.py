@@ -203,6 +203,9 @@ def test_options_reach_the_estimators(good, urdf, monkeypatch):
     assert seen["effects"] == ("coulomb", "spring")
     assert seen["identifier__cutoff"] is None
     assert seen["random_state"] == 7
+    assert seen["ceiling"] is True
+    main(["close-loop", str(good), "--urdf", str(urdf), "--no-ceiling"])
+    assert seen["ceiling"] is False
     main(["close-loop", str(good), "--urdf", str(urdf), "--cutoff", "8"])
     assert seen["identifier__cutoff"] == 8.0
     assert seen["effects"] == "all"

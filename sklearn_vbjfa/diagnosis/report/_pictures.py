@@ -1,4 +1,4 @@
-"""Residuals over the untouched part, as the paths of a picture."""
+"""Residuals over time, and over speed and load, as the paths of pictures."""
 
 from dataclasses import dataclass
 
@@ -13,6 +13,8 @@ _QUANTILE = 0.998
 _BREAK = 1.5
 # Most steps of a time axis.
 _TICKS = 5
+# Shades of either sign in a map.
+_SHADES = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +83,65 @@ def residual_picture(curves, joint, floor):
         paths[key] = draw(x, np.where(used, y, np.nan))
     kind = "line" if draw is _line else "area"
     return Picture(kind=kind, **paths, band=band, limit=limit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MapPicture:
+    """Two maps, each a frame of WIDTH by HEIGHT; load rises upwards.
+
+    Attributes
+    ----------
+    measured, function : tuple of (str, float, str)
+        Sign (``"up"`` or ``"down"``), opacity and path data of each shade.
+    limit : float
+        Torque that has the full colour [N m or N].
+    """
+
+    measured: tuple
+    function: tuple
+    limit: float
+
+
+def map_picture(drawn):
+    """Draw a residual over speed and load beside the function that explains it.
+
+    Parameters
+    ----------
+    drawn : Map
+        Means in cells.
+
+    Returns
+    -------
+    MapPicture
+        Both maps in the same shades.
+    """
+    sizes = np.abs(drawn.measured[np.isfinite(drawn.measured)])
+    # A few cells with little in them would leave the others pale.
+    limit = float(np.quantile(sizes, 0.95)) if sizes.size else 0.0
+    limit = limit if limit > 0 else 1.0
+    return MapPicture(
+        measured=_shades(drawn.measured / limit),
+        function=_shades(drawn.function / limit),
+        limit=limit,
+    )
+
+
+def _shades(values):
+    """Cells of like values (n_loads, n_speeds) as one path for each shade."""
+    height, width = HEIGHT / values.shape[0], WIDTH / values.shape[1]
+    shade = np.ceil(np.clip(np.abs(values), 0, 1) * _SHADES)
+    found = []
+    for name, sign in (("up", 1), ("down", -1)):
+        for k in range(1, _SHADES + 1):
+            cells = np.argwhere((shade == k) & (np.sign(values) == sign))
+            path = "".join(
+                f"M{column * width:.1f} {HEIGHT - (row + 1) * height:.1f}"
+                f"h{width:.1f}v{height:.1f}h-{width:.1f}z"
+                for row, column in cells
+            )
+            if path:
+                found.append((name, k / _SHADES, path))
+    return tuple(found)
 
 
 def time_axis(curves):

@@ -10,10 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.report import _limits, _verdict
+from sklearn_vbjfa.diagnosis.report import _limits, _remains, _verdict
 from sklearn_vbjfa.diagnosis.report import _ranges as ranges
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
+from sklearn_vbjfa.diagnosis.report._pictures import (
+    map_picture,
+    residual_picture,
+    time_axis,
+)
 from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
 
 # Entries of a list that a terminal shows as sentences; each further one is a row.
@@ -280,6 +284,12 @@ def _projection(outcome, verdict):
     return _paragraph("Price of physical consistency", found)
 
 
+def _recordings(outcome, verdict):
+    """Say first what is wrong with recordings, then what their motion leaves open."""
+    found = _limits.contradiction_sentences(outcome) + _limits.motion_sentences(outcome)
+    return _paragraph("Limits of the recordings", found)
+
+
 def _masses(outcome, verdict):
     return _paragraph("Masses", _limits.mass_sentences(outcome))
 
@@ -341,45 +351,109 @@ def _terminal(sentences, rows):
     return (*sentences[:_SENTENCES], *([Table(rows=further)] if further else ()))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Maps:
+    """Residuals over speed and load.
+
+    Of each joint: label, what full colour means, speeds, loads, and the MapPicture.
+    """
+
+    pictures: tuple
+
+
 def _unexplained(outcome, verdict):
     names = outcome.joint_names
     order = sorted(outcome.unexplained, key=lambda u: (not u.floor > 0, -u.of_torque))
     sentences, short = [], []
-    for group in _unexplained_groups(order):
+    for group in _unexplained_groups(outcome, order):
         first = group[0]
         joints = words.joint_list(names, [u.joint for u in group])
         shares = [words.percent(share) for share in sorted(u.of_torque for u in group)]
         share = f"{' to '.join(dict.fromkeys([shares[0], shares[-1]]))} of the torque"
         share += " has no name" if first.floor > 0 else " remains, noise floor unknown"
-        signals = [
-            f"{words.signal_label(s.signal, names, first.joint)} "
-            f"({words.whole_percent(s.share)})"
-            for s in first.signals
-        ]
-        nothing = "it varies with no single signal"
-        all_of_them = f"varies with {words.join(signals, 3)}" if signals else nothing
-        sentences.append(f"{joints}: {share}; {all_of_them}")
-        strongest = f"varies with {signals[0]}" if signals else nothing
+        all_of_it, strongest = _of_the_rest(outcome, first)
+        sentences.append(f"{joints}: {share}; {all_of_it}")
         short.append((f"? {joints}", share, strongest))
+    pictures = _maps(outcome)
     return Section(
         heading="Unexplained",
         sentences=tuple(sentences),
+        note=_ceiling_note(outcome),
         terminal=_terminal([f"? {sentence}" for sentence in sentences], short),
+        template="unexplained",
+        drawn=Maps(pictures=pictures) if pictures else None,
     )
 
 
-def _unexplained_groups(unexplained):
+def _of_the_rest(outcome, rest):
+    """Say what is known of a joint's rest, in a sentence and in a few words."""
+    found = _remains.remains(outcome, rest.joint)
+    if found is not None:
+        return (
+            _remains.statement(found, rest.floor),
+            _remains.short_statement(found),
+        )
+    signals = [
+        f"{words.signal_label(s.signal, outcome.joint_names, rest.joint)} "
+        f"({words.whole_percent(s.share)})"
+        for s in rest.signals
+    ]
+    if not signals:
+        return ("it varies with no single signal",) * 2
+    return f"varies with {words.join(signals, 3)}", f"varies with {signals[0]}"
+
+
+def _unexplained_groups(outcome, unexplained):
     """Put joints together of which only the size is known, or not even the floor."""
     groups = {}
     for u in unexplained:
-        alone = u.joint if u.signals else None
-        groups.setdefault((u.floor > 0, alone), []).append(u)
+        found = _remains.remains(outcome, u.joint)
+        known = bool(u.signals) if found is None else found.kind != "nothing"
+        said = u.joint if known else _of_the_rest(outcome, u)
+        groups.setdefault((u.floor > 0, said), []).append(u)
     return groups.values()
+
+
+def _ceiling_note(outcome):
+    """Say what a share of what remains is, for a page."""
+    if not outcome.ceiling:
+        return ""
+    on = "blocks of time that they were not fitted to"
+    if not all(math.isnan(c.across[-1]) for c in outcome.ceiling):
+        on += ", and on other recordings within the speeds and loads fitted"
+    return (
+        "What remains is the squared residual of the completed model in the search "
+        f"part; shares are what boosted trees explain of it on {on}."
+    )
+
+
+def _maps(outcome):
+    """Draw what remains over speed and load, of joints of which these explain it."""
+    found = []
+    for joint, drawn in outcome.curves.get("maps", {}).items():
+        if _remains.has_picture(_remains.remains(outcome, joint)):
+            picture = map_picture(drawn)
+            unit = outcome.torque_units[joint]
+            speed = "m/s" if unit == "N" else "rad/s"
+            found.append(
+                (
+                    words.joint_label(outcome.joint_names, joint),
+                    f"full colour: +-{words.number(picture.limit, 2)} {unit}",
+                    f"speed {_range(drawn.speed)} {speed}",
+                    f"load {_range(drawn.load)} {unit}",
+                    picture,
+                )
+            )
+    return tuple(found)
+
+
+def _range(ends):
+    return " to ".join(words.number(end, 2) for end in ends)
 
 
 def _record_next(outcome, verdict):
     """Say what to record next, what matters most first, without repetition."""
-    wanted = {}
+    wanted = _remains.record_next(outcome)
     for rest in outcome.unexplained:
         for signal in rest.signals:
             advice = words.record_for_signal(signal.signal)
@@ -656,6 +730,7 @@ SECTIONS = (
     _headline,
     _joints,
     _band,
+    _recordings,
     _projection,
     _effects,
     _outside,

@@ -4,7 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.report import _remains
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._limits import contradiction
 from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
 
 # A refit moves the errors of all joints; a rise below this factor is no harm.
@@ -34,6 +36,8 @@ class JointVerdict:
         Accepted effects.
     text : str
         The same in words.
+    remains : str
+        What is known of what remains, in a sentence.
     """
 
     joint: int
@@ -41,6 +45,7 @@ class JointVerdict:
     status: str
     n_effects: int
     text: str
+    remains: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,6 +77,10 @@ def judge(outcome):
     status = _status(outcome, joints)
     errors = _mean_errors(outcome)
     headline = _headline(outcome, joints, status)
+    apart = contradiction(outcome)
+    if apart:
+        # What was found is then that of no robot.
+        headline = f"{apart}. {headline}"
     text = f"{headline} {_errors_sentence(outcome, errors)}".rstrip()
     return Verdict(
         joints=joints, status=status, errors=errors, headline=headline, text=text
@@ -99,6 +108,7 @@ def _judge_joint(outcome, j):
         status=status,
         n_effects=sum(e.joint == j for e in outcome.effects),
         text=text,
+        remains=_remains.of_joint(outcome, j, text),
     )
 
 

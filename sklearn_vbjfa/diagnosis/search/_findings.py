@@ -2,7 +2,10 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from sklearn_vbjfa.diagnosis.search._band import Band
+from sklearn_vbjfa.diagnosis.search._contradictions import Contradictions
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
@@ -186,6 +189,41 @@ class Unexplained:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Ceiling:
+    """How much of a joint's residual a function of any form explains.
+
+    Of its own speed and load; of its own state and history; of the states and loads of
+    all joints. Each includes the signals of the one before.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    within : tuple of 3 float
+        Shares of the squared residual that functions fitted to other blocks of time
+        explain; zero where that is no more than chance.
+    across : tuple of 3 float
+        The same of functions fitted to other recordings, as far as these reach the
+        joint's speeds and loads; nan if that is less than half of the time, or there is
+        only one recording.
+    share : tuple of 3 float
+        What repeats: the smaller of those that are known.
+    """
+
+    joint: int
+    joint_name: str
+    within: tuple
+    across: tuple
+    share: tuple = field(init=False)
+
+    def __post_init__(self):
+        share = tuple(map(float, np.fmin(self.within, self.across)))
+        object.__setattr__(self, "share", share)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Hidden:
     """An effect that this data cannot show.
 
@@ -225,6 +263,9 @@ class Outcome:
         Steps of the search.
     unexplained : tuple of Unexplained
         Joints that stay above their noise floor.
+    ceiling : tuple of Ceiling
+        What functions of any form explain on these joints; empty if that was not asked
+        for.
     hidden : tuple of Hidden
         Effects that could not be looked for.
     channels : tuple of ChannelFinding
@@ -261,11 +302,17 @@ class Outcome:
         The band of the fit; None if nothing is known of it.
     projection : ProjectionPrice or None
         What physically consistent parameters cost; None if they were not asked for.
+    recordings : tuple of str
+        What each recording is called.
+    motion_limits : tuple of MotionLimit
+        What joints do in no recording.
+    contradictions : Contradictions
+        Recordings that are not of one robot.
     bodies : tuple of BodyMass
         Masses of the model that is handed over, and which of them are known.
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
-        part, its recordings joined [s].
+        part, its recordings joined [s]; "maps" has a `Map` of some joints.
     outside : tuple of OutsideRange
         Where the untouched part leaves what the judged model was fitted on.
     """
@@ -274,6 +321,7 @@ class Outcome:
     effects: tuple
     rounds: tuple
     unexplained: tuple
+    ceiling: tuple
     hidden: tuple
     channels: tuple
     joint_names: tuple
@@ -292,6 +340,9 @@ class Outcome:
     settings: dict
     band: Band | None = None
     projection: ProjectionPrice | None = None
+    recordings: tuple = ()
+    motion_limits: tuple = ()
+    contradictions: Contradictions = field(default_factory=Contradictions)
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)
     outside: tuple = ()

@@ -9,6 +9,8 @@ import sklearn
 from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.diagnosis.search._ceiling import ceilings
+from sklearn_vbjfa.diagnosis.search._contradictions import contradictions
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis.search._findings import (
     Afterwards,
@@ -19,6 +21,7 @@ from sklearn_vbjfa.diagnosis.search._findings import (
 )
 from sklearn_vbjfa.diagnosis.search._gaps import hidden, too_short, unexplained
 from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, quantile
+from sklearn_vbjfa.diagnosis.search._motion import motion_limits
 from sklearn_vbjfa.diagnosis.search._search import STEP_UP
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
@@ -28,10 +31,11 @@ from sklearn_vbjfa.robot._known import body_masses
 _POINTS = 4000
 
 
-def make_outcome(search, models, judgement, channels, asked):
+def make_outcome(search, models, judgement, channels, asked, recordings=()):
     """Collect what `Report` shows.
 
-    `asked` are the parameters of the loop, of which the report repeats some.
+    `asked` are the parameters of the loop, of which the report repeats some;
+    `recordings` is what each recording is called.
     """
     robot = models.declared
     features, names = robot.features_, robot.joint_names_
@@ -42,6 +46,8 @@ def make_outcome(search, models, judgement, channels, asked):
     with np.errstate(divide="ignore", invalid="ignore"):
         wide = np.array(judgement.wide or np.full((2, spread.size), np.nan)) / spread
         relative_floor = floor / spread
+    rest = unexplained(search.model, names, spread, floor, decided)
+    ceiling, maps = _ceiling(search.model, rest, names, asked)
     return Outcome(
         declared={
             "robot": features.model_.name,
@@ -53,7 +59,8 @@ def make_outcome(search, models, judgement, channels, asked):
         },
         effects=tuple(_effects(search, models.final, names, prismatic)),
         rounds=tuple(_rounds(search, names)),
-        unexplained=unexplained(search.model, names, spread, floor, decided),
+        unexplained=rest,
+        ceiling=ceiling,
         hidden=hidden(search, names),
         channels=channels,
         joint_names=names,
@@ -73,7 +80,10 @@ def make_outcome(search, models, judgement, channels, asked):
         band=judgement.band,
         projection=judgement.price,
         bodies=body_masses(models.final.identifier),
-        curves=_curves(models.judged, judgement.before, judgement.after),
+        recordings=recordings,
+        motion_limits=motion_limits(models.final.view),
+        contradictions=contradictions(models.final, spread, float(asked["alpha"])),
+        curves=_curves(models.judged, judgement.before, judgement.after, maps),
         outside=judgement.outside,
     )
 
@@ -279,7 +289,15 @@ def _settings(search, judgement, asked):
     }
 
 
-def _curves(judged, before, after):
+def _ceiling(model, rest, names, asked):
+    """Return what functions of any form explain of the rest, and their maps."""
+    if not asked["ceiling"]:
+        return (), {}
+    joints = [u.joint for u in rest]
+    return ceilings(model, joints, names, asked["alpha"], asked["random_state"])
+
+
+def _curves(judged, before, after, maps):
     """Residuals of the untouched part with their signals, thinned for pictures."""
     m = before.torque.shape[0]
     rows = np.arange(0, m, max(1, m // _POINTS))
@@ -294,4 +312,5 @@ def _curves(judged, before, after):
         "after": after.residual[rows],
         "weight": before.weight[rows],
         "torque": before.torque[rows],
+        "maps": maps,
     }

@@ -70,7 +70,7 @@ HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
 ABSORBED = "the effect that contains it does as well alone, with another shape"
 MOST = "fewer effects were asked for"
-UNNATURAL = "took a sign that it cannot have"
+UNNATURAL = "took a sign or size that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
 BETTER = "better than what it replaces"
 SIMPLER = "simpler than what it replaces, and no worse"
@@ -175,6 +175,8 @@ class EffectSearch:
         Keys of effects that did not hold on later data, beside the model as it is.
     refusals : dict
         How often each effect was refused, by its key.
+    tried : dict
+        By joint, the model that candidates were last tried beside, and what they were.
     threshold, n_tests : float and int
         Level of the last round, and among how many tests it was shared out.
     """
@@ -188,6 +190,7 @@ class EffectSearch:
     steps: list = field(default_factory=list)
     refused: set = field(default_factory=set)
     refusals: dict = field(default_factory=dict)
+    tried: dict = field(default_factory=dict)
     threshold: float | None = None
     n_tests: int = 0
 
@@ -209,6 +212,9 @@ class EffectSearch:
         )
         self.steps += found.steps
         self.threshold, self.n_tests = found.threshold, found.n_tests
+        for effect in found.effects:
+            # Its shape was found beside the plain terms.
+            self.absorb(effect)
         self.prune()
         return self.settle()
 
@@ -267,24 +273,10 @@ class EffectSearch:
     def _round(self, number):
         """Add or refuse one effect; whether there was one."""
         model = self.model
-        quiet = self.at_floor(model.squares) | (model.precision == 0)
-        tried = {}
-        for joint in range(self.view.nv):
-            if self.on_progress is not None:
-                self.on_progress(number, f"joint {joint + 1} of {self.view.nv}")
-            if model.precision[joint] > 0 and not quiet.all():
-                tried[joint], _ = self.try_joint(joint, model, quiet[joint])
-        self._set_threshold(tried)
-        gain = _weighted_gain(model)
-        offers = []
-        for joint, candidates in tried.items():
-            found, others = self.eligible(candidates, joint, model.effects)
-            if found:
-                chosen, rivals = self.best_of(found, others)
-                offers.append((gain(chosen), chosen, rivals, others))
-        if not offers:
+        offer = self._best_offer(number)
+        if offer is None:
             return False
-        _, chosen, rivals, others = max(offers, key=lambda offer: offer[0])
+        chosen, rivals, others = offer
         chosen, rivals = self._judged_anew(chosen, rivals, others)
         effect = tuned(chosen.effect, model)
         case, refusal = self.later(effect, model)
@@ -292,6 +284,7 @@ class EffectSearch:
             self._refuse(effect, case, rivals, others, refusal)
             return True
         # Beside another model they may hold.
+        self.tried = {j: t for j, t in self.tried.items() if j not in self._refusing()}
         self.refused.clear()
         self.step(
             "add",
@@ -307,6 +300,50 @@ class EffectSearch:
         self.model = retuned(self.model, effect.joint)
         self.compete(effect.joint)
         return True
+
+    def _best_offer(self, number):
+        """Best candidate that may be added, its rivals and all that beat chance.
+
+        None if there is none. What one joint gains changes little on the others, so
+        that only the joint of the best candidate is tried again beside the model as it
+        is [1]_; all of them are before it is said that there is nothing.
+
+        References
+        ----------
+        .. [1] M. Minoux, "Accelerated greedy algorithms for maximizing submodular set
+           functions", Optimization Techniques, Springer, 1978.
+           :doi:`10.1007/BFb0006528`
+        """
+        model = self.model
+        quiet = self.at_floor(model.squares) | (model.precision == 0)
+        joints = np.flatnonzero(model.precision > 0).tolist()
+        if quiet.all():
+            return None
+        while True:
+            best = max(self._offers(), key=lambda offer: offer[0], default=None)
+            stale = [
+                j
+                for j in joints
+                if j not in self.tried or self.tried[j][0] is not model
+            ]
+            if best is not None and best[1] not in stale:
+                return best[2:]
+            for joint in stale if best is None else [best[1]]:
+                if self.on_progress is not None:
+                    self.on_progress(number, f"joint {joint + 1} of {self.view.nv}")
+                found, _ = self.try_joint(joint, model, quiet[joint])
+                self.tried[joint] = model, found
+            if best is None and not stale:
+                return None
+
+    def _offers(self):
+        """Yield (gain, joint, candidate, rivals, others) of joints as last tried."""
+        self._set_threshold({j: found for j, (_, found) in self.tried.items()})
+        for joint, (model, found) in self.tried.items():
+            offered, others = self.eligible(found, joint, self.model.effects)
+            if offered:
+                chosen, rivals = self.best_of(offered, others)
+                yield _weighted_gain(model)(chosen), joint, chosen, rivals, others
 
     def step(self, action, effect, effects, *, rivals=(), tried=(), **given):
         """Go on to a model with other effects, and note it."""
@@ -328,6 +365,7 @@ class EffectSearch:
     def _refuse(self, effect, case, rivals, tried, rule):
         """Note that an effect does not hold; every trial counts, see `_evidence`."""
         self.refused.add(effect.key())
+        self.tried.pop(effect.joint, None)
         self.refusals[effect.key()] = self.refusals.get(effect.key(), 0) + 1
         self.step(
             "refuse",
@@ -338,6 +376,10 @@ class EffectSearch:
             tried=tried,
             rule=rule,
         )
+
+    def _refusing(self):
+        """Joints on which something was refused beside the present model."""
+        return {joint for _, joint, *_ in self.refused}
 
     def at_floor(self, squares, factor=AT_FLOOR):
         """Joints whose error noise alone explains, but for a factor."""
@@ -588,6 +630,10 @@ class EffectSearch:
         # trend goes on for another quarter more often than for another half.
         shares = [_LATE] if late else [_LATE, _FORWARD] if effect.slow else [_FORWARD]
         larger = self.model.beside([*base.effects, effect])
+        if not effect.plausible(larger.coefficients(effect)):
+            # Between the points of the grid it became something else.
+            nothing = np.zeros(1)
+            return compare(nothing, nothing), Rule(name=UNNATURAL)
         judge = Judge(base, larger.residuals())
         least = 0.0
         if effect.slow:
@@ -629,8 +675,10 @@ class EffectSearch:
             for one in self.model.effects
             if one.joint == effect.joint and one.name in names
         ]
-        family = self.model.family(effect)
-        if len(family.forms()) < 2 and not (plain and effect.continuous):
+        forms = (one.complexity for one in self.model.family(effect).effects)
+        if effect.complexity <= min(forms, default=effect.complexity) and not (
+            plain and effect.continuous
+        ):
             return effect
         for trial in absorbing(effect, plain, self.model):
             now, then = (
@@ -665,6 +713,8 @@ class EffectSearch:
                         rule = Rule(name=UNNATURAL)
             if worst is None:
                 return
+            if rule.name == UNNATURAL:
+                self.refusals[worst.key()] = self.refusals.get(worst.key(), 0) + 1
             rest = self.model.without(worst)
             self.step("drop", worst, rest, evidence=evidence, rule=rule)
 

@@ -320,7 +320,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             "on_progress": say,
         }
         names = plain_terms(self.declared_.features_.friction_, library)
-        if not names:
+        if not names or self.max_effects == 0:
             view = RecordingView(self.declared_, part, silent, origin, begins)
             return EffectSearch(
                 view=view, max_effects=self.max_effects, **settings

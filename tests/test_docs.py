@@ -209,6 +209,8 @@ def constants_of_the_loop():
         f"fewer than {_blocks.FEWEST} times what the residual stays correlated for",
         f"fitted to the first {100 * _search._LATE:g} % of where it acts",
         f"acts in fewer than {2 * _search._ACTIVE} blocks",
+        f"acts in fewer than {_search._ACTIVE} blocks after the middle",
+        f"(with less than {100 * _search._FADED:g} % of its largest power)",
         f"and {words[_shapes._FINER]} finer steps around the tuned one",
         f"{_blocks._CORRELATION_TIMES:g} times as long as the residual stays corr",
         f"{few} to {many} blocks are aimed at, and {_blocks.FEWEST} are the fewest",

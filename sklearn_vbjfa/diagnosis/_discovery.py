@@ -257,7 +257,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             final = self._hand_over(found, whole, silent)
         models = Models(declared=self.declared_, judged=self.judged_, final=final)
         asked = self.get_params(deep=False)
-        return self._set(make_outcome(found, models, judgement, channels, asked))
+        names = _names(whole, groups)
+        outcome = make_outcome(found, models, judgement, channels, asked, names)
+        return self._set(outcome)
 
     # -- stages ---------------------------------------------------------------------
 
@@ -319,7 +321,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             "on_progress": say,
         }
         names = plain_terms(self.declared_.features_.friction_, library)
-        if not names:
+        if not names or self.max_effects == 0:
             view = RecordingView(self.declared_, part, silent, origin, begins)
             return EffectSearch(
                 view=view, max_effects=self.max_effects, **settings
@@ -392,6 +394,16 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         X = positions_in_order(X, self.identifier_.joint_names_)
         X = check_array(X, dtype=np.float64)
         return self.identifier_.predict(X, groups=groups, t=t)
+
+
+def _names(whole, groups):
+    """Return what each recording is called: its label, or its number from 1."""
+    labels = range(1, len(whole.segments) + 1)
+    if groups is not None:
+        given = [np.asarray(groups)[rows.start] for rows in whole.segments]
+        if given != list(range(len(given))):
+            labels = given
+    return tuple(str(label) for label in labels)
 
 
 def _fitted(identifier, recording):

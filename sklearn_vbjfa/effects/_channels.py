@@ -111,8 +111,8 @@ class Delay(Effect):
         return 1 / _FACTOR < float(coef[0]) / self.delay < _FACTOR
 
     def natural(self, coef):
-        """Whether the delay found has the sign of the shift; see `Effect.natural`."""
-        return float(coef[0]) / self.delay > 0
+        """Whether it still is; see `Effect.natural`."""
+        return self.plausible(coef)
 
     def opposite(self):
         """Return the same delay of the other signal; see `Effect.opposite`."""
@@ -246,6 +246,10 @@ class TorqueFilter(Effect):
     def plausible(self, coef):
         """Whether the filter found is about the column's; see `Effect.plausible`."""
         return 1 / _FACTOR < float(coef[0]) / self.time_constant < _FACTOR
+
+    def natural(self, coef):
+        """Whether it still is; see `Effect.natural`."""
+        return self.plausible(coef)
 
     def opposite(self):
         """Return the same filter of the other channel; see `Effect.opposite`."""

@@ -9,7 +9,7 @@ from sklearn_vbjfa.effects._base import POSITION, STIFFNESS, TORQUE, Effect, Joi
 # range of a prismatic one.
 _LONGEST, _SHORTEST = np.radians(75.0), np.radians(2.0)
 # Linkages to try: shorter over longer distance from the axis, and angles [degrees].
-_RATIOS = (0.2, 0.5, 0.8, 0.95)
+_RATIOS = (0.2, 0.5, 0.85)
 _ANGLES = tuple(range(0, 360, 15))
 # Neighbouring periods differ by this many cycles over the range of the motion.
 _CYCLES = 0.3

@@ -8,22 +8,26 @@ Data, all at 200 Hz, seeds as given:
   (``make_robot_recording``, seed 0); viscous and Coulomb friction declared.
 - ``whole robot``: two recordings of 30 s of six joints with friction and further
   effects everywhere (``_undeclared_whole.py``, seed 0); viscous friction declared.
-- ``60 joints``: ten arms of six joints on one base for 15 s (seed 0), viscous friction
-  declared. Every joint also has Coulomb friction, and two torques that no effect of the
-  library has, each five times the noise of 3 %: a product of its speed with the
-  neighbour's angle, and a sine in time whose frequency rises.
+- ``12 joints``, ``60 joints``: two and ten arms of six joints on one base for 15 s
+  (seed 0), viscous friction declared. Every joint also has Coulomb friction, and two
+  torques that no effect of the library has, each five times the noise of 3 %: a product
+  of its speed with the neighbour's angle, and a sine in time whose frequency rises.
 
 All effects of the library are looked for. The time is that of ``EffectDiscovery.fit``
 alone, in a process that has fitted a short recording before, the smallest of
-``--repeat``; with and without the ceiling where the loop has one (`ceiling`). Targets
-on two cores: 10 s for six joints without the ceiling, 30 s with it, 60 s for 60 joints.
+``--repeat``, with and without the ceiling where the loop has one (`ceiling`). Beside it
+stands how much of it the check of the channels took, which looks for swapped and
+misplaced ones where a model fits poorly. Targets on two cores: 10 s for six joints
+without the ceiling, 30 s with it, 60 s for 60 joints.
 """
 
+import functools
 import inspect
 import sys
 import time
 import warnings
 from dataclasses import dataclass
+from unittest import mock
 
 import numpy as np
 from _report import parser, publish, rst_table
@@ -32,6 +36,7 @@ from _undeclared_whole import whole_robot
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.diagnosis import _discovery
 
 DT = 0.005
 SEED = 0
@@ -125,7 +130,12 @@ def many(seconds=15.0, arms=10):
     return Timed(nominal, q, tau, np.zeros(t.size, dtype=int), ("viscous",))
 
 
-CASES = {"demo": demo, "whole robot": whole, "60 joints": many}
+CASES = {
+    "demo": demo,
+    "whole robot": whole,
+    "12 joints": functools.partial(many, arms=2),
+    "60 joints": many,
+}
 
 
 def ceilings():
@@ -137,7 +147,7 @@ def ceilings():
 
 
 def measure(case, repeat=1, **settings):
-    """Return the time of the loop [s] and the loop.
+    """Return the time of the loop and of the check of channels in it [s]; the loop.
 
     Parameters
     ----------
@@ -152,15 +162,26 @@ def measure(case, repeat=1, **settings):
     for _ in range(repeat):
         identifier = RobotIdentifier(case.model, dt=DT, friction=case.friction)
         loop = EffectDiscovery(identifier, random_state=0, **settings)
+        inspected = []
+
+        def timed(*given, inspected=inspected, inspects=_discovery.inspect_channels):
+            begun = time.perf_counter()
+            found = inspects(*given)
+            inspected.append(time.perf_counter() - begun)
+            return found
+
         started = time.perf_counter()
-        with warnings.catch_warnings():
+        with (
+            warnings.catch_warnings(),
+            mock.patch.object(_discovery, "inspect_channels", timed),
+        ):
             warnings.simplefilter("ignore", UserWarning)
             loop.fit(case.q, case.tau, groups=case.groups)
-        times.append(time.perf_counter() - started)
-    return min(times), loop
+        times.append((time.perf_counter() - started, sum(inspected)))
+    return *min(times), loop
 
 
-def row(name, label, case, seconds, loop):
+def row(name, label, case, seconds, channels, loop):
     """Row of the table."""
     nv = case.q.shape[1]
     target = TARGETS[label] if nv <= 6 else MANY_TARGET
@@ -174,6 +195,7 @@ def row(name, label, case, seconds, loop):
         f"{100 * np.mean(loop.error_before_):.1f}",
         f"{100 * np.mean(loop.error_after_):.1f}",
         f"{seconds:.1f}",
+        f"{channels:.1f}",
         f"{target:.0f}",
     ]
 
@@ -188,6 +210,7 @@ HEADERS = [
     "mean before [%]",
     "mean after",
     "time [s]",
+    "of this, channels",
     "target",
 ]
 
@@ -204,8 +227,8 @@ def main(argv=None):
     for name in arguments.cases:
         case = CASES[name]()
         for label, settings in ceilings():
-            seconds, loop = measure(case, arguments.repeat, **settings)
-            rows.append(row(name, label, case, seconds, loop))
+            found = measure(case, arguments.repeat, **settings)
+            rows.append(row(name, label, case, *found))
             print(" | ".join(map(str, rows[-1])), file=sys.stderr, flush=True)
     publish("loop_time", rst_table(rows, HEADERS, n_labels=2), write=arguments.write)
 

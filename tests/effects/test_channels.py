@@ -189,7 +189,8 @@ def test_opposites_are_opposites_of_each_other(effect):
 def test_directions_are_not_mixed():
     assert effects.Delay(delay=0.001).key() == effects.Delay(delay=0.016).key()
     assert effects.Delay(delay=0.001).key() != effects.Delay(delay=-0.001).key()
-    assert effects.Delay(delay=-0.004).natural([-0.001])
+    assert effects.Delay(delay=-0.004).natural([-0.003])
+    assert not effects.Delay(delay=-0.004).natural([-0.009])
     assert not effects.Delay(delay=-0.004).natural([0.001])
     assert not effects.TorqueFilter().natural([-0.01])
 

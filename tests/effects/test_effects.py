@@ -745,3 +745,33 @@ def test_joints_that_do_not_exist_are_refused(effect):
 def test_shape_parameters_of_zero_are_refused(effect):
     with pytest.raises(ValueError, match=effect.continuous[0]):
         transform(effect)
+
+
+# -- outside the time of a fit
+
+
+@pytest.mark.parametrize("of", ["coulomb", "offset", "viscous"])
+def test_a_drift_does_not_grow_before_the_fit(of):
+    drift = effects.Drift(of=of, time_constant=2.0)
+    whole = signals(t=T - 100.0)
+    known = signals(t=T - 100.0, since=-97.0)
+    expected = drift.columns(signals(t=np.maximum(T - 100.0, -97.0)))
+    assert_array_equal(drift.columns(known), expected)
+    later = T - 100.0 >= -97.0
+    assert_array_equal(drift.columns(known)[later], drift.columns(whole)[later])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_only_a_drift_depends_on_when_the_fit_began(name):
+    effect = library_effect(name)
+    moved = not np.array_equal(
+        effect.columns(signals()), effect.columns(signals(since=3.0))
+    )
+    assert moved == (name == "drift")
+    assert bool(effect.afterwards) == effect.slow
+
+
+def test_what_is_left_of_a_drift():
+    drift = effects.Drift(time_constant=5.0)
+    assert drift.later(np.array([3.0]), 10.0) == pytest.approx({"D": 3 * np.exp(-2.0)})
+    assert effects.Payload().later(np.ones(5), 10.0) == {}

@@ -33,7 +33,7 @@ def band_sentences(outcome, errors):
 def _reason(outcome, band):
     """Say what the cut-off is and what decided it."""
     fastest = words.joint_label(outcome.joint_names, band.fastest)
-    cutoff, bandwidth = words.number(band.cutoff, 2), words.number(band.bandwidth, 2)
+    cutoff, bandwidth = words.number(band.cutoff), words.number(band.bandwidth)
     motion = (
         f"{bandwidth} Hz, below which 99 % of the power of the speed of {fastest} lies"
     )
@@ -215,3 +215,135 @@ def _other(bodies):
         if found
     ]
     return f"{words.capital('; '.join(parts))}." if parts else ""
+
+
+# -- recordings -------------------------------------------------------------------
+
+
+def motion_sentences(outcome):
+    """Say what cannot be known as joints do not do it in any recording."""
+    by_kind = {}
+    for limit in outcome.motion_limits:
+        by_kind.setdefault((limit.kind, limit.recordings), []).append(limit)
+    return tuple(
+        _motion(outcome, kind, recordings, limits)
+        for (kind, recordings), limits in by_kind.items()
+    )
+
+
+def _motion(outcome, kind, recordings, limits):
+    """Say what joints do not do, in which recordings, and what follows."""
+    names = outcome.joint_names
+    one = len(limits) == 1
+    joints = words.capital(words.joint_list(names, [x.joint for x in limits]))
+    where = _where(outcome, recordings, kind)
+    if kind == "one way":
+        return (
+            f"{joints} never {'reverses' if one else 'reverse'}{where}: Coulomb "
+            "friction and an offset cannot be told apart, and hysteresis, backlash and "
+            "friction that depends on the direction cannot be seen."
+        )
+    ranges = words.join([_range_of(outcome, x) for x in limits], 3)
+    verb = "keeps" if one else "keep"
+    if kind == "one speed":
+        return (
+            f"{joints} {verb} to one speed{where} ({ranges}): viscous and Coulomb "
+            "friction can hardly be told apart, and what friction is at other speeds "
+            "is a guess."
+        )
+    what = "the weight of its link and an offset" if one else "weight and offsets"
+    return (
+        f"{joints} {verb} to one pose{where} ({ranges}): {what} cannot be told apart, "
+        "and springs and ripple cannot be seen."
+    )
+
+
+def _where(outcome, recordings, kind):
+    """Say in which recordings; nothing where there is one only."""
+    if len(outcome.recordings) < 2:
+        return " in this recording"
+    if len(recordings) == len(outcome.recordings):
+        return " in any recording" if kind == "one way" else " in all recordings"
+    return f" in {_recordings(outcome, recordings)}, and moves in no other"
+
+
+def _range_of(outcome, limit):
+    """Write a range of speed or position with its unit."""
+    slides = outcome.torque_units[limit.joint] == "N"
+    if limit.kind == "one speed":
+        unit = "m/s" if slides else "rad/s"
+        return f"{words.number(limit.low)} to {words.number(limit.high)} {unit}"
+    return (
+        f"{words.number(np.degrees(limit.low))} to "
+        f"{words.number(np.degrees(limit.high))} degrees"
+    )
+
+
+def _recordings(outcome, numbers):
+    """Write which recordings, by number or by label."""
+    names = [outcome.recordings[k] for k in sorted(set(numbers))]
+    noun = "recording" if len(names) == 1 else "recordings"
+    return f"{noun} {words.join(names, 6)}"
+
+
+def contradiction(outcome):
+    """Say which recordings contradict which, without a full stop; empty for none."""
+    found = outcome.contradictions.found
+    if not found:
+        return ""
+    joints = words.joint_list(outcome.joint_names, [one.joint for one in found])
+    culprit = outcome.contradictions.culprit
+    if len(outcome.recordings) == 2:
+        first = f"recordings {words.join(outcome.recordings)} contradict each other"
+    elif culprit is not None:
+        first = f"{_recordings(outcome, [culprit])} contradicts the others"
+    else:
+        which = _recordings(outcome, [one.recording for one in found])
+        first = f"{which} and the others contradict each other"
+    return words.capital(f"{first} on {joints}")
+
+
+def contradiction_sentences(outcome):
+    """Say which recordings are not of one robot, and what is another in them."""
+    found = outcome.contradictions.found
+    if not found:
+        return ()
+    names = outcome.joint_names
+    worst = max(found, key=lambda one: one.together / one.alone)
+    joint = words.joint_label(names, worst.joint)
+    number = _recordings(outcome, [worst.recording])
+    sentences = [
+        f"{contradiction(outcome)}: a fit to {number} alone predicts {joint} there to "
+        f"{words.percent(worst.alone)} of its torque, one to all of them only to "
+        f"{words.percent(worst.together)} ({words.p_text(worst.p_value)}, both on "
+        "parts that were not fitted)."
+    ]
+    cause = outcome.contradictions.cause
+    if cause is None:
+        sentences.append(
+            "No single gain, offset, friction or payload accounts for it: look for "
+            "what was changed between the recordings, or identify them apart."
+        )
+    else:
+        sentences.append(
+            f"{words.capital(_cause(outcome, cause))} accounts for most of it. No one "
+            "robot has these torques: mend the recording, or identify them apart."
+        )
+    return tuple(sentences)
+
+
+def _cause(outcome, cause):
+    """Write what is another in one of the recordings."""
+    where = f"in {_recordings(outcome, [cause.recording])}"
+    joints = words.joint_list(outcome.joint_names, cause.joints)
+    if cause.name == "payload":
+        return f"another load {where}"
+    if cause.name == "friction":
+        return f"another friction of {joints} {where}"
+    if cause.name == "gain" and np.isfinite(cause.value):
+        times = words.number(cause.value)
+        return f"a torque of {joints} that is {times} times as large {where}"
+    if cause.name == "gain":
+        return f"another gain of the torques of {joints} {where}"
+    unit = outcome.torque_units[cause.joints[0]]
+    return f"an offset of {words.number(cause.value)} {unit} on {joints} {where}"

@@ -284,6 +284,12 @@ def _projection(outcome, verdict):
     return _paragraph("Price of physical consistency", found)
 
 
+def _recordings(outcome, verdict):
+    """Say first what is wrong with recordings, then what their motion leaves open."""
+    found = _limits.contradiction_sentences(outcome) + _limits.motion_sentences(outcome)
+    return _paragraph("Limits of the recordings", found)
+
+
 def _masses(outcome, verdict):
     return _paragraph("Masses", _limits.mass_sentences(outcome))
 
@@ -724,6 +730,7 @@ SECTIONS = (
     _headline,
     _joints,
     _band,
+    _recordings,
     _projection,
     _effects,
     _outside,

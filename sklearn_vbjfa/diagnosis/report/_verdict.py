@@ -6,6 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _remains
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._limits import contradiction
 from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
 
 # A refit moves the errors of all joints; a rise below this factor is no harm.
@@ -76,6 +77,10 @@ def judge(outcome):
     status = _status(outcome, joints)
     errors = _mean_errors(outcome)
     headline = _headline(outcome, joints, status)
+    apart = contradiction(outcome)
+    if apart:
+        # What was found is then that of no robot.
+        headline = f"{apart}. {headline}"
     text = f"{headline} {_errors_sentence(outcome, errors)}".rstrip()
     return Verdict(
         joints=joints, status=status, errors=errors, headline=headline, text=text

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.search._band import Band
+from sklearn_vbjfa.diagnosis.search._contradictions import Contradictions
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
@@ -301,6 +302,12 @@ class Outcome:
         The band of the fit; None if nothing is known of it.
     projection : ProjectionPrice or None
         What physically consistent parameters cost; None if they were not asked for.
+    recordings : tuple of str
+        What each recording is called.
+    motion_limits : tuple of MotionLimit
+        What joints do in no recording.
+    contradictions : Contradictions
+        Recordings that are not of one robot.
     bodies : tuple of BodyMass
         Masses of the model that is handed over, and which of them are known.
     curves : dict
@@ -333,6 +340,9 @@ class Outcome:
     settings: dict
     band: Band | None = None
     projection: ProjectionPrice | None = None
+    recordings: tuple = ()
+    motion_limits: tuple = ()
+    contradictions: Contradictions = field(default_factory=Contradictions)
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)
     outside: tuple = ()

@@ -14,10 +14,11 @@ from sklearn_vbjfa.model._loading import is_prismatic
 
 # Share of a column's power outside the span of others below which it cannot be seen.
 _UNSEEN = 1e-3
-# A joint has one speed if this share of its moving time, about the middle, lies within
-# this share of the speed: Coulomb friction, its torque continued to no speed at all, is
-# then ten times less certain than the friction at that speed.
-_MIDDLE, _ONE_SPEED = 0.8, 0.1
+# A joint has one speed if this share of its moving time, about the middle, lies in a
+# range of this share of the speed: speeds that are even in it deviate by a tenth of
+# their mean, and Coulomb friction, which is the line through them at no speed at all,
+# is ten times less certain than the friction at that speed.
+_MIDDLE, _ONE_SPEED = 0.8, np.sqrt(12.0) / 10.0
 # Rows that show which way a link hangs.
 _POSES = 400
 

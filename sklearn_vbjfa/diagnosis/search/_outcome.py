@@ -10,6 +10,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._ceiling import ceilings
+from sklearn_vbjfa.diagnosis.search._contradictions import contradictions
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis.search._findings import (
     Afterwards,
@@ -20,6 +21,7 @@ from sklearn_vbjfa.diagnosis.search._findings import (
 )
 from sklearn_vbjfa.diagnosis.search._gaps import hidden, too_short, unexplained
 from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, quantile
+from sklearn_vbjfa.diagnosis.search._motion import motion_limits
 from sklearn_vbjfa.diagnosis.search._search import STEP_UP
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
@@ -29,10 +31,11 @@ from sklearn_vbjfa.robot._known import body_masses
 _POINTS = 4000
 
 
-def make_outcome(search, models, judgement, channels, asked):
+def make_outcome(search, models, judgement, channels, asked, recordings=()):
     """Collect what `Report` shows.
 
-    `asked` are the parameters of the loop, of which the report repeats some.
+    `asked` are the parameters of the loop, of which the report repeats some;
+    `recordings` is what each recording is called.
     """
     robot = models.declared
     features, names = robot.features_, robot.joint_names_
@@ -77,6 +80,9 @@ def make_outcome(search, models, judgement, channels, asked):
         band=judgement.band,
         projection=judgement.price,
         bodies=body_masses(models.final.identifier),
+        recordings=recordings,
+        motion_limits=motion_limits(models.final.view),
+        contradictions=contradictions(models.final, spread, float(asked["alpha"])),
         curves=_curves(models.judged, judgement.before, judgement.after, maps),
         outside=judgement.outside,
     )

@@ -44,6 +44,10 @@ _FORWARD = 0.75
 _LATE = 0.5
 # What changes slowly acts in blocks that have this share of its largest power.
 _FADED = 0.01
+# It must still act after this share of all blocks, and save this share there of what it
+# saves of the whole: with its law a drift or payload saves more there, where the model
+# without it was not fitted.
+_MIDDLE, _HOLDS = 0.5, 0.5
 # Blocks on either side of that border in which it acts, at the least: fewer cannot tell
 # it from chance.
 _ACTIVE = 3
@@ -60,12 +64,13 @@ _MOST_ROUNDS_PER_JOINT = 6
 STEP_UP = "Benjamini-Hochberg over the candidates of the round"
 CONTAINED = "plainer than a candidate that passed, and saves most of what it does"
 LATER = "an effect of time must help on later data"
+FADED = "has faded before there is later data to try it on"
 TOO_LATE = "acts in too few blocks to be tried on later data"
 HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
 ABSORBED = "the effect that contains it does as well alone, with another shape"
 MOST = "fewer effects were asked for"
-UNNATURAL = "took a sign that it cannot have"
+UNNATURAL = "took a sign or size that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
 BETTER = "better than what it replaces"
 SIMPLER = "simpler than what it replaces, and no worse"
@@ -207,12 +212,16 @@ class EffectSearch:
         )
         self.steps += found.steps
         self.threshold, self.n_tests = found.threshold, found.n_tests
+        for effect in found.effects:
+            # Its shape was found beside the plain terms.
+            self.absorb(effect)
         self.prune()
         return self.settle()
 
     def settle(self):
         """Keep what also holds elsewhere, as much as is wanted: what was `Found`."""
         self.withdraw()
+        self._try_again()
         self._limit()
         return self.found()
 
@@ -610,33 +619,46 @@ class EffectSearch:
         power = blocks.sums((own**2).sum(axis=(0, 2)))
         acts = power > (_FADED * power.max() if effect.slow else 0.0)
         where = np.flatnonzero(acts)
+        nothing = np.zeros(1)
         if where.size < 2 * _ACTIVE:
-            nothing = np.zeros(1)
             return compare(nothing, nothing), Rule(name=TOO_LATE)
-        border = where[int(_FORWARD * where.size)]
-        late = where[0] > 0.5 * border
-        if late:
-            # It has to be fitted where it acts, and tried there as well.
-            border = where[int(_LATE * where.size)]
+        if effect.slow and (where >= _MIDDLE * acts.size).sum() < _ACTIVE:
+            # Whatever happens once at the beginning looks like a decay.
+            return compare(nothing, nothing), Rule(name=FADED)
+        late = where[0] > 0.5 * where[int(_FORWARD * where.size)]
+        # What begins late has to be fitted where it acts, and tried there as well. A
+        # trend goes on for another quarter more often than for another half.
+        shares = [_LATE] if late else [_LATE, _FORWARD] if effect.slow else [_FORWARD]
         larger = self.model.beside([*base.effects, effect])
+        if not effect.plausible(larger.coefficients(effect)):
+            # Between the points of the grid it became something else.
+            nothing = np.zeros(1)
+            return compare(nothing, nothing), Rule(name=UNNATURAL)
         judge = Judge(base, larger.residuals())
-        if effect.slow or late:
-            early = blocks.label < border
-            own = base.columns_of(tuned_before(effect, base, early))
-        squares = judge.forward(joints, own, blocks, border)
+        least = 0.0
         if effect.slow:
-            # Where it has faded it cannot be tried: all it does there is to leave
-            # other parameters alone.
-            squares = [s[acts[border:]] for s in squares]
-        if not effect.whole_robot:
-            squares = [s[:, [effect.joint]] for s in squares]
-        case = compare(*(s.sum(axis=1) for s in squares))
+            whole = compare(*base.relevant(effect, base.squares, larger.squares))
+            least = max(_HOLDS * whole.gain, 0.0)
+        for share in shares:
+            border = where[int(share * where.size)]
+            if effect.slow or late:
+                early = blocks.label < border
+                own = base.columns_of(tuned_before(effect, base, early))
+            squares = judge.forward(joints, own, blocks, border)
+            if effect.slow:
+                # Where it has faded it cannot be tried: all it does there is to leave
+                # other parameters alone.
+                squares = [s[acts[border:]] for s in squares]
+            if not effect.whole_robot:
+                squares = [s[:, [effect.joint]] for s in squares]
+            case = compare(*(s.sum(axis=1) for s in squares))
+            if effect.slow or late:
+                # Whatever changes slowly can be fitted by a function of time, and
+                # whatever happened once by what begins late.
+                if not (case.gain > least and case.p_value < self.alpha):
+                    return case, self.one_test(LATER)
         if effect.slow or late:
-            # Whatever changes slowly can be fitted by a function of time, and
-            # whatever happened once by what begins late.
-            if case.gain > 0 and case.p_value < self.alpha:
-                return case, None
-            return case, self.one_test(LATER)
+            return case, None
         return case, None if case.gain > -case.gain_std else Rule(name=HARM)
 
     # -- second thoughts --------------------------------------------------------------
@@ -653,8 +675,10 @@ class EffectSearch:
             for one in self.model.effects
             if one.joint == effect.joint and one.name in names
         ]
-        family = self.model.family(effect)
-        if len(family.forms()) < 2 and not (plain and effect.continuous):
+        forms = (one.complexity for one in self.model.family(effect).effects)
+        if effect.complexity <= min(forms, default=effect.complexity) and not (
+            plain and effect.continuous
+        ):
             return effect
         for trial in absorbing(effect, plain, self.model):
             now, then = (
@@ -689,8 +713,20 @@ class EffectSearch:
                         rule = Rule(name=UNNATURAL)
             if worst is None:
                 return
+            if rule.name == UNNATURAL:
+                self.refusals[worst.key()] = self.refusals.get(worst.key(), 0) + 1
             rest = self.model.without(worst)
             self.step("drop", worst, rest, evidence=evidence, rule=rule)
+
+    def _try_again(self):
+        """Refuse effects of time that do not hold as they were tuned in the end."""
+        for effect in [e for e in self.model.effects if e.slow]:
+            rest = self.model.without(effect)
+            case, refusal = self.later(effect, self.model.beside(rest))
+            if refusal is not None:
+                self.step("refuse", effect, rest, evidence=case, rule=refusal)
+                # What only made up for it goes as well.
+                self.prune()
 
     def _limit(self):
         """Drop the least useful until no more are left than are wanted."""

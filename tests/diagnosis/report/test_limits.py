@@ -8,10 +8,18 @@ import pytest
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.report._limits import (
     band_sentences,
+    contradiction_sentences,
     mass_sentences,
+    motion_sentences,
     projection_sentences,
 )
 from sklearn_vbjfa.diagnosis.report._verdict import judge
+from sklearn_vbjfa.diagnosis.search._contradictions import (
+    Cause,
+    Contradiction,
+    Contradictions,
+)
+from sklearn_vbjfa.diagnosis.search._motion import MotionLimit
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice, Pushed
 from sklearn_vbjfa.robot._known import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome
@@ -198,3 +206,125 @@ def test_measured_masses_are_compared_with_the_description():
 def test_known_masses_need_no_words():
     assert mass_sentences(make_outcome(nv=3)) == ()
     assert masses(body("same", 5.0, 5.1, "yes", std=0.1)) == ""
+
+
+def limit(kind, joint=0, recordings=(0,), low=0.2, high=0.21):
+    return MotionLimit(
+        kind=kind, joint=joint, recordings=recordings, low=low, high=high
+    )
+
+
+def motion(*limits, recordings=("1",), **changes):
+    outcome = make_outcome(nv=3, motion_limits=limits, recordings=recordings, **changes)
+    return " ".join(motion_sentences(outcome))
+
+
+def test_a_joint_that_never_reverses():
+    text = (
+        "Joint 2 never reverses in this recording: Coulomb friction and an offset "
+        "cannot be told apart, and hysteresis, backlash and friction that depends on "
+        "the direction cannot be seen."
+    )
+    assert motion(limit("one way", 1)) == text
+    several = motion(limit("one way", 1, (0, 1)), recordings=("1", "2"))
+    assert several == text.replace("this recording", "any recording")
+    both = motion(limit("one way", 0), limit("one way", 1))
+    assert both.startswith("Joints 1 and 2 never reverse in this recording:")
+
+
+def test_limits_name_the_only_recording_in_which_a_joint_moves():
+    text = motion(limit("one way", 1, (2,)), recordings=("a", "b", "c"))
+    assert text.startswith(
+        "Joint 2 never reverses in recording c, and moves in no other: Coulomb"
+    )
+
+
+def test_one_speed_has_its_unit():
+    assert motion(limit("one speed")) == (
+        "Joint 1 keeps to one speed in this recording (0.2 to 0.21 rad/s): viscous "
+        "and Coulomb friction can hardly be told apart, and what friction is at other "
+        "speeds is a guess."
+    )
+    slides = motion(limit("one speed"), torque_units=("N", "N m", "N m"))
+    assert "(0.2 to 0.21 m/s)" in slides
+
+
+def test_one_pose_is_in_degrees():
+    text = motion(limit("one pose", 2, (0, 1)), recordings=("1", "2"))
+    assert text == (
+        "Joint 3 keeps to one pose in all recordings (11.5 to 12 degrees): the weight "
+        "of its link and an offset cannot be told apart, and springs and ripple cannot "
+        "be seen."
+    )
+
+
+def contradiction(recording=0, joint=1, together=0.072):
+    return Contradiction(
+        recording=recording, joint=joint, alone=0.011, together=together, p_value=2e-5
+    )
+
+
+def contradicted(*found, recordings=("1", "2"), **changes):
+    made = Contradictions(found=found, **changes)
+    outcome = make_outcome(nv=3, contradictions=made, recordings=recordings)
+    return " ".join(contradiction_sentences(outcome))
+
+
+def test_two_recordings_contradict_each_other():
+    cause = Cause(recording=1, name="gain", joints=(1,), value=1.2)
+    text = contradicted(contradiction(), contradiction(1, 2, 0.05), cause=cause)
+    assert text == (
+        "Recordings 1 and 2 contradict each other on joints 2 and 3: a fit to "
+        "recording 1 alone predicts joint 2 there to 1.1 % of its torque, one to all "
+        "of them only to 7.2 % (p = 0.00002, both on parts that were not fitted). A "
+        "torque of joint 2 that is 1.2 times as large in recording 2 accounts for most "
+        "of it. No one robot has these torques: mend the recording, or identify them "
+        "apart."
+    )
+
+
+def test_the_headline_says_so_first():
+    made = Contradictions(found=(contradiction(),))
+    outcome = make_outcome(nv=3, contradictions=made, recordings=("1", "2"))
+    report = Report(outcome)
+    first = "Recordings 1 and 2 contradict each other on joint 2. "
+    assert report.headline.startswith(first)
+    assert str(report).startswith(first.strip())
+    plain = Report(make_outcome(nv=3)).headline
+    assert report.headline == first + plain
+
+
+def test_one_of_several_recordings_contradicts_the_others():
+    text = contradicted(contradiction(), recordings=("1", "2", "warm"), culprit=2)
+    assert text.startswith("Recording warm contradicts the others on joint 2: a fit")
+    assert "No single gain, offset, friction or payload accounts for it" in text
+    nobody = contradicted(
+        contradiction(0), contradiction(1), recordings=("1", "2", "3")
+    )
+    assert nobody.startswith("Recordings 1 and 2 and the others contradict each other")
+
+
+@pytest.mark.parametrize(
+    ("name", "joints", "value", "text"),
+    [
+        ("offset", (1,), -0.5, "An offset of -0.5 N m on joint 2 in recording 1"),
+        ("friction", (0,), np.nan, "Another friction of joint 1 in recording 1"),
+        (
+            "gain",
+            (0, 1, 2),
+            np.nan,
+            "Another gain of the torques of all joints in recording 1",
+        ),
+        ("payload", (2,), np.nan, "Another load in recording 1"),
+    ],
+)
+def test_causes_in_words(name, joints, value, text):
+    cause = Cause(recording=0, name=name, joints=joints, value=value)
+    assert f"{text} accounts for most of it." in contradicted(
+        contradiction(), cause=cause
+    )
+
+
+def test_sound_recordings_need_no_words():
+    outcome = make_outcome(nv=3, recordings=("1", "2"))
+    assert motion_sentences(outcome) == contradiction_sentences(outcome) == ()

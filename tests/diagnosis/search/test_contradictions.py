@@ -1,0 +1,181 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa.diagnosis.search._contradictions import contradictions
+from sklearn_vbjfa.diagnosis.search._intervals import FinalFit
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.effects import LoadFriction
+from sklearn_vbjfa.recording._recording import take_arrays
+from tests.diagnosis._recordings import record
+
+SPREAD = np.ones(2)
+PAIR = tuple(record("ZY", seed=seed) for seed in (11, 12))
+FOUR = tuple(record("ZY", seed=seed, duration=16.0) for seed in (13, 14, 15, 16))
+
+
+def compared(recordings, spoil=lambda k, torque, r: torque, order=None, unit=1.0):
+    """Contradictions between recordings of an arm, the k-th of them spoilt."""
+    order = range(len(recordings)) if order is None else order
+    X = np.concatenate([recordings[k].position for k in order])
+    y = [spoil(k, recordings[k].torque(), recordings[k]) for k in order]
+    y = unit * np.concatenate(y)
+    lengths = [len(recordings[k].t) for k in order]
+    groups = np.repeat(np.arange(len(lengths)), lengths)
+    robot = recordings[0].robot(friction=("viscous", "coulomb")).fit(X, y, groups)
+    measured = take_arrays(
+        X, y, groups, np.ones_like(y), dt=robot.dt, joint_names=robot.joint_names_
+    )
+    fit = FinalFit(robot, robot, RecordingView(robot, measured), [])
+    return fit, contradictions(fit, unit * SPREAD, 0.05)
+
+
+def gain(k, torque, recording):
+    return torque * [1.0, 1.2] if k == 1 else torque
+
+
+def offset(k, torque, recording):
+    return torque + [0.0, 0.7] if k == 1 else torque
+
+
+def friction(k, torque, recording):
+    return torque + 0.8 * np.sign(recording.v) if k == 1 else torque
+
+
+def joint_friction(k, torque, recording):
+    return torque + [0.0, 0.8] * np.sign(recording.v) if k == 1 else torque
+
+
+@pytest.mark.parametrize("recordings", [PAIR, FOUR])
+def test_recordings_of_one_robot_agree(recordings):
+    _, result = compared(recordings)
+    assert (result.found, result.culprit, result.cause) == ((), None, None)
+
+
+@pytest.mark.parametrize("seed", range(20, 26))
+def test_no_false_alarm(seed):
+    pair = tuple(record("ZY", seed=seed + k, duration=16.0) for k in (0, 50))
+    assert compared(pair)[1].found == ()
+
+
+def test_the_recordings_of_the_demo_agree():
+    demo = load_demo_recording()
+    given = {"dt": demo.dt, "friction": ("viscous", "coulomb")}
+    lacking = LoadFriction(joint=1)
+    declared, whole = (
+        RobotIdentifier(demo.urdf, effects=effects, **given).fit(
+            demo.q, demo.tau, groups=demo.groups
+        )
+        for effects in ((), (lacking,))
+    )
+    measured = take_arrays(
+        demo.q,
+        demo.tau,
+        demo.groups,
+        np.ones_like(demo.q),
+        dt=demo.dt,
+        joint_names=declared.joint_names_,
+    )
+    fit = FinalFit(declared, whole, RecordingView(declared, measured), [lacking])
+    assert contradictions(fit, np.ones(6), 0.05).found == ()
+
+
+@pytest.mark.parametrize("recordings", [PAIR, FOUR])
+@pytest.mark.parametrize(
+    ("spoil", "name", "joints", "value"),
+    [
+        (gain, "gain", (1,), 1.2),
+        (offset, "offset", (1,), 0.7),
+        (joint_friction, "friction", (1,), np.nan),
+        (friction, "friction", (0, 1), np.nan),
+    ],
+)
+def test_what_is_another_in_one_recording(recordings, spoil, name, joints, value):
+    _, result = compared(recordings, spoil)
+    assert {one.joint for one in result.found} >= {1}
+    assert result.culprit == (None if len(recordings) == 2 else 1)
+    cause = result.cause
+    assert (cause.name, cause.joints) == (name, joints)
+    if len(recordings) > 2 or name == "gain":
+        assert cause.recording == 1
+    if np.isfinite(value) and cause.recording == 1:
+        assert cause.value == pytest.approx(value, rel=0.03)
+    elif np.isfinite(value):
+        # An offset of one is the opposite of the other.
+        assert cause.value == pytest.approx(-value, rel=0.03)
+    else:
+        assert np.isnan(cause.value)
+    for one in result.found:
+        assert one.alone < np.sqrt(0.5) * one.together
+        assert one.p_value < 0.05 / 4
+
+
+def test_errors_are_those_of_fits_made_one_by_one():
+    fit, result = compared(PAIR, gain)
+    view = fit.view
+    label = view.blocks.label
+    origin = view.origin
+    worst = max(result.found, key=lambda one: one.together)
+    own = np.flatnonzero(origin == worst.recording)
+    blocks = np.unique(label[own])
+    eighth = np.arange(blocks.size) * 8 // blocks.size
+    Phi, tau = view.equations.Phi, view.equations.tau
+    weight = view.equations.weight * view.precision
+    size = np.linalg.norm(Phi.reshape(-1, Phi.shape[2]), axis=0)
+
+    def squares(kept):
+        total = 0.0
+        for k in range(8):
+            out = np.isin(label, blocks[eighth == k])
+            rows = kept & ~out
+            root = np.sqrt(weight[rows])[:, :, None]
+            A = (Phi[rows] * root).reshape(-1, Phi.shape[2]) / np.maximum(size, 1e-9)
+            b = (tau[rows] * root[:, :, 0]).ravel()
+            theta = np.linalg.lstsq(A, b, rcond=1e-7)[0] / np.maximum(size, 1e-9)
+            rest = tau[out, worst.joint] - Phi[out, worst.joint] @ theta
+            total += (view.equations.weight[out, worst.joint] * rest**2).sum()
+        return total
+
+    mean = view.equations.weight[own, worst.joint].sum()
+    alone = np.sqrt(squares(origin == worst.recording) / mean)
+    together = np.sqrt(squares(np.ones(origin.size, dtype=bool)) / mean)
+    assert worst.alone == pytest.approx(alone, rel=1e-3)
+    assert worst.together == pytest.approx(together, rel=1e-3)
+
+
+def test_neither_order_nor_unit_matters():
+    _, one = compared(FOUR, gain)
+    _, other = compared(FOUR, gain, order=(2, 1, 0, 3), unit=1e3)
+    assert other.culprit == one.culprit == 1
+    assert other.cause.value == pytest.approx(one.cause.value, rel=1e-3)
+    renamed = {0: 2, 1: 1, 2: 0, 3: 3}
+    assert {(renamed[x.recording], x.joint) for x in other.found} == {
+        (x.recording, x.joint) for x in one.found
+    }
+
+
+def test_a_single_recording_contradicts_nothing():
+    _, result = compared(PAIR[:1])
+    assert result == replace(result, found=(), culprit=None, cause=None)
+
+
+def test_the_report_names_the_recording_and_the_cause():
+    X = np.concatenate([one.position for one in PAIR])
+    y = np.concatenate([gain(k, one.torque(), one) for k, one in enumerate(PAIR)])
+    groups = np.repeat(["cold", "warm"], [len(one.t) for one in PAIR])
+    robot = PAIR[0].robot(friction=("viscous", "coulomb"))
+    loop = EffectDiscovery(robot, effects=["spring"]).fit(X, y, groups=groups)
+    text = " ".join(str(loop.report_).split())
+    assert "Recordings cold and warm contradict each other" in text
+    assert "times as large in recording warm accounts for most of it" in text
+    data = loop.report_.to_dict()
+    assert data["recordings"] == ["cold", "warm"]
+    assert data["contradictions"]["cause"]["name"] == "gain"
+    sound = np.concatenate([one.torque() for one in PAIR])
+    loop = EffectDiscovery(robot, effects=["spring"]).fit(X, sound, groups=groups)
+    assert loop.report_.to_dict()["contradictions"]["found"] == []
+    assert "contradict" not in str(loop.report_)
+    assert "Limits of the recordings" not in loop.report_.to_html()

@@ -1,0 +1,148 @@
+"""Effects of time in the loop: which are named, and what is said of the time after."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.diagnosis.search import _search
+from tests.diagnosis._recordings import named, record
+
+ONE = record("ZY", duration=30.0, seed=2)
+LENGTH = 30.0
+FRICTION = 1.5
+LIBRARY = ["coulomb", "drift", "offset"]
+
+
+def close(change, recording=ONE, library=LIBRARY, **given):
+    """Close the loop where the Coulomb friction of joint 1 changes with time."""
+
+    def friction(r):
+        return (FRICTION + change(r.t / LENGTH)) * np.sign(r.v[:, 0])
+
+    return recording.discover(recording.torque(joint_1=friction), library, **given)
+
+
+def rules(loop):
+    """Rules by which a drift was refused."""
+    return {
+        step.rule
+        for step in loop.rounds_
+        if step.action == "refuse" and step.name == "drift"
+    }
+
+
+@pytest.fixture(scope="module")
+def warming():
+    return close(lambda s: 2.0 * np.exp(-s / 0.5))
+
+
+# -- what is a drift and what is not
+
+
+@pytest.mark.parametrize("share", [0.3, 0.8])
+@pytest.mark.parametrize("sign", [1.0, -0.5])
+def test_a_drift_that_lasts_is_named(share, sign):
+    loop = close(lambda s: sign * np.exp(-s / share))
+    assert named(loop) == [("coulomb", 0), ("drift", 0)]
+    (drift,) = (e for e in loop.effects_ if e.name == "drift")
+    low, high = drift.intervals["time_constant"]
+    assert low - 0.2 * share * LENGTH < share * LENGTH < high + 0.2 * share * LENGTH
+
+
+@pytest.mark.parametrize("share", [0.04, 0.06])
+@pytest.mark.parametrize("seed", [2, 4])
+def test_what_faded_within_the_first_seconds_is_no_drift(share, seed):
+    recording = record("ZY", duration=LENGTH, seed=seed)
+    loop = close(lambda s: 3.0 * np.exp(-s / share), recording)
+    assert named(loop) == [("coulomb", 0)]
+    # It was seen, and could not be tried.
+    assert rules(loop) == {_search.FADED}
+    step = next(s for s in loop.rounds_ if s.action == "refuse")
+    assert step.evidence.n_blocks <= 1
+    assert step.tried[0].evidence.gain > 0.02
+    assert _search.FADED in loop.report_.to_markdown()
+
+
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
+@pytest.mark.parametrize("periods", [1.0, 2.0])
+def test_what_comes_and_goes_is_no_drift(periods, phase):
+    loop = close(lambda s: 0.5 * np.cos(2 * np.pi * (periods * s + phase)))
+    assert named(loop) == [("coulomb", 0)]
+    assert rules(loop) <= {_search.FADED, _search.LATER}
+
+
+def test_a_trend_has_to_go_on_for_half_of_the_recording():
+    """Up and down again: each quarter alone is a trend, and no half is."""
+    loop = close(lambda s: -0.5 * np.sin(2 * np.pi * s))
+    assert named(loop) == [("coulomb", 0)]
+    assert _search.LATER in rules(loop)
+
+
+# -- the time after the recording
+
+
+def test_the_report_says_what_is_left_and_how_well_it_is_known(warming):
+    (drift,) = (e for e in warming.effects_ if e.name == "drift")
+    after = drift.afterwards
+    assert after.seconds == pytest.approx(LENGTH, abs=0.1)
+    truth = 2.0 * np.exp(-2.0)
+    low, high = after.intervals["D"]
+    assert low < truth < high
+    assert low < after.left["D"] < high
+    assert high - low < 0.2
+    data = warming.report_.to_dict()["effects"]
+    assert {e["name"]: e["afterwards"] for e in data}["coulomb"] is None
+    for text in (str(warming.report_), warming.report_.to_markdown()):
+        said = " ".join(text.split())
+        assert "after 30 s it fades on from 0.2" in said
+
+
+def test_what_is_left_is_by_the_delta_method(warming):
+    (drift,) = (e for e in warming.effects_ if e.name == "drift")
+    d, constant = (drift.parameters[key] for key in ("D", "time_constant"))
+    t = drift.afterwards.seconds
+    assert drift.afterwards.left["D"] == pytest.approx(d * np.exp(-t / constant))
+    # As the prediction says at that time; its deviation is not of 90 %.
+    (found,) = warming.identifier_.effects_of_time(ONE.position)
+    fast = np.abs(ONE.v[-50:, 0]).argmax() - 50
+    fading = np.exp((t - ONE.t[fast]) / constant)
+    assert abs(found.torque[fast, 0]) == pytest.approx(
+        fading * drift.afterwards.left["D"], rel=0.02
+    )
+    low, high = drift.afterwards.intervals["D"]
+    assert 0.5 * (high - low) == pytest.approx(1.68 * found.std[fast, 0], rel=0.2)
+
+
+def test_the_motion_after_the_recording_is_predicted(warming):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        later = warming.predict(ONE.position, t=ONE.t + LENGTH)
+    (message,) = {str(w.message) for w in caught}
+    assert "joint_1: drift of the Coulomb friction with time predicted up to" in message
+    (found,) = warming.identifier_.effects_of_time(ONE.position, t=ONE.t + LENGTH)
+    truth = 2.0 * np.exp(-(ONE.t + LENGTH) / (0.5 * LENGTH))
+    moves = np.abs(ONE.v[:, 0]) > 0.3
+    missed = np.abs(found.torque[moves, 0]) - truth[moves]
+    assert (np.abs(missed) < 3.0 * found.std[moves, 0] + 1e-3).all()
+    # Much less of it is left than in the recording.
+    whole = warming.predict(ONE.position)
+    assert np.abs(later - whole)[moves, 0].max() > 1.0
+
+
+def test_a_payload_stays():
+    from tests.effects._arms import inverse_dynamics, with_changed_body
+
+    body = np.array([0.8, 0.0, 0.1, 0.2, 0.06, 0.0, 0.04, 0.0, 0.0, 0.04])
+    states = np.hstack([ONE.q, ONE.v, ONE.a])
+    more = inverse_dynamics(with_changed_body(ONE.model, body), states) - ONE.load
+    torque = ONE.torque() + more * (ONE.t >= 12.0)[:, None]
+    loop = ONE.discover(torque, ["payload", "offset"])
+    (payload,) = loop.effects_
+    assert payload.afterwards.left == {}
+    assert payload.afterwards.how == "stays"
+    assert "after 30 s it stays" in " ".join(str(loop.report_).split())
+    with pytest.warns(UserWarning, match="change of payload predicted up to 30 s"):
+        loop.predict(ONE.position, t=ONE.t + LENGTH)

@@ -1,0 +1,206 @@
+"""Effects of time in predictions outside the time of the fit, against closed forms."""
+
+import pickle
+import warnings
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from sklearn.linear_model import LinearRegression
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier, effects
+from sklearn_vbjfa.robot._identifier import tell_spreads
+from tests.effects._arms import arm, inverse_dynamics, motion, with_changed_body
+
+MODEL = arm("ZYX")
+DT = 0.02
+T, STATES = motion(3, duration=30.0, dt=DT, seed=4)
+Q, V, A = np.split(STATES, 3, axis=1)
+VISCOUS = np.array([0.8, 0.5, 0.3])
+TORQUE = inverse_dynamics(MODEL, STATES) + VISCOUS * V
+EXACT = {"projector": None, "cutoff": None, "standstill": None}
+D, CONSTANT = 2.0, 12.0
+START = 5.0  # of the clock [s]
+SIGNALS = {"offset": np.ones_like(T), "coulomb": np.sign(V[:, 1]), "viscous": V[:, 1]}
+
+
+def fit(of="offset", start=START, **given):
+    drift = effects.Drift(joint=1, of=of, time_constant=CONSTANT)
+    torque = TORQUE.copy()
+    torque[:, 1] += D * np.exp(-(T + start) / CONSTANT) * SIGNALS[of]
+    settings = {**EXACT, "regressor": LinearRegression(), **given}
+    robot = RobotIdentifier(MODEL, dt=DT, effects=[drift], **settings)
+    return robot.fit(STATES, torque, t=T + start)
+
+
+def drifted(robot, **given):
+    """Torque of the drift in a prediction of the same motion."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return (robot.predict(STATES, **given) - TORQUE)[:, 1]
+
+
+def said(robot, X=STATES, **given):
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        robot.predict(X, **given)
+    return [str(one.message) for one in caught]
+
+
+@pytest.mark.parametrize("of", SIGNALS)
+def test_a_drift_goes_on_after_the_fit(of):
+    later = T + START + 40.0
+    expected = D * np.exp(-later / CONSTANT) * SIGNALS[of]
+    found = drifted(fit(of), t=later)
+    moves = np.abs(V[:, 1]) > 0.05  # at rest the sign is a mean
+    assert_allclose(found[moves], expected[moves], atol=1e-6)
+    # It tends towards what remains when warm.
+    assert_allclose(drifted(fit(of), t=T + 1e3), 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("before", [10.0, 1e3, 1e6])
+def test_before_the_fit_it_is_as_it_was_at_first(before):
+    found = drifted(fit(), t=T + START - before)
+    first = D * np.exp(-START / CONSTANT)
+    known = np.maximum(T + START - before, START)
+    assert_allclose(found, D * np.exp(-known / CONSTANT), atol=1e-6)
+    assert np.abs(found).max() <= first * (1 + 1e-6)
+
+
+def test_without_a_clock_a_recording_begins_as_the_fit_did():
+    robot = fit()
+    assert_array_equal(drifted(robot), drifted(robot, t=T + START))
+    assert_allclose(drifted(robot)[0], D * np.exp(-START / CONSTANT), rtol=1e-6)
+    assert said(robot) == []
+    # As a recording whose own clock begins with zero does where that of the fit does.
+    assert_allclose(drifted(fit(start=0.0)), D * np.exp(-T / CONSTANT), rtol=1e-6)
+
+
+def test_residuals_use_the_same_clock():
+    robot = fit()
+    torque = TORQUE.copy()
+    torque[:, 1] += D * np.exp(-(T + START) / CONSTANT)
+    for given in ({}, {"t": T + START}):
+        assert_allclose(robot.residuals(STATES, torque, **given).rms(), 0, atol=1e-6)
+    torque[:, 1] += D * np.exp(-START / CONSTANT) - D * np.exp(-(T + START) / CONSTANT)
+    early = robot.residuals(STATES, torque, t=T - 1e3)
+    assert_allclose(early.rms(), 0, atol=1e-6)
+
+
+def test_share_and_time_of_an_effect_of_time():
+    robot = fit("viscous")
+    (found,) = robot.effects_of_time(STATES, t=T + START + 12.0)
+    assert (found.name, found.joint) == ("drift", 1)
+    assert_allclose(found.beyond, np.maximum(T + 12.0 - T[-1], 0.0), atol=1e-9)
+    expected = np.zeros_like(TORQUE)
+    expected[:, 1] = D * np.exp(-(T + START + 12.0) / CONSTANT) * V[:, 1]
+    assert_allclose(found.torque, expected, atol=1e-6)
+    (early,) = robot.effects_of_time(STATES, t=T + START - 12.0)
+    assert_allclose(early.beyond, np.minimum(T - 12.0, 0.0), atol=1e-9)
+    (inside,) = robot.effects_of_time(STATES)
+    assert_array_equal(inside.beyond, 0 * T)
+    assert RobotIdentifier(MODEL, dt=DT).fit(Q, TORQUE).effects_of_time(Q) == ()
+
+
+def test_deviation_of_a_drift_is_that_of_its_coefficient():
+    noisy = fit(regressor=None)
+    later = T + START + 40.0
+    (found,) = noisy.effects_of_time(STATES, t=later)
+    expected = noisy.theta_std_[-1] * np.exp(-later / CONSTANT)
+    assert (expected > 0).all()
+    assert_allclose(found.std[:, 1], expected, rtol=1e-9)
+    assert_array_equal(found.std[:, [0, 2]], 0 * V[:, [0, 2]])
+
+
+def test_deviation_with_the_time_constant_beside_the_coefficient():
+    """The delta method by hand: d/dD = f e, d/dT = D f t / T^2 e, e = exp(-t/T)."""
+    robot = fit("coulomb")
+    covariance = np.array([[0.04, -0.1], [-0.1, 0.9]])
+    tell_spreads(
+        robot, [SimpleNamespace(shape=("time_constant",), covariance=covariance)]
+    )
+    later = T + START + 30.0
+    slopes = np.exp(-later / CONSTANT)[:, None] * np.column_stack(
+        [np.ones_like(T), D * later / CONSTANT**2]
+    )
+    expected = np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes))
+    moves = np.abs(V[:, 1]) > 0.05
+    for own in (robot, pickle.loads(pickle.dumps(robot))):
+        (found,) = own.effects_of_time(STATES, t=later)
+        assert_allclose(found.std[moves, 1], expected[moves], rtol=1e-5)
+    # A new fit knows nothing of it.
+    again = robot.fit(STATES, TORQUE, t=T)
+    assert np.isnan(again.effects_of_time(STATES)[0].std[:, 1]).all()
+
+
+def test_deviation_follows_the_unit_of_the_torque():
+    covariance = np.array([[0.04]])
+    deviations = []
+    for scale in (1.0, 1e3):
+        robot = fit()
+        known = SimpleNamespace(shape=(), covariance=scale**2 * covariance)
+        tell_spreads(robot, [known])
+        deviations.append(robot.effects_of_time(STATES)[0].std)
+    assert_allclose(deviations[1], 1e3 * deviations[0])
+
+
+def test_the_warning_says_how_far_and_how_much():
+    robot = fit("coulomb")
+    tell_spreads(robot, [SimpleNamespace(shape=(), covariance=np.array([[0.25]]))])
+    later = T[-1] + START + 20.0 + T
+    # The mean square of an exponential over as long as the motion takes.
+    faded = np.sqrt((np.exp(-2 * later / CONSTANT)).mean())
+    (message,) = said(robot, t=later)
+    assert "joint_2: drift of the Coulomb friction with time predicted up to" in message
+    assert f"{20.0 + T[-1]:.3g} s beyond the time of the fit" in message
+    size, deviation = (
+        float(x) for x in message.split("fit, ")[1].split(" N m")[0].split(" +- ")
+    )
+    assert size == pytest.approx(D * faded, rel=0.06)
+    assert deviation == pytest.approx(0.5 * faded, rel=0.06)
+    (message,) = said(robot, t=T + START - 20.0)
+    assert "20 s before the time of the fit" in message
+
+
+@pytest.mark.parametrize(("further", "count"), [(0.0, 0), (2.9, 0), (3.2, 1)])
+def test_a_tenth_of_the_recording_is_no_extrapolation(further, count):
+    assert len(said(fit(), t=T + START + further)) == count
+
+
+def test_motion_and_time_outside_are_one_warning():
+    (message,) = said(fit(), X=3.0 * STATES, t=T + 100.0)
+    assert "speeds to" in message
+    assert "s beyond the time of the fit" in message
+
+
+@pytest.fixture(scope="module")
+def loaded():
+    """Make the last body heavier from the middle on."""
+    body = np.array([0.6, 0.0, 0.05, 0.1, 0.03, 0.0, 0.02, 0.0, 0.0, 0.02])
+    torque, after = TORQUE.copy(), T >= 15.0
+    more = inverse_dynamics(with_changed_body(MODEL, body), STATES) + VISCOUS * V
+    torque[after] = more[after]
+    payload = effects.Payload(joint=2, instant=15.0)
+    robot = RobotIdentifier(MODEL, dt=DT, effects=[payload], **EXACT)
+    return robot.set_params(regressor=LinearRegression()).fit(STATES, torque, t=T), more
+
+
+def test_a_payload_stays_after_the_fit_and_is_not_there_before(loaded):
+    robot, more = loaded
+    with pytest.warns(UserWarning, match="change of payload predicted up to 100 s bey"):
+        late = robot.predict(STATES, t=T + 100.0)
+    scale = np.abs(more - TORQUE).max()
+    assert_allclose(late, more, atol=0.05 * scale)
+    # Nothing is added before, and there is nothing to say.
+    assert said(robot, t=T - 100.0) == []
+    assert_allclose(robot.predict(STATES, t=T - 100.0), TORQUE, atol=0.05 * scale)
+
+
+def test_of_a_payload_the_joint_that_feels_it_most_is_named(loaded):
+    robot, more = loaded
+    most = int(np.argmax(np.abs(more - TORQUE).max(axis=0)))
+    (message,) = said(robot, t=T + 100.0)
+    assert f"joint_{most + 1}: change of payload" in message

@@ -119,7 +119,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         and history; of the states and loads of all joints. It is what repeats, on other
         blocks of time and, where there are several, on other recordings;
         ``report_.outcome.ceiling`` has both. Zero where it is no more than chance, nan
-        for joints that are not in `unexplained_`, or with ``ceiling=False``.
+        for joints that are not in `unexplained_` or hardly move, and with
+        ``ceiling=False``.
     hidden_ : tuple of Hidden
         Effects that this robot or this recording cannot show.
     identifier_ : RobotIdentifier

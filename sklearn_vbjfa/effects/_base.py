@@ -169,11 +169,12 @@ class Effect(TransformerMixin, BaseEstimator):
     nonnegative : tuple of str
         Coefficients that are not negative in nature: what a search finds with another
         sign is something else.
-    depends : tuple of {"position", "speed", "load"}
+    depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint that its columns go on changing with however large they
         become, so that outside the range of the fit its torque is extrapolated; see
         `EffectRange`. What saturates or fades with them (a sign, a Stribeck curve) has
-        its value outside the range as well and is left out.
+        its value outside the range as well and is left out; a sign depends on the
+        direction, for a joint that never reversed.
     curved : bool
         Whether the columns do so in another way than along a straight line, so that
         less lies between what is known and what is not.

@@ -99,6 +99,7 @@ class Coulomb(_Smoothed, JointEffect):
     coefficients = ("Fc",)
     nonnegative = ("Fc",)
     units = (TORQUE,)
+    depends = ("direction",)
     visible = "the joint reverses"
     record = "many reversals"
 
@@ -141,7 +142,7 @@ class AsymmetricFriction(Effect):
     coefficients = ("dFc", "dFv")
     units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
-    depends = ("speed",)
+    depends = ("speed", "direction")
     visible = "both directions of motion, at several speeds"
     record = "both directions at several speeds"
 
@@ -191,6 +192,7 @@ class Stribeck(Effect):
     continuous = ("vs",)
     shape_units = (("vs", SPEED), ("k", ("", "")))
     positive = ("vs",)
+    depends = ("direction",)
     visible = "slow motion without standing still, and fast motion"
     record = "slow and fast motion"
 
@@ -289,7 +291,7 @@ class LoadFriction(_Smoothed):
     units = (("", ""),)
     contains = ("coulomb", "viscous")
     needs = ("load",)
-    depends = ("load",)
+    depends = ("load", "direction")
     visible = "reversals under different loads"
     record = "reversals at two loads"
 

@@ -88,6 +88,7 @@ class Presliding(Effect):
     contains = ("coulomb", "viscous")
     continuous = ("displacement",)
     positive = ("displacement",)
+    depends = ("direction",)
     visible = "many reversals"
     record = "many reversals"
 

@@ -34,7 +34,10 @@ class EffectRange:
         Speeds in either direction, the slowest and the fastest [rad/s or m/s].
     load : tuple of (float, float)
         Torques of the rigid bodies [N m or N].
-    depends : tuple of {"position", "speed", "load"}
+    direction : tuple of (float, float)
+        Directions of motion, -1 is backward and 1 forward: (-1, 1) is both, (0, 1) or
+        (1, 1) forward only.
+    depends : tuple of {"position", "speed", "load", "direction"}
         Those of them that the effect's columns go on changing with, so that its torque
         is extrapolated outside the range; see `Effect`.
     curved : bool
@@ -56,6 +59,7 @@ class EffectRange:
     position: tuple
     speed: tuple
     load: tuple
+    direction: tuple = (-1.0, 1.0)
     depends: tuple = ()
     curved: bool = False
 
@@ -64,7 +68,7 @@ class EffectRange:
 
         Parameters
         ----------
-        quantity : {"position", "speed", "load"}
+        quantity : {"position", "speed", "load", "direction"}
             What they are.
         values : array-like of shape (n,)
             Values, in the unit of the range.
@@ -84,7 +88,7 @@ class EffectRange:
 
         Parameters
         ----------
-        quantity : {"position", "speed", "load"}
+        quantity : {"position", "speed", "load", "direction"}
             Of which range.
 
         Returns
@@ -110,7 +114,7 @@ class OutsideRange:
         Effects whose torque is extrapolated.
     joint : int
         Joint, from zero.
-    quantity : {"position", "speed", "load"}
+    quantity : {"position", "speed", "load", "direction"}
         What is outside.
     fitted : tuple of (float, float)
         Range of the fit.

@@ -5,8 +5,10 @@ from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 from sklearn_vbjfa.robot._states import StateEstimator
+from sklearn_vbjfa.robot._time_effects import EffectOfTime
 
 __all__ = [
+    "EffectOfTime",
     "JointTorqueRegressor",
     "RigidBodyFeatures",
     "RobotIdentifier",

@@ -62,7 +62,7 @@ class Equations:
     blocks : tuple of ndarray or None
         Blocks of time of the rows, see `Numbering.parts`.
     ranges : SignalRanges or None
-        Ranges of positions and speeds in rows with weight.
+        Ranges of positions, speeds and directions in rows with weight.
     """
 
     Phi: np.ndarray
@@ -425,7 +425,9 @@ class Segment:
             index=self.first + chosen,
             difference=difference,
             blocks=numbering and numbering.parts(self.number, outputs),
-            ranges=SignalRanges.of([q, np.abs(v)], weight > 0),
+            ranges=SignalRanges.of(
+                [q, np.abs(v), np.sign(v) * (np.abs(v) > self.standstill)], weight > 0
+            ),
         )
 
     def loads(self, lowpass, torques):

@@ -829,7 +829,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
                 default=None
             Weights; zero leaves a sample out.
         t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, for effects that vary with time.
+            Time [s] on the clock of the fit, for effects that vary with time; None as
+            for `predict`.
         cutoff : "fit", float or None, default="fit"
             Cut-off of the low-pass [Hz]; ``"fit"`` uses `cutoff_`, None filters
             nothing. Nothing was identified above the band of the fit.

@@ -184,8 +184,8 @@ class JointMoments:
     blocks : tuple of BlockMoments or None
         G and g by blocks of time, if the time order of the rows is known.
     ranges : SignalRanges or None
-        Ranges of positions and speeds in the joint's rows with weight, where the states
-        are known.
+        Ranges of positions, speeds and directions in the joint's rows with weight,
+        where the states are known.
     """
 
     n: np.ndarray

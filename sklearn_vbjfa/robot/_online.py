@@ -41,7 +41,7 @@ class OnlineMoments:
         self._n, self._n_rows, self._yy = np.zeros(nv), np.zeros(nv, int), np.zeros(nv)
         self._g, self._G = np.zeros((nv, p)), np.zeros((nv, p, p))
         self._zero = ~self._rows.support
-        self._lowest, self._highest = np.full((2, 2, nv), [[[np.inf]], [[-np.inf]]])
+        self._lowest, self._highest = np.full((2, 3, nv), [[[np.inf]], [[-np.inf]]])
         self._prepare()
 
     def _prepare(self):
@@ -77,7 +77,9 @@ class OnlineMoments:
         """
         nv = y.shape[1]
         weight = weight * (np.abs(X[:, nv : 2 * nv]) > standstill)
-        motion = X[:, : 2 * nv].reshape(-1, 2, nv).copy()
+        motion = np.empty((X.shape[0], 3, nv))
+        motion[:, :2] = X[:, : 2 * nv].reshape(-1, 2, nv)
+        np.sign(motion[:, 1], out=motion[:, 2])
         np.abs(motion[:, 1], out=motion[:, 1])
         counts = weight[:, None] > 0
         if X.shape[0] > _FEW:
@@ -93,7 +95,7 @@ class OnlineMoments:
             self._add_one(x, tau, w)
 
     def _reach(self, lowest, highest, where=True):
-        """Widen the ranges of positions and speeds (2, nv), which do not fade."""
+        """Widen the ranges of each joint's signals (3, nv), which do not fade."""
         np.minimum(self._lowest, lowest, out=self._lowest, where=where)
         np.maximum(self._highest, highest, out=self._highest, where=where)
 

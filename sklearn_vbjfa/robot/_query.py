@@ -40,12 +40,12 @@ class Query:
         return replace(self, rest=plan.rest(nothing))
 
     def signals(self, features, inertial=None):
-        """Return positions, speeds and, with inertial parameters, loads.
+        """Return positions, speeds, directions and, with inertial parameters, loads.
 
         Arrays of shape (n, nv) by their names in `EffectRange`.
         """
         q, v, a = np.split(self.states, 3, axis=1)
-        found = {"position": q, "speed": np.abs(v)}
+        found = {"position": q, "speed": np.abs(v), "direction": np.sign(v)}
         if inertial is not None:
             found["load"] = features.torques(q, v, a, inertial)
         return found
@@ -64,11 +64,8 @@ class Query:
         if self.recording.weight is not None:
             inner &= self.recording.weight > 0
         speeds = np.abs(self.states[:, shape[1] : 2 * shape[1]])
-        return {
-            "position": inner,
-            "speed": inner & (speeds > standstill),
-            "load": inner,
-        }
+        moves = inner & (speeds > standstill)
+        return {"position": inner, "speed": moves, "load": inner, "direction": moves}
 
     def _edge(self, n):
         if self.smoother is None:

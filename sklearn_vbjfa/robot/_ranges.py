@@ -11,6 +11,7 @@ from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.effects._base import POSITION, SPEED, TORQUE
 
 _UNITS = {"position": POSITION, "speed": SPEED, "load": TORQUE}
+_WAYS = ("forward motion", "backward motion")
 _PLURALS = {"position": "positions", "speed": "speeds", "load": "loads"}
 
 
@@ -72,9 +73,10 @@ def effect_ranges(friction, effects, motion, load=None):
     """Return an `EffectRange` for each joint's declared friction, then each effect.
 
     friction : names of the declared columns; effects : tuple of Effect; motion :
-    `SignalRanges` of positions and speeds; load : that of the loads, if known.
+    `SignalRanges` of positions, speeds and directions; load : that of the loads, if it
+    is known.
     """
-    positions, speeds = motion.pairs()
+    positions, speeds, directions = motion.pairs()
     nv = len(positions)
     loads = nv * [_UNKNOWN] if load is None else load.pairs()[0]
     declared = resolve(friction) if friction else ()
@@ -87,6 +89,7 @@ def effect_ranges(friction, effects, motion, load=None):
             position=positions[joint],
             speed=speeds[joint],
             load=loads[joint],
+            direction=directions[joint],
             depends=effect.depends,
             curved=effect.curved,
         )
@@ -98,13 +101,17 @@ def outside_text(found, names, prismatic):
     """Say what lies outside the ranges of a fit; `found` are `OutsideRange`."""
     said = []
     for one in found:
+        share = round(100 * one.share, 0 if one.share > 0.02 else 1)
+        rows = f"({', '.join(one.names)}; {share:g} % of the rows)"
+        if one.quantity == "direction":
+            way, other = _WAYS if one.reached > 0 else _WAYS[::-1]
+            said.append(f"{names[one.joint]}: {way}, fitted on {other} only {rows}")
+            continue
         unit = _UNITS[one.quantity][int(prismatic[one.joint])]
         low, high = one.fitted
-        share = round(100 * one.share, 0 if one.share > 0.02 else 1)
         said.append(
             f"{names[one.joint]}: {_PLURALS[one.quantity]} to {one.reached:.3g} {unit},"
-            f" fitted on {low:.3g} to {high:.3g} {unit} ({', '.join(one.names)}; "
-            f"{share:g} % of the rows)"
+            f" fitted on {low:.3g} to {high:.3g} {unit} {rows}"
         )
     return "; ".join(said)
 

@@ -286,7 +286,8 @@ def jerk(world, j, rng):
 
     The bodies' inertia about the axis, which varies with the pose, times what a lag of
     the first order takes from the acceleration; the drive's friction and the gravity
-    do not take part. The torque lags behind the positions, or they behind it.
+    do not take part. The torque lags behind the positions, or they behind it. What a
+    lag takes is a third derivative to first order, and an inertia to second.
     """
     time_constant = rng.uniform(0.002, 0.02)
     a = world.a[:, j]
@@ -296,7 +297,8 @@ def jerk(world, j, rng):
     inertia = own_inertia(world.model, world.q, j)
     way = float(rng.choice([-1.0, 1.0]))
     torque = way * inertia / inertia.mean() * (a - behind) / time_constant
-    return Draw(torque, {"J": way}, {"time_constant": time_constant})
+    fixed = {"time_constant": time_constant}
+    return Draw(torque, {"J": way}, fixed, ("rotor_inertia",))
 
 
 def can_carry(name, world, j):

@@ -21,7 +21,8 @@ MIN_SHARE = 0.05
 CLOSE = (0.8, 1.25)
 DELAYS = (0.002, 0.015)
 WIDE_DELAYS = (0.0005, 0.04)
-TIME_CONSTANTS = (0.001, 0.15)
+# Time constants [s] of filters of a torque that leave half the power at 2 Hz or above.
+TIME_CONSTANTS = {"lag": (0.001, 0.08), "smooth": (0.001, 0.05)}
 NATURAL_FREQUENCIES = (8.0, 20.0)
 # Shaking over the acceleration of the motion: more would be the whole motion.
 STRONGEST = 2.0
@@ -348,7 +349,8 @@ def _torque_filter(j, scene, present, asked, exact, rng):
     def changed(time_constant):
         return _on_joint(_filtered(whole, world, kind, time_constant) - whole, j, nv)
 
-    time_constant = _value_of_size(changed, asked, scene, TIME_CONSTANTS)
+    limits = TIME_CONSTANTS[kind]
+    time_constant = _value_of_size(changed, asked, scene, limits)
     torque = changed(time_constant)
     named = {"time_constant": time_constant, "kind": kind}
     entry = describe("torque_filter", j, named, torque, scene, asked, exact=exact)

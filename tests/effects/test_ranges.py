@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.effects import EffectRange
 from sklearn_vbjfa.effects._ranges import CURVED, STRAIGHT, OutsideRange, outside
-from tests.effects.test_effects import NAMES, library_effect, signals
+from tests.effects.test_effects import NAMES, V, library_effect, signals
 
 NAN = float("nan")
 SPRING = EffectRange(
@@ -158,6 +158,41 @@ def far_out(name, quantity, factor):
     )
 
 
+def test_the_other_direction_is_outside():
+    coulomb = dataclasses.replace(
+        SPRING, name="coulomb", depends=("direction",), direction=(0.0, 1.0)
+    )
+    assert judged([coulomb], [0.0, 1.0, 1.0], "direction") == ()
+    (found,) = judged([coulomb], [1.0, 1.0, -1.0, -1.0], "direction")
+    assert (found.quantity, found.reached, found.share) == ("direction", -1.0, 0.5)
+    for one_way, both in (((1.0, 1.0), 1), ((-1.0, 1.0), 0), ((-1.0, -1.0), 1)):
+        own = dataclasses.replace(coulomb, direction=one_way)
+        assert len(judged([own], [1.0, -1.0], "direction")) == both
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("coulomb", True),
+        ("stribeck", True),
+        ("load_friction", True),
+        ("viscous", False),
+        ("viscous_quadratic", False),
+        ("offset", False),
+        ("spring", False),
+        ("rotor_inertia", False),
+    ],
+)
+def test_what_jumps_at_a_reversal_depends_on_the_direction(name, expected):
+    effect, motion = library_effect(name), signals()
+    forth, back = (
+        effect.columns(dataclasses.replace(motion, v=np.full_like(V, v)))
+        for v in (1e-9, -1e-9)
+    )
+    assert (np.abs(forth - back).max() > 1e-6) == expected
+    assert ("direction" in effect.depends) == expected
+
+
 @pytest.mark.parametrize("quantity", QUANTITIES)
 @pytest.mark.parametrize("name", ["viscous", "coulomb", "offset", "stribeck"])
 def test_columns_that_go_on_changing_are_declared(name, quantity):
@@ -171,7 +206,7 @@ def test_columns_that_go_on_changing_are_declared(name, quantity):
 @pytest.mark.parametrize("name", NAMES)
 def test_quantities_are_known_ones(name):
     effect = library_effect(name)
-    assert set(effect.depends) <= set(QUANTITIES)
+    assert set(effect.depends) <= {*QUANTITIES, "direction"}
     assert isinstance(effect.curved, bool)
     assert not (effect.curved and not effect.depends)
 
@@ -179,7 +214,7 @@ def test_quantities_are_known_ones(name):
 def test_straight_lines_are_straight_and_others_are_not():
     for name in NAMES:
         effect = library_effect(name)
-        for quantity in effect.depends:
+        for quantity in set(effect.depends) - {"direction"}:
             # A hysteresis is no function of the position.
             if name != "backlash":
                 one, two, three = (far_out(name, quantity, f) for f in (1.0, 2.0, 3.0))

@@ -232,6 +232,32 @@ def test_rest_is_no_speed():
     assert "speeds to 0.2 rad/s, fitted on 0.5 to 0.5 rad/s" in message
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_a_joint_that_never_reversed_is_known_one_way(way):
+    t = np.arange(0, 8.0, DT)
+    speed = 1.0 + 0.5 * np.sin(t)
+    forth = way * np.column_stack([t - 0.5 * np.cos(t), speed, 0.5 * np.cos(t)])
+    own = RobotIdentifier(
+        arm("Z"), dt=DT, standstill=0.01, projector=None, friction="coulomb"
+    ).fit(forth, forth[:, 1:2] + way * 2.0)
+    (coulomb,) = own.effect_ranges_
+    assert coulomb.direction == (way, way)
+    assert said(own, forth) == []
+    assert said(own, 3.0 * forth) == []  # however fast
+    (message,) = said(own, -forth)
+    first, second = ("forward", "backward")[:: int(-way)]
+    assert f"joint_1: {first} motion, fitted on {second} motion only (coul" in message
+    online = RobotIdentifier(arm("Z"), standstill=0.01, friction="coulomb")
+    online.partial_fit(forth, forth[:, :1], refit=False)
+    online.partial_fit(forth[:1], forth[:1, :1])
+    assert online.effect_ranges_[0].direction == (way, way)
+
+
+def test_a_joint_that_reversed_is_known_both_ways(fitted):
+    assert {r.direction for r in fitted.effect_ranges_} == {(-1.0, 1.0)}
+    assert said(fitted, -STATES) == said(fitted, np.hstack([-Q, V, A]))
+
+
 def test_a_slider_has_its_own_unit():
     _, states = motion(1, duration=10.0, dt=DT, seed=2)
     own = RobotIdentifier(arm("x"), dt=DT, effects=[effects.Spring()], **EXACT)

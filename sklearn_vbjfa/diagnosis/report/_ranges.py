@@ -17,6 +17,14 @@ def range_text(outcome, joint, quantity, pair):
     return f"{low} to {high} {unit}"
 
 
+def _one_way(known):
+    """Say which way a joint moved; empty if both ways."""
+    low, high = known.direction
+    if low >= 0:
+        return "forward motion only"
+    return "backward motion only" if high <= 0 else ""
+
+
 def fitted_on(outcome, effect):
     """List the ranges that an effect was fitted on, one a line; () if unknown."""
     known = effect.ranges
@@ -27,7 +35,7 @@ def fitted_on(outcome, effect):
         low, high = pair = getattr(known, quantity)
         if low <= high:
             lines.append(range_text(outcome, effect.joint, quantity, pair))
-    return tuple(lines)
+    return (*lines, *filter(None, [_one_way(known)]))
 
 
 def known_for(outcome, effect):
@@ -39,8 +47,11 @@ def known_for(outcome, effect):
         f"{_WHERE[quantity]} of "
         f"{range_text(outcome, effect.joint, quantity, getattr(known, quantity))}"
         for quantity in known.depends
+        if quantity in _UNITS
         if getattr(known, quantity)[0] <= getattr(known, quantity)[1]
     ]
+    if "direction" in known.depends:
+        told += filter(None, [_one_way(known)])
     return f"fitted on {words.join(told)}" if told else ""
 
 
@@ -49,11 +60,15 @@ def outside_sentences(outcome):
     found = []
     for one in outcome.outside:
         labels = [words.effect_label(outcome, name) for name in one.names]
-        fitted = range_text(outcome, one.joint, one.quantity, one.fitted)
-        reached = words.number(one.reached)
+        if one.quantity == "direction":
+            way = "forward" if one.reached > 0 else "backward"
+            what = f"moves {way}, fitted on the other direction only"
+        else:
+            fitted = range_text(outcome, one.joint, one.quantity, one.fitted)
+            reached = words.number(one.reached)
+            what = f"{one.quantity} reaches {reached}, fitted on {fitted}"
         found.append(
-            f"{words.joint_label(outcome.joint_names, one.joint)}: {one.quantity} "
-            f"reaches {reached}, fitted on {fitted} "
+            f"{words.joint_label(outcome.joint_names, one.joint)}: {what} "
             f"({words.percent(one.share)} of the rows; {words.join(labels)})"
         )
     return tuple(found)

@@ -43,7 +43,8 @@ class Remains:
 def remains(outcome, joint):
     """Return what remains of a joint above its floor; None if it is not known."""
     own = next((c for c in outcome.ceiling if c.joint == joint), None)
-    if own is None:
+    if own is None or math.isnan(own.share[-1]):
+        # Too short to be judged.
         return None
     kind, shares = "form", own.share
     if shares[-1] < _LITTLE:
@@ -59,33 +60,39 @@ def has_picture(found):
     return found is not None and found.kind == "form" and found.source == 0
 
 
-def statement(found, floor):
-    """Say in a sentence what remains, given the noise floor, nan if unknown."""
-    known = floor > 0
-    form, share = _FORMS[found.source], words.whole_percent(found.share)
-    if found.kind == "form":
+def statement(alike, floor):
+    """Say in a sentence what remains.
+
+    alike : `Remains` of joints of which the same is said; one alone if it is a form.
+    floor : noise floor of one of them, nan if unknown.
+    """
+    first = alike[0]
+    if first.kind == "form":
         return (
-            f"{form} explains {share} of what remains: no effect of the library has "
-            "that form"
+            f"{_FORMS[first.source]} explains {words.whole_percent(first.share)} of "
+            "what remains: no effect of the library has that form"
         )
-    if found.kind == "recording":
+    shares = sorted(found.share for found in alike)
+    if first.kind == "recording":
+        ends = dict.fromkeys(words.whole_percent(x) for x in (shares[0], shares[-1]))
         return (
-            f"{form} explains {share} of what remains within a recording, nothing in "
-            "the next one: temperature, or what else changed in between"
+            f"{' to '.join(ends)} of what remains repeats within a recording, nothing "
+            "in the next one: temperature, or what else changed in between"
         )
-    repeats = "does not repeat" if found.share == 0 else "hardly repeats"
-    if known:
+    repeats = "does not repeat" if shares[-1] == 0 else "hardly repeats"
+    if floor > 0:
         return f"what remains {repeats}: temperature, unmeasured load, or noise"
     return f"what remains {repeats}; whether it is noise is not known"
 
 
-def short_statement(found):
+def short_statement(alike):
     """Say the same in a few words, for a row of a table."""
-    if found.kind == "nothing":
-        return "does not repeat" if found.share == 0 else "hardly repeats"
-    form, share = _FORMS[found.source], words.whole_percent(found.share)
-    where = "" if found.kind == "form" else ", this recording only"
-    return f"{form} ({share}){where}"
+    first = alike[0]
+    if first.kind == "form":
+        return f"{_FORMS[first.source]} ({words.whole_percent(first.share)})"
+    if first.kind == "recording":
+        return "repeats within a recording only"
+    return "does not repeat" if first.share == 0 else "hardly repeats"
 
 
 def of_joint(outcome, joint, text):
@@ -94,7 +101,7 @@ def of_joint(outcome, joint, text):
     if found is None:
         return text
     floor = next(u.floor for u in outcome.unexplained if u.joint == joint)
-    return statement(found, floor)
+    return statement([found], floor)
 
 
 def record_next(outcome):

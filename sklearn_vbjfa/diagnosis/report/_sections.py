@@ -371,7 +371,7 @@ def _unexplained(outcome, verdict):
         shares = [words.percent(share) for share in sorted(u.of_torque for u in group)]
         share = f"{' to '.join(dict.fromkeys([shares[0], shares[-1]]))} of the torque"
         share += " has no name" if first.floor > 0 else " remains, noise floor unknown"
-        all_of_it, strongest = _of_the_rest(outcome, first)
+        all_of_it, strongest = _of_the_rest(outcome, group)
         sentences.append(f"{joints}: {share}; {all_of_it}")
         short.append((f"? {joints}", share, strongest))
     pictures = _maps(outcome)
@@ -385,18 +385,19 @@ def _unexplained(outcome, verdict):
     )
 
 
-def _of_the_rest(outcome, rest):
-    """Say what is known of a joint's rest, in a sentence and in a few words."""
-    found = _remains.remains(outcome, rest.joint)
-    if found is not None:
+def _of_the_rest(outcome, group):
+    """Say what is known of the rest of some joints, and the same in a few words."""
+    alike = [_remains.remains(outcome, u.joint) for u in group]
+    first = group[0]
+    if alike[0] is not None:
         return (
-            _remains.statement(found, rest.floor),
-            _remains.short_statement(found),
+            _remains.statement(alike, first.floor),
+            _remains.short_statement(alike),
         )
     signals = [
-        f"{words.signal_label(s.signal, outcome.joint_names, rest.joint)} "
+        f"{words.signal_label(s.signal, outcome.joint_names, first.joint)} "
         f"({words.whole_percent(s.share)})"
-        for s in rest.signals
+        for s in first.signals
     ]
     if not signals:
         return ("it varies with no single signal",) * 2
@@ -404,12 +405,14 @@ def _of_the_rest(outcome, rest):
 
 
 def _unexplained_groups(outcome, unexplained):
-    """Put joints together of which only the size is known, or not even the floor."""
+    """Put joints together of which the same is said, but for sizes."""
     groups = {}
     for u in unexplained:
         found = _remains.remains(outcome, u.joint)
-        known = bool(u.signals) if found is None else found.kind != "nothing"
-        said = u.joint if known else _of_the_rest(outcome, u)
+        if found is None:
+            said = u.joint if u.signals else None
+        else:
+            said = u.joint if found.kind == "form" else (found.kind, found.share > 0)
         groups.setdefault((u.floor > 0, said), []).append(u)
     return groups.values()
 

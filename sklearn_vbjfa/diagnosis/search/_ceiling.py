@@ -14,7 +14,11 @@ from threadpoolctl import threadpool_limits
 
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, compare
 from sklearn_vbjfa.diagnosis.search._findings import Ceiling
-from sklearn_vbjfa.diagnosis.search._flexible import FlexibleFunction, Stretches
+from sklearn_vbjfa.diagnosis.search._flexible import (
+    FEWEST_VALUES,
+    FlexibleFunction,
+    Stretches,
+)
 
 # What a residual may be a function of, each with all that stands before it.
 SOURCES = ("speed and load", "state and history", "all joints")
@@ -64,7 +68,7 @@ def ceilings(model, joints, names, alpha, random_state=None):
     Returns
     -------
     tuple of Ceiling
-        One for each of the joints.
+        One for each of the joints with enough data to say.
     dict of int to Map
         For those of which speed and load explain something.
     """
@@ -77,6 +81,8 @@ def ceilings(model, joints, names, alpha, random_state=None):
     residual = model.residuals() / np.where(root > 0, root, np.inf)
     seconds, signals = model.memory_seconds(), Signals.of(model)
     for j in joints:
+        if _values(view, j) < FEWEST_VALUES:
+            continue
         # For each joint alone, whatever the others are.
         order = np.random.RandomState(seed)
         trial = _Trial(
@@ -233,6 +239,13 @@ class _Trial:
             measured=means(self.residual),
             function=means(predicted),
         )
+
+
+def _values(view, joint):
+    """Count the values of a joint's residual that are independent in its band."""
+    weight = view.equations.weight[:, joint]
+    per_row = min(2.0 * view.robot.cutoff_ * view.step, 1.0)
+    return per_row * weight.sum() / max(weight.max(), np.finfo(float).tiny)
 
 
 def _rising(shares):

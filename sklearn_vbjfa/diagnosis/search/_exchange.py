@@ -113,7 +113,7 @@ def _best_pair(search, joint, replaced):
     model = search.model
     rest = [e for e in model.effects if e is not replaced]
     base = model if replaced is None else model.beside(rest, None)
-    singles = search.scored(joint, base)
+    singles = search.scored(joint, base, -np.inf)
     if not singles:
         return None
     singles.sort(key=lambda one: one.squares[:, joint].sum())

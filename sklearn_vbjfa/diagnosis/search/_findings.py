@@ -264,8 +264,8 @@ class Outcome:
     unexplained : tuple of Unexplained
         Joints that stay above their noise floor.
     ceiling : tuple of Ceiling
-        What functions of any form explain on these joints; empty if that was not asked
-        for.
+        What functions of any form explain on joints above their floor that move for
+        long enough; empty if that was not asked for.
     hidden : tuple of Hidden
         Effects that could not be looked for.
     channels : tuple of ChannelFinding

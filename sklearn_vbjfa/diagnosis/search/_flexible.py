@@ -26,6 +26,8 @@ _GAP_TIMES, _MOST_GAP = 3.0, 0.25
 _TREES, _LEAVES, _LEAF, _BINS, _RATE = 40, 8, 20, 64, 0.15
 # Rows that trees are grown on, at the most.
 _MOST_ROWS = 3000
+# Independent values that a function needs: those of a tree with full leaves.
+FEWEST_VALUES = _LEAVES * _LEAF
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -420,13 +420,13 @@ class EffectSearch:
         )
         return candidate, family.columns
 
-    def scored(self, joint, base):
-        """Effects on a joint alone that are worth a name beside a model, scored."""
+    def scored(self, joint, base, smallest=SMALLEST_GAIN):
+        """Effects on a joint alone that save a share beside a model, scored."""
         found = []
         for effect in self.candidates_of(joint):
             if not effect.whole_robot:
                 candidate, _ = self.score(effect, base)
-                if candidate and candidate.evidence.gain >= SMALLEST_GAIN:
+                if candidate and candidate.evidence.gain >= smallest:
                     found.append(candidate)
         return found
 

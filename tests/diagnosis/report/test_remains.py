@@ -36,9 +36,8 @@ CASES = {
     "not in the next": (
         (0.7, 0.75, 0.8),
         (0.0, 0.0, 0.02),
-        "a function of speed and load explains 70 % of what remains within a "
-        "recording, nothing in the next one: temperature, or what else changed in "
-        "between",
+        "70 % of what remains repeats within a recording, nothing in the next one: "
+        "temperature, or what else changed in between",
     ),
     "nothing": (
         (0.0, 0.0, 0.0),
@@ -119,6 +118,14 @@ def test_joints_of_which_nothing_repeats_share_a_line():
     text = formats(Report(outcome))[0]
     assert text.count("what remains does not repeat") == 1
     assert "? joints 1, 2 and 4: " in text
+
+
+def test_joints_that_repeat_in_no_other_recording_share_a_line():
+    found = tuple(ceiling(j, (x,) * 3, (0.0,) * 3) for j, x in ((1, 0.5), (2, 0.3)))
+    outcome = make_outcome(unexplained=(1, 2), ceiling=found)
+    text = formats(Report(outcome))[0]
+    assert "? joints 2 and 3: 4.3 % of the torque has no name; 30 % to 50 % of" in text
+    assert text.count("repeats within a recording") == 1
 
 
 def test_it_takes_no_more_lines_than_signals_did():

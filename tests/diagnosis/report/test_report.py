@@ -631,6 +631,18 @@ def test_effects_say_what_they_were_fitted_on():
     assert data["depends"] == ["position"]
 
 
+def test_one_direction_only_is_told():
+    (effect,) = make_outcome(n_effects=1).effects
+    ranges = replace(effect.ranges, direction=(0.0, 1.0), depends=("direction",))
+    found = outside(0, "direction", fitted=(0.0, 1.0), reached=-1.0, names=("coulomb",))
+    changed = {"effects": (replace(effect, ranges=ranges),), "outside": (found,)}
+    text, *others = formats(Report(make_outcome(**changed)))
+    assert "fitted on forward motion only" in text
+    for shown in (text, *others):
+        assert "forward motion only" in shown
+        assert "joint 1: moves backward, fitted on the other direction only" in shown
+
+
 def test_ranges_of_a_slider_are_in_metres():
     effects = (make_effect(2, 0, NAMES),)
     outcome = make_outcome(nv=1, effects=effects, torque_units=("N",))

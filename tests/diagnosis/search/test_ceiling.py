@@ -233,6 +233,17 @@ def test_way_and_time_since_a_reversal():
     assert np.isnan([way[9:], since[9:]]).all()
 
 
+def test_a_joint_that_hardly_moves_has_no_ceiling():
+    weight = np.ones((2000, 2))
+    weight[300:, JOINT] = 0.0
+    model = viewed((2,), 40.0, weight)
+    everything = np.array([bent(model)] * 2)
+    left = Left(model.view, model.motion, everything)
+    found, maps = ceilings(left, [0, 1], NAMES, 0.05)
+    assert [one.joint for one in found] == [0]
+    assert JOINT not in maps
+
+
 def test_each_source_has_the_signals_of_the_one_before():
     tables = Signals.of(ONE).tables(JOINT)
     for fewer, more in itertools.pairwise(tables):

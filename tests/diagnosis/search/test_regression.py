@@ -284,3 +284,24 @@ def test_reduced_coordinates_give_the_same_torques():
         rows / unit, (root * np.sqrt(PRECISION) * tau).ravel(), rcond=1e-10
     )[0]
     assert_allclose(Phi @ (back @ small), Phi @ (full / unit), atol=1e-8)
+
+
+# -- leaving columns out
+
+
+@pytest.mark.parametrize("groups", [[[0]], [[1], [2, 3]], [[3, 0]]])
+def test_squares_without_columns_are_those_of_fits_without_them(groups):
+    Z, y, _ = problem(seed=3)
+    fitted = regression(Z, y)
+    penalty = RIDGE * unit_of(Z)
+    groups = [np.array(group) for group in groups]
+    for joint in range(NV):
+        squares = fitted.squares_without(joint, groups)
+        for k, group in enumerate(groups):
+            rest = np.setdiff1d(np.arange(R), group)
+            expected = np.empty(M)
+            for fold in range(BLOCKS.n_folds):
+                out = BLOCKS.fold == fold
+                theta = ridge_fit(Z[:, ~out][:, :, rest], y[:, ~out], penalty)
+                expected[out] = (y[joint, out] - Z[joint, out][:, rest] @ theta) ** 2
+            assert_allclose(squares[:, k], BLOCKS.sums(expected), rtol=1e-6)

@@ -18,8 +18,8 @@ alone, in a process that has fitted a short recording before, the smallest of
 ``--repeat``, with and without the ceiling where the loop has one (`ceiling`). Beside it
 stand the processor time, which a busy machine leaves as it is, and how much of the time
 the check of the channels took, which looks for swapped and misplaced ones where a model
-fits poorly. Targets on two cores: 10 s for six joints
-without the ceiling, 30 s with it, 60 s for 60 joints.
+fits poorly. Targets on two cores: 10 s for six joints without the ceiling, 30 s with
+it, 60 s for 60 joints.
 """
 
 import functools

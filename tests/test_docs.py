@@ -179,6 +179,7 @@ def constants_of_the_loop():
     from sklearn_vbjfa.diagnosis.search import (
         _blocks,
         _evidence,
+        _exchange,
         _gaps,
         _judgement,
         _search,
@@ -218,6 +219,9 @@ def constants_of_the_loop():
         f"save at least {100 * _evidence.SMALLEST_GAIN:g} % of the joint's squared",
         f"at most {_search.AT_FLOOR:g} times its noise floor is left alone",
         f"saves more than {100 * _search._CONTAINED:g} % of what the candidate saves",
+        f"The {small[_search._ANEW]} best candidates of a joint are judged once more",
+        f"more than {_exchange._ABOVE:g} times above their noise floor",
+        f"each effect beside the {small[_exchange._FIRST]} best ones",
         f"the other way round saves more than {100 * _symmetry._SHARE:g} % of what",
         f"costs less than {100 * _search._SUPERFLUOUS:g} % of the squared error",
         f"above {varies:g} times the floor if it varies with any, above {any_case:g} t",

@@ -43,7 +43,8 @@ class Remains:
 def remains(outcome, joint):
     """Return what remains of a joint above its floor; None if it is not known."""
     own = next((c for c in outcome.ceiling if c.joint == joint), None)
-    if own is None:
+    if own is None or math.isnan(own.share[-1]):
+        # Too short to be judged.
         return None
     kind, shares = "form", own.share
     if shares[-1] < _LITTLE:

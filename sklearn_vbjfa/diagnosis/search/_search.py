@@ -295,6 +295,8 @@ class EffectSearch:
             tried=others,
             rule=self._rule(chosen),
         )
+        if self.on_progress is not None:
+            self.on_progress(number + 1, f"shapes on joint {effect.joint + 1}")
         effect = self.absorb(effect)
         self.prune(effect)
         self.model = retuned(self.model, effect.joint)
@@ -393,17 +395,18 @@ class EffectSearch:
         """Effects of the library on a joint that can be looked for."""
         return candidates_of(joint, self.library, self.model)
 
-    def score(self, effect, base):
+    def score(self, effect, base, finely=True):
         """Try an effect beside a model: a Candidate, and its family's columns.
 
-        None of both if there is nothing new. The evidence has no p-value yet.
+        None of both if there is nothing new. The evidence has no p-value yet. See
+        `plainest`.
         """
         taken = self.refused.union(*(e.excludes() for e in base.effects))
         family = base.family(effect).where(lambda one: one.key() not in taken)
         if not family.effects:
             return None, None
         joints = self.view.joints_of(effect)
-        family, score = plainest(base, effect, family)
+        family, score = plainest(base, effect, family, finely)
         if effect.opposite() is not None:
             family, score = one_sided(base, family, joints, score)
             if family is None:
@@ -425,7 +428,7 @@ class EffectSearch:
         found = []
         for effect in self.candidates_of(joint):
             if not effect.whole_robot:
-                candidate, _ = self.score(effect, base)
+                candidate, _ = self.score(effect, base, finely=False)
                 if candidate and candidate.evidence.gain >= smallest:
                     found.append(candidate)
         return found

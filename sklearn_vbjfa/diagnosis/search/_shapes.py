@@ -92,10 +92,11 @@ class Bracket:
         return np.log(value) if self.logarithmic else value
 
 
-def plainest(base, effect, family):
+def plainest(base, effect, family, finely=True):
     """Return the plainest form of an effect that is no worse than any, and its score.
 
-    Forms differ in complexity. Within one, the shape is chosen by the score alone.
+    Forms differ in complexity. Within one, the shape is chosen by the score alone; a
+    plainer form is searched between the points of its grid unless it is not `finely`.
     """
     joints = base.view.joints_of(effect)
 
@@ -113,6 +114,10 @@ def plainest(base, effect, family):
     for own, score in forms:
         if own is best[0]:
             break
+        if no_worse(errors(best), errors((own, score))):
+            return own, score
+        if not finely:
+            continue
         # A grid of several parameters is coarse: between its points it may do as well.
         finer = tuned(own.effects[score.best], base)
         form = scored(own.extended(finer, base.columns_of(finer)))

@@ -32,9 +32,10 @@ from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect
 from sklearn_vbjfa.effects._library import closure
 
-# A joint whose out-of-sample error is within this factor of its noise floor lacks
-# nothing that could be named: an effect of a third of the noise adds as much to it.
-AT_FLOOR = 1.05
+# A joint whose mean squared error is this many of its standard deviations above the
+# noise floor, or less, lacks nothing that could be named: 5 % of those are that lack
+# nothing.
+AT_FLOOR = 1.645
 # An effect stays as long as leaving it out would cost this share of the error.
 _SUPERFLUOUS = 0.01
 # What is found must hold beyond the data that it was found in: fitted to this first
@@ -383,11 +384,13 @@ class EffectSearch:
         """Joints on which something was refused beside the present model."""
         return {joint for _, joint, *_ in self.refused}
 
-    def at_floor(self, squares, factor=AT_FLOOR):
+    def at_floor(self, squares, factor=1.0):
         """Joints whose error noise alone explains, but for a factor."""
+        rows = self.view.rows
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean = squares.sum(axis=0) / self.view.rows
-        return mean < factor**2 * self.view.floor
+            mean = squares.sum(axis=0) / rows
+            chance = 1.0 + AT_FLOOR * np.sqrt(2.0 / rows)
+        return mean < factor**2 * chance * self.view.floor
 
     # -- candidates -----------------------------------------------------------------
 

@@ -5,13 +5,16 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 _WHERE = {"position": "positions", "speed": "speeds", "load": "loads"}
 # A speed below this share of the fastest is that of a reversal.
 _SLOW = 0.1
+# An end that is this small a share of the other is zero.
+_ZERO = 1e-3
 _UNITS = {"position": ("rad", "m"), "speed": ("rad/s", "m/s"), "load": ("N m", "N")}
 
 
 def range_text(outcome, joint, quantity, pair):
     """Write a range with its unit, "-1.2 to 1.3 rad"."""
     unit = _UNITS[quantity][int(outcome.torque_units[joint] == "N")]
-    low, high = (words.number(x) for x in pair)
+    width = max(map(abs, pair))
+    low, high = (words.number(0.0 if abs(x) < _ZERO * width else x) for x in pair)
     if quantity == "speed" and pair[0] < _SLOW * pair[1]:
         return f"up to {high} {unit}"
     return f"{low} to {high} {unit}"
@@ -23,19 +26,6 @@ def _one_way(known):
     if low >= 0:
         return "forward motion only"
     return "backward motion only" if high <= 0 else ""
-
-
-def fitted_on(outcome, effect):
-    """List the ranges that an effect was fitted on, one a line; () if unknown."""
-    known = effect.ranges
-    if known is None:
-        return ()
-    lines = []
-    for quantity in _UNITS:
-        low, high = pair = getattr(known, quantity)
-        if low <= high:
-            lines.append(range_text(outcome, effect.joint, quantity, pair))
-    return (*lines, *filter(None, [_one_way(known)]))
 
 
 def known_for(outcome, effect):

@@ -140,7 +140,7 @@ def _headline(outcome, verdict):
             "too slow or too small, so that noise outweighs the torques, or that ends "
             "at rest."
         )
-    robot = outcome.declared.get("robot", "the robot")
+    robot = outcome.declared.get("robot") or "the robot"
     return Section(
         heading=f"What the declared model of {robot} lacks",
         sentences=tuple(filter(None, (verdict.text, causes))),
@@ -316,12 +316,10 @@ def _effects(outcome, verdict):
         short.append((f"- {joint}", label, evidence))
         gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
         cannot = words.join(rivals, len(rivals), "or")
-        fitted = (*ranges.fitted_on(outcome, e), *filter(None, [afterwards]))
-        rows.append(
-            (joint, label, tuple(parameters), fitted, gain, words.p_cell(p), cannot)
-        )
-    heads = ("joint", "effect", "parameters (90 %)", "fitted on")
-    heads += ("squared error saved", "p")
+        known = filter(None, [ranges.known_for(outcome, e), afterwards])
+        cell = (*parameters, *known)
+        rows.append((joint, label, cell, gain, words.p_cell(p), cannot))
+    heads = ("joint", "effect", "parameters (90 %)", "squared error saved", "p")
     return Section(
         heading="Effects that were missing",
         table=_table((*heads, "cannot be told from"), rows),

@@ -11,7 +11,7 @@ from sklearn_vbjfa.effects._base import TIME, Effect
 # Delays to try [s].
 _DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
 # Time constants to try, in periods of the low-pass over 2 pi.
-_CONSTANTS = (0.2, 0.6, 1.8)
+_CONSTANTS = (0.2, 0.6, 1.8, 5.4)
 # Fastest that a filter can be and still show between samples: its time constant, in
 # samples.
 _SAMPLES = 0.5
@@ -111,8 +111,13 @@ class Delay(Effect):
         return 1 / _FACTOR < float(coef[0]) / self.delay < _FACTOR
 
     def natural(self, coef):
-        """Whether it still is; see `Effect.natural`."""
-        return self.plausible(coef)
+        """Whether it has the sign of the shift, and is one; see `Effect.natural`.
+
+        Short delays differ in the coefficient, and hardly in the shift that the column
+        is made with: the one may be far from the other.
+        """
+        found = float(coef[0])
+        return found / self.delay > 0 and abs(found) < _FACTOR * _DELAYS[-1]
 
     def opposite(self):
         """Return the same delay of the other signal; see `Effect.opposite`."""
@@ -204,6 +209,7 @@ class TorqueFilter(Effect):
     units = (TIME,)
     named_units = (("time_constant", TIME), ("cutoff", ("Hz", "Hz")))
     shape_units = (("time_constant", TIME),)
+    contains = ("delay",)
     needs = ("load", "time")
     continuous = ("time_constant",)
     positive = ("time_constant",)
@@ -245,11 +251,8 @@ class TorqueFilter(Effect):
 
     def plausible(self, coef):
         """Whether the filter found is about the column's; see `Effect.plausible`."""
-        return 1 / _FACTOR < float(coef[0]) / self.time_constant < _FACTOR
-
-    def natural(self, coef):
-        """Whether it still is; see `Effect.natural`."""
-        return self.plausible(coef)
+        found = self.parameters(coef)["time_constant"]
+        return 1 / _FACTOR < found / self.time_constant < _FACTOR
 
     def opposite(self):
         """Return the same filter of the other channel; see `Effect.opposite`."""

@@ -43,7 +43,7 @@ def load(name, data_home):
 def measure(name, data_home, **settings):
     """Close the loop on one set."""
     recording, rows, identifier = load(name, data_home)
-    loop = EffectDiscovery(identifier, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
     return loop.fit(recording.q[rows], recording.tau[rows], recording.groups[rows])
 
 

@@ -148,7 +148,7 @@ def test_filters_between_samples_are_not_tried():
         s["time_constant"]
         for s in effects.TorqueFilter().shapes(moving(np.sin(T), bandwidth=4.0))
     ]
-    assert_allclose(min(slow), 0.2 / (2 * np.pi * 4.0))
+    assert_allclose([min(slow), max(slow)], np.array([0.2, 5.4]) / (2 * np.pi * 4.0))
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_directions_are_not_mixed():
     assert effects.Delay(delay=0.001).key() == effects.Delay(delay=0.016).key()
     assert effects.Delay(delay=0.001).key() != effects.Delay(delay=-0.001).key()
     assert effects.Delay(delay=-0.004).natural([-0.003])
-    assert not effects.Delay(delay=-0.004).natural([-0.009])
+    assert not effects.Delay(delay=-0.004).natural([-0.07])
     assert not effects.Delay(delay=-0.004).natural([0.001])
     assert not effects.TorqueFilter().natural([-0.01])
 

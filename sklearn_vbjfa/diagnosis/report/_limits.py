@@ -6,6 +6,7 @@ Each function returns sentences on an outcome, none where there is nothing to sa
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.effects import Payload
 
 # Share of a value that rounding leaves of it.
 _ZERO = 1e-9
@@ -336,7 +337,7 @@ def _cause(outcome, cause):
     """Write what is another in one of the recordings."""
     where = f"in {_recordings(outcome, [cause.recording])}"
     joints = words.joint_list(outcome.joint_names, cause.joints)
-    if cause.name == "payload":
+    if cause.name == Payload.name:
         return f"another load {where}"
     if cause.name == "friction":
         return f"another friction of {joints} {where}"

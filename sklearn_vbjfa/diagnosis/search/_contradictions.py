@@ -13,7 +13,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa.diagnosis.search._evidence import p_value
-from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects import Coulomb, Offset, Payload, Viscous
 
 # Parts into which a recording is divided, each predicted without it, and the fewest.
 _PARTS, _FEWEST_PARTS = 8, 4
@@ -235,7 +235,7 @@ def _candidates(parts, recording, joints):
     view, nv = fit.view, fit.view.nv
     offset, viscous, coulomb = (
         [fit.in_equations(clone(e).set_params(joint=j)) for j in range(nv)]
-        for e in resolve(["offset", "viscous", "coulomb"])
+        for e in (Offset(), Viscous(), Coulomb())
     )
     modelled = parts.torques(parts.without(recording))
     gain = [(modelled * (np.arange(nv) == j))[:, :, None] for j in range(nv)]
@@ -244,15 +244,16 @@ def _candidates(parts, recording, joints):
     def cause(name, *where):
         return Cause(recording=int(recording), name=name, joints=where)
 
-    for name, columns in (("offset", offset), ("gain", gain), ("friction", friction)):
+    kinds = ((Offset.name, offset), ("gain", gain), ("friction", friction))
+    for name, columns in kinds:
         for j in joints:
             yield cause(name, j), columns[j]
     if nv > 1:
-        for name, columns in (("gain", gain), ("friction", friction)):
+        for name, columns in kinds[1:]:
             yield cause(name, *range(nv)), np.concatenate(columns, axis=2)
     features = view.robot.features_
     last = features.n_parameters_ - features.n_parameters_ // nv
-    yield cause("payload", nv - 1), view.equations.Phi[:, :, last : last + 10]
+    yield cause(Payload.name, nv - 1), view.equations.Phi[:, :, last : last + 10]
 
 
 class _Parts:

@@ -67,7 +67,8 @@ def exchange(search):
             continue
         if _pair(search, joint, None):
             return True
-        if any(_pair(search, joint, effect) for effect in own):
+        # Only a shape that is tuned to what is missing stands in the way.
+        if any(_pair(search, joint, effect) for effect in own if effect.continuous):
             return True
     return False
 
@@ -80,14 +81,14 @@ def _pair(search, joint, replaced):
     level = search.alpha / (pair.n_tests * max(int((search.view.rows > 0).sum()), 1))
     if not pair.evidence.significant(level):
         return False
+    beside = replace(search, model=pair.model, steps=[])
     for effect in pair.effects:
+        # Each has to earn its place beside the other.
+        if not beside.evidence_of(effect).significant(search.alpha):
+            return False
         base = pair.model.beside(pair.model.without(effect))
         _, refusal = search.later(effect, base)
         if refusal is not None:
-            return False
-        # Each has to earn its place beside the other.
-        alone = compare(*pair.model.relevant(effect, base.squares, pair.model.squares))
-        if not alone.gain > alone.gain_std:
             return False
     rest = [e for e in search.model.effects if e is not replaced]
     rule = Rule(

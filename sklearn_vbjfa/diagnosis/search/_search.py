@@ -32,9 +32,10 @@ from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect
 from sklearn_vbjfa.effects._library import closure
 
-# A joint whose out-of-sample error is within this factor of its noise floor lacks
-# nothing that could be named: an effect of a third of the noise adds as much to it.
-AT_FLOOR = 1.05
+# A joint whose mean squared error is this many of its standard deviations above the
+# noise floor, or less, lacks nothing that could be named: 5 % of those are that lack
+# nothing.
+AT_FLOOR = 1.645
 # An effect stays as long as leaving it out would cost this share of the error.
 _SUPERFLUOUS = 0.01
 # What is found must hold beyond the data that it was found in: fitted to this first
@@ -295,6 +296,8 @@ class EffectSearch:
             tried=others,
             rule=self._rule(chosen),
         )
+        if self.on_progress is not None:
+            self.on_progress(number + 1, f"shapes on joint {effect.joint + 1}")
         effect = self.absorb(effect)
         self.prune(effect)
         self.model = retuned(self.model, effect.joint)
@@ -381,11 +384,13 @@ class EffectSearch:
         """Joints on which something was refused beside the present model."""
         return {joint for _, joint, *_ in self.refused}
 
-    def at_floor(self, squares, factor=AT_FLOOR):
+    def at_floor(self, squares, factor=1.0):
         """Joints whose error noise alone explains, but for a factor."""
+        rows = self.view.rows
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean = squares.sum(axis=0) / self.view.rows
-        return mean < factor**2 * self.view.floor
+            mean = squares.sum(axis=0) / rows
+            chance = 1.0 + AT_FLOOR * np.sqrt(2.0 / rows)
+        return mean < factor**2 * chance * self.view.floor
 
     # -- candidates -----------------------------------------------------------------
 
@@ -393,17 +398,18 @@ class EffectSearch:
         """Effects of the library on a joint that can be looked for."""
         return candidates_of(joint, self.library, self.model)
 
-    def score(self, effect, base):
+    def score(self, effect, base, finely=True):
         """Try an effect beside a model: a Candidate, and its family's columns.
 
-        None of both if there is nothing new. The evidence has no p-value yet.
+        None of both if there is nothing new. The evidence has no p-value yet. See
+        `plainest`.
         """
         taken = self.refused.union(*(e.excludes() for e in base.effects))
         family = base.family(effect).where(lambda one: one.key() not in taken)
         if not family.effects:
             return None, None
         joints = self.view.joints_of(effect)
-        family, score = plainest(base, effect, family)
+        family, score = plainest(base, effect, family, finely)
         if effect.opposite() is not None:
             family, score = one_sided(base, family, joints, score)
             if family is None:
@@ -425,7 +431,7 @@ class EffectSearch:
         found = []
         for effect in self.candidates_of(joint):
             if not effect.whole_robot:
-                candidate, _ = self.score(effect, base)
+                candidate, _ = self.score(effect, base, finely=False)
                 if candidate and candidate.evidence.gain >= smallest:
                     found.append(candidate)
         return found
@@ -630,7 +636,7 @@ class EffectSearch:
         # trend goes on for another quarter more often than for another half.
         shares = [_LATE] if late else [_LATE, _FORWARD] if effect.slow else [_FORWARD]
         larger = self.model.beside([*base.effects, effect])
-        if not effect.plausible(larger.coefficients(effect)):
+        if not effect.natural(larger.coefficients(effect)):
             # Between the points of the grid it became something else.
             nothing = np.zeros(1)
             return compare(nothing, nothing), Rule(name=UNNATURAL)

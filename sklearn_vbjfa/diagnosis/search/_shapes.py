@@ -9,6 +9,7 @@ from sklearn.base import clone
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, no_worse
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE, BlockRegression
+from sklearn_vbjfa.diagnosis.search._symmetry import one_sided
 from sklearn_vbjfa.diagnosis.search._view import variants
 
 # Times that what is linearised is linearised again.
@@ -91,10 +92,11 @@ class Bracket:
         return np.log(value) if self.logarithmic else value
 
 
-def plainest(base, effect, family):
+def plainest(base, effect, family, finely=True):
     """Return the plainest form of an effect that is no worse than any, and its score.
 
-    Forms differ in complexity. Within one, the shape is chosen by the score alone.
+    Forms differ in complexity. Within one, the shape is chosen by the score alone; a
+    plainer form is searched between the points of its grid unless it is not `finely`.
     """
     joints = base.view.joints_of(effect)
 
@@ -112,6 +114,10 @@ def plainest(base, effect, family):
     for own, score in forms:
         if own is best[0]:
             break
+        if no_worse(errors(best), errors((own, score))):
+            return own, score
+        if not finely:
+            continue
         # A grid of several parameters is coarse: between its points it may do as well.
         finer = tuned(own.effects[score.best], base)
         form = scored(own.extended(finer, base.columns_of(finer)))
@@ -290,6 +296,16 @@ def tuned_family(effect, model):
     return np.concatenate([same.columns, np.stack(finer, axis=2)], axis=2)
 
 
+def _sided(effect, rest, base, model):
+    """Yield the model with the plausible direction of an effect, as `absorbing`."""
+    joints, family = model.view.joints_of(effect), base.family(effect)
+    score = base.fitted.score(joints, family.columns)
+    own, score = one_sided(base, family, joints, score)
+    if own is not None:
+        alone = tuned(own.effects[score.best], base)
+        yield SearchModel.of(model.view, [*rest, alone], model)
+
+
 def absorbing(effect, plain, model):
     """Yield models without plainer effects, for each form of one that contains them.
 
@@ -300,6 +316,9 @@ def absorbing(effect, plain, model):
     gone = {id(effect), *map(id, plain)}
     rest = tuple(one for one in model.effects if id(one) not in gone)
     base, forms = model.beside(rest, LEAST_RIDGE), effect.excludes()
+    if effect.opposite() is not None:
+        yield from _sided(effect, rest, base, model)
+        return
     joints = model.view.joints_of(effect)
     family = base.family(effect).where(lambda one: one.key() in forms)
     for own in family.forms():

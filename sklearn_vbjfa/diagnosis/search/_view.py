@@ -294,16 +294,15 @@ class RecordingView:
         return out
 
     def family(self, effect, motion):
-        """Effect with all shapes of its grid; kept unless they follow the load."""
+        """Effect with all shapes of its grid; kept until the load is another."""
         key = (effect.name, effect.joint)
-        if key in self._families:
-            return self._families[key]
-        effects = variants(effect, motion)
-        if not effects:
-            return Family(effects=(), columns=None)
-        found = Family(effects=effects, columns=self.columns(effects, motion))
-        if "load" not in effect.needs:
-            self._families[key] = found
+        made_from, found = self._families.get(key, (None, None))
+        stale = "load" in effect.needs and made_from is not motion
+        if found is None or stale:
+            effects = variants(effect, motion)
+            columns = self.columns(effects, motion) if effects else None
+            found = Family(effects=effects, columns=columns)
+            self._families[key] = motion, found
         return found
 
     def stacked(self, effects, motion):

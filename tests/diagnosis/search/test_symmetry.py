@@ -64,3 +64,46 @@ def test_a_direction_is_taken_once():
     (effect,) = (c.effect for c in now.try_joint(1, now.model)[0].values())
     now.accept([effect])
     assert now.try_joint(1, now.model)[0] == {}
+
+
+def lagged(torque, time_constant):
+    """Euler steps of a low-pass of the first order, fine enough not to matter."""
+    n, dt = 50, FAST.t[1] - FAST.t[0]
+    fine = np.interp(np.arange(0, FAST.t.size - 1 + 1e-9, 1 / n), *_samples(torque))
+    passed = np.empty_like(fine)
+    passed[0] = fine[0]
+    share = dt / n / time_constant
+    for i in range(1, fine.size):
+        passed[i] = passed[i - 1] + share * (fine[i] - passed[i - 1])
+    out = torque.copy()
+    out[:, 1] = passed[::n]
+    return out
+
+
+def _samples(torque):
+    return np.arange(FAST.t.size), torque[:, 1]
+
+
+CHANNELS = ["coulomb", "presliding", "delay", "torque_filter", "jerk"]
+
+
+def test_a_short_lag_is_called_a_delay_and_a_long_one_a_filter():
+    loop = FAST.discover(lagged(FAST.torque(), 0.015), CHANNELS)
+    (effect,) = loop.effects_
+    assert (effect.name, effect.joint) == ("delay", 1)
+    assert effect.parameters["delay"] == pytest.approx(0.015, rel=0.2)
+    loop = FAST.discover(lagged(FAST.torque(), 0.06), CHANNELS)
+    (effect,) = loop.effects_
+    assert (effect.name, effect.joint) == ("torque_filter", 1)
+    assert effect.parameters["kind"] == "lag"
+    assert effect.parameters["of"] == "torque"
+    assert effect.parameters["time_constant"] == pytest.approx(0.06, rel=0.1)
+
+
+def test_a_smoothed_torque_is_named():
+    loop = FAST.discover(averaged(FAST.torque(), 0.3), CHANNELS)
+    (effect,) = loop.effects_
+    assert (effect.name, effect.joint) == ("torque_filter", 1)
+    assert effect.parameters["kind"] == "smooth"
+    # A mean over 0.3 s leaves half of the power at 0.443 / 0.3 s.
+    assert effect.parameters["cutoff"] == pytest.approx(0.443 / 0.3, rel=0.15)

@@ -159,6 +159,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     the others with physically consistent parameters, effects that make that worse are
     withdrawn, and what became superfluous by that is dropped.
 
+    Beyond seven joints the branches that leave the base are searched one by one, as
+    they share no body, each with its share of `alpha`; couplings between branches are
+    then not looked for. With `max_effects`, effects of one's own, or effects declared
+    already, the robot is searched as a whole.
+
     The untouched part begins and ends as far from the search part as the residual
     remembers (at most a quarter of a stretch). Errors are taken in the band of the fit,
     and in a wider one (``report_.outcome.wide_cutoff``), in which nothing was

@@ -66,7 +66,7 @@ class FoldMoments:
         self._last = None
 
     def _weighted(self, precision):
-        """Sums over the joints; those of the last weights are kept.
+        """Sum over the joints; the sums for the last weights are kept.
 
         Models beside each other, with other effects, have the same weights, and the
         sum over many joints takes longer than what the effects add to it.

@@ -1,5 +1,6 @@
 """Robots of many joints, searched branch by branch: the same robot, put together."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ import pinocchio as pin
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
+from sklearn_vbjfa.diagnosis.search._price import _concerned
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Coupling, Effect, resolve
 
@@ -137,3 +139,16 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
         loop.error_after_[others], loop.error_before_[others], rtol=0.05
     )
     assert "spring" in str(loop.report_)
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+def test_the_price_is_looked_for_where_most_of_it_stems_from(two_arms, arm):
+    robot = copy.copy(two_arms[1])
+    own = np.flatnonzero(root_joints(robot.features_.model_) == arm).tolist()
+    moved = np.zeros((8, robot.theta_.size // 8))
+    moved[own[1]] = 1.0
+    robot.theta_ = robot.theta_unconstrained_ + moved.ravel()
+    assert _concerned(robot) == own
+    # where nothing moved nothing is to be named
+    robot.theta_ = robot.theta_unconstrained_
+    assert _concerned(robot) == []

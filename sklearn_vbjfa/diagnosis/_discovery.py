@@ -7,6 +7,7 @@ from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa.diagnosis.report._report import Report
+from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
 from sklearn_vbjfa.diagnosis.search._common_start import plain_terms
 from sklearn_vbjfa.diagnosis.search._intervals import FinalFit
 from sklearn_vbjfa.diagnosis.search._judgement import judge
@@ -157,6 +158,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     At the end the first, second and last thirds of all recordings are predicted from
     the others with physically consistent parameters, effects that make that worse are
     withdrawn, and what became superfluous by that is dropped.
+
+    Beyond seven joints the branches that leave the base are searched one by one, as
+    they share no body, each with its share of `alpha`; couplings between branches are
+    then not looked for. With `max_effects`, effects of one's own, or effects declared
+    already, the robot is searched as a whole.
 
     The untouched part begins and ends as far from the search part as the residual
     remembers (at most a quarter of a stretch). Errors are taken in the band of the fit,
@@ -314,25 +320,43 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         return findings, silent
 
     def _search(self, part, silent, origin, begins, library, say):
-        """Search from the common start, then judge what of it is not declared."""
+        """Search the robot, or its branches one by one where there are many joints."""
         settings = {
             "library": library,
             "alpha": float(self.alpha),
             "on_progress": say,
         }
-        names = plain_terms(self.declared_.features_.friction_, library)
+        branches = branches_of(self.declared_, library, self.max_effects)
+        if len(branches) == 1:
+            times = origin, begins
+            return self._searched(self.declared_, part, silent, *times, settings)
+        view = RecordingView(self.declared_, part, silent, origin, begins)
+        heard = [b for b in branches if view.precision[b.joints].any()]
+        # One false alarm in 1 / alpha recordings is meant for all branches together.
+        settings["alpha"] /= max(len(heard), 1)
+        found = []
+        for branch in heard:
+            own = branch.recording(part)
+            declared = _fitted(branch.identifier(self.declared_), own)
+            mute = branch.local(silent)
+            found.append(self._searched(declared, own, mute, origin, begins, settings))
+        return put_together(view, library, heard, found)
+
+    def _searched(self, declared, part, silent, origin, begins, settings):
+        """Search from the common start, then judge what of it is not declared."""
+        names = plain_terms(declared.features_.friction_, settings["library"])
         if not names or self.max_effects == 0:
-            view = RecordingView(self.declared_, part, silent, origin, begins)
+            view = RecordingView(declared, part, silent, origin, begins)
             return EffectSearch(
                 view=view, max_effects=self.max_effects, **settings
             ).run()
-        friction = (*self.declared_.features_.friction_, *names)
-        fuller = _fitted(clone(self.identifier).set_params(friction=friction), part)
+        friction = (*declared.features_.friction_, *names)
+        fuller = _fitted(clone(declared).set_params(friction=friction), part)
         start = RecordingView(fuller, part, silent, origin, begins)
         first = EffectSearch(view=start, **settings)
         first.explore()
-        say(len(first.model.effects), "plain friction")
-        view = RecordingView(self.declared_, part, silent, origin, begins, start)
+        settings["on_progress"](len(first.model.effects), "plain friction")
+        view = RecordingView(declared, part, silent, origin, begins, start)
         return EffectSearch(view=view, max_effects=self.max_effects, **settings).resume(
             names, first.found()
         )

@@ -162,6 +162,8 @@ class Effect(TransformerMixin, BaseEstimator):
         Those of them that are angles [rad], the same again after a turn.
     jumping : tuple of str
         Those of them in which the torque jumps (an instant): they get no interval.
+    partners : tuple of str
+        Shape parameters that are the number of another joint.
     tangent : tuple of str
         Parameters around which columns are linearised; `at` sets them.
     positive : tuple of str
@@ -216,6 +218,7 @@ class Effect(TransformerMixin, BaseEstimator):
     neutral = ()
     cyclic = ()
     jumping = ()
+    partners = ()
     tangent = ()
     positive = ()
     nonnegative = ()

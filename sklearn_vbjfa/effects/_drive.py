@@ -88,6 +88,7 @@ class Coupling(Effect):
     """
 
     name = "coupling"
+    partners = ("other",)
     label = "coupling to another joint"
     formula = r"F_{vm}\,w + F_{cm}\,\mathrm{sign}(w) + I_{am}\,\dot w"
     coefficients = ("Fvm", "Fcm", "Iam")

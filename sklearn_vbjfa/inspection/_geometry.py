@@ -92,6 +92,13 @@ _MOST_ORDERS = 5
 _NO_FIT = 0.5
 # Rows with which other orders, directions and zeros are tried, which is expensive.
 _TRIAL_ROWS = 700
+# Exchanges of two channels that are tried for each joint, the likeliest ones: all of
+# them up to seven joints. A joint has few neighbours that it can be mistaken for, while
+# the pairs grow with the square of the joints.
+_PAIRS_PER_JOINT = 3
+# Places by which all columns may be shifted, to either side: as many as columns that
+# do not belong to a joint may stand before the first one. All up to seven joints.
+_MOST_ROLLED = 3
 # Offsets of a joint's zero that are tried [rad].
 _OFFSETS = np.deg2rad([-135, -90, -45, 45, 90, 135, 180])
 
@@ -187,8 +194,12 @@ def _torque_order(nv, equations, signals, joints):
     if len(joints) < 2:
         return None
     logs = {}
+    pairs = _likely(equations, signals, joints)
+    wanted = {*pairs, *(pair[::-1] for pair in pairs), *((j, j) for j in joints)}
     for a in joints:
         for b in joints:
+            if (a, b) not in wanted:
+                continue
             weight = signals.weight[:, a] * signals.weight[:, b]
             if weight.sum() >= FEWEST_ROWS:
                 logs[a, b] = [
@@ -205,7 +216,7 @@ def _torque_order(nv, equations, signals, joints):
     order = np.arange(nv)
     order[np.array(joints)[rows]] = np.array(joints)[columns]
     candidates = [order]
-    for pair in combinations(joints, 2):
+    for pair in pairs:
         other = np.arange(nv)
         other[list(pair)] = pair[::-1]
         candidates.append(other)
@@ -234,21 +245,103 @@ def _torque_order(nv, equations, signals, joints):
     return max(found, key=lambda c: c.gain * len(c.joints), default=None)
 
 
+def _likely(equations, signals, joints):
+    """Pairs of joints whose torques, or positions, may be exchanged.
+
+    All pairs if there are few; else those in which the torque of each joint follows
+    the motion of the other best, compared with how it follows its own: of all torques
+    in the equation of each joint, which has to be factorised only once for them.
+    """
+    pairs = list(combinations(joints, 2))
+    most = _PAIRS_PER_JOINT * len(joints)
+    if len(pairs) <= most:
+        return pairs
+    torque = signals.now[:, joints]
+    size = torque.std(axis=0)
+    torque = torque / np.where(size > 0, size, 1.0)
+    error = np.array(
+        [np.nanmean(equations.fit(j, torque).log_error, axis=0) for j in joints]
+    )
+    own = np.diagonal(error)
+    crossed = error + error.T - own - own[:, None]
+    cost = [crossed[joints.index(a), joints.index(b)] for a, b in pairs]
+    return [pairs[k] for k in np.argsort(cost, kind="stable")[:most]]
+
+
+def _worst(fits):
+    """Pairs of joints both of which fit poorly, all pairs if there are few.
+
+    A joint that stands in the wrong place fits worse than what it is read for: an
+    exchange can lower the squared errors of both only as far as they are large.
+    """
+    pairs = list(combinations(fits, 2))
+    cost = [-min(fits[a].error[0], fits[b].error[0]) for a, b in pairs]
+    most = _PAIRS_PER_JOINT * len(fits)
+    if len(pairs) <= most:
+        return pairs
+    return [pairs[k] for k in np.argsort(cost, kind="stable")[:most]]
+
+
+def _reads(model):
+    """Joints whose motion enters each joint's torque: those on a chain with it."""
+    reads = []
+    for j in range(model.nv):
+        bodies = model.subtrees[j + 1]
+        on = set().union(*(model.supports[i] for i in bodies)) - {0}
+        reads.append(sorted(i - 1 for i in on))
+    return reads
+
+
 class _Trial:
-    """Corrections that change the motion of the model, tried on a few rows."""
+    """Corrections that change the motion of the model, tried on a few rows.
+
+    A torque depends on the motion of the joints on a chain with its own alone, so that
+    a correction on one branch leaves the fits of the others as they are; none is made
+    twice.
+    """
 
     def __init__(self, model, signals, joints):
         self._model, self._signals, self._joints = model, signals, joints
-        self._names = joint_names(model)
-        fits = fits_of(ChannelEquations(model, signals), signals)
+        self._names, self._reads = joint_names(model), _reads(model)
+        equations = ChannelEquations(model, signals)
+        self._features = equations.features
+        self._known = {}
+        fits = self._fits(_correction((), kind="as recorded"))
         self._now = total(fits)
         errors = [fit.error[0] for fit in fits.values()]
         self._lost = np.median(errors) > _NO_FIT
+        self._likely = _likely(equations, signals, joints)
+        self._poor = _worst(fits)
+
+    def _fits(self, correction):
+        """Fits of all informative joints with a correction, joint -> `ChannelFit`."""
+        signals = correction.put_right(self._signals)
+        readings = self._readings(correction)
+        told = np.flatnonzero(signals.informative())
+        new = {int(j) for j in told if readings[j] not in self._known}
+        if new:
+            equations = ChannelEquations(self._model, signals, self._features)
+            for j, fit in fits_of(equations, signals, new).items():
+                self._known[readings[j]] = fit
+        return {int(j): self._known[readings[j]] for j in told}
+
+    def _readings(self, correction):
+        """Return what each joint's fit depends on, list of tuple."""
+        nv = self._model.nv
+        same, ones, none = np.arange(nv), np.ones(nv), np.zeros(nv)
+        order = same if correction.order is None else correction.order
+        position = same if correction.kind == "swapped_torques" else order
+        torque = same if correction.kind == "swapped_positions" else order
+        sign = ones if correction.sign is None else correction.sign
+        offset = none if correction.offset is None else correction.offset
+        motion = list(zip(position.tolist(), sign.tolist(), offset.tolist()))
+        return [
+            (j, int(torque[j]), *(motion[k] for k in self._reads[j])) for j in range(nv)
+        ]
 
     def _gain(self, correction):
         """Gain over all joints, also in standard errors; zero if too few rows count."""
-        signals = correction.put_right(self._signals)
-        fits = fits_of(ChannelEquations(self._model, signals), signals)
+        fits = self._fits(correction)
         if len(fits) < len(self._joints):
             return 0.0, 0.0
         return gain(total(fits), self._now)
@@ -268,7 +361,7 @@ class _Trial:
         """Swap the positions of two joints, or reorder whole joints."""
         nv, prismatic = self._model.nv, is_prismatic(self._model)
         found = []
-        for pair in combinations(self._joints, 2):
+        for pair in self._likely:
             if prismatic[pair[0]] == prismatic[pair[1]]:
                 order = _exchanged(np.arange(nv), pair)
                 found.append(self._judge(pair, kind="swapped_positions", order=order))
@@ -282,7 +375,8 @@ class _Trial:
     def _best_order(self):
         """Best order found by swaps from the best of plain orders, (nv,) of int."""
         nv = self._model.nv
-        starts = [np.roll(np.arange(nv), k) for k in range(nv)]
+        rolls = {k % nv for k in range(-_MOST_ROLLED, _MOST_ROLLED + 1)}
+        starts = [np.roll(np.arange(nv), k) for k in sorted(rolls)]
         starts.append(np.arange(nv)[::-1])
         # Programs that do not know the order of the joints sort them by name.
         named = np.argsort(self._names, kind="stable")
@@ -293,7 +387,7 @@ class _Trial:
         best, order = max(rated, key=lambda x: x[0])
         # Each swap puts at least one joint in its place.
         for _ in range(nv):
-            tried = [_exchanged(order, pair) for pair in combinations(self._joints, 2)]
+            tried = [_exchanged(order, pair) for pair in self._poor]
             better, other = max(((self._rate(x), x) for x in tried), key=lambda x: x[0])
             if better < best + _CLIMB:
                 break

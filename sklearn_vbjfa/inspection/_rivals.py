@@ -18,12 +18,16 @@ from sklearn_vbjfa.robot._states import StateEstimator
 SURE = 5.0
 
 
-def fits_of(equations, signals):
-    """Fit every informative joint's torque as recorded, joint -> `ChannelFit`."""
+def fits_of(equations, signals, joints=None):
+    """Fit informative joints' torques as recorded, joint -> `ChannelFit`.
+
+    Those of all joints, or of some.
+    """
     now = signals.now
     return {
         int(j): equations.fit(j, now[:, [j]])
         for j in np.flatnonzero(signals.informative())
+        if joints is None or j in joints
     }
 
 
@@ -241,20 +245,41 @@ class ChannelFit:
 
 
 class ChannelEquations:
-    """Regressors of every joint's torque, from a model and its filtered recording."""
+    """Regressors of every joint's torque, from a model and its filtered recording.
 
-    def __init__(self, model, signals):
-        n, nv = signals.sign.shape
-        self._features = RigidBodyFeatures(model, friction=()).load()
-        self._rigid = self._features.matrices(signals.states).reshape(n, nv, -1)
+    Of the regressor only the entries that some motion makes nonzero are kept: on a
+    robot of many branches they are few. Another reading of the channels of the same
+    robot may take over the features of an earlier one.
+    """
+
+    def __init__(self, model, signals, features=None):
+        if features is None:
+            features = RigidBodyFeatures(model, friction=()).load()
+        self.features = features
+        self._support = [np.flatnonzero(row) for row in features.support_]
+        self._edges = np.cumsum([0, *(own.size for own in self._support)])
+        self._entries = features.entries(signals.states)
         self._parameters = nominal_parameters(model).ravel()
-        self._nominal = self._rigid @ self._parameters
+        self._nominal = self._torques(self._entries)
         self._at_rest = None
         # What is left of a torque that is zero in every motion is rounding.
         size = np.abs(self._nominal).max(axis=0)
         self._nominal[:, size < 1e-9 * size.max(initial=0.0)] = 0.0
         self._spread = _spread(model)
         self._signals = signals
+
+    def _rigid(self, j):
+        """Regressor of a joint's torque (n, k), without columns that are zero."""
+        return self._entries[self._edges[j] : self._edges[j + 1]].T
+
+    def _torques(self, entries):
+        """Nominal torques from the entries of the regressor, (n, nv)."""
+        return np.column_stack(
+            [
+                self._parameters[own] @ entries[start:stop]
+                for own, start, stop in zip(self._support, self._edges, self._edges[1:])
+            ]
+        )
 
     def weight(self, j):
         """Weights of a joint's rows, ndarray of shape (n,)."""
@@ -285,7 +310,7 @@ class ChannelEquations:
         y = torque[:, middle]
         # The torque may have any unit: the prior is scaled to its size.
         size = _rms(y, w) / max(self._expected(j, w), np.finfo(float).tiny)
-        rigid = self._rigid[:, j] * (self._spread * size)
+        rigid = self._rigid(j) * (self._spread[self._support[j]] * size)
         moments = _Moments(free, rigid, torque, w, self._signals.block)
         theta, without = moments.solve(middle)
         log_error, error = moments.errors(without)
@@ -342,15 +367,12 @@ class ChannelEquations:
             nv = self._signals.sign.shape[1]
             still = self._signals.states.copy()
             still[:, nv:] = 0.0
-            rigid = self._features.matrices(still).reshape(
-                *self._signals.sign.shape, -1
-            )
-            self._at_rest = rigid @ self._parameters
+            self._at_rest = self._torques(self.features.entries(still))
         return self._at_rest
 
     def _expected(self, j, w):
         """Root mean square of the torque by inertias drawn from the prior."""
-        rigid = self._rigid[:, j] * self._spread
+        rigid = self._rigid(j) * self._spread[self._support[j]]
         return np.sqrt(np.sum(np.average(rigid**2, axis=0, weights=w)))
 
     def _columns(self, j):

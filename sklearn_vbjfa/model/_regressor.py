@@ -14,6 +14,7 @@ import functools
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from sklearn_vbjfa.model._loading import import_pinocchio
 
@@ -255,12 +256,21 @@ class TreeRegressor:
         ndarray of shape (n, nv)
             Torques of gravity and inertia, without friction and rotors.
         """
-        parameters = np.ravel(inertial)
+        count = np.count_nonzero(self.support)
+        places = np.full(self.support.shape, -1)
+        places[self.support] = np.arange(count)
+        # Each torque is a sum over its entries, of which a robot of many branches has
+        # few.
+        joint, *parameter = np.nonzero(self.support)
+        values = np.reshape(inertial, (self.nv, 10))[tuple(parameter)]
+        sums = sparse.csr_array(
+            (values, (joint, np.arange(count))), shape=(self.nv, count)
+        )
         torque = np.empty(q.shape)
-        size = max(1, _CACHE // (80 * self.nv**2))
-        matrices = np.empty((min(size, q.shape[0]), self.nv, self.nv, 10))
+        size = max(1, _CACHE // (8 * max(count, 1)))
         for begin in range(0, q.shape[0], size):
             rows = slice(begin, min(begin + size, q.shape[0]))
-            Phi = self(q[rows], v[rows], a[rows], out=matrices[: rows.stop - begin])
-            torque[rows] = Phi.reshape(-1, self.nv, parameters.size) @ parameters
+            entries = np.empty((count, rows.stop - begin))
+            self.entries(q[rows], v[rows], a[rows], places, entries)
+            torque[rows] = (sums @ entries).T
         return torque

@@ -349,5 +349,35 @@ def sum_moments(several):
     """Sum of `JointMoments` of disjoint rows; None if there are none."""
     total = None
     for moments in several:
-        total = moments if total is None else total + moments
+        if total is None:
+            # What is added to must not be anyone else's.
+            total = replace(
+                moments,
+                G=_added(np.zeros_like(moments.G), moments.G),
+                noise=moments.noise
+                if moments.noise is None
+                else _added(np.zeros_like(moments.noise), moments.noise),
+            )
+            continue
+        total = replace(
+            total,
+            n=total.n + moments.n,
+            n_rows=total.n_rows + moments.n_rows,
+            G=_added(total.G, moments.G),
+            g=total.g + moments.g,
+            yy=total.yy + moments.yy,
+            noise=None if total.noise is None else _added(total.noise, moments.noise),
+            blocks=_merge_blocks(total.blocks, moments.blocks),
+            ranges=sum_ranges([total.ranges, moments.ranges]),
+        )
+    return total
+
+
+def _added(total, G):
+    """Add matrices (nv, p, p) in place, where they have power, and return the sum."""
+    for own, other in zip(total, G):
+        used = np.flatnonzero(np.diagonal(other))
+        if used.size:
+            part = slice(int(used[0]), int(used[-1]) + 1)
+            own[part, part] += other[part, part]
     return total

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._branches import root_joints
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis.search._intervals import error_intervals, quantile
 from sklearn_vbjfa.model._loading import body_names
@@ -132,6 +133,25 @@ def _distance(metric, theta, other):
     return float(moved @ metric @ moved)
 
 
+def _concerned(robot):
+    """Joints of the branch that most of the price stems from, list of int.
+
+    The branches of a robot share no parameter: what is constrained or measured on one
+    cannot be most of the price unless the branch is. All joints if there is but one.
+    """
+    projector, theta = robot.projector_, robot.theta_unconstrained_
+    covered = projector.n_features_in_
+    root = root_joints(robot.features_.model_)
+    if np.unique(root).size == 1:
+        return list(range(root.size))
+    moved = robot.theta_[:covered] - theta[:covered]
+    each = moved * (projector.metric_ @ moved)
+    per_joint = robot.features_.n_parameters_ // robot.features_.n_joints_
+    of_joint = np.minimum(np.arange(covered) // per_joint, root.size - 1)
+    share = np.bincount(root[of_joint], each) / max(each.sum(), np.finfo(float).tiny)
+    return [j for j in range(root.size) if share[root[j]] >= _MOST]
+
+
 def _pushed(robot):
     """Bodies and friction whose constraint alone is most of the price."""
     projector, theta = robot.projector_, robot.theta_unconstrained_
@@ -142,7 +162,7 @@ def _pushed(robot):
     per_joint = robot.features_.n_parameters_ // robot.features_.n_joints_
     starts, signs = projector.body_starts_, projector.nonnegative_
     found = []
-    for joint in range(robot.features_.n_joints_):
+    for joint in _concerned(robot):
         own = slice(joint * per_joint, (joint + 1) * per_joint)
         friction = signs[(signs >= own.start) & (signs < own.stop)]
         lifted = []
@@ -159,6 +179,8 @@ def _pushed(robot):
             freed = _lift(projector, theta[:covered], constraints)
             left = _distance(projector.metric_, theta[:covered], freed) / whole
             found.append(_moved(robot, joint, kind, 1.0 - left))
+    if not found:
+        return ()
     found.sort(key=lambda one: -one.share)
     least = max(_MOST, _AS_GOOD * found[0].share)
     named = tuple(one for one in found if one.share >= least)
@@ -215,6 +237,9 @@ def _channel(robot):
     """
     moments = robot.estimator_.statistics_
     weights = robot.estimator_.joint_weights_
+    others = [j for j in _concerned(robot) if weights[j] > 0]
+    if not others or np.count_nonzero(weights > 0) < 2:
+        return None, np.nan
     regressor = robot.regressor if from_moments(robot.regressor) else None
 
     def distance(weight):
@@ -222,9 +247,8 @@ def _channel(robot):
         held = project(found, robot.projector, robot.features_)
         return _distance(found.metric, found.theta, held.theta)
 
-    whole, left = distance(weights), np.full(weights.size, np.inf)
-    others = np.flatnonzero(weights > 0)
-    if others.size < 2 or not whole > 0:
+    whole, left = distance(weights), np.where(weights > 0, 1.0, np.inf)
+    if not whole > 0:
         return None, np.nan
     for joint in others:
         weight = weights.copy()

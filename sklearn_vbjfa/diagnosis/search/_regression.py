@@ -63,6 +63,21 @@ class FoldMoments:
         # Fold, joint, column, column.
         self._G = np.array([_transposed(Z[:, f]) @ Z[:, f] for f in folds])
         self._g = np.array([_transposed(Z[:, f]) @ y[:, f, None] for f in folds])
+        self._last = None
+
+    def _weighted(self, precision):
+        """Sum over the joints; the sums for the last weights are kept.
+
+        Models beside each other, with other effects, have the same weights, and the
+        sum over many joints takes longer than what the effects add to it.
+        """
+        last = self._last
+        if last is None or not np.array_equal(last[0], precision):
+            G = np.einsum("j,fjab->fab", precision, self._G)
+            g = np.einsum("j,fja->fa", precision, self._g[..., 0])
+            # Set at once: several threads may ask.
+            self._last = last = precision.copy(), G, g
+        return last[1:]
 
     def extended(self, Z, y, precision):
         """Gram matrices (n_folds, r, r) and products (n_folds, r) with the torques.
@@ -71,8 +86,7 @@ class FoldMoments:
         """
         r, known = Z.shape[2], self._G.shape[-1]
         G, g = np.empty((len(self._folds), r, r)), np.empty((len(self._folds), r))
-        G[:, :known, :known] = np.einsum("j,fjab->fab", precision, self._G)
-        g[:, :known] = np.einsum("j,fja->fa", precision, self._g[..., 0])
+        G[:, :known, :known], g[:, :known] = self._weighted(precision)
         if r > known:
             used = np.flatnonzero(Z[:, :, known:].any(axis=(1, 2)))
             for i, rows in enumerate(self._folds):

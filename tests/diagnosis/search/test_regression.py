@@ -7,7 +7,11 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa.diagnosis.search._blocks import Blocks
-from sklearn_vbjfa.diagnosis.search._regression import BlockRegression, reduced
+from sklearn_vbjfa.diagnosis.search._regression import (
+    BlockRegression,
+    FoldMoments,
+    reduced,
+)
 from sklearn_vbjfa.robot._equations import Equations
 
 NV, M, R = 2, 240, 4
@@ -305,3 +309,20 @@ def test_squares_without_columns_are_those_of_fits_without_them(groups):
                 theta = ridge_fit(Z[:, ~out][:, :, rest], y[:, ~out], penalty)
                 expected[out] = (y[joint, out] - Z[joint, out][:, rest] @ theta) ** 2
             assert_allclose(squares[:, k], BLOCKS.sums(expected), rtol=1e-6)
+
+
+def test_moments_follow_the_weights():
+    """What is kept of the last weights does not outlive them."""
+    rng = np.random.default_rng(3)
+    Z, y = rng.normal(size=(NV, M, R)), rng.normal(size=(NV, M))
+    folds = BLOCKS.folds()
+    moments = FoldMoments(Z[:, :, :3], y, folds)
+    for precision in (PRECISION, PRECISION, PRECISION[::-1], PRECISION):
+        G, g = moments.extended(Z, y, precision)
+        for i, rows in enumerate(folds):
+            own = [w * z[rows].T @ z[rows] for w, z in zip(precision, Z)]
+            assert_allclose(G[i], sum(own))
+            right = [w * z[rows].T @ t[rows] for w, z, t in zip(precision, Z, y)]
+            assert_allclose(g[i], sum(right))
+        # what is returned belongs to who asked
+        G[:] = g[:] = 0.0

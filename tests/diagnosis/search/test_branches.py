@@ -1,0 +1,154 @@
+"""Robots of many joints, searched branch by branch: the same robot, put together."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+import pinocchio as pin
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
+from sklearn_vbjfa.diagnosis.search._price import _concerned
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.effects import Coupling, Effect, resolve
+
+AXES = ("RY", "RX", "RZ", "RY")
+
+
+class Cubic(Effect):
+    """Spring that nobody but its author knows."""
+
+    name = "cubic"
+    coefficients = ("k3",)
+    units = (("N m/rad^3", "N/m^3"),)
+
+    def columns(self, motion):
+        return motion.q[:, [self.joint]] ** 3
+
+
+def arms(count, axes=AXES):
+    """Make a robot of several arms whose joints take turns in the order."""
+    rng = np.random.default_rng(7)
+    model = pin.Model()
+    last = np.zeros(count, dtype=int)
+    for j, axis in enumerate(axes):
+        for arm in range(count):
+            place = pin.SE3(np.eye(3), np.r_[0.0, 0.0, 0.3] + 0.1 * rng.normal(size=3))
+            joint = getattr(pin, f"JointModel{axis}")()
+            name = f"arm_{arm}_joint_{j}"
+            last[arm] = model.addJoint(int(last[arm]), joint, place, name)
+            link = pin.Inertia.FromBox(4.0 / (1 + j), 0.08, 0.1, 0.3)
+            centre = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.15]))
+            model.appendBodyToJoint(int(last[arm]), link, centre)
+    return model
+
+
+@pytest.fixture(scope="module")
+def two_arms():
+    model = arms(2)
+    recording = make_robot_recording(
+        model,
+        duration=24.0,
+        dt=0.01,
+        frequency=1.0,
+        friction=("viscous",),
+        torque_noise=0.02,
+        undeclared={"spring": (5, 4.0)},
+        random_state=1,
+    )
+    robot = RobotIdentifier(model, dt=recording.dt)
+    return recording, robot.fit(recording.q, recording.tau)
+
+
+def test_the_first_joint_of_each_branch(two_arms):
+    model = two_arms[1].features_.model_
+    chains = [{i - 1 for i in s if i > 0} for s in list(model.supports)[1:]]
+    assert root_joints(model).tolist() == [min(chain) for chain in chains]
+
+
+def test_the_whole_is_searched_where_it_is_small_or_not_known(two_arms):
+    recording, robot = two_arms
+    library = resolve(["coulomb", "coupling"])
+    assert [b.joints for b in branches_of(robot, library, None)] == [
+        [0, 2, 4, 6],
+        [1, 3, 5, 7],
+    ]
+    everything = [list(range(8))]
+    assert [b.joints for b in branches_of(robot, library, 3)] == everything
+    own = resolve([Cubic()])
+    assert [b.joints for b in branches_of(robot, own, None)] == everything
+    rows = slice(0, 1000)
+    small = RobotIdentifier(arms(3, AXES[:2]), dt=recording.dt).fit(
+        recording.q[rows, :6], recording.tau[rows, :6]
+    )
+    assert [b.joints for b in branches_of(small, library, None)] == [list(range(6))]
+
+
+def test_a_branch_is_the_robot_without_the_others(two_arms):
+    recording, robot = two_arms
+    model = robot.features_.model_
+    state = np.random.default_rng(0).normal(size=(3, model.nv))
+    whole = pin.rnea(model, model.createData(), *state)
+    weighted = replace(recording, weight=np.ones(recording.q.shape))
+    for branch in branches_of(robot, resolve("all"), None):
+        own = [row[branch.joints].copy() for row in state]
+        torque = pin.rnea(branch.model, branch.model.createData(), *own)
+        np.testing.assert_allclose(torque, whole[branch.joints], atol=1e-9)
+        part = branch.recording(weighted)
+        np.testing.assert_array_equal(part.q, recording.q[:, branch.joints])
+        np.testing.assert_array_equal(part.tau, recording.tau[:, branch.joints])
+        names = [recording.joint_names[j] for j in branch.joints]
+        assert list(part.joint_names) == names
+        fitted = branch.identifier(robot).fit(part.q, part.tau)
+        assert fitted.cutoff_ == robot.cutoff_
+        # the parameters of the others do not matter
+        view = RecordingView(robot, weighted)
+        alone = RecordingView(fitted, part)
+        np.testing.assert_array_equal(alone.index, view.index)
+        np.testing.assert_allclose(alone.target, view.target[branch.joints])
+
+
+def test_effects_are_numbered_by_the_robot(two_arms):
+    _, second = branches_of(two_arms[1], resolve("all"), None)
+    moved = second.on_robot(Coupling(joint=1, other=3, of="sum"))
+    assert (moved.joint, moved.other, moved.of) == (3, 7, "sum")
+    assert second.on_robot(None) is None
+    assert second.local([1, 2, 7]) == [0, 3]
+
+
+def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
+    recording, robot = two_arms
+    loop = EffectDiscovery(
+        robot,
+        effects=["coulomb", "spring", "coupling"],
+        ceiling=False,
+        random_state=0,
+    ).fit(recording.q, recording.tau)
+    assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 5)]
+    assert loop.effects_[0].joint_name == recording.joint_names[5]
+    added = [r for r in loop.rounds_ if r.action == "add"]
+    assert {r.joint for r in added} == {5}
+    assert loop.error_after_[5] < 0.8 * loop.error_before_[5]
+    others = np.arange(8) != 5
+    np.testing.assert_allclose(
+        loop.error_after_[others], loop.error_before_[others], rtol=0.05
+    )
+    assert "spring" in str(loop.report_)
+
+
+@pytest.mark.parametrize("arm", [0, 1])
+def test_the_price_is_looked_for_where_most_of_it_stems_from(two_arms, arm):
+    robot = copy.copy(two_arms[1])
+    own = np.flatnonzero(root_joints(robot.features_.model_) == arm).tolist()
+    moved = np.zeros((8, robot.theta_.size // 8))
+    moved[own[1]] = 1.0
+    robot.theta_ = robot.theta_unconstrained_ + moved.ravel()
+    assert _concerned(robot) == own
+    # where nothing moved nothing is to be named
+    robot.theta_ = robot.theta_unconstrained_
+    assert _concerned(robot) == []

@@ -217,7 +217,7 @@ def constants_of_the_loop():
         f"{few} to {many} blocks are aimed at, and {_blocks.FEWEST} are the fewest",
         f"Every {_blocks._FOLDS}th block is predicted from the others",
         f"save at least {100 * _evidence.SMALLEST_GAIN:g} % of the joint's squared",
-        f"at most {_search.AT_FLOOR:g} of its standard deviations above the noise floor",
+        f"at most {_search.AT_FLOOR:g} of its standard deviations above the noise",
         f"saves more than {100 * _search._CONTAINED:g} % of what the candidate saves",
         f"The {small[_search._ANEW]} best candidates of a joint are judged once more",
         f"more than {_exchange._ABOVE:g} times above their noise floor",

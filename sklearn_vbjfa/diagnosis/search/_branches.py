@@ -172,6 +172,7 @@ def put_together(view, library, branches, found):
         threshold=min(own.threshold for own in found),
         n_tests=sum(own.n_tests for own in found),
         library=library,
+        branches=tuple(zip(branches, found)),
     )
 
 

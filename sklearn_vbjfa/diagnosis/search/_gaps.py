@@ -1,6 +1,6 @@
 """What remains unexplained, and what the data cannot show."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from sklearn.base import clone
@@ -77,7 +77,21 @@ def too_short(model, seconds):
 
 
 def hidden(found, names):
-    """Effects of the library that this robot or this recording cannot show."""
+    """Effects of the library that this robot or this recording cannot show.
+
+    A robot that was searched branch by branch is asked branch by branch.
+    """
+    if not found.branches:
+        return _hidden(found, names)
+    told = []
+    for branch, own in found.branches:
+        for one in _hidden(own, [names[j] for j in branch.joints]):
+            told.append(replace(one, joint=branch.joints[one.joint]))
+    return tuple(sorted(told, key=lambda one: one.joint))
+
+
+def _hidden(found, names):
+    """Effects that a robot or a branch that was searched as a whole cannot show."""
     model, view = found.model, found.model.view
     probe = _probe(view)
     not_seen = []

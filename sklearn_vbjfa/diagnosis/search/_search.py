@@ -95,6 +95,8 @@ class Found:
         Tests among which it was shared out; 0 if nothing was tried.
     library : tuple of Effect
         Effects that were tried on every joint.
+    branches : tuple of (Branch, Found)
+        What was found on each branch of a robot that was searched branch by branch.
     """
 
     model: SearchModel
@@ -103,6 +105,7 @@ class Found:
     threshold: float
     n_tests: int
     library: tuple
+    branches: tuple = ()
 
     @property
     def effects(self):

@@ -141,6 +141,20 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
     assert "spring" in str(loop.report_)
 
 
+def test_what_is_hidden_is_told_by_the_robots_joints(two_arms):
+    recording, robot = two_arms
+    library = ["rotor_inertia", "offset", "coulomb"]
+    loop = EffectDiscovery(robot, effects=library, ceiling=False)
+    loop.fit(recording.q, recording.tau)
+    told = [(h.name, h.joint) for h in loop.hidden_]
+    assert [joint for _, joint in told] == sorted(joint for _, joint in told)
+    for one in loop.hidden_:
+        assert one.joint_name == recording.joint_names[one.joint]
+    # The first axes of both arms are vertical: what they carry moves with them.
+    assert {("rotor_inertia", 0), ("rotor_inertia", 1)} <= set(told)
+    assert all(name != "coulomb" for name, _ in told)
+
+
 @pytest.mark.parametrize("arm", [0, 1])
 def test_the_price_is_looked_for_where_most_of_it_stems_from(two_arms, arm):
     robot = copy.copy(two_arms[1])

@@ -145,6 +145,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     Notes
     -----
+    The search begins with viscous and Coulomb friction, an offset and a rotor inertia
+    on every joint, declared or not (as far as `effects` has them): where it goes does
+    not depend on what was declared. What was not has to earn its place at the end,
+    beside the effects that were found.
+
     Candidates are scored from second moments of blocks of time: all parameters are
     refitted (the effect's columns enter by the Schur complement of the declared
     Gram matrix), each eighth block is predicted by the others, and the shape
@@ -154,7 +159,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     effect waits for it; of those that blocks cannot tell apart the simplest is taken
     and the others are reported as rivals; what later additions make superfluous is
     dropped; and what does not hold on the last quarter of the search part, or in the
-    last half of where it acts if it begins late, is refused.
+    last half of where it acts if it begins late, is refused. Where no single effect
+    passes, pairs are tried, and one effect in place of two.
     At the end the first, second and last thirds of all recordings are predicted from
     the others with physically consistent parameters, effects that make that worse are
     withdrawn, and what became superfluous by that is dropped.

@@ -172,8 +172,8 @@ def test_no_declared_friction_on_a_short_recording(monkeypatch):
     monkeypatch.setattr(
         bench_friction_none,
         "EffectDiscovery",
-        lambda identifier, random_state: discovery(
-            identifier, effects=["viscous"], max_effects=2, random_state=random_state
+        lambda identifier, **given: discovery(
+            identifier, effects=["viscous"], max_effects=2, **given
         ),
     )
     result = {"case": 0, **bench_friction_none.judge(thin)}

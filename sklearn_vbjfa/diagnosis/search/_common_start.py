@@ -12,7 +12,12 @@ end, beside the effects that were found.
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, Rule, Step
+from sklearn_vbjfa.diagnosis.search._evidence import (
+    SMALLEST_GAIN,
+    Rule,
+    Step,
+    step_up,
+)
 from sklearn_vbjfa.diagnosis.search._left_out import left_out
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.effects._declared import available
@@ -60,7 +65,7 @@ def earned(view, names, found, library, alpha):
     model = SearchModel.on(view, [*plain, *found.effects], found.model)
     while True:
         terms = left_out(model, plain)
-        level = _level([t.evidence.p_value for t in terms], n_tests, alpha)
+        level = step_up([t.evidence.p_value for t in terms], n_tests, alpha)
         worst = {}
         for term in terms:
             joint = term.effect.joint
@@ -96,11 +101,3 @@ def _step(term, rule):
         squares_before=before,
         squares_after=after,
     )
-
-
-def _level(p_values, n_tests, alpha):
-    """Level after Benjamini and Hochberg, of the terms among all tests."""
-    p_values = np.sort(p_values)
-    rank = np.arange(1, p_values.size + 1)
-    passing = rank[p_values <= alpha * rank / n_tests]
-    return alpha / n_tests * max(int(passing.max(initial=1)), 1)

@@ -63,6 +63,17 @@ def p_value(before, after):
     return float(min(1.0, 2 * np.fmin(ranks, mean)))
 
 
+def step_up(p_values, n_tests, alpha):
+    """Level of significance after Benjamini and Hochberg, with p-values of n tests.
+
+    That of Bonferroni if none of them passes.
+    """
+    p_values = np.sort(p_values)
+    rank = np.arange(1, p_values.size + 1)
+    passing = rank[p_values <= alpha * rank / n_tests]
+    return alpha / n_tests * max(int(passing.max(initial=1)), 1)
+
+
 def compare(before, after, white=None):
     """Compare squared errors (n_blocks,) of two models.
 

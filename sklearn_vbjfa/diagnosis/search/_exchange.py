@@ -133,12 +133,11 @@ def _best_pair(search, joint, replaced):
         return None
     _, first, second = best
     larger = retuned(SearchModel.of(model.view, [*rest, first, second], model), joint)
-    residual = larger.residuals()
-    white = [Judge(m, residual).squares[:, joint] for m in (model, larger)]
-    squares = [m.squares[:, joint] for m in (model, larger)]
     return _Pair(
         effects=larger.effects[-2:],
-        evidence=compare(*squares, white=white),
+        evidence=compare(
+            *_squares(model, larger, [joint]), white=_white(model, larger, [joint])
+        ),
         model=larger,
         n_tests=n_tests,
     )
@@ -227,10 +226,8 @@ def backwards(search):
         search.later(e, other.beside(other.without(e)))[1] for e in new
     ):
         return
-    residual = other.residuals()
-    white = [Judge(m, residual).squares[:, joints].sum(axis=1) for m in (model, other)]
-    raw = [m.squares[:, joints] @ model.precision[joints] for m in (model, other)]
-    evidence = compare(*raw, white=white)
+    raw = _squares(model, other, joints)
+    evidence = compare(*raw, white=_white(model, other, joints))
     level = search.alpha / len(again)
     simpler = _complexity(other) < _complexity(model)
     if not evidence.significant(level) and not (simpler and no_worse(*raw)):
@@ -243,6 +240,17 @@ def backwards(search):
     for effect in [e for e in model.effects if e.key() not in ends]:
         effects = [e for e in effects if e is not effect]
         search.step("drop", effect, effects, evidence=evidence, rule=rule)
+
+
+def _squares(model, other, joints):
+    """Squared errors (n_blocks,) of some joints by two models, in units of noise."""
+    return [m.squares[:, joints] @ model.precision[joints] for m in (model, other)]
+
+
+def _white(model, other, joints):
+    """Return the same in rows without the memory that the second model leaves."""
+    residual = other.residuals()
+    return [Judge(m, residual).squares[:, joints].sum(axis=1) for m in (model, other)]
 
 
 def _complexity(model):

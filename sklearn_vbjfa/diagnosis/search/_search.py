@@ -14,6 +14,7 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
     Step,
     compare,
     no_worse,
+    step_up,
 )
 from sklearn_vbjfa.diagnosis.search._exchange import backwards, exchange
 from sklearn_vbjfa.diagnosis.search._left_out import can_be_left_out, left_out
@@ -555,15 +556,10 @@ class EffectSearch:
         level for any effect. Only the best effect is added, so that a level that many
         true ones have raised falls again before a false one is the best.
         """
-        p_values = np.sort(
-            [c.evidence.p_value for t in tried.values() for c in t.values()]
-        )
-        if p_values.size == 0:
-            return
-        self.n_tests = m = p_values.size
-        rank = np.arange(1, m + 1)
-        passing = rank[p_values <= self.alpha * rank / m]
-        self.threshold = self.alpha / m * max(int(passing.max(initial=1)), 1)
+        p_values = [c.evidence.p_value for t in tried.values() for c in t.values()]
+        if p_values:
+            self.n_tests = len(p_values)
+            self.threshold = step_up(p_values, self.n_tests, self.alpha)
 
     def _rule(self, candidate):
         """Rule by which a candidate is added in this round."""
@@ -641,7 +637,6 @@ class EffectSearch:
         larger = self.model.beside([*base.effects, effect])
         if not effect.natural(larger.coefficients(effect)):
             # Between the points of the grid it became something else.
-            nothing = np.zeros(1)
             return compare(nothing, nothing), Rule(name=UNNATURAL)
         judge = Judge(base, larger.residuals())
         least = 0.0

@@ -22,6 +22,7 @@ from sklearn_vbjfa.diagnosis.search._left_out import can_be_left_out, left_out
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._shapes import (
     absorbing,
+    linearised,
     plainest,
     retuned,
     tuned,
@@ -73,6 +74,7 @@ HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
 ABSORBED = "the effect that contains it does as well alone, with another shape"
 MOST = "fewer effects were asked for"
+UNSETTLED = "saves less than 2 % once the robot is corrected"
 UNNATURAL = "took a sign or size that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
 BETTER = "better than what it replaces"
@@ -319,6 +321,8 @@ class EffectSearch:
         chosen, rivals = self._judged_anew(chosen, rivals, others)
         effect = tuned(chosen.effect, model)
         case, refusal = self.later(effect, model)
+        if refusal is None and effect.in_model:
+            effect, case, refusal = self._settled(effect)
         if refusal is not None:
             self._refuse(effect, case, rivals, others, refusal)
             return True
@@ -341,6 +345,24 @@ class EffectSearch:
         self.model = retuned(self.model, effect.joint)
         self.compete(effect.joint)
         return True
+
+    def _settled(self, effect):
+        """Linearise an effect in the model beside the others until its value stays.
+
+        What its columns promise need not hold for the corrected robot. Returns the
+        effect with its value, Evidence for the model with it, and the Rule that refuses
+        it or None.
+        """
+        model = self.model
+        trial = SearchModel.of(self.view, [*model.effects, effect], model)
+        trial = linearised(trial, effect.joint)
+        (settled,) = (e for e in trial.effects if e.key() == effect.key())
+        case = compare(*model.relevant(effect, model.squares, trial.squares))
+        if not settled.natural(trial.coefficients(settled)):
+            return settled, case, Rule(name=UNNATURAL)
+        if case.gain < SMALLEST_GAIN:
+            return settled, case, Rule(name=UNSETTLED)
+        return settled, case, None
 
     def _best_offer(self, number):
         """Best candidate that may be added, its rivals and all that beat chance.
@@ -490,7 +512,7 @@ class EffectSearch:
         """Effects on a joint alone that save a share beside a model, scored."""
         found = []
         for effect in self.candidates_of(joint):
-            if not effect.whole_robot:
+            if not effect.everywhere:
                 candidate, _ = self.score(effect, base, finely=False)
                 if candidate and candidate.evidence.gain >= smallest:
                     found.append(candidate)
@@ -506,7 +528,7 @@ class EffectSearch:
         """
         everything = self.candidates_of(joint)
         if quiet:
-            everything = [effect for effect in everything if effect.whole_robot]
+            everything = [effect for effect in everything if effect.everywhere]
         tried, columns = {}, {}
         for effect in sorted(everything, key=lambda e: len(closure(e, everything))):
             candidate, own = self.score(effect, base)
@@ -561,7 +583,7 @@ class EffectSearch:
         explain no more are its rivals as well.
         """
         everything = list({id(c): c for c in [*candidates, *others]}.values())
-        whole = any(c.effect.whole_robot for c in everything)
+        whole = any(c.effect.everywhere for c in everything)
         joint = candidates[0].effect.joint
         error = {
             id(c): c.white.sum(axis=1) if whole else c.white[:, joint]
@@ -592,10 +614,10 @@ class EffectSearch:
         """
         joint, model = chosen.effect.joint, self.model
         shaped = any(e.joint == joint and e.continuous for e in model.effects)
-        if not shaped or chosen.effect.whole_robot:
+        if not shaped or chosen.effect.everywhere:
             return chosen, rivals
         first = sorted(
-            (c for c in others if c is not chosen and not c.effect.whole_robot),
+            (c for c in others if c is not chosen and not c.effect.everywhere),
             key=lambda c: c.white[:, joint].sum(),
         )
         error = {}
@@ -640,7 +662,7 @@ class EffectSearch:
 
         Each time that the effect was refused before doubles it.
         """
-        if effect.whole_robot:
+        if effect.everywhere:
             white = [s.sum(axis=1) for s in white]
         else:
             white = [s[:, effect.joint] for s in white]
@@ -714,7 +736,7 @@ class EffectSearch:
                 # Where it has faded it cannot be tried: all it does there is to leave
                 # other parameters alone.
                 squares = [s[acts[border:]] for s in squares]
-            if not effect.whole_robot:
+            if not effect.everywhere:
                 squares = [s[:, [effect.joint]] for s in squares]
             case = compare(*(s.sum(axis=1) for s in squares))
             if effect.slow or late:
@@ -866,6 +888,17 @@ class EffectSearch:
             if refusal is not None:
                 self._refuse(successor, later, rivals, others, refusal)
                 continue
+            if successor.in_model:
+                trial = SearchModel.of(
+                    self.view, [*base.effects, successor], self.model
+                )
+                trial = linearised(trial, joint)
+                now, then = (
+                    base.relevant(successor, m.squares)[0] for m in (self.model, trial)
+                )
+                if not no_worse(now, then):
+                    continue
+                successor = trial.effects[-1]
             self.step(
                 "replace",
                 successor,

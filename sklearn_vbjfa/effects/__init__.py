@@ -15,6 +15,7 @@ from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
 from sklearn_vbjfa.effects._library import available, resolve
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
 from sklearn_vbjfa.effects._ranges import EffectRange
+from sklearn_vbjfa.effects._signals import Signal
 from sklearn_vbjfa.effects._time import Drift, Payload
 
 __all__ = [
@@ -37,6 +38,7 @@ __all__ = [
     "Presliding",
     "Ripple",
     "RotorInertia",
+    "Signal",
     "Spring",
     "Stribeck",
     "TorqueFilter",

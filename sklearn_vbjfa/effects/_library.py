@@ -15,6 +15,7 @@ from sklearn_vbjfa.effects._friction import (
 )
 from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
+from sklearn_vbjfa.effects._signals import Signal
 from sklearn_vbjfa.effects._time import Drift, Payload
 
 _LIBRARY = {
@@ -38,6 +39,7 @@ _LIBRARY = {
         Delay,
         TorqueFilter,
         Jerk,
+        Signal,
         Drift,
         Payload,
     )

@@ -285,6 +285,14 @@ class Effect(TransformerMixin, BaseEstimator):
         fitted = dict(zip(self.coefficients, coef))
         return all(fitted[name] >= 0 for name in self.nonnegative)
 
+    @property
+    def recorded(self):
+        """Names of the recorded signals that it uses, tuple of str; `needs` "signals".
+
+        Empty for one that is not set to any yet.
+        """
+        return ()
+
     def opposite(self):
         """Return the effect mirrored in what must have a sign, such as a delay in time.
 

@@ -80,6 +80,11 @@ class Signal(Effect):
         of = self.signal or "the signal"
         return (tuple(f"{unit} per unit of {of}" for unit in units),)
 
+    @property
+    def recorded(self):
+        """The signal, if it is set; see `Effect.recorded`."""
+        return (self.signal,) if self.signal else ()
+
     @classmethod
     def describe(cls, shape, joint_label):
         """Say what varies with which signal; see `Effect.describe`."""
@@ -117,7 +122,10 @@ class Signal(Effect):
             return "" if motion.signals else "no signals were recorded beside it"
         if self.signal in motion.signals:
             return ""
-        return f"needs the recorded signal {self.signal!r}"
+        return (
+            f"needs the recorded signal {self.signal!r}; give it in signals, one value "
+            "per row, or as a column of X"
+        )
 
     def columns(self, motion):
         """Torque in proportion to the signal; see `Effect.columns`."""

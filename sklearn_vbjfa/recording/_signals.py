@@ -130,6 +130,13 @@ def signals_for(effects, given, offered, n_samples):
     wanted = {name for effect in effects for name in effect.recorded}
     for name in wanted & set(offered.names):
         found[name] = offered.column(name, n_samples)
+    missing = sorted(wanted - set(found))
+    if missing:
+        raise ValueError(
+            f"The effects hold one that varies with the recorded signal {missing[0]!r}"
+            f", which is missing; give signals={{{missing[0]!r}: ...}} with one value "
+            "per row, or a column of that name in a data frame X."
+        )
     if not wanted:
         # An effect of one's own, of which nobody knows what it uses.
         for name, values in offered.columns.items():
@@ -139,9 +146,11 @@ def signals_for(effects, given, offered, n_samples):
     return found
 
 
-def check_useful(signals, recording):
+def check_useful(given, recording):
     """Refuse signals, given by name, that are no condition of the robot."""
-    for name, values in signals.items():
+    if isinstance(given, OfferedSignals):
+        return
+    for name, values in check_given(given, recording.n_samples).items():
         reason = fault(values, recording, _COPY)
         if reason:
             raise ValueError(f"signals: {name!r} {reason}.")
@@ -158,7 +167,7 @@ def survey(given, offered, recording):
     n_samples = recording.n_samples
     found = check_given(given, n_samples)
     _refuse_twice(found, offered)
-    check_useful(found, recording)
+    check_useful(given, recording)
     reasons = dict(offered.left_out)
     for name, values in offered.columns.items():
         values, reason = as_numbers(values, n_samples)

@@ -130,13 +130,7 @@ def signals_for(effects, given, offered, n_samples):
     wanted = {name for effect in effects for name in effect.recorded}
     for name in wanted & set(offered.names):
         found[name] = offered.column(name, n_samples)
-    missing = sorted(wanted - set(found))
-    if missing:
-        raise ValueError(
-            f"The effects hold one that varies with the recorded signal {missing[0]!r}"
-            f", which is missing; give signals={{{missing[0]!r}: ...}} with one value "
-            "per row, or a column of that name in a data frame X."
-        )
+    _refuse_missing(wanted, found)
     if not wanted:
         # An effect of one's own, of which nobody knows what it uses.
         for name, values in offered.columns.items():
@@ -156,20 +150,28 @@ def check_useful(given, recording):
             raise ValueError(f"signals: {name!r} {reason}.")
 
 
-def survey(given, offered, recording):
-    """Choose the signals of a recording that a search may use.
+def survey(given, offered, recording, effects):
+    """Choose the signals of a recording that a search for effects may use.
 
     Returns a dict of arrays (n_samples,), and a `ChannelFinding` for each of those
-    `offered` that are left out. Of those given by name none is: they are refused.
+    `offered` that are left out. Of those asked for by name, by the caller or by an
+    effect, none is: they are refused.
     """
     if isinstance(given, OfferedSignals):
         given, offered = None, given
     n_samples = recording.n_samples
     found = check_given(given, n_samples)
     _refuse_twice(found, offered)
-    check_useful(given, recording)
-    reasons = dict(offered.left_out)
+    users = [effect for effect in effects if "signals" in effect.needs]
+    wanted = {name for effect in users for name in effect.recorded}
+    for name in wanted & set(offered.names):
+        found[name] = offered.column(name, n_samples)
+    _refuse_missing(wanted, found)
+    check_useful(found, recording)
+    reasons = {k: v for k, v in offered.left_out.items() if k not in wanted}
     for name, values in offered.columns.items():
+        if name in wanted:
+            continue
         values, reason = as_numbers(values, n_samples)
         if not reason:
             reason = fault(values, recording, _FOLLOWS)
@@ -177,6 +179,9 @@ def survey(given, offered, recording):
             reasons[name] = reason
         else:
             found[name] = values
+    if users and all(effect.recorded for effect in users):
+        # Each names the one that it is meant for.
+        found = {name: found[name] for name in found if name in wanted}
     return found, tuple(_finding(*one) for one in reasons.items())
 
 
@@ -279,6 +284,16 @@ def _is_clock(values, recording):
         for unit in (*_CLOCKS, 1 / period)
         if slopes.size
     )
+
+
+def _refuse_missing(wanted, found):
+    missing = sorted(wanted - set(found))
+    if missing:
+        raise ValueError(
+            f"The effects hold one that varies with the recorded signal {missing[0]!r}"
+            f", which is missing; give signals={{{missing[0]!r}: ...}} with one value "
+            "per row, or a column of that name in a data frame X."
+        )
 
 
 def _refuse_twice(given, offered):

@@ -58,7 +58,8 @@ class DiscoveredEffect:
     evidence : Evidence
         What leaving it out of the final model would cost, by blocks of time.
     rivals : tuple of str
-        Other effects that this data cannot tell from it.
+        Other effects that this data cannot tell from it; another use of the same one
+        with what sets it apart, such as "signal: voltage".
     effect : Effect
         The transformer itself.
     ranges : EffectRange or None

@@ -18,6 +18,7 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
 )
 from sklearn_vbjfa.diagnosis.search._exchange import backwards, exchange
 from sklearn_vbjfa.diagnosis.search._left_out import can_be_left_out, left_out
+from sklearn_vbjfa.diagnosis.search._members import alike
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._shapes import (
     absorbing,
@@ -283,6 +284,7 @@ class EffectSearch:
             return False
         chosen, rivals, others = offer
         chosen, rivals = self._judged_anew(chosen, rivals, others)
+        rivals = (*alike(chosen, model, self.taken(model)), *rivals)
         effect = tuned(chosen.effect, model)
         case, refusal = self.later(effect, model)
         if refusal is not None:
@@ -402,13 +404,17 @@ class EffectSearch:
         """Effects of the library on a joint that can be looked for."""
         return candidates_of(joint, self.library, self.model)
 
+    def taken(self, base):
+        """Keys of effects that may not come beside a model, a set."""
+        return self.refused.union(*(e.excludes() for e in base.effects))
+
     def score(self, effect, base, finely=True):
         """Try an effect beside a model: a Candidate, and its family's columns.
 
         None of both if there is nothing new. The evidence has no p-value yet. See
         `plainest`.
         """
-        taken = self.refused.union(*(e.excludes() for e in base.effects))
+        taken = self.taken(base)
         family = base.family(effect).where(lambda one: one.key() not in taken)
         if not family.effects:
             return None, None
@@ -790,6 +796,7 @@ class EffectSearch:
             best, rivals = self.best_of(found, others)
             if best.effect.key() == effect.key():
                 continue
+            rivals = (*alike(best, base, self.taken(base)), *rivals)
             if place.beside is not base:
                 judge = Judge(place.beside, judge.residual)
             white = judge.score(self.view.joints_of(effect), place.columns)

@@ -518,14 +518,24 @@ class EffectSearch:
             for c in everything
         }
         best = min(candidates, key=lambda c: error[id(c)].sum())
-        close = [c for c in candidates if no_worse(error[id(best)], error[id(c)])]
+
+        def compares(one):
+            return self.compares(best, one, error[id(best)], error[id(one)])
+
+        close = [c for c in candidates if compares(c)]
         simplest = min(close, key=lambda c: (c.effect.complexity, error[id(c)].sum()))
-        rivals = tuple(
-            c
-            for c in everything
-            if c is not simplest and no_worse(error[id(best)], error[id(c)])
-        )
+        rivals = tuple(c for c in everything if c is not simplest and compares(c))
         return simplest, rivals
+
+    def compares(self, best, other, error_best, error_other):
+        """Whether blocks (n_blocks,) leave open which of two candidates is better.
+
+        A function of time imitates whatever changes slowly: against a recorded cause
+        it has to be better beyond chance, not by a standard error.
+        """
+        if best.effect.slow and other.effect.recorded:
+            return compare(error_other, error_best).p_value >= self.alpha
+        return no_worse(error_best, error_other)
 
     def _judged_anew(self, chosen, rivals, others):
         """Judge the best candidates of a joint with its other shapes tuned beside them.
@@ -546,8 +556,8 @@ class EffectSearch:
             effects = [*model.effects, tuned(one.effect, model)]
             with_it = retuned(SearchModel.of(self.view, effects, model), joint)
             error[id(one)] = one, with_it.squares[:, joint]
-        best = min((squares for _, squares in error.values()), key=np.sum)
-        close = [(c, e) for c, e in error.values() if no_worse(best, e)]
+        best, least = min(error.values(), key=lambda x: x[1].sum())
+        close = [(c, e) for c, e in error.values() if self.compares(best, c, least, e)]
         simplest, _ = min(close, key=lambda x: (x[0].effect.complexity, x[1].sum()))
         near = [c for c, _ in close] + [c for c in rivals if id(c) not in error]
         return simplest, tuple(c for c in near if c is not simplest)

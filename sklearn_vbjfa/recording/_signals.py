@@ -16,9 +16,10 @@ from sklearn_vbjfa.recording._faults import ChannelFinding
 # A column is another channel under a new name if this share of its variance is that
 # channel's, but for a factor and an offset: the rest is noise and quantisation.
 _COPY = 0.95
-# One that nobody asked for is left out where the channel has more of it than all else:
-# references and currents follow the motion, with a lag and an error of their own.
-_FOLLOWS = 0.5
+# One that nobody asked for is left out at this share already: references and currents
+# follow the motion, with a lag and an error of their own. (A slow signal has half of a
+# slow position by chance, in a short recording.)
+_FOLLOWS = 0.8
 # Units of a clock: seconds, their thousandths to billionths, minutes, hours.
 _CLOCKS = (1.0, 1e3, 1e6, 1e9, 1 / 60, 1 / 3600)
 # What quartz deviates at most from another one.
@@ -272,7 +273,7 @@ def _is_clock(values, recording):
     period = recording.dt or float(np.median(np.diff(t)))
     slopes, wander = [], 0.0
     for part in recording.segments:
-        time, x = t[part] - t[part.start], values[part] - values[part.start]
+        time, x = (column[part] - column[part].mean() for column in (t, values))
         if not time.any():
             continue
         slopes.append((time @ x) / (time @ time))

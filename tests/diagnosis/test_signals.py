@@ -202,7 +202,7 @@ def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(war
         gaps=np.where(SHARE > 0.5, np.nan, RAMP),
         fixed=12.0,
         operator="me",
-        reference=ONE.q[:, 0] + 0.6 * ONE.q[:, 0].std() * np.sin(9 * ONE.t),
+        reference=ONE.q[:, 0] + 0.5 * ONE.q[:, 0].std() * np.sin(9 * ONE.t),
         clock=1e3 * ONE.t,
         t=ONE.t,
     )

@@ -46,6 +46,9 @@ class DiscoveredEffect:
         Joint, from zero.
     joint_name : str
         Its name.
+    scope : {"joint", "robot"}
+        Whether it belongs to its joint, or to the robot as a whole; its joint is the
+        first one then.
     parameters : dict of str to float
         Coefficients and shape parameters, as an engineer calls them.
     units : dict of str to str
@@ -78,6 +81,7 @@ class DiscoveredEffect:
     evidence: Evidence
     rivals: tuple = ()
     effect: object = None
+    scope: str = "joint"
     ranges: EffectRange | None = None
     afterwards: Afterwards | None = None
 
@@ -236,11 +240,12 @@ class Hidden:
         Joint, from zero.
     joint_name : str
         Its name.
-    reason : {"span", "excitation", "signal"}
+    reason : {"span", "excitation", "signal", "together"}
         It lies in the span of the declared columns whatever the motion; it does so in
-        this recording; or it needs a signal that is not there.
+        this recording; it needs a signal that is not there; or it shows, but only
+        together with another effect.
     remedy : str
-        What to record.
+        What to record; the name of the other effect.
     """
 
     name: str
@@ -347,3 +352,10 @@ class Outcome:
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)
     outside: tuple = ()
+
+
+def named_beside(effect, chosen, names):
+    """Name an effect beside another, with its joint where that is a different one."""
+    if effect.joint == chosen.joint or effect.scope == "robot":
+        return effect.told_beside(chosen)
+    return f"{effect.told_beside(chosen)} on {names[effect.joint]}"

@@ -18,6 +18,7 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     Outcome,
     Round,
     Trial,
+    named_beside,
 )
 from sklearn_vbjfa.diagnosis.search._gaps import hidden, too_short, unexplained
 from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, quantile
@@ -120,7 +121,7 @@ def _effects(search, final, names, prismatic):
     rivals = {}
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
-            told = (c.effect.told_beside(step.effect) for c in step.rivals)
+            told = (named_beside(c.effect, step.effect, names) for c in step.rivals)
             rivals[step.effect.key()] = tuple(dict.fromkeys(told))
     # The effects of the declared model come first.
     count = len(final.effects)
@@ -139,6 +140,7 @@ def _effects(search, final, names, prismatic):
             name=effect.name,
             joint=effect.joint,
             joint_name=names[effect.joint],
+            scope=effect.scope,
             parameters=values,
             units={key: units.get(key, "") for key in values},
             intervals={

@@ -262,6 +262,14 @@ class BlockRegression:
         """Coefficients fitted to all rows."""
         return self._theta[-1]
 
+    def deviations(self, place):
+        """Deviations of some coefficients, a slice, for independent rows of unit noise.
+
+        The weights of the joints are the inverse variances of their residuals.
+        """
+        unit = np.eye(self.Z.shape[2])[:, place]
+        return np.sqrt(np.diagonal(linalg.cho_solve(self._factors[-1], unit)[place]))
+
     def residuals(self):
         """Out-of-sample residuals (nv, m), scaled by the root of the weights."""
         out = np.empty_like(self.y)
@@ -365,6 +373,12 @@ class BlockRegression:
         with np.errstate(divide="ignore", invalid="ignore"):
             share = 1.0 - inside.reshape(power.shape) / power
         return np.where(power > 0, share, 0.0)
+
+    def left_gram(self, F):
+        """Gram matrix (k, k) of what the model leaves of columns F (nv, m, k)."""
+        own = _weighted_product(self.precision, F, F)
+        C = _weighted_product(self.precision, self.Z, F)
+        return own - C.T @ linalg.cho_solve(self._factors[-1], C)
 
     def _refit(self, i, moments):
         """Solve for candidates beside the model's columns: all but fold i, or all."""

@@ -19,6 +19,7 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
 )
 from sklearn_vbjfa.diagnosis.search._exchange import backwards, exchange
 from sklearn_vbjfa.diagnosis.search._left_out import can_be_left_out, left_out
+from sklearn_vbjfa.diagnosis.search._members import alike
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._shapes import (
     absorbing,
@@ -319,6 +320,7 @@ class EffectSearch:
             return False
         chosen, rivals, others = offer
         chosen, rivals = self._judged_anew(chosen, rivals, others)
+        rivals = (*alike(chosen, model, self.taken(model)), *rivals)
         effect = tuned(chosen.effect, model)
         case, refusal = self.later(effect, model)
         if refusal is None and effect.in_model:
@@ -480,13 +482,17 @@ class EffectSearch:
         """Effects of the library on a joint that can be looked for."""
         return candidates_of(joint, self.library, self.model)
 
+    def taken(self, base):
+        """Keys of effects that may not come beside a model, a set."""
+        return self.refused.union(*(e.excludes() for e in base.effects))
+
     def score(self, effect, base, finely=True):
         """Try an effect beside a model: a Candidate, and its family's columns.
 
         None of both if there is nothing new. The evidence has no p-value yet. See
         `plainest`.
         """
-        taken = self.refused.union(*(e.excludes() for e in base.effects))
+        taken = self.taken(base)
         family = base.family(effect).where(lambda one: one.key() not in taken)
         if not family.effects:
             return None, None
@@ -590,7 +596,11 @@ class EffectSearch:
             for c in everything
         }
         best = min(candidates, key=lambda c: error[id(c)].sum())
-        close = [c for c in candidates if no_worse(error[id(best)], error[id(c)])]
+
+        def compares(one):
+            return self.compares(best, one, error[id(best)], error[id(one)])
+
+        close = [c for c in candidates if compares(c)]
         simplest = min(
             close,
             key=lambda c: (
@@ -599,12 +609,18 @@ class EffectSearch:
                 error[id(c)].sum(),
             ),
         )
-        rivals = tuple(
-            c
-            for c in everything
-            if c is not simplest and no_worse(error[id(best)], error[id(c)])
-        )
+        rivals = tuple(c for c in everything if c is not simplest and compares(c))
         return simplest, rivals
+
+    def compares(self, best, other, error_best, error_other):
+        """Whether blocks (n_blocks,) leave open which of two candidates is better.
+
+        A function of time imitates whatever changes slowly: against a recorded cause
+        it has to be better beyond chance, not by a standard error.
+        """
+        if best.effect.slow and other.effect.recorded:
+            return compare(error_other, error_best).p_value >= self.alpha
+        return no_worse(error_best, error_other)
 
     def _judged_anew(self, chosen, rivals, others):
         """Judge the best candidates of a joint with its other shapes tuned beside them.
@@ -625,8 +641,8 @@ class EffectSearch:
             effects = [*model.effects, tuned(one.effect, model)]
             with_it = retuned(SearchModel.of(self.view, effects, model), joint)
             error[id(one)] = one, with_it.squares[:, joint]
-        best = min((squares for _, squares in error.values()), key=np.sum)
-        close = [(c, e) for c, e in error.values() if no_worse(best, e)]
+        best, least = min(error.values(), key=lambda x: x[1].sum())
+        close = [(c, e) for c, e in error.values() if self.compares(best, c, least, e)]
         simplest, _ = min(close, key=lambda x: (x[0].effect.complexity, x[1].sum()))
         near = [c for c, _ in close] + [c for c in rivals if id(c) not in error]
         return simplest, tuple(c for c in near if c is not simplest)
@@ -873,6 +889,7 @@ class EffectSearch:
             best, rivals = self.best_of(found, others)
             if best.effect.key() == effect.key():
                 continue
+            rivals = (*alike(best, base, self.taken(base)), *rivals)
             white = place.white(judge)
             case = self._evidence(
                 best.effect, (place.squares, best.squares), (white, best.white)

@@ -53,7 +53,6 @@ from sklearn_vbjfa.robot._plan import (
     check_effects,
     effect_names,
     make_plan,
-    needs_load,
     observe,
     resolve_standstill,
     takes_moments,
@@ -366,8 +365,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         else:
             self.torque_noise_ = periods.filtered_torque_noise(plan.lowpass)
         fitted = ()
-        for one in plan.passes():
-            if needs_load(one.effects):
+        for number, one in enumerate(plan.passes()):
+            if number > 0:
                 self._load = self._known_torque(fitted)
             fitted = one.effects
             made = segments(recording, states, one, self.features_, theta=self._load)

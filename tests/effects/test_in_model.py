@@ -94,7 +94,7 @@ def across(model, joint):
 
 
 def read(model, states, effects):
-    """What the channels of a robot with some faults read, as their guide says."""
+    """Compute what the channels of a robot with some faults read, by the guide."""
     nv, other, states = model.nv, model.copy(), states.copy()
     gains = np.ones(nv)
     for effect in effects:

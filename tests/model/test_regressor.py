@@ -40,6 +40,7 @@ by_both = pytest.mark.parametrize(
     ],
 )
 
+
 def carried(model):
     """Whether a joint (first axis) carries a body."""
     found = np.zeros((model.nv, model.nv), dtype=bool)

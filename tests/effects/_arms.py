@@ -19,7 +19,7 @@ def arm(axes="ZYX", gravity=9.81):
         name = f"joint_{j + 1}"
         parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), shift), name)
         centre = np.array([0.12, 0.03, 0.15]) + 0.02 * rng.normal(size=3)
-        box = pin.Inertia.FromBox(4.0 - j, 0.1, 0.15, 0.3)
+        box = pin.Inertia.FromBox(max(4.0 - j, 1.0), 0.1, 0.15, 0.3)
         model.inertias[parent] = pin.SE3(np.eye(3), centre).act(box)
     return model
 

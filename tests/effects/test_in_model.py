@@ -27,6 +27,7 @@ from sklearn_vbjfa.effects._in_model import (  # noqa: E402
 from sklearn_vbjfa.model._corrected import CorrectedModel  # noqa: E402
 from sklearn_vbjfa.model._derivatives import TorqueDerivatives  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+from tests.effects._faults import measured  # noqa: E402
 
 STEP = 1e-5
 vectors = st.tuples(*3 * [st.floats(-1.5, 1.5)]).map(np.array)
@@ -85,36 +86,6 @@ def test_axes_across_any_direction_are_perpendicular(vector):
 
 
 # -- columns
-
-
-def across(model, joint):
-    """Axes of a correction of a joint of `arm`, written out."""
-    letter = model.joints[joint + 1].shortname()[-1]
-    return {"Z": np.eye(3)[:2], "X": np.eye(3)[1:], "Y": np.eye(3)[[0, 2]]}[letter]
-
-
-def read(model, states, effects):
-    """Compute what the channels of a robot with some faults read, by the guide."""
-    nv, other, states = model.nv, model.copy(), states.copy()
-    gains = np.ones(nv)
-    for effect in effects:
-        j = effect.joint
-        if isinstance(effect, BaseTilt):
-            g = model.gravity.linear
-            along = int(np.argmax(np.abs(g)))
-            first, second = np.delete(np.eye(3), along, axis=0)
-            roll = Rotation.from_rotvec(effect.roll * first).as_matrix()
-            pitch = Rotation.from_rotvec(effect.pitch * second).as_matrix()
-            other.gravity.linear = pitch @ roll @ g
-        elif isinstance(effect, JointZero):
-            states[:, j] -= effect.zero
-        elif isinstance(effect, JointAxis):
-            w = np.array([effect.about_x, effect.about_y]) @ across(model, j)
-            placement = other.jointPlacements[j + 1]
-            placement.rotation = placement.rotation @ pin.exp3(w)
-        else:
-            gains[j] *= effect.gain
-    return gains * inverse_dynamics(other, states)
 
 
 def columns(model, states, effects, effect):
@@ -196,7 +167,7 @@ def test_columns_are_the_derivatives_at_the_present_values(case):
                 moved[i] = clone(effect).set_params(
                     **{name: getattr(effect, name) + step}
                 )
-                made.append(read(model, states, moved))
+                made.append(measured(model, states, moved))
             expected = (made[0] - made[1]) / (2 * STEP)
             size = np.abs(expected).max()
             assert size > 0.1
@@ -211,7 +182,7 @@ def test_corrected_models_say_what_the_guide_says(case):
     for effect in used:
         effect.correct(robot)
     found = robot.gains * inverse_dynamics(robot.model, states)
-    assert_allclose(found, read(model, states, used), atol=1e-10)
+    assert_allclose(found, measured(model, states, used), atol=1e-10)
 
 
 def test_roll_and_pitch_are_those_of_the_usual_angles():

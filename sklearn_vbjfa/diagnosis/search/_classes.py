@@ -8,6 +8,7 @@ Where columns are equal the effects are one class, named by its simplest member.
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.search._evidence import no_worse
+from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE
 
 # Columns are equal if this share of what the model does not explain of them, or less,
 # is outside the other's.
@@ -80,8 +81,13 @@ def inseparable(model, effects):
 
 
 def stands_for(model, effect, other):
-    """Whether the columns of an effect span those of another beside a model."""
+    """Whether the columns of an effect span those of another beside a model.
+
+    A ridge would leave something of equal columns.
+    """
     joints, columns = model.view.joints_of(other), model.columns_of(other)[:, :, None]
-    alone = model.fitted.outside(joints, columns)
-    larger = model.beside([*model.effects, effect])
-    return bool((larger.fitted.outside(joints, columns) <= _EQUAL * alone).all())
+    alone, beside = (
+        model.beside(effects, LEAST_RIDGE).fitted.outside(joints, columns)
+        for effects in (model.effects, [*model.effects, effect])
+    )
+    return bool((beside <= _EQUAL * alone).all())

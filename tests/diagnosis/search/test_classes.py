@@ -78,16 +78,21 @@ def test_what_explains_less_is_no_rival(leaning):
     assert rivals == ()
 
 
-def test_where_a_zero_would_do_the_tilt_that_contains_it_is_named():
-    """The zero of a horizontal first joint says the same with less; a tilt explains."""
-    now = searched([JointZero(0, 0.06)], HORIZONTAL)
+@pytest.mark.parametrize(
+    ("truth", "near"),
+    [
+        (JointZero(0, 0.06), ["joint_zero"]),
+        (BaseTilt(0, 0.0, -0.06), ["joint_zero"]),
+        (BaseTilt(0, 0.06, 0.06), []),
+    ],
+)
+def test_the_zero_of_a_horizontal_joint_is_a_rival_where_it_is_enough(truth, near):
+    """The tilt, which is more, is named; beyond first order both are compared."""
+    now = searched([truth], HORIZONTAL)
     tilt, zero = candidates(now, BaseTilt(), JointZero(0))
     simplest, rivals = one_of_class(now.model, [tilt, zero])
-    assert {simplest.effect.name, *(c.effect.name for c in rivals)} == {
-        "base_tilt",
-        "joint_zero",
-    }
-    assert simplest.effect.name == "base_tilt"
+    assert simplest is tilt
+    assert [c.effect.name for c in rivals] == near
 
 
 def test_pairs_that_a_model_cannot_tell_apart(leaning):

@@ -175,7 +175,7 @@ def _turns(robot):
 
 
 def turned_joints(robot):
-    """Turns of the joints' placements, joint's name -> matrix (3, 3).
+    """Return turns of the joints' placements, joint's name -> matrix (3, 3).
 
     robot : fitted `RobotIdentifier`.
     """

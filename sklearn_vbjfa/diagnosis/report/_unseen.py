@@ -7,8 +7,8 @@ _NOUNS = {
     "base_tilt": ("a tilt of the base",) * 2,
     "joint_zero": ("the zero of {}", "the zeros of {}"),
     "joint_axis": (
-        "the direction of the axis of {}",
-        "the directions of the axes of {}",
+        "the axis of {}",
+        "the axes of {}",
     ),
     "torque_gain": ("the gain of {}", "the gains of {}"),
 }

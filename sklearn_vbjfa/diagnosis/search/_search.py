@@ -209,6 +209,9 @@ class EffectSearch:
         Keys of effects that did not hold on later data, beside the model as it is.
     refusals : dict
         How often each effect was refused, by its key.
+    been : set
+        Sets of keys of effects that were accepted together: a replacement must not lead
+        back to one, or the search goes in circles.
     tried : dict
         By joint, the model that candidates were last tried beside, and what they were.
     threshold, n_tests : float and int
@@ -224,6 +227,7 @@ class EffectSearch:
     steps: list = field(default_factory=list)
     refused: set = field(default_factory=set)
     refusals: dict = field(default_factory=dict)
+    been: set = field(default_factory=set)
     tried: dict = field(default_factory=dict)
     threshold: float | None = None
     n_tests: int = 0
@@ -275,7 +279,7 @@ class EffectSearch:
                     found = self._round(number)
                     number += 1
             # Each set of effects is looked at once: swaps must not go in circles.
-            names = frozenset(effect.key() for effect in self.model.effects)
+            names = keys_of(self.model.effects)
             if not found and names not in seen and number < most:
                 seen.add(names)
                 found = exchange(self)
@@ -297,6 +301,7 @@ class EffectSearch:
     def accept(self, effects):
         """Take effects for what the declared model lacks."""
         self.model = SearchModel.of(self.view, effects, self.model)
+        self.been.add(keys_of(effects))
 
     def is_full(self):
         """Whether as many effects are accepted as may be."""
@@ -855,6 +860,8 @@ class EffectSearch:
             if not better and not (simpler and case.gain > 0):
                 continue
             successor = tuned(best.effect, base)
+            if keys_of([*base.effects, successor]) in self.been:
+                continue
             later, refusal = self.later(successor, base)
             if refusal is not None:
                 self._refuse(successor, later, rivals, others, refusal)
@@ -875,6 +882,11 @@ class EffectSearch:
         for joint in sorted({e.joint for e in self.model.effects}):
             self.model = retuned(self.model, joint)
         self.prune()
+
+
+def keys_of(effects):
+    """Keys of some effects, whatever their order, a frozenset."""
+    return frozenset(effect.key() for effect in effects)
 
 
 def _weighted_gain(model):

@@ -339,7 +339,14 @@ def _effects(outcome, verdict):
 def _corrections(outcome, verdict):
     """Say what to mend on the robot, in the program that reads it, or in its files."""
     own = [e for e in outcome.effects if _plain.in_model(outcome, e)]
-    told = [text for e in own if (text := _plain.remedy(outcome, e))]
+    remedies = [_plain.remedy(outcome, e) for e in own]
+    told = [
+        ". ".join(
+            map(words.capital, filter(None, (_plain.statement(outcome, e), todo)))
+        )
+        for e, todo in zip(own, remedies)
+    ]
+    remedies = list(filter(None, remedies))
     rows = [
         (
             words.place_label(outcome, e.name, e.joint),
@@ -351,13 +358,13 @@ def _corrections(outcome, verdict):
     ]
     return Section(
         heading="What to correct",
-        sentences=tuple(map(words.capital, told)),
+        sentences=tuple(f"{text}." for text in told),
         table=_table(("where", "what", "value (90 %)", "in SI units"), rows),
         note="The completed model has all of it: it takes positions and torques as "
         "they were recorded."
         if own
         else "",
-        terminal=(f"To correct: {'; '.join(told)}.",) if told else (),
+        terminal=(f"To correct: {'; '.join(remedies)}.",) if remedies else (),
     )
 
 

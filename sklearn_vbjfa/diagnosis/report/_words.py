@@ -194,7 +194,9 @@ def parameter_text(effect):
         if key in ("of", "other") or (key == "smoothing" and not value):
             continue
         interval = effect.intervals.get(key)
+        # A share has no unit that anyone would write.
         unit = effect.units.get(key, "")
+        unit = "" if unit == "1" else unit
         if value is None:
             continue
         found.append(f"{key} = {with_error(value, interval, unit)}")

@@ -5,7 +5,8 @@ The arm that was not level
 
 An arm is recorded on a table that leans by a few degrees, and the torque sensor of its
 second joint reads 15 % too much. No joint has a fault of its own, and yet all torques
-are wrong. The loop is run with and without the effects that are part of the robot model.
+are wrong. The loop is run with and without the effects that are part of the robot's
+model.
 """
 
 # %%

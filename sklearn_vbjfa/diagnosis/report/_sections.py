@@ -610,10 +610,10 @@ def _steps(outcome, verdict):
             action = f"replaced {words.effect_label(outcome, step.replaced)}"
         j, evidence = step.joint, step.evidence
         rivals = [
-            words.effect_at(outcome, trial.name, trial.joint)
-            if robot or trial.joint != j
-            else words.effect_label(outcome, trial.name)
-            for trial in step.rivals
+            words.effect_at(outcome, t.name, t.joint, t.shape)
+            if robot or t.joint != j
+            else words.effect_label(outcome, t.name, t.shape)
+            for t in step.rivals
         ]
         before, after = step.error_before[j], step.error_after[j]
         rows.append(
@@ -688,6 +688,7 @@ def _settings(outcome, verdict):
     rows = (
         ("Declared model", _declared(outcome.declared)),
         ("Looked for", effects),
+        ("Signals", ", ".join(settings.get("signals", ()))),
         ("Seed", "" if seed is None else str(seed)),
         ("Versions", ", ".join(versions)),
     )

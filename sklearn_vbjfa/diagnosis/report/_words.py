@@ -53,7 +53,8 @@ def effect_label(outcome, name, shape=None):
     """Plain English for an effect of an outcome, with what matters of its shape."""
     found = outcome.library.get(name)
     if found is None:
-        return name.replace("_", " ")
+        # What follows a colon is the user's own name, such as that of a column.
+        return name if ": " in name else name.replace("_", " ")
     joint = functools.partial(joint_label, outcome.joint_names)
     return found.describe(shape or {}, joint)
 
@@ -89,7 +90,7 @@ def other_label(outcome, other, name):
 
 def _joint_of(outcome, other):
     """Joint behind the " on " of a name, from zero; None if there is none."""
-    _, _, joint = other.partition(" on ")
+    _, _, joint = other.rpartition(" on ")
     if other in outcome.library or joint not in outcome.joint_names:
         return None
     return list(outcome.joint_names).index(joint)
@@ -97,7 +98,7 @@ def _joint_of(outcome, other):
 
 def _name_of(outcome, other):
     """Return the name of an effect, without the joint that may stand behind it."""
-    return other if _joint_of(outcome, other) is None else other.partition(" on ")[0]
+    return other if _joint_of(outcome, other) is None else other.rpartition(" on ")[0]
 
 
 def record_for(outcome, name):
@@ -191,7 +192,7 @@ def parameter_text(effect):
     """Return "Fc = 1.2 +- 0.1 N m" for each parameter worth reading."""
     found = []
     for key, value in effect.parameters.items():
-        if key in ("of", "other") or (key == "smoothing" and not value):
+        if key in ("of", "other", "signal") or (key == "smoothing" and not value):
             continue
         interval = effect.intervals.get(key)
         # A share has no unit that anyone would write.

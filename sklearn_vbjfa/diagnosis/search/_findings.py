@@ -62,7 +62,8 @@ class DiscoveredEffect:
     evidence : Evidence
         What leaving it out of the final model would cost, by blocks of time.
     rivals : tuple of str
-        Other effects that this data cannot tell from it.
+        Other effects that this data cannot tell from it; another use of the same one
+        with what sets it apart, such as "signal: voltage".
     effect : Effect
         The transformer itself.
     ranges : EffectRange or None
@@ -361,5 +362,5 @@ class Outcome:
 def named_beside(effect, chosen, names):
     """Name an effect beside another, with its joint where that is a different one."""
     if effect.joint == chosen.joint or effect.scope == "robot":
-        return effect.name
-    return f"{effect.name} on {names[effect.joint]}"
+        return effect.told_beside(chosen)
+    return f"{effect.told_beside(chosen)} on {names[effect.joint]}"

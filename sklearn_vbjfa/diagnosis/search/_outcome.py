@@ -123,9 +123,8 @@ def _effects(search, final, names, prismatic):
     rivals = {}
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
-            rivals[step.effect.key()] = tuple(
-                named_beside(c.effect, step.effect, names) for c in step.rivals
-            )
+            told = (named_beside(c.effect, step.effect, names) for c in step.rivals)
+            rivals[step.effect.key()] = tuple(dict.fromkeys(told))
     # The effects of the declared model come first.
     count = len(final.effects)
     ranges = final.identifier.effect_ranges_[-count:] if count else ()
@@ -276,6 +275,7 @@ def _settings(search, judgement, asked):
         "last_n_tests": int(search.n_tests),
         "smallest_gain": SMALLEST_GAIN,
         "effects": tuple(e.name for e in search.library),
+        "signals": tuple(view.signals),
         "n_blocks": view.blocks.n_blocks,
         "block_seconds": float(view.blocks.length),
         "n_folds": view.blocks.n_folds,

@@ -186,9 +186,9 @@ def effect_names(effects, model):
     names, units = [], []
     for effect in effects:
         kind = int(kinds[effect.joint])
-        names += [
-            f"{joints[effect.joint]}:{effect.name}:{c}" for c in effect.coefficients
-        ]
+        # What belongs to the robot as a whole bears the name of no joint.
+        own = "" if effect.scope == "robot" else f"{joints[effect.joint]}:"
+        names += [f"{own}{effect.name}:{c}" for c in effect.coefficients]
         units += [unit[kind] for unit in effect.units]
     return tuple(names), tuple(units)
 

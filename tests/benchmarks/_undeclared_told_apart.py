@@ -93,7 +93,7 @@ class Teller:
         n, nv = tau.shape
         rows = np.unique(np.linspace(0, n - 1, min(ROWS, n)).round().astype(int))
         self.nominal, self.nv, self.noise = nominal, nv, noise
-        self.weight = np.sqrt(n / rows.size)
+        self.rows, self.weight = rows, np.sqrt(n / rows.size)
         self.n_rows = rows.size
         self.q, self.v, self.a = np.split(states[rows], 3, axis=1)
         self.y = (tau[rows] / noise).ravel()
@@ -142,6 +142,37 @@ class Teller:
                     )
                 out.append((pair[0] - pair[1]) / (2 * STEP))
         return np.column_stack(out)
+
+    def torque_of(self, faults, theta):
+        """Torques in the channels of a robot with given faults and coefficients.
+
+        Parameters
+        ----------
+        faults : sequence of Fault
+            Faults.
+        theta : ndarray of shape (p,)
+            Coefficients of bodies and friction, of `coefficients`.
+
+        Returns
+        -------
+        ndarray of shape (rows, nv)
+            Torques at the rows that are looked at.
+        """
+        return (self._columns(faults) @ theta).reshape(-1, self.nv) * self.noise
+
+    def coefficients(self):
+        """Fit bodies and friction by least squares, with no fault.
+
+        Returns
+        -------
+        theta : ndarray of shape (p,)
+            Coefficients, those of least norm.
+        rms : ndarray of shape (nv,)
+            Root mean square of the rest of each joint.
+        """
+        _, theta, rest = self._fitted(self._columns([]))
+        rest = rest.reshape(-1, self.nv) * self.noise
+        return theta, np.sqrt(np.mean(rest**2, axis=0))
 
     def explain(self, keys, start=None, hopeless=None):
         """Fit the robot with faults of given names and joints.

@@ -118,7 +118,8 @@ class Teller:
     def _fitted(self, Phi):
         """Basis of the columns, coefficients and rest of the torque."""
         length = np.linalg.norm(Phi, axis=0)
-        used = length > 0
+        # a column of rounding errors has no direction
+        used = length > RANK * length.max()
         U, s, Vt = np.linalg.svd(Phi[:, used] / length[used], full_matrices=False)
         kept = s > RANK * s[0]
         U = U[:, kept]
@@ -165,14 +166,10 @@ class Teller:
 
         Returns
         -------
-        theta : ndarray of shape (p,)
+        ndarray of shape (p,)
             Coefficients, those of least norm.
-        rms : ndarray of shape (nv,)
-            Root mean square of the rest of each joint.
         """
-        _, theta, rest = self._fitted(self._columns([]))
-        rest = rest.reshape(-1, self.nv) * self.noise
-        return theta, np.sqrt(np.mean(rest**2, axis=0))
+        return self._fitted(self._columns([]))[1]
 
     def explain(self, keys, start=None, hopeless=None):
         """Fit the robot with faults of given names and joints.

@@ -13,11 +13,13 @@ show them least, gains into the joint that shows it most and the one that does s
 
 What can be seen is decided without the library (``_undeclared_told_apart.py``): bodies
 and declared friction are fitted to the recording, the fault is put into the torque of
-that fit, and what another fit of bodies and friction leaves of it is compared with the
-rest of the first fit, joint by joint. Above `SHOWN` times that rest, all joints
-together, the fault is to be named and valued; below `HIDDEN` it is to be called
+that fit, and what another fit of bodies and friction leaves of it is compared with what
+the declared model leaves of the recording in its band, joint by joint. Above `SHOWN` times that rest, all joints
+together, the fault is to be named and valued. Below `HIDDEN` it is to be called
 invisible, by the search (no fault is named) and by the declared model that has it as an
-effect (its coefficient is not identifiable); between them either is right.
+effect (its coefficient is not identifiable). Between them it may be named or not: the
+rest of a real robot is no noise, and has by chance some per cent in common with
+anything, which is more than the tolerance of a value there.
 
 The truth is relative to the recording as it is: where the loop names the same effect
 there, its value is that much more. Values are within `TOLERANCE` of what was put in,
@@ -47,7 +49,7 @@ ZERO = 4.0
 GAINS = (0.8, 1.25)
 ABOUT = "xy"
 TOLERANCE = 0.15
-SHOWN, HIDDEN = 0.5, 0.05
+SHOWN, HIDDEN = 0.5, 1e-3
 UNTOUCHED = "as recorded"
 CLASSES = {
     "base_tilt": "BaseTilt",
@@ -112,7 +114,7 @@ def _scaled(joint, gain):
     )
 
 
-def visibility(model, states, tau, declared):
+def visibility(model, states, tau, declared, rest):
     """Return a function that says how much of a fault is left beside the declared fit.
 
     Parameters
@@ -125,6 +127,9 @@ def visibility(model, states, tau, declared):
         Torques.
     declared : tuple of str
         Declared friction.
+    rest : ndarray of shape (nv,)
+        What the declared model leaves of the torques in the band of the fit, root mean
+        square.
     """
     nv = tau.shape[1]
     further = []
@@ -133,8 +138,7 @@ def visibility(model, states, tau, declared):
         further = list(np.einsum("ni,ji->jni", states[:, 2 * nv :], np.eye(nv)))
     plain = tuple(name for name in declared if name != "rotor_inertia")
     first = Teller(model, states, tau, tau.std(axis=0), plain, further)
-    theta, rest = first.coefficients()
-    rest = np.maximum(rest, 1e-9 * tau.std(axis=0))
+    theta = first.coefficients()
     some = [x[first.rows] for x in further]
 
     def seen(fault):
@@ -284,7 +288,7 @@ def verdict(case, answer, reference):
         size = np.linalg.norm(np.array(fault.values) - neutral)
         if off <= TOLERANCE * size:
             return "named", True
-        return "named, value off", False
+        return "named, value off", expected == "either"
     if any(
         fault.name in e["rivals"] and (e["joint"] == fault.joint)
         for e in answer["found"]
@@ -331,7 +335,8 @@ def run_set(name, data_home=None, recording=None, ledger=None, limit=None, **set
     declared = frozen.identifier(recording.robot_model(), recording.dt)
     declared.fit(q, tau, groups=groups)
     states = declared.state_estimator_.transform(q, groups=groups)
-    seen = visibility(model, states, tau, frozen.friction)
+    rest = declared.residuals(q, tau, groups=groups).rms()
+    seen = visibility(model, states, tau, frozen.friction, rest)
     chosen = cases(model, seen)[:limit]
     tasks = [{"set": name, "label": x} for x in [UNTOUCHED, *(c.label for c in chosen)]]
     if ledger.missing(tasks[:1]):
@@ -433,11 +438,14 @@ def report(by_set):
     parts = []
     for name, results in by_set.items():
         judged = [r for r in results[1:] if not r["message"]]
-        right = sum(r["right"] for r in judged)
+        counts = [
+            f"{sum(r['right'] for r in own)} of {len(own)} {kind}"
+            for kind in ("shown", "hidden", "either")
+            if (own := [r for r in judged if r["expected"] == kind])
+        ]
         parts += [
             rst_title(name, "~"),
-            f"{MANIPULATED_SETS[name].describe()}. Right: {right} of "
-            f"{len(results) - 1}.",
+            f"{MANIPULATED_SETS[name].describe()}. Right: {', '.join(counts)}.",
             rst_table([row(r, results[0]) for r in results], HEADERS, n_labels=4),
         ]
     parts.append(

@@ -394,7 +394,9 @@ def test_zeros_are_ordered_by_what_shows(demo):
     v = np.gradient(demo.q, demo.dt, axis=0)
     a = np.gradient(v, demo.dt, axis=0)
     states = np.hstack([demo.q, v, a])
-    seen = put_in.visibility(model, states, demo.tau, ("viscous", "rotor_inertia"))
+    rest = 0.1 * demo.tau.std(axis=0)
+    declared = ("viscous", "rotor_inertia")
+    seen = put_in.visibility(model, states, demo.tau, declared, rest)
     chosen = put_in.cases(model, seen)
     zeros = [c for c in chosen if c.fault.name == "joint_zero"]
     assert [c.seen for c in zeros] == sorted((c.seen for c in zeros), reverse=True)

@@ -14,12 +14,13 @@ show them least, gains into the joint that shows it most and the one that does s
 What can be seen is decided without the library (``_undeclared_told_apart.py``): bodies
 and declared friction are fitted to the recording, the fault is put into the torque of
 that fit, and what another fit of bodies and friction leaves of it is compared with what
-the declared model leaves of the recording in its band, joint by joint. Above `SHOWN` times that rest, all joints
-together, the fault is to be named and valued. Below `HIDDEN` it is to be called
-invisible, by the search (no fault is named) and by the declared model that has it as an
-effect (its coefficient is not identifiable). Between them it may be named or not: the
-rest of a real robot is no noise, and has by chance some per cent in common with
-anything, which is more than the tolerance of a value there.
+the declared model leaves of the recording in its band, joint by joint. Above `SHOWN`
+times that rest, all joints together, the fault is to be named and valued. Below
+`HIDDEN` it is to be called invisible, by the search (no fault is named) and by the
+declared model that has it as an effect (its coefficient is not identifiable). Between
+them it may be named or not: the rest of a real robot is no noise, and has by chance
+some per cent in common with anything, which is more than the tolerance of a value
+there.
 
 The truth is relative to the recording as it is: where the loop names the same effect
 there, its value is that much more. Values are within `TOLERANCE` of what was put in,

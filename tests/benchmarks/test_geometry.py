@@ -265,6 +265,14 @@ def test_standard_errors_are_those_of_repeated_noise():
     assert np.mean(values) == pytest.approx(0.05, abs=4 * std[0] / np.sqrt(30))
 
 
+@pytest.mark.parametrize("script", [bench, put_in, times])
+def test_scripts_say_what_they_take(script, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        script.main(["--help"])
+    assert stopped.value.code == 0
+    assert "--write" in capsys.readouterr().out
+
+
 # -- judging -------------------------------------------------------------------------
 
 

@@ -9,7 +9,7 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
 from sklearn_vbjfa.diagnosis.search._common_start import plain_terms
-from sklearn_vbjfa.diagnosis.search._intervals import FinalFit
+from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, added_effects
 from sklearn_vbjfa.diagnosis.search._judgement import judge
 from sklearn_vbjfa.diagnosis.search._outcome import Models, make_outcome
 from sklearn_vbjfa.diagnosis.search._search import EffectSearch
@@ -383,6 +383,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         view = RecordingView(self.declared_, whole, silent)
         effects = tuned_on(view, found.effects)
         self.identifier_ = _fitted(self._with(effects).set_params(**band), whole)
+        effects = added_effects(self.identifier_, len(effects))
         final = FinalFit(self.declared_, self.identifier_, view, effects)
         tell_spreads(self.identifier_, final.effect_estimates)
         return final

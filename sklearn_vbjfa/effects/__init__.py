@@ -12,6 +12,13 @@ from sklearn_vbjfa.effects._friction import (
     ViscousQuadratic,
 )
 from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
+from sklearn_vbjfa.effects._in_model import (
+    BaseTilt,
+    JointAxis,
+    JointZero,
+    ModelEffect,
+    TorqueGain,
+)
 from sklearn_vbjfa.effects._library import available, resolve
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
 from sklearn_vbjfa.effects._ranges import EffectRange
@@ -20,6 +27,7 @@ from sklearn_vbjfa.effects._time import Drift, Payload
 __all__ = [
     "AsymmetricFriction",
     "Backlash",
+    "BaseTilt",
     "Coulomb",
     "Counterbalance",
     "Coupling",
@@ -29,8 +37,11 @@ __all__ = [
     "EffectRange",
     "Elastic",
     "Jerk",
+    "JointAxis",
     "JointEffect",
+    "JointZero",
     "LoadFriction",
+    "ModelEffect",
     "Motion",
     "Offset",
     "Payload",
@@ -40,6 +51,7 @@ __all__ = [
     "Spring",
     "Stribeck",
     "TorqueFilter",
+    "TorqueGain",
     "Viscous",
     "ViscousQuadratic",
     "available",

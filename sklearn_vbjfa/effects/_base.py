@@ -42,6 +42,9 @@ class Motion:
         (q, v, a) -> torques (n, nv) of the rigid bodies.
     last_body : callable or None
         () -> regressor of the last body's inertial parameters, (n, nv, 10).
+    derivatives : object or None
+        Derivatives of the rigid bodies' torques by the robot's geometry; see
+        `ModelEffect`.
     bandwidth : float
         Highest frequency [Hz] that will be looked at.
     begins : tuple of float or None
@@ -65,6 +68,7 @@ class Motion:
     prismatic: np.ndarray | None = None
     rigid: Callable | None = None
     last_body: Callable | None = None
+    derivatives: object | None = None
     bandwidth: float = np.inf
     begins: tuple | None = None
     rest: Rest | None = None
@@ -230,6 +234,12 @@ class Effect(TransformerMixin, BaseEstimator):
     afterwards = ""
     # True for an effect that acts on all joints: columns of shape (n, nv, k).
     whole_robot = False
+    # "robot" for an effect that belongs to no joint; its joint is the first.
+    scope = "joint"
+    # True for an effect whose value is part of the robot model; see `ModelEffect`.
+    in_model = False
+    # Of effects with equal columns the one with the lowest gives its name to all.
+    precedence = 0
 
     def __init__(self, joint=0):
         self.joint = joint

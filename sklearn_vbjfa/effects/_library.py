@@ -14,6 +14,7 @@ from sklearn_vbjfa.effects._friction import (
     ViscousQuadratic,
 )
 from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
+from sklearn_vbjfa.effects._in_model import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
 from sklearn_vbjfa.effects._time import Drift, Payload
 
@@ -40,6 +41,10 @@ _LIBRARY = {
         Jerk,
         Drift,
         Payload,
+        BaseTilt,
+        JointZero,
+        JointAxis,
+        TorqueGain,
     )
 }
 

@@ -120,7 +120,7 @@ def make_motion(
     first time of the fit [s], see `Motion`.
     """
     nv = features.n_joints_
-    load = torque = rigid = None
+    load = torque = rigid = derivatives = None
     if theta is not None:
         theta, coefs = np.split(theta, [features.n_parameters_])
         parameters = theta.reshape(nv, -1)
@@ -129,6 +129,8 @@ def make_motion(
         load = features.torques(q, v, a, inertial)
         friction = _friction.columns(features.friction_, v, a, rest)
         torque = load + np.einsum("njk,jk->nj", friction, parameters[:, 10:])
+
+        derivatives = features.derivatives(q, v, a, inertial)
 
         def rigid(q, v, a):
             return features.torques(q, v, a, inertial)
@@ -154,6 +156,7 @@ def make_motion(
         prismatic=np.asarray(is_prismatic(features.model_), dtype=bool),
         rigid=rigid,
         last_body=last_body,
+        derivatives=derivatives,
         bandwidth=float(bandwidth),
         rest=rest,
         since=since,
@@ -210,6 +213,7 @@ class RegressorRows:
     def __init__(self, features, states, columns=(), rest=None):
         self._features, self._states, self._rest = features, states, rest
         self._columns = list(columns)
+        self._gains = features.gains_ if (features.gains_ != 1).any() else None
         extra = sum(values.shape[-1] for _, values in self._columns)
         self.n_joints = features.n_joints_
         self.n_parameters = features.n_parameters_ + extra
@@ -227,16 +231,30 @@ class RegressorRows:
         self.used = np.concatenate(used)
 
     @classmethod
-    def with_effects(cls, features, states, effects, motion, rest=None):
-        """Compute the columns of effects (n rows) from a motion."""
+    def with_effects(
+        cls, features, states, effects, motion, rest=None, *, tangents=False
+    ):
+        """Compute the columns of effects (n rows) from a motion.
+
+        Those of effects that are in the model are zero unless their `tangents` are
+        wanted.
+        """
         for effect in effects:
             reason = effect.applies(motion)
             if reason:
                 raise ValueError(
                     f"effects holds {effect.name} on joint {effect.joint}: {reason}."
                 )
-        columns = [(effect, effect.columns(motion)) for effect in effects]
-        return cls(features, states, columns, rest)
+        n, nv = motion.q.shape
+
+        def columns(effect):
+            if effect.in_model and not tangents:
+                shape = (n, nv) if effect.whole_robot else (n,)
+                return np.broadcast_to(0.0, (*shape, len(effect.coefficients)))
+            return effect.columns(motion)
+
+        made = [(effect, columns(effect)) for effect in effects]
+        return cls(features, states, made, rest)
 
     def part(self, rows):
         """Restrict to a slice of rows, renumbered from zero."""
@@ -247,7 +265,7 @@ class RegressorRows:
         """Regressor matrices (n, nv, p) of a slice of rows."""
         Phi = self._features.matrices(self._states[piece], self._rest)
         if not self._columns:
-            return Phi
+            return self._read(Phi, np.arange(self.n_joints)[:, None])
         out = np.zeros((*Phi.shape[:2], self.n_parameters))
         at = Phi.shape[2]
         out[:, :, :at] = Phi
@@ -258,16 +276,22 @@ class RegressorRows:
             else:
                 out[:, effect.joint, at:stop] = columns[piece]
             at = stop
-        return out
+        return self._read(out, np.arange(self.n_joints)[:, None])
+
+    def _read(self, values, joints):
+        """Multiply derivatives of the torques of joints with the channels' gains."""
+        if self._gains is not None:
+            values *= self._gains[joints]
+        return values
 
     def entries(self, piece):
         """Entries of the support for a slice of rows, (n_entries, n)."""
         entries = self._features.entries(self._states[piece], self._rest)
-        if not self._columns:
-            return entries
-        n = entries.shape[1]
-        columns = [values[piece].reshape(n, -1).T for _, values in self._columns]
-        return np.concatenate([entries, *columns])
+        if self._columns:
+            n = entries.shape[1]
+            columns = [values[piece].reshape(n, -1).T for _, values in self._columns]
+            entries = np.concatenate([entries, *columns])
+        return self._read(entries, (self.used // self.n_parameters)[:, None])
 
     def spread(self, rows):
         """Put rows (n, n_entries) of entries back into matrices (n, nv, p)."""
@@ -307,7 +331,9 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
     # Effects need all recordings together (time, largest speeds).
     whole = np.concatenate([own[:] for own in states])
     motion = motion_of(recording, whole, plan, features, theta=theta, rest=rest)
-    rows = RegressorRows.with_effects(features, whole, plan.effects, motion, rest)
+    rows = RegressorRows.with_effects(
+        features, whole, plan.effects, motion, rest, tangents=plan.tangents
+    )
     return [rows.part(part) for part in recording.segments]
 
 

@@ -139,6 +139,26 @@ def estimate(
     )
 
 
+def plain_estimate(moments, joint_weights="auto"):
+    """Estimate by weighted least squares without a prior, input noise corrected for.
+
+    Returns the parameters (p,), their standard deviations, accounting for residuals
+    correlated in time, and whether the data determine each. Directions that they do not
+    determine are left out.
+    """
+    weight = resolve_weights(joint_weights, moments)
+    total, noise = moments.total(weight), moments.total_noise(weight)
+    metric = total.S_xx if noise is None else _denoised(total, noise)
+    found = scaled_eigen(metric, _IDENTIFIABLE)
+    theta = found.solve(total.S_xy)
+    count = moments.n_rows[weight > 0].sum()
+    squares = weight @ moments.residual_squares(theta)
+    # Weights may be fractions of a row; only the count knows what was estimated.
+    variance = squares / total.n_samples * count / max(count - found.rank, 1)
+    std = np.sqrt(np.diagonal(found.inverse()) * variance)
+    return theta, std * _correlation(moments, weight, theta), identifiable(metric)
+
+
 def _weigh_blocks(rows):
     """Weight rows by the precision of their blocks: factors, equations, moments."""
     blocks, first = [], 0

@@ -1,10 +1,14 @@
 """Regressor matrices of rigid-body dynamics, as a scikit-learn transformer."""
 
+import copy
+
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.effects import _declared as _friction
+from sklearn_vbjfa.model._corrected import CorrectedModel
+from sklearn_vbjfa.model._derivatives import TorqueDerivatives
 from sklearn_vbjfa.model._loading import (
     INERTIAL_NAMES,
     is_prismatic,
@@ -41,7 +45,11 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     parameter_units_ : tuple of str
         Their units.
     model_ : pinocchio.Model
-        The loaded model.
+        The loaded model; within `RobotIdentifier`, as its effects correct it.
+    nominal_ : pinocchio.Model
+        The loaded model, not corrected.
+    gains_ : ndarray of shape (nv,)
+        What each torque channel reads over the torque: 1 unless an effect says so.
     friction_ : tuple of str
         Names of the friction columns.
     support_ : ndarray of shape (nv, p), bool
@@ -112,7 +120,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self : object
             Fitted transformer.
         """
-        self.model_ = load_model(self.model)
+        self.model_ = self.nominal_ = load_model(self.model)
+        self.gains_ = np.ones(self.model_.nv)
         self.friction_ = _friction.check_names(self.friction)
         self.n_joints_ = self.model_.nv
         per_joint = len(INERTIAL_NAMES) + len(self.friction_)
@@ -126,13 +135,46 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             units += [_friction.unit(column, prismatic) for column in self.friction_]
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
+        self._set_regressor()
+        return self
+
+    def corrected(self, effects):
+        """Return features of the robot as some effects correct it.
+
+        Parameters
+        ----------
+        effects : iterable of Effect
+            Those that are no `ModelEffect` correct nothing.
+
+        Returns
+        -------
+        RigidBodyFeatures
+            Features of the corrected model; what channels read is in `gains_`, and
+            not yet in their matrices.
+        """
+        corrections = [effect for effect in effects if effect.in_model]
+        if not corrections and self.model_ is self.nominal_:
+            return self
+        robot = CorrectedModel(self.nominal_)
+        for effect in corrections:
+            effect.correct(robot)
+        found = copy.copy(self)
+        found.model_, found.gains_ = robot.model, robot.gains
+        found._set_regressor()
+        return found
+
+    def derivatives(self, q, v, a, inertial):
+        """Differentiate the torques of bodies (nv, 10) by the robot's geometry."""
+        return TorqueDerivatives(self.model_, q, v, a, inertial, self.nominal_)
+
+    def _set_regressor(self):
+        """Make the regressor of the model, and number its entries."""
         self._regressor = TreeRegressor(self.model_)
         # Which of the entries is which.
         support = self.support_
         self._n_entries = np.count_nonzero(support)
         places = np.where(support, np.cumsum(support).reshape(support.shape) - 1, -1)
         self._places = places.reshape(self.n_joints_, self.n_joints_, -1)
-        return self
 
     def _check_width(self, X):
         nv = self.n_joints_

@@ -1,5 +1,6 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -35,6 +36,11 @@ from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._known import note_of_masses
+from sklearn_vbjfa.robot._model_values import (
+    MOST_CORRECTIONS,
+    ModelValues,
+    tell_unsettled,
+)
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
@@ -349,6 +355,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             fitted = one.effects
             made = segments(recording, states, one, self.features_, theta=self._load)
             self._set(self._estimate(made))
+        if any(effect.in_model for effect in self.effects_):
+            made = self._settle(recording, states)
         self._tell_loads(made)
         if periods is None and self.torque_noise is None:
             X = recording.inputs
@@ -362,6 +370,47 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         bodies, coefs = np.split(self.theta_, [self.features_.n_parameters_])
         return np.concatenate([bodies, plain_coefficients(effects, coefs)])
 
+    def _settle(self, recording, states):
+        """Correct the robot until the values of effects in the model stay.
+
+        Returns the segments of the last fit.
+        """
+        names = self.joint_names_
+        for _ in range(MOST_CORRECTIONS):
+            self._load = self._known_torque(self.effects_)
+            plan = replace(self._plan, tangents=True)
+            made = segments(recording, states, plan, self.features_, theta=self._load)
+            moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
+            zeros = unexcited_entries(moments, self.features_.n_parameters_)
+            found = ModelValues.of(
+                moments.zeroed(zeros),
+                self.effects_,
+                self.features_.n_parameters_,
+                self.joint_weights,
+            )
+            if found.stay():
+                break
+            self.effects_ = found.corrected()
+            self.features_ = self.features_.corrected(self.effects_)
+            self._plan = replace(self._plan, effects=self.effects_)
+            made = segments(
+                recording, states, self._plan, self.features_, theta=self._load
+            )
+            self._set(self._estimate(made))
+        else:
+            tell_unsettled(found)
+        found.tell_bounds(names)
+        self.theta_[found.places] = found.values()
+        self.theta_unconstrained_[found.places] = found.values()
+        self.theta_std_[found.places] = found.std
+        self.identifiable_[found.places] = np.isfinite(found.std)
+        self._spreads = tuple(
+            Spread.of_deviations(deviations)
+            for deviations in self._split(self.theta_std_)
+        )
+        made = segments(recording, states, self._plan, self.features_, theta=self._load)
+        return made
+
     # -- from the arguments to a plan --------------------------------------------------
 
     def _declare(self):
@@ -369,6 +418,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
         self.joint_names_ = joint_names(self.features_.model_)
         self.effects_ = check_effects(self.effects, self.features_.n_joints_)
+        self.features_ = self.features_.corrected(self.effects_)
         names, units = effect_names(self.effects_, self.features_.model_)
         self.parameter_names_ = self.features_.parameter_names_ + names
         self.parameter_units_ = self.features_.parameter_units_ + units
@@ -925,6 +975,17 @@ def conclude(identifier, plan, moments):
         identifier.torque_noise, plan.standstill.size, plan.dt, plan.cutoff
     )
     identifier._set(identifier._estimate_moments(moments))
+
+
+def corrected(identifier, effects):
+    """Return a fitted identifier with its robot corrected, parameters as they were.
+
+    effects : `ModelEffect` of those that correct it, beside its own.
+    """
+    other = copy.copy(identifier)
+    own = (*identifier.effects_, *effects)
+    other.features_ = identifier.features_.corrected(own)
+    return other
 
 
 def noise_of(identifier, X, y, segments, clock=None):

@@ -59,6 +59,9 @@ class Plan:
         Period [s] of a sine as fast as the recorded motion, if nothing is filtered.
     time : tuple of (float, float) or None
         First and last time of the rows [s], if effects need the clock.
+    tangents : bool
+        Whether effects that are in the model have the derivatives by their values for
+        columns; they have zeros otherwise, as the model holds the values.
     """
 
     dt: float | None
@@ -71,6 +74,7 @@ class Plan:
     repeats: bool = False
     fastest_period: np.ndarray | None = None
     time: tuple | None = None
+    tangents: bool = False
 
     @property
     def smoother(self):

@@ -79,6 +79,8 @@ class Branch:
         """Return an effect of the branch as one of the robot; None stays None."""
         if effect is None:
             return None
+        if effect.scope == "robot":
+            return effect
         shape = effect.get_params(deep=False)
         moved = {name: self.joints[shape[name]] for name in ("joint", *effect.partners)}
         return clone(effect).set_params(**moved)
@@ -160,8 +162,11 @@ def put_together(view, library, branches, found):
     effects, evidence, steps = [], [], []
     squares = SearchModel.of(view).squares.sum(axis=0)
     for branch, own in zip(branches, found):
-        effects += [branch.on_robot(effect) for effect in own.effects]
-        evidence += own.evidence
+        for effect, case in zip(map(branch.on_robot, own.effects), own.evidence):
+            # What belongs to the whole robot several branches may have found.
+            if effect.key() not in {one.key() for one in effects}:
+                effects.append(effect)
+                evidence.append(case)
         for step in own.steps:
             steps.append(_step_on_robot(step, branch, squares))
         squares = _with_own(squares, branch, own.model.squares.sum(axis=0))

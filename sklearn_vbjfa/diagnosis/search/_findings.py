@@ -46,6 +46,9 @@ class DiscoveredEffect:
         Joint, from zero.
     joint_name : str
         Its name.
+    scope : {"joint", "robot"}
+        Whether it belongs to its joint, or to the robot as a whole; its joint is the
+        first one then.
     parameters : dict of str to float
         Coefficients and shape parameters, as an engineer calls them.
     units : dict of str to str
@@ -77,6 +80,7 @@ class DiscoveredEffect:
     evidence: Evidence
     rivals: tuple = ()
     effect: object = None
+    scope: str = "joint"
     ranges: EffectRange | None = None
     afterwards: Afterwards | None = None
 

@@ -57,6 +57,11 @@ class EffectEstimate:
     freedom: float
 
 
+def added_effects(identifier, count):
+    """Return the last effects of a fitted identifier, with the values it found."""
+    return identifier.effects_[len(identifier.effects_) - count :]
+
+
 class FinalFit:
     """The completed model on the rows that it was fitted to.
 
@@ -65,14 +70,21 @@ class FinalFit:
     declared, identifier : RobotIdentifier
         The declared and the completed model.
     view : RecordingView
-        Recording of the search.
+        Recording of the search, of the declared model.
     effects : list of Effect
-        What was added, in the order of the model's last parameters.
+        What was added, in the order of the model's last parameters, as the completed
+        model has it.
+
+    Attributes
+    ----------
+    view : RecordingView
+        The same of the robot as effects correct it.
     """
 
     def __init__(self, declared, identifier, view, effects):
         self.declared, self.identifier = declared, identifier
-        self.view, self.effects = view, list(effects)
+        self.effects = list(effects)
+        self.nominal, self.view = view, view.corrected(self.effects)
         self.motion = make_motion(
             identifier.features_,
             view.states,
@@ -82,7 +94,7 @@ class FinalFit:
             view.robot.cutoff_,
             effects=effects,
         )
-        self._columns = [view.in_equations(e, self.motion) for e in self.effects]
+        self._columns = [self.view.in_equations(e, self.motion) for e in self.effects]
 
     def columns(self, rows=slice(None)):
         """Columns of the completed model in some equations, (n, nv, p)."""
@@ -97,8 +109,9 @@ class FinalFit:
         """Torques of the completed model with some parameters, (m, nv)."""
         Phi = self.view.equations.Phi
         predicted = Phi @ theta[: Phi.shape[2]]
-        for columns, coef in zip(self._columns, self._split(theta)):
-            predicted = predicted + columns @ coef
+        for effect, own, coef in zip(self.effects, self._columns, self._split(theta)):
+            if not effect.in_model:
+                predicted = predicted + own @ coef
         return predicted
 
     def _split(self, theta):
@@ -109,7 +122,7 @@ class FinalFit:
 
     def residuals(self):
         """Residuals before and after, a pair of TorqueResiduals."""
-        before = self.view.equations.Phi @ self.declared.theta_
+        before = self.nominal.equations.Phi @ self.declared.theta_
         return self._compared(before), self.residuals_of(self.identifier.theta_)
 
     def residuals_of(self, theta):

@@ -5,7 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.search._band import Band, measure_band
-from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, error_intervals
+from sklearn_vbjfa.diagnosis.search._intervals import (
+    FinalFit,
+    added_effects,
+    error_intervals,
+)
 from sklearn_vbjfa.diagnosis.search._price import (
     ProjectionPrice,
     price_of,
@@ -99,7 +103,8 @@ def judge(declared, completed, found, split, whole):
         return tuple(one.residuals(*given, **band) for one in (declared, completed))
 
     before, after = (_numbered(part, rows) for part in errors())
-    fit = FinalFit(declared, completed, model.view, found.effects)
+    added = added_effects(completed, len(found.effects))
+    fit = FinalFit(declared, completed, model.view.corrected(()), added)
     searched = tuple(_numbered(part, split.search) for part in fit.residuals())
     spread = torque_spread(searched[0], before)
     wide_cutoff = _wide(completed.cutoff_, dt)

@@ -49,6 +49,7 @@ class SearchModel:
             if effects:
                 motion = start.signals()
         guess = cls._fit(view, effects, motion, precision, ridge)
+        view = guess.view
         squares, rows = guess.squares.sum(axis=0), view.rows
         used = (rows > 0) & (squares > 0)
         precision = np.where(used, rows / np.where(used, squares, 1.0), 0.0)
@@ -58,7 +59,11 @@ class SearchModel:
 
     @classmethod
     def _fit(cls, view, effects, motion, precision, ridge):
-        """Fit with given weights, load and ridge; None chooses the ridge."""
+        """Fit with given weights, load and ridge; None chooses the ridge.
+
+        The view is that of the robot as the effects correct it.
+        """
+        view = view.corrected(effects)
         Z, scales = view.stacked(effects, motion)
         fitted = BlockRegression(
             Z, view.target, precision, view.blocks, ridge, view.moments
@@ -90,6 +95,13 @@ class SearchModel:
         scales = np.concatenate([np.empty(0), *self.scales])
         coefs = self.fitted.theta[self.view.Z.shape[2] :] * scales
         return self.view.motion(self.theta, self.effects, coefs)
+
+    def deviations(self, effect):
+        """Return deviations of an effect's coefficients (k,), for independent rows."""
+        for one, scale, place in zip(self.effects, self.scales, self.places()):
+            if one is effect:
+                return self.fitted.deviations(place) * scale
+        raise ValueError(f"{effect} is not among the accepted effects.")
 
     def without(self, effect):
         """Return the effects but one, tuple of Effect."""

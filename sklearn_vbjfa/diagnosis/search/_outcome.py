@@ -120,7 +120,9 @@ def _effects(search, final, names, prismatic):
     rivals = {}
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
-            rivals[step.effect.key()] = tuple(c.effect.name for c in step.rivals)
+            rivals[step.effect.key()] = tuple(
+                _rival(c.effect, step.effect, names) for c in step.rivals
+            )
     # The effects of the declared model come first.
     count = len(final.effects)
     ranges = final.identifier.effect_ranges_[-count:] if count else ()
@@ -138,6 +140,7 @@ def _effects(search, final, names, prismatic):
             name=effect.name,
             joint=effect.joint,
             joint_name=names[effect.joint],
+            scope=effect.scope,
             parameters=values,
             units={key: units.get(key, "") for key in values},
             intervals={
@@ -155,6 +158,13 @@ def _effects(search, final, names, prismatic):
             ranges=fitted,
             afterwards=_afterwards(effect, estimate, float(final.view.clock[-1])),
         )
+
+
+def _rival(effect, chosen, names):
+    """Name a rival, with its joint where that is another one."""
+    if effect.joint == chosen.joint or effect.scope == "robot":
+        return effect.name
+    return f"{effect.name} on {names[effect.joint]}"
 
 
 def _afterwards(effect, estimate, seconds):

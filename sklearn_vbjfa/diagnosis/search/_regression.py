@@ -262,6 +262,14 @@ class BlockRegression:
         """Coefficients fitted to all rows."""
         return self._theta[-1]
 
+    def deviations(self, place):
+        """Deviations of some coefficients, a slice, for independent rows of unit noise.
+
+        The weights of the joints are the inverse variances of their residuals.
+        """
+        unit = np.eye(self.Z.shape[2])[:, place]
+        return np.sqrt(np.diagonal(linalg.cho_solve(self._factors[-1], unit)[place]))
+
     def residuals(self):
         """Out-of-sample residuals (nv, m), scaled by the root of the weights."""
         out = np.empty_like(self.y)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._classes import one_of_class
 from sklearn_vbjfa.diagnosis.search._common_start import earned
 from sklearn_vbjfa.diagnosis.search._evidence import (
     SMALLEST_GAIN,
@@ -127,26 +128,54 @@ class Place:
         beside that: either may hide the one or the other in the others' span.
     squares : ndarray of shape (n_blocks, nv)
         Squared out-of-sample residuals with the effect.
-    columns : ndarray of shape (nj, m, c, k)
-        Columns of its shapes.
+    joints, columns : list of int and ndarray of shape (nj, m, c, k)
+        Columns of its shapes; none for an effect that is in the model.
+    model : SearchModel
+        The model with the effect.
     """
 
     base: SearchModel
     beside: SearchModel
     squares: np.ndarray
-    columns: np.ndarray
+    joints: list
+    columns: np.ndarray | None
+    model: SearchModel
 
     @classmethod
     def of(cls, effect, model):
         """Score an effect of a model beside the others."""
+        if effect.in_model:
+            # Each fold has its own correction of the value, which all rows gave.
+            base = model.beside(model.without(effect), None)
+            return cls(
+                base=base,
+                beside=base,
+                squares=model.squares,
+                joints=[],
+                columns=None,
+                model=model,
+            )
         joints, columns = model.view.joints_of(effect), tuned_family(effect, model)
         rest = model.without(effect)
         bases = [model.beside(rest, ridge) for ridge in (None, "same")]
         scores = [base.fitted.score(joints, columns).squares for base in bases]
         best = int(np.argmin([(s @ model.precision).sum() for s in scores]))
         return cls(
-            base=bases[0], beside=bases[best], squares=scores[best], columns=columns
+            base=bases[0],
+            beside=bases[best],
+            squares=scores[best],
+            joints=joints,
+            columns=columns,
+            model=model,
         )
+
+    def white(self, judge):
+        """Squared residuals with the effect as a judge of the base sees them."""
+        if self.columns is None:
+            return Judge(self.model, judge.residual).squares
+        if self.beside is not self.base:
+            judge = Judge(self.beside, judge.residual)
+        return judge.score(self.joints, self.columns)
 
 
 def candidates_of(joint, library, model):
@@ -334,6 +363,9 @@ class EffectSearch:
                 if j not in self.tried or self.tried[j][0] is not model
             ]
             if best is not None and best[1] not in stale:
+                chosen = best[2]
+                if chosen.effect.in_model and chosen.effect.whole_robot:
+                    return self._one_class(best[2:], joints)
                 return best[2:]
             for joint in stale if best is None else [best[1]]:
                 if self.on_progress is not None:
@@ -351,6 +383,25 @@ class EffectSearch:
             if offered:
                 chosen, rivals = self.best_of(offered, others)
                 yield _weighted_gain(model)(chosen), joint, chosen, rivals, others
+
+    def _one_class(self, offer, joints):
+        """Let all effects of the robot's geometry compete with the one on offer.
+
+        They act on all joints, so that one may stand for another of any joint. Returns
+        the simplest of the best, with those that compare with it as rivals.
+        """
+        model, (chosen, rivals, others) = self.model, offer
+        for joint in joints:
+            if joint not in self.tried or self.tried[joint][0] is not model:
+                self.tried[joint] = model, self.try_joint(joint, model)[0]
+        offered = {chosen.effect.key(): chosen}
+        for joint, (_, found) in self.tried.items():
+            for one in self.eligible(found, joint, model.effects)[0]:
+                if one.effect.in_model and one.effect.whole_robot:
+                    offered.setdefault(one.effect.key(), one)
+        simplest, close = one_of_class(model, list(offered.values()))
+        near = (*close, *(c for c in rivals if c.effect.key() not in offered))
+        return simplest, tuple(c for c in near if c is not simplest), others
 
     def step(self, action, effect, effects, *, rivals=(), tried=(), **given):
         """Go on to a model with other effects, and note it."""
@@ -513,7 +564,14 @@ class EffectSearch:
         }
         best = min(candidates, key=lambda c: error[id(c)].sum())
         close = [c for c in candidates if no_worse(error[id(best)], error[id(c)])]
-        simplest = min(close, key=lambda c: (c.effect.complexity, error[id(c)].sum()))
+        simplest = min(
+            close,
+            key=lambda c: (
+                c.effect.complexity,
+                c.effect.precedence,
+                error[id(c)].sum(),
+            ),
+        )
         rivals = tuple(
             c
             for c in everything
@@ -591,14 +649,12 @@ class EffectSearch:
         Its shape is chosen inside each fold, so that what was tuned on all rows is
         not judged on them.
         """
-        place, residual = Place.of(effect, self.model), self.model.residuals()
-        judge = Judge(place.base, residual)
-        before = judge.squares
-        if place.beside is not place.base:
-            judge = Judge(place.beside, residual)
-        white = judge.score(self.view.joints_of(effect), place.columns)
+        place = Place.of(effect, self.model)
+        judge = Judge(place.base, self.model.residuals())
         return self._evidence(
-            effect, (place.base.squares, place.squares), (before, white)
+            effect,
+            (place.base.squares, place.squares),
+            (judge.squares, place.white(judge)),
         )
 
     def all_evidence(self):
@@ -747,7 +803,7 @@ class EffectSearch:
         """Drop what makes the error larger on motion that it was not fitted to."""
         while self.model.effects:
             model = self.model
-            transfer = Transfer(self.view, model.motion, model.effects, model.precision)
+            transfer = Transfer(model)
             with_all, worst, evidence = None, None, None
             for effect in self._doubtful():
                 if with_all is None:
@@ -790,9 +846,7 @@ class EffectSearch:
             best, rivals = self.best_of(found, others)
             if best.effect.key() == effect.key():
                 continue
-            if place.beside is not base:
-                judge = Judge(place.beside, judge.residual)
-            white = judge.score(self.view.joints_of(effect), place.columns)
+            white = place.white(judge)
             case = self._evidence(
                 best.effect, (place.squares, best.squares), (white, best.white)
             )

@@ -12,8 +12,9 @@ from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE, BlockRegress
 from sklearn_vbjfa.diagnosis.search._symmetry import one_sided
 from sklearn_vbjfa.diagnosis.search._view import variants
 
-# Times that what is linearised is linearised again.
-_TANGENTS = 2
+# Times that what is linearised is linearised again; effects that are in the model until
+# they stay within this share of their standard error, for independent rows.
+_TANGENTS, _MOST_TANGENTS, _STAYS = 2, 6, 0.1
 # Search of several shape parameters: it ends where the weighted squared error, in units
 # of noise, falls by less than this, or after so many trials.
 _WORTH, _MOST_TRIALS = 0.01, 100
@@ -334,22 +335,36 @@ def retuned(model, joint):
     for i in chosen:
         base = model.beside(e for k, e in enumerate(effects) if k != i)
         effects[i] = tuned(effects[i], base)
-    if not chosen:
-        return model
-    return linearised(SearchModel.of(model.view, effects, model), joint)
+    if chosen:
+        model = SearchModel.of(model.view, effects, model)
+    return linearised(model, joint)
 
 
 def linearised(model, joint):
     """Linearise a joint's effects at the coefficients that they have."""
-    for _ in range(_TANGENTS):
-        if not any(e.tangent for e in model.effects if e.joint == joint):
+    for i in range(_MOST_TANGENTS):
+        moving = {
+            id(e)
+            for e in model.effects
+            if e.joint == joint and e.tangent and _moves(e, model, i)
+        }
+        if not moving:
             break
         effects = [
-            e.at(model.coefficients(e)) if e.joint == joint and e.tangent else e
-            for e in model.effects
+            e.at(model.coefficients(e)) if id(e) in moving else e for e in model.effects
         ]
         model = SearchModel.of(model.view, effects, model)
     return model
+
+
+def _moves(effect, model, i):
+    """Whether an effect is to be linearised once more, after i times."""
+    if not effect.in_model:
+        return i < _TANGENTS
+    step = model.coefficients(effect)
+    # What has left the plausible values is dropped as it is.
+    still = (np.abs(step) <= _STAYS * model.deviations(effect)).all()
+    return not still and effect.natural(step)
 
 
 def tuned_on(view, effects):

@@ -40,47 +40,49 @@ class Transfer:
 
     Parameters
     ----------
-    view : RecordingView
-        Recording.
-    motion : Motion
-        Its signals.
-    effects : sequence of Effect
-        All that are to be looked at.
-    precision : ndarray of shape (nv,)
-        Weights of the joints.
+    model : SearchModel
+        With all effects that are to be looked at.
     """
 
-    def __init__(self, view, motion, effects, precision):
-        self._robot, self._precision = view.robot, precision
-        self._effects = tuple(effects)
-        equations = view.equations
-        columns = [view.in_equations(effect, motion) for effect in self._effects]
-        Phi = np.concatenate([equations.Phi, *columns], axis=2)
-        widths = [equations.Phi.shape[2], *(c.shape[2] for c in columns)]
-        self._edges = np.cumsum(widths)
-        label = stretches(view.blocks, view.origin)
-        self._moments = [
-            joint_moments(Phi[rows], equations.tau[rows], equations.weight[rows])
-            for rows in (label == k for k in np.unique(label))
-        ]
+    def __init__(self, model):
+        self._model, self._precision = model, model.precision
+        self._effects = model.effects
+        self._label = stretches(model.view.blocks, model.view.origin)
+        self._moments = {}
+
+    def _moments_of(self, view):
+        """Moments of each stretch, with all effects, and the columns' edges."""
+        if view not in self._moments:
+            equations, motion = view.equations, self._model.motion
+            columns = [view.in_equations(effect, motion) for effect in self._effects]
+            Phi = np.concatenate([equations.Phi, *columns], axis=2)
+            edges = np.cumsum([equations.Phi.shape[2], *(c.shape[2] for c in columns)])
+            found = [
+                joint_moments(Phi[rows], equations.tau[rows], equations.weight[rows])
+                for rows in (self._label == k for k in np.unique(self._label))
+            ]
+            self._moments[view] = found, edges
+        return self._moments[view]
 
     def squares(self, effects):
         """Squared errors (n_stretches, nv) of the model with some of the effects.
 
         Each stretch is predicted by a fit to the others.
         """
+        view = self._model.view.corrected(effects)
+        moments, edges = self._moments_of(view)
         there = {id(effect) for effect in effects}
-        pieces = [np.arange(self._edges[0])]
+        pieces = [np.arange(edges[0])]
         for i, effect in enumerate(self._effects):
             if id(effect) in there:
-                pieces.append(np.arange(self._edges[i], self._edges[i + 1]))
+                pieces.append(np.arange(edges[i], edges[i + 1]))
         chosen = np.concatenate(pieces)
-        moments = [one.columns(chosen) for one in self._moments]
+        moments = [one.columns(chosen) for one in moments]
         out = []
         for k, kept in enumerate(moments):
             others = [one for i, one in enumerate(moments) if i != k]
             total = sum(others[1:], start=others[0])
-            theta = _consistent_parameters(total, self._precision, self._robot)
+            theta = _consistent_parameters(total, self._precision, view.robot)
             out.append(kept.residual_squares(theta))
         return np.array(out)
 

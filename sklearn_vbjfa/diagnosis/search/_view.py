@@ -1,5 +1,6 @@
 """A recording as the search for effects sees it: filtered rows, blocks, columns."""
 
+import copy
 import itertools
 from dataclasses import dataclass, replace
 
@@ -16,7 +17,10 @@ from sklearn_vbjfa.diagnosis.search._regression import FoldMoments, reduced
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock
 from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
-from sklearn_vbjfa.robot._identifier import equations_of, states_of
+from sklearn_vbjfa.robot._identifier import corrected, equations_of, states_of
+
+# Views of a corrected robot that are kept: a search goes to and fro between few.
+_KEPT = 6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -142,7 +146,9 @@ class RecordingView:
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
         self._begins = begins
         self._families, self._columns = {}, {}
-        self._set_equations(recording, leave_out)
+        self._given = recording, leave_out
+        self._root, self._corrections, self._corrected = self, frozenset(), {}
+        self._set_equations()
         edges = np.array([part.start for part in self.parts])
         self.starts = np.unique(np.searchsorted(self.index, edges))
         self.starts = self.starts[self.starts < self.index.size]
@@ -154,8 +160,40 @@ class RecordingView:
             self.blocks, self.precision = like.blocks, like.precision
         self._set_coordinates()
 
-    def _set_equations(self, recording, leave_out):
+    def corrected(self, effects):
+        """Return the view whose robot is corrected by effects that are in the model.
+
+        Itself if they correct what its own robot is corrected by. Rows, blocks and
+        weights are the same; equations and coordinates are another robot's.
+        """
+        wanted = [e for e in effects if e.in_model and e.corrects]
+        key = frozenset((e.key(), tuple(e.values.tolist())) for e in wanted)
+        if key == self._corrections:
+            return self
+        root = self._root
+        if not key:
+            return root
+        if key not in root._corrected:
+            if len(root._corrected) >= _KEPT:
+                root._corrected.pop(next(iter(root._corrected)))
+            other = copy.copy(root)
+            other.robot, other._corrections = corrected(root.robot, wanted), key
+            if (other.gains != root.gains).any():
+                # Columns are multiplied with what channels read.
+                other._families, other._columns = {}, {}
+            other._set_equations()
+            other._set_coordinates()
+            root._corrected[key] = other
+        return root._corrected[key]
+
+    @property
+    def gains(self):
+        """What torque channels read over the torque, (nv,)."""
+        return self.robot.features_.gains_
+
+    def _set_equations(self):
         """Make the filtered equations of the declared model."""
+        recording, leave_out = self._given
         weight = recording.weight.astype(float)
         weight[:, list(leave_out)] = 0.0
         self.equations = equations_of(
@@ -271,7 +309,8 @@ class RecordingView:
             filtered = self.filtered(effect.columns(motion))
             for i, j in enumerate(joints):
                 own = filtered[:, j] if effect.whole_robot else filtered
-                out[i, :, c, : own.shape[1]] = own * self.root[:, j, None]
+                scale = self.gains[j] * self.root[:, j, None]
+                out[i, :, c, : own.shape[1]] = own * scale
         return out
 
     def columns_of(self, effect, motion):
@@ -288,9 +327,9 @@ class RecordingView:
         """Columns of an effect in all joints' equations, (m, nv, k), not weighted."""
         columns = self.filtered(effect.columns(motion))
         if effect.whole_robot:
-            return columns
+            return columns * self.gains[:, None]
         out = np.zeros((columns.shape[0], self.nv, columns.shape[-1]))
-        out[:, effect.joint] = columns
+        out[:, effect.joint] = columns * self.gains[effect.joint]
         return out
 
     def family(self, effect, motion):

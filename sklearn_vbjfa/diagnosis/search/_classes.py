@@ -1,0 +1,46 @@
+"""Effects of a robot's geometry that one recording cannot tell from each other.
+
+A tilt of the base turns the whole robot, and so does the axis of its first joint; the
+zero of a joint is a turn of what it carries, and so is the axis of its neighbour.
+Where columns are equal the effects are one class, named by its simplest member.
+"""
+
+from sklearn_vbjfa.diagnosis.search._evidence import no_worse
+
+# Columns are equal if this share of what the model does not explain of them, or less,
+# is outside the other's.
+_EQUAL = 1e-3
+
+
+def one_of_class(model, candidates):
+    """Return the simplest of the best candidates, and those that compare with it.
+
+    Parameters
+    ----------
+    model : SearchModel
+        Beside which they were tried.
+    candidates : list of Candidate
+        Effects that act on all joints.
+    """
+    error = {id(c): c.squares @ model.precision for c in candidates}
+    best = min(candidates, key=lambda c: error[id(c)].sum())
+    close = [c for c in candidates if no_worse(error[id(best)], error[id(c)])]
+    simplest = min(
+        close,
+        key=lambda c: (c.effect.complexity, c.effect.precedence, error[id(c)].sum()),
+    )
+    for other in sorted(close, key=lambda c: c.effect.precedence):
+        # One that comes before it and says the same, if of more than is needed.
+        before = other.effect.precedence < simplest.effect.precedence
+        if before and stands_for(model, other.effect, simplest.effect):
+            simplest = other
+            break
+    return simplest, tuple(c for c in close if c is not simplest)
+
+
+def stands_for(model, effect, other):
+    """Whether the columns of an effect span those of another beside a model."""
+    joints, columns = model.view.joints_of(other), model.columns_of(other)[:, :, None]
+    alone = model.fitted.outside(joints, columns)
+    larger = model.beside([*model.effects, effect])
+    return bool((larger.fitted.outside(joints, columns) <= _EQUAL * alone).all())

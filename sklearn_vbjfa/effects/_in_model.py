@@ -1,0 +1,490 @@
+"""Effects whose value is part of the robot model: its geometry, and what it reads.
+
+All other effects add torque to the robot of the description. These say that the robot
+is another one: its base leans, an encoder's zero or an axis is elsewhere, a torque
+channel has another gain. The torque is not linear in such a value; its derivative at
+the present value is a column like any other, whose coefficient says how far to go on,
+and the model is corrected and linearised again until the value stays.
+"""
+
+import numpy as np
+from sklearn.base import clone
+
+from sklearn_vbjfa.effects._base import POSITION, Effect
+from sklearn_vbjfa.effects._channels import model_torque
+
+# Farther out than this a tilt, a zero or an axis is no error of assembly but another
+# robot [rad]; of a prismatic joint, in m.
+_LEANS, _TURNS = np.deg2rad(15.0), np.deg2rad(10.0)
+_NONE = ("1", "1")
+
+
+def cross_axes(direction):
+    """Two axes of a frame across a direction (3,), ndarray (2, 3).
+
+    The coordinate axes other than the one nearest to the direction, in the order x, y,
+    z, made perpendicular to it and to each other.
+    """
+    n = np.asarray(direction, dtype=float)
+    n = n / np.linalg.norm(n)
+    first, second = np.delete(np.eye(3), np.argmax(np.abs(n)), axis=0)
+    first = first - (first @ n) * n
+    first /= np.linalg.norm(first)
+    second = second - (second @ n) * n - (second @ first) * first
+    return np.array([first, second / np.linalg.norm(second)])
+
+
+def rotation(vector):
+    """Matrix (3, 3) of a turn by a rotation vector (3,) [rad] (Rodrigues)."""
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # sin(a) / a and (1 - cos(a)) / a^2
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    return np.eye(3) + first * cross + second * cross @ cross
+
+
+def turned_by(vector, change):
+    """Turn d (3,), of rotation(w) [d], that a change of the rotation vector w makes.
+
+    rotation(w + h c) = rotation(w) rotation(h d) to first order in h, by the right
+    Jacobian of the rotation vector.
+    """
+    angle = float(np.linalg.norm(vector))
+    x, y, z = vector
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
+    # (a - sin(a)) / a^3
+    third = (angle - np.sin(angle)) / angle**3 if angle > 1e-3 else 1.0 / 6.0
+    return change - second * cross @ change + third * cross @ (cross @ change)
+
+
+class ModelEffect(Effect):
+    """An effect that corrects the robot model by values of its own.
+
+    The values are parameters of its constructor. Its columns are the derivatives of the
+    torque by them, at the present values; a coefficient that is fitted to a column is a
+    correction of the value, see `at`. In a `RobotIdentifier`, which corrects its model
+    until nothing is left to correct, the parameters `theta_` of the effect are the
+    values themselves.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+
+    Attributes
+    ----------
+    idle : tuple of float
+        Values that correct nothing.
+    """
+
+    in_model = True
+    needs = ("load",)
+    idle = ()
+
+    @property
+    def values(self):
+        """Present values, ndarray (k,)."""
+        return np.array([getattr(self, name) for name in self.tangent], dtype=float)
+
+    @property
+    def corrects(self):
+        """Whether the present values change the model."""
+        return bool((self.values != self.idle).any())
+
+    def check(self):
+        """Refuse values that are no finite numbers; see `Effect.check`."""
+        super().check()
+        for name in self.tangent:
+            value = getattr(self, name)
+            if not (np.isscalar(value) and np.isfinite(value)):
+                raise ValueError(
+                    f"{name} of {self.name} must be a finite number; got {value!r}."
+                )
+
+    def correct(self, robot):
+        """Correct a robot by the present values.
+
+        Parameters
+        ----------
+        robot : CorrectedModel
+            Takes the corrections.
+        """
+        raise NotImplementedError(f"{type(self).__name__} must define correct(robot).")
+
+    def bounds(self):
+        """Return the smallest and largest values, two ndarrays (k,)."""
+        raise NotImplementedError(f"{type(self).__name__} must define bounds().")
+
+    def natural(self, coef):
+        """Whether the corrected values are within `bounds`."""
+        low, high = self.bounds()
+        found = self.values + np.asarray(coef)
+        return bool(((low <= found) & (found <= high)).all())
+
+    def at(self, coef):
+        """Return the effect with its values corrected by coefficients (k,)."""
+        return self.with_values(self.values + np.asarray(coef))
+
+    def with_values(self, values):
+        """Return the effect with other values (k,)."""
+        return clone(self).set_params(**dict(zip(self.tangent, map(float, values))))
+
+    def parameters(self, coef):
+        """Return the values (k,) by name; see `Effect.parameters`."""
+        return dict(zip(self.tangent, map(float, coef)))
+
+    def applies(self, motion):
+        """Without the robot there is nothing to differentiate; see `Effect.applies`."""
+        if motion.derivatives is None:
+            return "needs the rigid-body dynamics"
+        return super().applies(motion)
+
+
+class BaseTilt(ModelEffect):
+    r"""The base is not level: gravity points elsewhere in its frame.
+
+    Gravity in the frame of the base is g = R_y(pitch) R_x(roll) g_0, with g_0 that of
+    the robot description: it is turned about the base's x axis and then about its y
+    axis. A robot whose gravity is along x or y in its base (on a wall) is turned about
+    the other two axes, in their order. The base itself leans the opposite way.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        0; the effect is one of the whole robot.
+    roll, pitch : float, default=0.0
+        Present values [rad].
+
+    Notes
+    -----
+    The columns are d tau / d g times d g / d roll and d g / d pitch: what the turned
+    gravity adds to the torque of every joint that it can move. It shows wherever a
+    joint holds weight in several poses. It is hidden in a recording without gravity on
+    any axis, and in one in which the base's first joint, if vertical, stands still:
+    pose by pose a tilt is then an offset or a counterbalance of the other joints. A
+    `JointAxis` of a first joint turns the whole robot as well and has equal columns,
+    and so has the `JointZero` of a first joint that is horizontal, for one of the two.
+    Values within 15 degrees count as plausible.
+
+    References
+    ----------
+    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
+       Hermes Penton, 2002, chapter 11 (placement of the base as calibration
+       parameters).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa import RobotIdentifier
+    >>> from sklearn_vbjfa.datasets import make_robot_recording
+    >>> from sklearn_vbjfa.effects import BaseTilt
+    >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
+    >>> model = recording.robot_model().copy()
+    >>> model.gravity.linear = [0.0, 0.0, -9.81]
+    >>> robot = RobotIdentifier(model, dt=recording.dt, effects=[BaseTilt()])
+    >>> robot = robot.fit(recording.q, recording.tau)
+    >>> (tilt,) = robot.effects_
+    >>> bool(np.abs(np.rad2deg([tilt.roll, tilt.pitch])).max() < 1.0)
+    True
+    """
+
+    name = "base_tilt"
+    label = "base not level"
+    formula = (
+        r"\frac{\partial\tau}{\partial g}"
+        r"\left(R_y(\mathrm{pitch})\,R_x(\mathrm{roll}) - 1\right) g_0"
+    )
+    coefficients = ("roll", "pitch")
+    units = (("rad", "rad"), ("rad", "rad"))
+    tangent = ("roll", "pitch")
+    idle = (0.0, 0.0)
+    whole_robot = True
+    scope = "robot"
+    precedence = 0
+    visible = "joints that hold weight in several poses, the first joint among them"
+    record = "the base measured with a level, or moves of the first joint"
+
+    def __init__(self, joint=0, roll=0.0, pitch=0.0):
+        super().__init__(joint)
+        self.roll = roll
+        self.pitch = pitch
+
+    def applies(self, motion):
+        """Only once for the whole robot; see `Effect.applies`."""
+        if self.joint != 0:
+            return "one effect of the whole robot"
+        reason = super().applies(motion)
+        if not reason and not np.any(motion.derivatives.nominal_gravity):
+            return "the robot description has no gravity"
+        return reason
+
+    def bounds(self):
+        """Within 15 degrees; see `ModelEffect.bounds`."""
+        return np.full(2, -_LEANS), np.full(2, _LEANS)
+
+    def correct(self, robot):
+        """Turn gravity; see `ModelEffect.correct`."""
+        roll, pitch = self._turns(robot.nominal_gravity)
+        robot.tilt(pitch @ roll)
+
+    def _turns(self, gravity):
+        """Return the turns by roll and by pitch, two matrices (3, 3)."""
+        first, second = cross_axes(_nearest(gravity))
+        return rotation(self.roll * first), rotation(self.pitch * second)
+
+    def columns(self, motion):
+        """Differentiate by roll and pitch, (n, nv, 2); see `Effect.columns`."""
+        gravity = motion.derivatives.nominal_gravity
+        first, second = cross_axes(_nearest(gravity))
+        roll, pitch = self._turns(gravity)
+        changes = [
+            pitch @ np.cross(first, roll @ gravity),
+            np.cross(second, pitch @ roll @ gravity),
+        ]
+        return motion.derivatives.by_gravity() @ np.transpose(changes)
+
+
+def _nearest(direction):
+    """Coordinate axis (3,) nearest to a direction."""
+    return np.eye(3)[np.argmax(np.abs(direction))]
+
+
+class JointZero(ModelEffect):
+    r"""The zero of an encoder is off: it reads the position plus a constant.
+
+    q = q_measured - zero, in everything that the rigid bodies do; velocity and
+    acceleration are not touched.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    zero : float, default=0.0
+        Present value [rad or m]: what is read where the joint is at zero.
+
+    Notes
+    -----
+    The column is -d tau / d q_j, on all joints at once [1]_. It shows in gravity and
+    inertia of what lies on either side of the joint. Hidden, whatever the motion, are
+    the zero of the last joint (its body, turned along, is as good), that of a first
+    joint with a vertical axis (all directions around it are alike), and that of a
+    prismatic joint along which nothing but its own position changes. The zeros of
+    neighbours with parallel axes have nearly equal columns: only their sum is seen
+    well. Values within 15 degrees (0.26 m) count as plausible; larger ones, in steps of
+    45 degrees, are found by the inspection of the channels.
+
+    References
+    ----------
+    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
+       Hermes Penton, 2002, chapter 11 (joint offsets as calibration parameters).
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import JointZero
+    >>> JointZero(joint=2, zero=0.07).parameters([0.07])
+    {'zero': 0.07}
+    """
+
+    name = "joint_zero"
+    label = "zero of the encoder is off"
+    formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
+    coefficients = ("zero",)
+    units = (POSITION,)
+    tangent = ("zero",)
+    idle = (0.0,)
+    whole_robot = True
+    precedence = 1
+    visible = "weight or inertia moved on either side of the joint"
+    record = "the joint at a mechanical reference, or moves of its neighbours"
+
+    def __init__(self, joint=0, zero=0.0):
+        super().__init__(joint)
+        self.zero = zero
+
+    def bounds(self):
+        """Within 15 degrees or 0.26 m; see `ModelEffect.bounds`."""
+        return np.array([-_LEANS]), np.array([_LEANS])
+
+    def correct(self, robot):
+        """Move the joint's zero; see `ModelEffect.correct`."""
+        robot.move_zero(self.joint, self.zero)
+
+    def columns(self, motion):
+        """Differentiate by the zero, (n, nv, 1); see `Effect.columns`."""
+        return -motion.derivatives.by_position(self.joint)[:, :, None]
+
+
+class JointAxis(ModelEffect):
+    r"""The axis of a joint is not where the robot description has it.
+
+    The placement M of the joint, in what carries it, is M exp(w) with the rotation
+    vector w = about_x e_1 + about_y e_2, and all that the joint carries is carried
+    along: a wrong ``rpy`` of its origin. e_1 and e_2 are x and y of the joint's frame
+    for a joint that turns about z, y and z for one about x, x and z for one about y (in
+    between: the two coordinate axes other than the nearest to the joint's, made
+    perpendicular to it).
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    about_x, about_y : float, default=0.0
+        Present values [rad].
+
+    Notes
+    -----
+    The columns are the derivatives of the torque by these two turns, on all joints at
+    once; with the joint's own `JointZero` they are all turns of its placement [1]_.
+    It shows where weight or inertia is carried around the axis and the joints before it
+    move. It is hidden in the last joint, whose body, turned along, differs in products
+    of inertia only. Of a first joint it is a `BaseTilt`; about the axis of a
+    neighbouring joint it is that one's `JointZero`. Values within 10 degrees count as
+    plausible.
+
+    References
+    ----------
+    .. [1] S. Hayati, M. Mirmirani, "Improving the absolute positioning accuracy of
+       robot manipulators", Journal of Robotic Systems 2(4), 1985.
+       :doi:`10.1002/rob.4620020406`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import JointAxis
+    >>> JointAxis(joint=3).at([0.05, 0.0])
+    JointAxis(about_x=0.05, joint=3)
+    """
+
+    name = "joint_axis"
+    label = "axis of the joint is elsewhere"
+    formula = (
+        r"\frac{\partial\tau}{\partial w_j}\left(\mathrm{about\_x}\,e_1"
+        r" + \mathrm{about\_y}\,e_2\right)"
+    )
+    coefficients = ("about_x", "about_y")
+    units = (("rad", "rad"), ("rad", "rad"))
+    tangent = ("about_x", "about_y")
+    idle = (0.0, 0.0)
+    whole_robot = True
+    precedence = 2
+    visible = "weight or inertia carried around the axis, and moves of joints before it"
+    record = "moves of the joints before it, in several poses of the joint"
+
+    def __init__(self, joint=0, about_x=0.0, about_y=0.0):
+        super().__init__(joint)
+        self.about_x = about_x
+        self.about_y = about_y
+
+    def bounds(self):
+        """Within 10 degrees; see `ModelEffect.bounds`."""
+        return np.full(2, -_TURNS), np.full(2, _TURNS)
+
+    def correct(self, robot):
+        """Turn the joint's placement; see `ModelEffect.correct`."""
+        robot.turn(
+            self.joint, rotation(self.values @ cross_axes(robot.axis(self.joint)))
+        )
+
+    def columns(self, motion):
+        """Differentiate by both turns, (n, nv, 2); see `Effect.columns`."""
+        made = motion.derivatives
+        axes = cross_axes(made.axis(self.joint))
+        vector = self.values @ axes
+        # A zero that was moved comes behind the turn, with axes of its own.
+        behind = made.nominal_rotation(self.joint) @ rotation(vector)
+        behind = behind.T @ made.rotation(self.joint)
+        turns = [behind.T @ turned_by(vector, axis) for axis in axes]
+        return made.by_turn(self.joint) @ np.transpose(turns)
+
+
+class TorqueGain(ModelEffect):
+    r"""A torque channel has another gain than the others.
+
+    It reads gain times the torque, friction included: a torque constant, a gear ratio
+    or a load cell's scale that is wrong.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    gain : float, default=1.0
+        Present value; 1.15 for a channel that reads 15 % too much.
+    limit : float, default=2.5
+        Gains between 1 / limit and limit count as plausible.
+
+    Notes
+    -----
+    The column is the torque of the model on the joint [1]_. It shows in what the joint
+    shares with others: the bodies that it moves are moved by the joints before it as
+    well, with the same inertial parameters. A gain that all channels have in common is
+    in every parameter, and no recording shows it without a mass that is known; the gain
+    of the only joint, or of one that shares no body, is hidden in the same way.
+
+    The gain is taken on the side of the model: the measured torque stays an output with
+    noise. A regression on measured torques, with the inverse gains as coefficients,
+    would take that noise for signal and make gains too small.
+
+    References
+    ----------
+    .. [1] M. Gautier, S. Briot, "Global identification of joint drive gains and dynamic
+       parameters of robots", J. Dyn. Sys., Meas., Control 136(5), 2014.
+       :doi:`10.1115/1.4027506`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import TorqueGain
+    >>> TorqueGain(joint=1, gain=1.1).at([0.05]).gain
+    1.1500000000000001
+    """
+
+    name = "torque_gain"
+    label = "gain of the torque channel"
+    formula = r"(\mathrm{gain} - 1)\,\tau"
+    coefficients = ("gain",)
+    units = (_NONE,)
+    tangent = ("gain",)
+    idle = (1.0,)
+    visible = "torque of bodies that other joints move as well"
+    record = "a known mass picked up, or moves of the joints before and behind"
+
+    def __init__(self, joint=0, gain=1.0, limit=2.5):
+        super().__init__(joint)
+        self.gain = gain
+        self.limit = limit
+
+    def check(self):
+        """Refuse a gain that is not positive, and a limit below 1."""
+        super().check()
+        if not self.gain > 0:
+            raise ValueError(f"gain of {self.name} must be positive; got {self.gain}.")
+        if not self.limit > 1:
+            raise ValueError(
+                f"limit of {self.name} must be greater than 1; got {self.limit}."
+            )
+
+    def shape(self):
+        """Return the gain; its limit is no property of the channel."""
+        return {"gain": self.gain}
+
+    def bounds(self):
+        """Between 1 / limit and limit; see `ModelEffect.bounds`."""
+        return np.array([1 / self.limit]), np.array([self.limit])
+
+    def correct(self, robot):
+        """Scale what the joint's channel reads; see `ModelEffect.correct`."""
+        robot.read(self.joint, self.gain)
+
+    def applies(self, motion):
+        """With one joint all channels have one gain; see `Effect.applies`."""
+        if motion.n_joints == 1:
+            return "the only joint: a common gain is in every parameter"
+        return Effect.applies(self, motion)
+
+    def columns(self, motion):
+        """Torque of the model on the joint (n, 1); see `Effect.columns`.
+
+        Rows of the joint are multiplied with the gain, which the derivative has not.
+        """
+        return model_torque(motion, self.joint)[:, None] / self.gain

@@ -1,0 +1,137 @@
+"""Values of effects that are part of the robot model, by Gauss and Newton.
+
+The torque is linear in the parameters of the bodies and not in a tilt of the base or
+the gain of a channel. With the derivatives by these values as columns beside the
+regressor, all are fitted together by least squares, the values are corrected, and the
+regressor is made anew of the corrected robot, until no value moves by more than a tenth
+of its standard error. A prior on the corrections would hold each value where it began,
+so there is none; the parameters of the bodies are estimated afterwards, with the values
+as found.
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from sklearn.exceptions import ConvergenceWarning
+
+from sklearn_vbjfa.robot._estimate import plain_estimate
+
+# A value stays where a correction is smaller than this share of its standard error.
+STAYS = 0.1
+# Corrections of one fit.
+MOST_CORRECTIONS = 12
+# Of a correction that would lead out of the plausible values, this share of the way.
+_SHORT = 0.9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ModelValues:
+    """What a fit says of the values of effects that are in the model.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        All effects of the fit.
+    places : ndarray of int
+        Where those values are among the parameters.
+    step : ndarray
+        Corrections of the values; zero where the recording does not show them.
+    std : ndarray
+        Standard deviations of the values; nan where the recording does not show them.
+    """
+
+    effects: tuple
+    places: np.ndarray
+    step: np.ndarray
+    std: np.ndarray
+
+    @classmethod
+    def of(cls, moments, effects, n_rigid, joint_weights):
+        """Fit the values beside everything else to the moments of equations.
+
+        Columns of the moments are those of the features, `n_rigid` of them, and then
+        those of the effects, with derivatives by the values.
+        """
+        places, at = [], n_rigid
+        for effect in effects:
+            stop = at + len(effect.coefficients)
+            if effect.in_model:
+                places += range(at, stop)
+            at = stop
+        theta, std, known = plain_estimate(moments, joint_weights)
+        shown = known[places]
+        return cls(
+            effects=tuple(effects),
+            places=np.array(places),
+            step=np.where(shown, theta[places], 0.0),
+            std=np.where(shown, std[places], np.nan),
+        )
+
+    def stay(self):
+        """Whether no value moves by more than a tenth of its standard error."""
+        with np.errstate(invalid="ignore"):
+            return not (np.abs(self.step) > STAYS * self.std).any()
+
+    def values(self):
+        """Present values, ndarray."""
+        own = [effect.values for effect in self.effects if effect.in_model]
+        return np.concatenate(own)
+
+    def corrected(self):
+        """Return the effects with corrected values, within those that are plausible."""
+        found, at = [], 0
+        for effect in self.effects:
+            if effect.in_model:
+                step = self.step[at : at + len(effect.coefficients)]
+                at += len(effect.coefficients)
+                effect = effect.at(_within(effect, step))
+            found.append(effect)
+        return tuple(found)
+
+    def tell_bounds(self, names):
+        """Warn of values at the bounds of what is plausible: they fit something else.
+
+        names : of the joints.
+        """
+        told = []
+        for effect in self.effects:
+            if not effect.in_model:
+                continue
+            low, high = effect.bounds()
+            near = (1 - _SHORT) * 0.1 * (high - low)
+            at = (effect.values < low + near) | (effect.values > high - near)
+            told += [
+                f"{name} of {effect.name} on {names[effect.joint]} ({value:.3g})"
+                for name, value, ends in zip(effect.tangent, effect.values, at)
+                if ends
+            ]
+        if told:
+            warnings.warn(
+                f"{', '.join(told)} went to the end of what is plausible: the "
+                "recording shows something else, or does not show it. Leave the effect "
+                "out, or look for a larger fault.",
+                UserWarning,
+                stacklevel=4,
+            )
+
+
+def _within(effect, step):
+    """Shorten a correction that leads out of the plausible values."""
+    low, high = effect.bounds()
+    room = np.where(step > 0, high, low) - effect.values
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(step == 0, np.inf, room / np.where(step == 0, 1.0, step))
+    return step if share.min() >= 1 else _SHORT * max(share.min(), 0.0) * step
+
+
+def tell_unsettled(values):
+    """Warn that values still move after all corrections."""
+    names = [effect.name for effect in values.effects if effect.in_model]
+    warnings.warn(
+        f"The values of {', '.join(dict.fromkeys(names))} still moved by more than a "
+        f"tenth of their standard errors after {MOST_CORRECTIONS} corrections: the "
+        "recording hardly tells them apart. Declare fewer of them.",
+        ConvergenceWarning,
+        stacklevel=3,
+    )

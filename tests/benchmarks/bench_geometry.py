@@ -113,7 +113,8 @@ def judge(recording, found):
     standing : dict of (str, int) to Fault
         Found faults that count as right, with the values that they should have.
     """
-    names = {(e.name, e.joint): set(_pairs(e)) for e in found}
+    joints = list(recording.model.names)[1:]
+    names = {(e.name, e.joint): set(rivals_of(e, joints)) for e in found}
     faults = {pair for pair in names if is_fault(pair)}
     taken, named, by_class = set(), [], []
     for entry in recording.truth:
@@ -152,14 +153,22 @@ def judge(recording, found):
     )
 
 
-def _pairs(effect):
-    """Name and joint of the rivals of an effect, which are names on its own joint."""
+def rivals_of(effect, joint_names):
+    """List name and joint of what cannot be told from an effect.
+
+    Parameters
+    ----------
+    effect : DiscoveredEffect
+        Its rivals are names, those on another joint with that joint's name.
+    joint_names : sequence of str
+        Names of the joints.
+    """
+    pairs = []
     for rival in effect.rivals:
-        if isinstance(rival, str):
-            # the base has no joint, so that its rivals and it as one are named alone
-            yield rival, (0 if rival == "base_tilt" else effect.joint)
-        else:
-            yield tuple(rival)
+        name, _, where = rival.partition(" on ")
+        own = 0 if name == "base_tilt" else effect.joint
+        pairs.append((name, list(joint_names).index(where) if where else own))
+    return pairs
 
 
 def judge_values(recording, found, standing):

@@ -40,6 +40,7 @@ from _protocol_sets import MANIPULATED_SETS, STAGES
 from _report import parser, publish, rst_table, rst_title
 from _undeclared_faults import PARAMETERS, Fault
 from _undeclared_told_apart import Teller
+from bench_geometry import rivals_of
 from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, effects
@@ -196,7 +197,7 @@ def close(identifier, model, q, tau, groups, **settings):
                 "values": [
                     float(e.parameters[name]) for name in PARAMETERS.get(e.name, ())
                 ],
-                "rivals": [str(rival) for rival in e.rivals],
+                "rivals": rivals_of(e, loop.joint_names_),
             }
             for e in loop.effects_
         ],
@@ -290,10 +291,7 @@ def verdict(case, answer, reference):
         if off <= TOLERANCE * size:
             return "named", True
         return "named, value off", expected == "either"
-    if any(
-        fault.name in e["rivals"] and (e["joint"] == fault.joint)
-        for e in answer["found"]
-    ):
+    if any(list(fault.key) in map(list, e["rivals"]) for e in answer["found"]):
         return "as a rival", expected != "hidden"
     if new:
         return ("named though hidden" if expected == "hidden" else "misnamed"), False

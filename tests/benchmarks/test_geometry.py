@@ -317,8 +317,14 @@ def test_wrong_names_are_counted(tilted):
     named, _, faulty, others, standing = bench.judge(tilted, found)
     assert (named, faulty, others) == ([False], [("joint_zero", 3)], [("spring", 2)])
     assert standing == {}
-    by_rival = bench.judge(tilted, [effect("offset", 0, ("base_tilt",))])
+    by_rival = bench.judge(tilted, [effect("offset", 3, ("base_tilt",))])
     assert by_rival[:4] == ([True], [True], [], [])
+
+
+def test_rivals_are_on_their_own_joint_or_on_one_that_is_named():
+    rivals = ("ripple", "joint_axis on joint_5", "base_tilt")
+    pairs = bench.rivals_of(effect("spring", 2, rivals), ["joint_4", "joint_5"])
+    assert pairs == [("ripple", 2), ("joint_axis", 1), ("base_tilt", 0)]
 
 
 def test_intervals_are_judged(tilted):

@@ -363,6 +363,33 @@ def test_a_case_is_judged_from_end_to_end():
     assert [task["seed"] for task in tasks] == [3, 3, 4, 4]
 
 
+def test_a_tilt_is_named_and_valued():
+    given = {"arm_name": "ur", **SHORT}
+    task = {"kind": "tilt", "seed": 0}
+    result = bench.run(task, given, effects=["base_tilt", "offset"], max_effects=1)
+    assert result["named"] == [True]
+    assert not result["wrong_faults"]
+    assert not result["wrong_others"]
+    for row in result["values"]:
+        assert row["value"] == pytest.approx(row["true"], abs=np.deg2rad(0.3))
+    ratio = np.array(result["after"]) / np.array(result["floor"])
+    assert ratio.max() < 1.3
+    assert ": named" in bench.line(result)
+
+
+def test_gains_of_all_channels_are_fitted():
+    given = {"arm_name": "ur", **SHORT}
+    result = bench.run({"kind": "gains", "seed": 0}, given)
+    gains = result["gains"]
+    assert len(gains) == 5
+    # 12 s leave the gains open to one or two per cent
+    off = [abs(gain["value"] / gain["true"] - 1.0) for gain in gains]
+    assert max(off) < 0.1
+    text = bench.report([result])
+    assert f"{100 * np.median(off):.2f} %" in text
+    assert f"of {len(gains)} gains" in bench.line(result)
+
+
 # -- real recordings -------------------------------------------------------------------
 
 

@@ -239,11 +239,12 @@ class Hidden:
         Joint, from zero.
     joint_name : str
         Its name.
-    reason : {"span", "excitation", "signal"}
+    reason : {"span", "excitation", "signal", "together"}
         It lies in the span of the declared columns whatever the motion; it does so in
-        this recording; or it needs a signal that is not there.
+        this recording; it needs a signal that is not there; or it shows, but only
+        together with another effect.
     remedy : str
-        What to record.
+        What to record; the name of the other effect.
     """
 
     name: str
@@ -350,3 +351,10 @@ class Outcome:
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)
     outside: tuple = ()
+
+
+def named_beside(effect, chosen, names):
+    """Name an effect beside another, with its joint where that is a different one."""
+    if effect.joint == chosen.joint or effect.scope == "robot":
+        return effect.name
+    return f"{effect.name} on {names[effect.joint]}"

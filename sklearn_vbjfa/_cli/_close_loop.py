@@ -28,7 +28,7 @@ def add_to(commands):
         "recording",
         metavar="RECORDING",
         help="CSV, npz or parquet file with columns q1..qn [rad or m], tau1..taun "
-        "[N m or N] and, optionally, t [s] and segment",
+        "[N m or N] and, optionally, t [s], segment, and signals such as a temperature",
     )
     parser.add_argument(
         "--urdf", required=True, metavar="FILE", help="description of the robot"
@@ -62,6 +62,13 @@ def add_to(commands):
         default="all",
         metavar="NAMES",
         help="effects to look for, by default all; see the command effects",
+    )
+    parser.add_argument(
+        "--signals",
+        default=None,
+        metavar="NAMES",
+        help="other columns of RECORDING that friction and offsets may vary with, such "
+        "as temperature,voltage; by default all that hold numbers; none for none",
     )
     parser.add_argument(
         "--cutoff",
@@ -111,6 +118,7 @@ def run(arguments):
         urdf, held = _input.robot(urdf, joints, Path(folder))
         recording = _input.read(source, arguments.dt, urdf, joints)
         _input.check_nyquist(cutoff, recording, source)
+        signals = _input.signals(arguments.signals, recording, source)
         try:
             loop = _close(
                 recording,
@@ -121,6 +129,7 @@ def run(arguments):
                 ceiling=arguments.ceiling,
                 seed=seed,
                 torque_noise=recording.torque_noise,
+                signals=signals,
             )
         except (ValueError, ProjectionError) as error:
             # The options are valid, so the recording is at fault.
@@ -164,6 +173,7 @@ def _close(
     ceiling=True,
     seed=0,
     torque_noise=None,
+    signals=None,
 ):
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
@@ -177,7 +187,8 @@ def _close(
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed, verbose=True
     )
-    return loop.fit(recording.q, recording.tau, groups=recording.groups)
+    given = {"groups": recording.groups, "signals": signals}
+    return loop.fit(recording.q, recording.tau, **given)
 
 
 def _write(loop, out):

@@ -14,6 +14,7 @@ from sklearn_vbjfa import effects
 from sklearn_vbjfa.effects import Effect, Motion
 from sklearn_vbjfa.effects._hysteresis import dahl, play
 from tests.effects._arms import (
+    Derivatives,
     arm,
     dahl_in_small_steps,
     inverse_dynamics,
@@ -25,16 +26,23 @@ from tests.effects._arms import (
 
 # The guide pins the names and their order; tests/test_docs.py compares.
 NAMES = effects.available()
+# Effects of the robot's geometry: their columns need the bodies.
+GEOMETRY = ("base_tilt", "joint_zero", "joint_axis")
+BODIES = ("elastic", "payload", *GEOMETRY)
 # Two joints: q1 q2 v1 v2 a1 a2
 T, X = motion(2, duration=6.0, seed=3)
 Q, V, A = np.split(X, 3, axis=1)
 LOAD = np.column_stack([3 * np.sin(2 * T) - 1, 2 * np.cos(3 * T)])
+# Beside the motion: a temperature that rises and falls, and a tool that is used once.
+RECORDED = {"temperature": 30 + 8 * np.sin(0.9 * T), "tool": 1.0 * (T > 3)}
 
 
 def library_effect(name, joint=0):
     (effect,) = effects.resolve(name)
     if name == "payload":
         joint = 1
+    if name == "signal":
+        effect.set_params(signal="temperature")
     return effect.set_params(joint=joint)
 
 
@@ -51,14 +59,16 @@ def signals(prismatic=(False, False), scale=1.0, **changed):
             "prismatic": np.array(prismatic),
             "rigid": lambda q, v, a: inverse_dynamics(model, np.hstack([q, v, a])),
             "last_body": lambda: last_body_regressor(model, X),
+            "derivatives": Derivatives(model, X),
             "bandwidth": 5.0,
+            "signals": RECORDED,
             **changed,
         }
     )
 
 
 def transform(effect, **given):
-    given = {"t": T, "load": LOAD, **given}
+    given = {"t": T, "load": LOAD, "signals": RECORDED, **given}
     return effect.fit(X).transform(X, **given)
 
 
@@ -102,7 +112,7 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
     assert set(effect.continuous) <= set(effect.get_params())
     # A jerk is no simpler than the delay or filter that it may stand for.
     assert effect.complexity == k + len(effect.continuous) + (name == "jerk")
-    assert set(effect.needs) <= {"time", "load"}
+    assert set(effect.needs) <= {"time", "load", "signals"}
     assert effect.visible
 
 
@@ -114,8 +124,10 @@ def test_parameters_have_units(name, prismatic):
     units = effect.parameter_units(prismatic)
     assert all(isinstance(value, float) for value in values.values())
     assert set(values) | set(effect.continuous) <= set(units)
+    # What turns by an angle does so on a joint that slides as well.
+    angles = {"phase", "roll", "pitch", "about_x", "about_y"}
     assert "rad" not in " ".join(
-        unit for key, unit in units.items() if prismatic and key != "phase"
+        unit for key, unit in units.items() if prismatic and key not in angles
     )
 
 
@@ -128,6 +140,8 @@ def test_scikit_learn_contract(name):
     used = set(effect.get_params()) - {"joint"}
     if name == "counterbalance":
         used -= {"ratio", "angle"}  # of its other form
+    if name == "torque_gain":
+        used -= {"limit"}  # of what is plausible
     assert set(effect.shape()) == used
     assert effect.set_params(joint=1) is effect
     assert effect.joint == 1
@@ -250,7 +264,20 @@ def closed_forms():
             [w - v, np.sign(w - v), A[:, 0] - a],
         ),
         "delay": ({"delay": 0.034}, [(lagged - load) / 0.034]),
+        "torque_gain": ({"gain": 1.6}, [load / 1.6]),
         "jerk": ({}, [np.r_[a[1] - a[0], (a[2:] - a[:-2]) / 2, a[-1] - a[-2]] / 0.01]),
+        "signal": (
+            {"reference": 25.0},
+            [sign * (5 + 8 * np.sin(0.9 * T))],
+        ),
+        "signal offset": (
+            {"signal": "tool", "of": "offset"},
+            [np.r_[np.zeros(301), np.ones(T.size - 301)]],
+        ),
+        "signal viscous": (
+            {"of": "viscous", "reference": 30.0},
+            [v * 8 * np.sin(0.9 * T)],
+        ),
         "drift": ({"time_constant": 7.0}, [sign * np.exp(-T / 7)]),
         "drift offset": (
             {"of": "offset", "time_constant": 7.0},
@@ -419,15 +446,21 @@ def recordings_of(effect):
     half = T.size // 2
     groups = np.r_[np.zeros(half), np.ones(T.size - half)]
     effect = effect.fit(X)
-    together = effect.transform(X, t=T, load=LOAD, groups=groups)
+    given = {"t": T, "load": LOAD}
+    together = effect.transform(X, **given, signals=RECORDED, groups=groups)
     parts = [
-        effect.transform(X[part], t=T[part], load=LOAD[part])
+        effect.transform(
+            X[part],
+            **{key: values[part] for key, values in given.items()},
+            signals={key: values[part] for key, values in RECORDED.items()},
+        )
         for part in (slice(0, half), slice(half, None))
     ]
-    return together, np.concatenate(parts), effect.transform(X, t=T, load=LOAD)
+    whole = effect.transform(X, **given, signals=RECORDED)
+    return together, np.concatenate(parts), whole
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if n not in ("elastic", "payload")])
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in BODIES])
 def test_nothing_is_remembered_across_recordings(name):
     effect = library_effect(name)
     memory = name in ("delay", "torque_filter", "jerk", "presliding", "backlash")
@@ -520,7 +553,7 @@ def test_a_joint_that_does_not_move_has_no_ripple():
     assert effects.Ripple().shapes(still) == []
 
 
-SCALED = [n for n in NAMES if n not in ("counterbalance", "elastic", "payload")]
+SCALED = [n for n in NAMES if n not in ("counterbalance", *BODIES)]
 
 
 @pytest.mark.parametrize("name", SCALED)
@@ -573,6 +606,10 @@ def test_parameters_mean_what_they_are_called():
 def test_keys_tell_uses_apart_but_not_shapes():
     assert effects.Stribeck(vs=0.1, k=1).key() == effects.Stribeck(vs=0.2, k=2).key()
     assert effects.Drift(of="offset").key() != effects.Drift(of="coulomb").key()
+    here, there = (effects.Signal(signal="T", reference=x) for x in (0.0, 30.0))
+    assert here.key() == there.key()
+    assert here.key() != effects.Signal(signal="U").key()
+    assert here.key() != effects.Signal(signal="T", of="viscous").key()
     assert effects.Coupling(other=1).key() != effects.Coupling(other=2).key()
     assert effects.Coulomb(0).key() != effects.Coulomb(1).key()
 
@@ -584,13 +621,13 @@ def test_keys_tell_uses_apart_but_not_shapes():
 def test_missing_signals_are_named(name):
     effect = library_effect(name)
     for need in effect.needs:
-        given = {"t": T, "load": LOAD}
-        given.pop({"time": "t", "load": "load"}[need])
+        given = {"t": T, "load": LOAD, "signals": RECORDED}
+        given.pop({"time": "t"}.get(need, need))
         with pytest.raises(ValueError, match=f"{name} on joint . *: needs"):
             effect.fit(X).transform(X, **given)
 
 
-@pytest.mark.parametrize("name", ["elastic", "payload"])
+@pytest.mark.parametrize("name", BODIES)
 def test_effects_of_the_bodies_ask_for_them(name):
     with pytest.raises(ValueError, match="needs the rigid-body dynamics"):
         transform(library_effect(name))

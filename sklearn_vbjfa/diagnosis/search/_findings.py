@@ -10,6 +10,7 @@ from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
 from sklearn_vbjfa.effects import EffectRange
+from sklearn_vbjfa.robot._corrections import Corrections
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +62,8 @@ class DiscoveredEffect:
     evidence : Evidence
         What leaving it out of the final model would cost, by blocks of time.
     rivals : tuple of str
-        Other effects that this data cannot tell from it.
+        Other effects that this data cannot tell from it; another use of the same one
+        with what sets it apart, such as "signal: voltage".
     effect : Effect
         The transformer itself.
     ranges : EffectRange or None
@@ -320,6 +322,9 @@ class Outcome:
         part, its recordings joined [s]; "maps" has a `Map` of some joints.
     outside : tuple of OutsideRange
         Where the untouched part leaves what the judged model was fitted on.
+    corrections : Corrections
+        What effects in the model that is handed over ask for: of the base, of encoders,
+        of axes, of torque channels.
     """
 
     declared: dict
@@ -351,10 +356,11 @@ class Outcome:
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)
     outside: tuple = ()
+    corrections: Corrections = field(default_factory=Corrections)
 
 
 def named_beside(effect, chosen, names):
     """Name an effect beside another, with its joint where that is a different one."""
     if effect.joint == chosen.joint or effect.scope == "robot":
-        return effect.name
-    return f"{effect.name} on {names[effect.joint]}"
+        return effect.told_beside(chosen)
+    return f"{effect.told_beside(chosen)} on {names[effect.joint]}"

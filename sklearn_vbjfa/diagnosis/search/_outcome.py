@@ -25,6 +25,7 @@ from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, qu
 from sklearn_vbjfa.diagnosis.search._motion import motion_limits
 from sklearn_vbjfa.diagnosis.search._search import STEP_UP
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
+from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._known import body_masses
 
@@ -86,6 +87,7 @@ def make_outcome(search, models, judgement, channels, asked, recordings=()):
         contradictions=contradictions(models.final, spread, float(asked["alpha"])),
         curves=_curves(models.judged, judgement.before, judgement.after, maps),
         outside=judgement.outside,
+        corrections=corrections_of(models.final.identifier),
     )
 
 
@@ -121,9 +123,8 @@ def _effects(search, final, names, prismatic):
     rivals = {}
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
-            rivals[step.effect.key()] = tuple(
-                named_beside(c.effect, step.effect, names) for c in step.rivals
-            )
+            told = (named_beside(c.effect, step.effect, names) for c in step.rivals)
+            rivals[step.effect.key()] = tuple(dict.fromkeys(told))
     # The effects of the declared model come first.
     count = len(final.effects)
     ranges = final.identifier.effect_ranges_[-count:] if count else ()
@@ -274,6 +275,7 @@ def _settings(search, judgement, asked):
         "last_n_tests": int(search.n_tests),
         "smallest_gain": SMALLEST_GAIN,
         "effects": tuple(e.name for e in search.library),
+        "signals": tuple(view.signals),
         "n_blocks": view.blocks.n_blocks,
         "block_seconds": float(view.blocks.length),
         "n_folds": view.blocks.n_folds,

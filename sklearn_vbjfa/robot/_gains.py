@@ -10,7 +10,7 @@ its share is subtracted, as in generalised total least squares. The smallest eig
 of what remains are the inverse gains, and the rest is their information.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import linalg
@@ -138,8 +138,9 @@ def channel_noise(moments):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Information:
-    """Information (k, k) on the logarithms of inverse gains, and its size without
-    anything else to fit, the diagonal (k,).
+    """Information (k, k) on the logarithms of inverse gains.
+
+    `size` is its diagonal (k,) where nothing else has to be fitted.
     """
 
     matrix: np.ndarray
@@ -186,7 +187,7 @@ def _spread(found):
 
 
 def _grouped(spread, strength, references):
-    """Reference of each joint (nv,), from the variances of ratios (nv, nv).
+    """Find each joint's reference (nv,) from the variances of ratios (nv, nv).
 
     Joints belong together whose ratio is known better than that it is plausible. Of
     them the one is the reference from which the others are known best, whatever their
@@ -259,13 +260,14 @@ class ChannelGains:
         mass says how much that is. 1 (relative) where the recording does not show it.
     std : ndarray of shape (nv,)
         Standard deviations; 0 for a reference, which is the unit, nan where the
-        recording does not show the gain. 90 % intervals are plus or minus 1.645 of
-        them.
+        recording does not show the gain.
     reference : ndarray of shape (nv,) of int
         Joint whose channel each is relative to: itself for a reference and for a joint
         whose gain is not shown relative to any other.
     common : CommonGain
         What fixes the common factor.
+    intervals : ndarray of shape (2, nv)
+        Ends of the 90 % intervals; nan where the recording does not show the gain.
     """
 
     joint_names: tuple
@@ -273,6 +275,12 @@ class ChannelGains:
     std: np.ndarray
     reference: np.ndarray
     common: object
+    intervals: np.ndarray = field(init=False)
+
+    def __post_init__(self):
+        half = HALF_WIDTH * self.std
+        ends = np.stack([self.gain - half, self.gain + half])
+        object.__setattr__(self, "intervals", ends)
 
     @property
     def references(self):
@@ -291,10 +299,6 @@ class ChannelGains:
     def absolute(self):
         """Whether a known mass fixes what a gain of 1 is."""
         return self.common.factor is not None
-
-    def intervals(self):
-        """Ends of the 90 % intervals, ndarray of shape (2, nv)."""
-        return self.gain + np.outer([-HALF_WIDTH, HALF_WIDTH], self.std)
 
 
 def channel_gains(robot, relative, common, places):
@@ -335,3 +339,15 @@ def check_gains(gains, joint_names):
             "gains='unknown' needs several joints that move the same bodies: the gain "
             f"of the only one, {joint_names[0]}, is in every parameter."
         )
+
+
+def note_of_gains(gains):
+    """Say in which unit the parameters of an identified robot are; empty for SI."""
+    if gains is None or gains.absolute:
+        return ""
+    names = [gains.joint_names[j] for j in gains.references]
+    of = f"relative to that of {', '.join(names)}" if names else "not shown"
+    return (
+        f"The gains of the torque channels are {of}: masses, inertias and friction are "
+        "in units of that channel, not in kg and N m."
+    )

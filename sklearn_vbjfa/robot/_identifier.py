@@ -38,6 +38,7 @@ from sklearn_vbjfa.robot._gains import (
     check_gains,
     declared_gains,
     gain_places,
+    note_of_gains,
     relative_gains,
     with_gains,
 )
@@ -45,7 +46,6 @@ from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._known import note_of_masses
 from sklearn_vbjfa.robot._known_masses import (
-    CommonGain,
     check_masses,
     common_gain,
     mass_places,
@@ -440,7 +440,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
                 found = self._corrections(recording, states, relative)
         found.tell_bounds(self.joint_names_)
         if relative is not None:
-            common = self._scale(recording, states, relative, found)
+            common, covariance = self._common_gain(relative, found)
+            if common.factor is not None:
+                self._scale(recording, states, common.factor)
         values = found.values_of(self.effects_)
         self.theta_[found.places] = values
         self.theta_unconstrained_[found.places] = values
@@ -449,31 +451,39 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             at = gain_places(self.effects_, self.features_.n_parameters_)
             if common.factor is not None:
                 # What is one relative to itself is the factor.
-                self.theta_std_[[at[j] for j in relative.references]] = 0.0
-            self.theta_std_ = common.widened(
-                self.theta_, self.theta_std_, self.parameter_units_, at
-            )
+                self.theta_std_[at[relative.references]] = 0.0
+                self.theta_std_ = common.widened(
+                    self.theta_,
+                    self.theta_std_,
+                    self.parameter_units_,
+                    at,
+                    covariance,
+                )
             self.gains_ = channel_gains(self, relative, common, at)
         self.identifiable_[found.places] = np.isfinite(self.theta_std_[found.places])
         self._spreads = tuple(
             Spread.of_deviations(deviations)
             for deviations in self._split(self.theta_std_)
         )
-        return segments(
-            recording, states, self._plan, self.features_, theta=self._load
-        )
+        return segments(recording, states, self._plan, self.features_, theta=self._load)
 
-    def _scale(self, recording, states, relative, found):
-        """Fix the common gain by known masses, and fit again with it, `CommonGain`."""
+    def _common_gain(self, relative, found):
+        """Find the common gain that known masses ask for, see `common_gain`."""
         model, n_rigid = self.features_.model_, self.features_.n_parameters_
         places = mass_places(self._masses, model, self.effects_, n_rigid)
-        common = common_gain(self._masses, places, self.theta_, found.estimate)
-        if common.factor is None or len(relative.references) != 1:
-            return common.given_up()
-        self._correct(with_gains(self.effects_, common.factor * self.features_.gains_))
-        self._load = self._load / common.factor
+        common, covariance = common_gain(
+            self._masses, places, self.theta_, found.estimate
+        )
+        if len(relative.references) != 1:
+            # Gains of joints that share nothing have no common factor.
+            return common.given_up(), None
+        return common, covariance
+
+    def _scale(self, recording, states, factor):
+        """Fit again with all gains multiplied, and torques in their own unit."""
+        self._correct(with_gains(self.effects_, factor * self.features_.gains_))
+        self._load = self._load / factor
         self._fit_again(recording, states)
-        return common
 
     def _fit_again(self, recording, states):
         """Fit the parameters with the values of effects as they are."""
@@ -1055,7 +1065,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             self._bodies(),
             self.features_.friction_,
             self.min_eigenvalues_,
-            note_of_masses(self),
+            " ".join(filter(None, (note_of_gains(self.gains_), note_of_masses(self)))),
         )
 
 
@@ -1080,11 +1090,12 @@ def conclude(identifier, plan, moments):
 def corrected(identifier, effects):
     """Return a fitted identifier with its robot corrected, parameters as they were.
 
-    effects : `ModelEffect` of those that correct it, beside its own.
+    effects : `ModelEffect` of those that correct it, beside its own, or in place of
+    them where they are the same with other values.
     """
     other = copy.copy(identifier)
-    own = (*identifier.effects_, *effects)
-    other.features_ = identifier.features_.corrected(own)
+    own = {effect.key(): effect for effect in (*identifier.effects_, *effects)}
+    other.features_ = identifier.features_.corrected(own.values())
     return other
 
 
@@ -1205,6 +1216,18 @@ def tell_spreads(identifier, estimates):
     if estimates:
         own = [Spread(shape=one.shape, covariance=one.covariance) for one in estimates]
         identifier._spreads = (*identifier._spreads[: -len(own)], *own)
+
+
+def asked_again(identifier):
+    """Parameters for a fit with the effects of a fitted identifier, a dict.
+
+    Channels that were the units of gains stay that.
+    """
+    asked = {"effects": identifier.effects_}
+    if identifier.gains_ is not None:
+        names = identifier.joint_names_
+        asked["gains"] = tuple(names[j] for j in identifier.gains_.references)
+    return asked
 
 
 def load_parameters(identifier):

@@ -16,6 +16,7 @@ from scipy import linalg, stats
 from sklearn_vbjfa.effects import Payload
 from sklearn_vbjfa.model._loading import body_names
 from sklearn_vbjfa.robot._estimate import LOST
+from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
 PAYLOAD = "payload"
 # Known masses disagree if chance alone would do so less often.
@@ -63,15 +64,12 @@ class CommonGain:
         The masses that were given.
     p_value : float
         Probability of masses that disagree as much by chance; nan for a single one.
-    covariance : ndarray of shape (p,) or None
-        Of the factor with the parameters in units of the reference channel.
     """
 
     factor: float | None = None
     std: float = float("nan")
     masses: tuple = ()
     p_value: float = float("nan")
-    covariance: np.ndarray | None = None
 
     @property
     def agree(self):
@@ -82,22 +80,20 @@ class CommonGain:
         """Return the same with nothing that is fixed."""
         return CommonGain(masses=self.masses)
 
-    def widened(self, theta, std, units, gains):
+    def widened(self, theta, std, units, gains, covariance):
         """Deviations (p,) of parameters with that of the common gain.
 
         theta : parameters in kg and N m (p,); std : deviations of the same with the
         factor as it is, gains relative to a reference; units : of the parameters;
-        gains : places of gains among them.
+        gains : places of gains among them; covariance : see `common_gain`.
         """
-        if self.factor is None:
-            return std
         power = np.array([_power(unit) for unit in units])
         power[gains] = 1
         # A parameter is what it was in relative units times this power of the factor.
         scale = float(self.factor) ** power
         std = np.where(np.isin(np.arange(std.size), gains), std * scale, std)
         share = self.std / self.factor
-        both = 2 * power * theta / self.factor * scale * self.covariance
+        both = 2 * power * theta / self.factor * scale * covariance
         return np.sqrt(np.maximum(std**2 + (power * theta * share) ** 2 + both, 0.0))
 
 
@@ -151,10 +147,12 @@ def mass_places(masses, model, effects, n_rigid):
 
 
 def common_gain(masses, places, theta, estimate):
-    """Find the common gain that known masses ask for, a `CommonGain`.
+    """Find the common gain that known masses ask for.
 
-    Every sum of known masses that the recording determines is one equation, and all of
-    them together are weighted by what they are known to.
+    Returns a `CommonGain`, and the covariance (p,) of its factor with the parameters in
+    units of the reference channel, or None if nothing fixes it. Every
+    sum of known masses that the recording determines is one equation; all of them are
+    weighted by how well they are known.
 
     masses : dict of str to float; places : their `mass_places`; theta : parameters of
     the fit (p,); estimate : `PlainEstimate` of the same, with the relative gains beside
@@ -166,7 +164,7 @@ def common_gain(masses, places, theta, estimate):
         if name not in {name for name, _, _ in places}
     )
     if not places:
-        return CommonGain(masses=missing)
+        return CommonGain(masses=missing), None
     names, given, at = zip(*places)
     at = np.array(at)
     # What is put down is a change by minus its mass.
@@ -189,31 +187,27 @@ def common_gain(masses, places, theta, estimate):
     sums = _determined(estimate.eigen, at) * sign[:, None]
     y, x = given @ sums, own @ sums
     V = sums.T @ covariance @ sums
+    nothing = CommonGain(masses=told + missing), None
     if not y.size:
-        return CommonGain(masses=told + missing)
+        return nothing
     inverse = linalg.pinvh(V)
     information = float(y @ inverse @ y)
     if not information > 0:
-        return CommonGain(masses=told + missing)
+        return nothing
     weight = inverse @ y / information
     factor, std = float(weight @ x), 1.0 / np.sqrt(information)
     rest = x - factor * y
     excess = float(rest @ inverse @ rest)
     p_value = float(stats.chi2.sf(excess, y.size - 1)) if y.size > 1 else np.nan
     # A mass that may as well be none says nothing of the scale.
-    if not factor > 1.645 * std:
-        return CommonGain(masses=told + missing)
-    return CommonGain(
-        factor=factor,
-        std=std,
-        masses=told + missing,
-        p_value=p_value,
-        covariance=estimate.covariance[:, at] @ (sums @ weight * sign),
-    )
+    if not factor > HALF_WIDTH * std:
+        return nothing
+    common = CommonGain(factor=factor, std=std, masses=told + missing, p_value=p_value)
+    return common, estimate.covariance[:, at] @ (sums @ weight * sign)
 
 
 def _determined(eigen, at):
-    """Sums of parameters at some places that the data determine, (k, number of them).
+    """Find sums of parameters at k places that the data determine, (k, number).
 
     Those whose direction has nothing in the null space of the Gram matrix.
     """

@@ -103,8 +103,9 @@ class ModelValues:
             if not effect.in_model:
                 continue
             low, high = effect.bounds()
-            near = (1 - _SHORT) * 0.1 * (high - low)
-            at = (effect.values < low + near) | (effect.values > high - near)
+            near = (1 - _SHORT) * 0.2
+            below = effect.values < low + near * (effect.idle - low)
+            at = below | (effect.values > high - near * (high - effect.idle))
             told += [
                 f"{name} of {effect.name} on {names[effect.joint]} ({value:.3g})"
                 for name, value, ends in zip(effect.tangent, effect.values, at)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.report import _limits, _remains, _verdict
+from sklearn_vbjfa.diagnosis.report import _gains, _limits, _remains, _verdict
 from sklearn_vbjfa.diagnosis.report import _ranges as ranges
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import (
@@ -288,6 +288,19 @@ def _recordings(outcome, verdict):
     """Say first what is wrong with recordings, then what their motion leaves open."""
     found = _limits.contradiction_sentences(outcome) + _limits.motion_sentences(outcome)
     return _paragraph("Limits of the recordings", found)
+
+
+def _channel_gains(outcome, verdict):
+    found = _gains.gain_sentences(outcome)
+    if not found:
+        return _paragraph("Gains of the torque channels", found)
+    heads = ("joint", "gain", "90 % interval", "relative to")
+    return Section(
+        heading="Gains of the torque channels",
+        sentences=found,
+        table=Table(heads=heads, rows=_gains.gain_rows(outcome)),
+        terminal=(" ".join(found), Table(heads=heads, rows=_gains.gain_rows(outcome))),
+    )
 
 
 def _masses(outcome, verdict):
@@ -738,6 +751,7 @@ SECTIONS = (
     _unexplained,
     _record_next,
     _hidden,
+    _channel_gains,
     _masses,
     _channels,
     _residuals,

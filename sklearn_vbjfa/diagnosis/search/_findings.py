@@ -10,6 +10,7 @@ from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
 from sklearn_vbjfa.effects import EffectRange
+from sklearn_vbjfa.robot._gains import ChannelGains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -319,6 +320,9 @@ class Outcome:
         part, its recordings joined [s]; "maps" has a `Map` of some joints.
     outside : tuple of OutsideRange
         Where the untouched part leaves what the judged model was fitted on.
+    gains : ChannelGains or None
+        Gains of the torque channels in the model that is handed over; None unless they
+        were unknown.
     """
 
     declared: dict
@@ -350,3 +354,4 @@ class Outcome:
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)
     outside: tuple = ()
+    gains: ChannelGains | None = None

@@ -8,7 +8,7 @@ first moments of the bodies before them. The change of mass when something is pi
 is a difference, and shown by every motion against gravity.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, stats
@@ -40,6 +40,8 @@ class KnownMass:
         Its standard deviation.
     shown : bool
         Whether the recording determines it by itself.
+    used : bool
+        Whether it is part of what fixes the common gain.
     """
 
     name: str
@@ -47,6 +49,7 @@ class KnownMass:
     found: float
     std: float
     shown: bool
+    used: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +81,7 @@ class CommonGain:
 
     def given_up(self):
         """Return the same with nothing that is fixed."""
-        return CommonGain(masses=self.masses)
+        return CommonGain(masses=tuple(replace(m, used=False) for m in self.masses))
 
     def widened(self, theta, std, units, gains, covariance):
         """Deviations (p,) of parameters with that of the common gain.
@@ -202,6 +205,11 @@ def common_gain(masses, places, theta, estimate):
     # A mass that may as well be none says nothing of the scale.
     if not factor > HALF_WIDTH * std:
         return nothing
+    share = np.abs(sums @ weight)
+    told = tuple(
+        replace(one, used=bool(own > LOST * share.max()))
+        for one, own in zip(told, share)
+    )
     common = CommonGain(factor=factor, std=std, masses=told + missing, p_value=p_value)
     return common, estimate.covariance[:, at] @ (sums @ weight * sign)
 

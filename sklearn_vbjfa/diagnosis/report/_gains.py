@@ -5,7 +5,7 @@ import numpy as np
 from sklearn_vbjfa.diagnosis.report import _words as words
 
 _PAYLOAD = (
-    "a known payload that is picked up or put down in the recording, or between two "
+    "; a known payload that is picked up or put down in the recording, or between two "
     "of them, can (--known-mass payload=KG)"
 )
 
@@ -59,6 +59,7 @@ def _unit(outcome, gains):
         masses = [
             f"{_called(known)} of {words.number(known.mass)} kg"
             for known in common.masses
+            if known.used
         ]
         share = words.percent(1.645 * common.std / common.factor)
         return (
@@ -98,7 +99,7 @@ def _unused(gains, known):
     """Say why a known mass does not fix the common gain."""
     what = f"{_called(known)} ({words.number(known.mass)} kg)"
     what = f"{what[0].upper()}{what[1:]}"
-    if gains.absolute:
+    if known.used:
         return ""
     if len(gains.references) > 1:
         return (
@@ -117,7 +118,7 @@ def _unused(gains, known):
         )
     return (
         f"{what} cannot fix the common gain: torques show it only together with "
-        f"moments and masses of other bodies; {_PAYLOAD}."
+        f"moments and masses of other bodies{'' if gains.absolute else _PAYLOAD}."
     )
 
 

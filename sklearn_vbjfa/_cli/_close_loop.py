@@ -28,7 +28,7 @@ def add_to(commands):
         "recording",
         metavar="RECORDING",
         help="CSV, npz or parquet file with columns q1..qn [rad or m], tau1..taun "
-        "[N m or N] and, optionally, t [s] and segment",
+        "[N m or N] and, optionally, t [s], segment, and signals such as a temperature",
     )
     parser.add_argument(
         "--urdf", required=True, metavar="FILE", help="description of the robot"
@@ -81,6 +81,13 @@ def add_to(commands):
         "repeated",
     )
     parser.add_argument(
+        "--signals",
+        default=None,
+        metavar="NAMES",
+        help="other columns of RECORDING that friction and offsets may vary with, such "
+        "as temperature,voltage; by default all that hold numbers; none for none",
+    )
+    parser.add_argument(
         "--cutoff",
         default="auto",
         metavar="HZ",
@@ -131,6 +138,7 @@ def run(arguments):
         recording = _input.read(source, arguments.dt, urdf, joints)
         _input.check_nyquist(cutoff, recording, source)
         _input.check_gains(gains, masses, urdf)
+        signals = _input.signals(arguments.signals, recording, source)
         try:
             loop = _close(
                 recording,
@@ -143,6 +151,7 @@ def run(arguments):
                 torque_noise=recording.torque_noise,
                 gains=gains,
                 known_masses=masses,
+                signals=signals,
             )
         except (ValueError, ProjectionError) as error:
             # The options are valid, so the recording is at fault.
@@ -191,6 +200,7 @@ def _close(
     torque_noise=None,
     gains=None,
     known_masses=None,
+    signals=None,
 ):
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
@@ -206,7 +216,8 @@ def _close(
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed, verbose=True
     )
-    return loop.fit(recording.q, recording.tau, groups=recording.groups)
+    given = {"groups": recording.groups, "signals": signals}
+    return loop.fit(recording.q, recording.tau, **given)
 
 
 def _write(loop, out):

@@ -164,6 +164,28 @@ def read(source, dt, urdf, joints):
     return recording
 
 
+def signals(text, recording, source):
+    """Return the signals that were asked for, by name; None takes what there is."""
+    from sklearn_vbjfa.recording._signals import OfferedSignals
+
+    offered = OfferedSignals.of_file(recording)
+    if text is None:
+        return offered
+    if text.strip() == "none":
+        return None
+    known = offered.names
+    if not known:
+        raise ValueError(
+            f"--signals has {text!r}, but {source} holds no columns beside time, "
+            "positions, velocities, accelerations and torques."
+        )
+    found = names("--signals", text, known)
+    try:
+        return {name: offered.column(name, recording.n_samples) for name in found}
+    except ValueError as error:
+        raise ValueError(f"{source}: {error}") from None
+
+
 def check_folder(out):
     """Refuse, before the work begins, a folder that cannot be written to."""
     for folder in (out, *out.parents):

@@ -1,10 +1,11 @@
 """The discovery loop: residual, effect, refit, and the error on untouched data."""
 
 import contextlib
+from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
-from sklearn.utils.validation import check_array, check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
@@ -20,14 +21,20 @@ from sklearn_vbjfa.effects import TorqueGain, resolve
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
-from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
+from sklearn_vbjfa.recording._columns import (
+    columns_beside,
+    positions_in_order,
+    torques_in_order,
+)
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
+from sklearn_vbjfa.recording._signals import OfferedSignals, survey
 from sklearn_vbjfa.robot._identifier import (
     RecordingRegressorMixin,
     RobotIdentifier,
     asked_again,
     tell_spreads,
 )
+from sklearn_vbjfa.robot._plan import check_effects
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
 
@@ -222,7 +229,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.verbose = verbose
 
     @one_blas_thread()
-    def fit(self, X, y, groups=None, sample_weight=None, t=None):
+    def fit(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
         """Close the loop.
 
         Parameters
@@ -239,6 +246,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             Weights; zero leaves a sample out.
         t : array-like of shape (n_samples,), default=None
             Time [s], rising over all recordings; None counts the identifier's `dt`.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, such as a temperature, by name (or a
+            data frame): candidates for what friction and offsets vary with
+            (`effects.Signal`). Columns of a data frame X that are no channel of a joint
+            are candidates as well; of these, the report names those that cannot be
+            used.
 
         Returns
         -------
@@ -249,14 +262,21 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         ------
         ValueError
             If a parameter is invalid, the recording is too short for blocks of time,
-            or a channel is faulty (constant, of the wrong sign, swapped, in degrees).
+            a channel is faulty (constant, of the wrong sign, swapped, in degrees), or
+            one of `signals` is (constant, not finite, a position, velocity, torque or
+            time by another name).
         """
         library = self._check_parameters()
         model = load_model(self.identifier.model)
         whole = self._recording(model, X, y, groups, sample_weight, t)
+        declared = check_effects(self.identifier.effects, model.nv)
+        beside = columns_beside(X, self.joint_names_)
+        signals, unusable = survey(signals, beside, whole, (*library, *declared))
+        whole = replace(whole, signals=signals)
         with progress_bar(self.verbose) as say:
             say(0, "declared model")
             channels, silent = self._check_channels(model, whole)
+            channels += unusable
             split = split_in_time(
                 self.identifier, whole.inputs, whole.groups, self.test_size
             )
@@ -414,7 +434,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.report_ = Report(outcome)
         return self
 
-    def predict(self, X, groups=None, t=None):
+    def predict(self, X, groups=None, t=None, signals=None):
         """Predict the joint torques with the completed model.
 
         Parameters
@@ -425,6 +445,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             Labels of separate recordings.
         t : array-like of shape (n_samples,), default=None
             Time [s], on the clock of the fit.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, as for `fit`; needed if one of
+            `effects_` varies with them.
 
         Returns
         -------
@@ -432,9 +455,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             Joint torques [N m] or forces [N].
         """
         check_is_fitted(self)
-        X = positions_in_order(X, self.identifier_.joint_names_)
-        X = check_array(X, dtype=np.float64)
-        return self.identifier_.predict(X, groups=groups, t=t)
+        return self.identifier_.predict(X, groups=groups, t=t, signals=signals)
 
 
 def _names(whole, groups):
@@ -455,4 +476,5 @@ def _fitted(identifier, recording):
         recording.groups,
         recording.weight,
         t=recording.t,
+        signals=OfferedSignals(columns=recording.signals),
     )

@@ -13,6 +13,7 @@ from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signa
 from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording._recording import check_clock, take_arrays
+from sklearn_vbjfa.recording._signals import check_given, check_useful
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._recording_checks import check_weight
 
@@ -86,7 +87,9 @@ class ResidualAnalysis:
         )
 
 
-def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=None):
+def analyse_residuals(
+    identifier, X, y, groups=None, t=None, *, sample_weight=None, signals=None
+):
     """Look at what a declared model leaves of the torques.
 
     Each eighth block of time is predicted by the others: the residual of a fit to the
@@ -107,6 +110,9 @@ def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=No
         Time [s], rising over all recordings; None counts the identifier's `dt`.
     sample_weight : array-like of shape (n_samples,) or (n_samples, nv), default=None
         Weights; zero leaves a sample out.
+    signals : mapping of str to array-like of shape (n_samples,), default=None
+        Columns recorded beside the motion, such as a temperature, by name: what the
+        residual may vary with, and what effects of the model may need.
 
     Returns
     -------
@@ -116,7 +122,8 @@ def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=No
     Raises
     ------
     ValueError
-        If the recording is too short for blocks of time.
+        If the recording is too short for blocks of time, or one of `signals` is no
+        condition of the robot.
 
     See Also
     --------
@@ -142,7 +149,7 @@ def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=No
     y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
     weight = check_weight(sample_weight, y.shape)
     if not hasattr(identifier, "theta_"):
-        identifier = clone(identifier).fit(X, y, groups, weight, t=t)
+        identifier = clone(identifier).fit(X, y, groups, weight, t, signals)
     recording = take_arrays(
         X,
         y,
@@ -151,7 +158,9 @@ def analyse_residuals(identifier, X, y, groups=None, t=None, *, sample_weight=No
         check_clock(t, X.shape[0], identifier.dt),
         dt=identifier.dt,
         joint_names=identifier.joint_names_,
+        signals=check_given(signals, X.shape[0]),
     )
+    check_useful(recording.signals, recording)
     view = RecordingView(identifier, recording)
     base = BlockRegression(view.Z, view.target, view.precision, view.blocks)
     return _collect(identifier, view, base)

@@ -22,6 +22,7 @@ from sklearn_vbjfa.effects._in_model import (
 from sklearn_vbjfa.effects._library import available, resolve
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
 from sklearn_vbjfa.effects._ranges import EffectRange
+from sklearn_vbjfa.effects._signals import Signal
 from sklearn_vbjfa.effects._time import Drift, Payload
 
 __all__ = [
@@ -48,6 +49,7 @@ __all__ = [
     "Presliding",
     "Ripple",
     "RotorInertia",
+    "Signal",
     "Spring",
     "Stribeck",
     "TorqueFilter",

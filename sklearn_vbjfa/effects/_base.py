@@ -2,7 +2,7 @@
 
 import functools
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 
@@ -56,6 +56,9 @@ class Motion:
     since : float or None
         First time of the fit [s]: before it an effect of time is as it was then. None
         if that is not known, or this is the fit.
+    signals : mapping of str to ndarray of shape (n,)
+        What was recorded beside the motion (a temperature, a voltage), by name, in
+        units of its own.
     """
 
     q: np.ndarray
@@ -73,6 +76,7 @@ class Motion:
     begins: tuple | None = None
     rest: Rest | None = None
     since: float | None = None
+    signals: Mapping = field(default_factory=dict)
     _speeds: dict = field(default_factory=dict, repr=False)
 
     def __post_init__(self):
@@ -155,7 +159,7 @@ class Effect(TransformerMixin, BaseEstimator):
         Shape parameters and their units.
     contains : tuple of str
         Plainer effects that this one must beat: it is judged beside them.
-    needs : tuple of {"time", "load"}
+    needs : tuple of {"time", "load", "signals"}
         Signals besides the states.
     continuous : tuple of str
         Shape parameters that take any value between those of `shapes`.
@@ -168,6 +172,9 @@ class Effect(TransformerMixin, BaseEstimator):
         Those of them in which the torque jumps (an instant): they get no interval.
     partners : tuple of str
         Shape parameters that are the number of another joint.
+    apart : tuple of str
+        Shape parameters that make it another effect to an engineer (which signal):
+        where several do as well as the best, a search reports them as its rivals.
     tangent : tuple of str
         Parameters around which columns are linearised; `at` sets them.
     positive : tuple of str
@@ -223,6 +230,7 @@ class Effect(TransformerMixin, BaseEstimator):
     cyclic = ()
     jumping = ()
     partners = ()
+    apart = ()
     tangent = ()
     positive = ()
     nonnegative = ()
@@ -287,6 +295,14 @@ class Effect(TransformerMixin, BaseEstimator):
         fitted = dict(zip(self.coefficients, coef))
         return all(fitted[name] >= 0 for name in self.nonnegative)
 
+    @property
+    def recorded(self):
+        """Names of the recorded signals that it uses, tuple of str; `needs` "signals".
+
+        Empty for one that is not set to any yet.
+        """
+        return ()
+
     def opposite(self):
         """Return the effect mirrored in what must have a sign, such as a delay in time.
 
@@ -339,6 +355,23 @@ class Effect(TransformerMixin, BaseEstimator):
         """
         return cls.label or cls.name.replace("_", " ")
 
+    def told_beside(self, other):
+        """Return what to call the effect among the rivals of another one.
+
+        Its name; one of several uses on a joint says what sets it apart.
+
+        Parameters
+        ----------
+        other : Effect
+            What it cannot be told from.
+
+        Returns
+        -------
+        str
+            Name.
+        """
+        return self.name
+
     # -- derived ------------------------------------------------------------------
 
     @classmethod
@@ -351,6 +384,11 @@ class Effect(TransformerMixin, BaseEstimator):
     def complexity(self):
         """Number of coefficients and searched shape parameters."""
         return len(self.coefficients) + len(self.continuous)
+
+    @property
+    def everywhere(self):
+        """Whether all joints tell of the effect, not its own alone."""
+        return self.whole_robot or self.in_model
 
     def shape(self):
         """Shape parameters in use."""
@@ -396,7 +434,7 @@ class Effect(TransformerMixin, BaseEstimator):
         self.n_features_in_ = np.shape(X)[1]
         return self
 
-    def transform(self, X, *, t=None, load=None, groups=None):
+    def transform(self, X, *, t=None, load=None, groups=None, signals=None):
         """Compute the effect's columns.
 
         Parameters
@@ -409,6 +447,8 @@ class Effect(TransformerMixin, BaseEstimator):
             Torques of the rigid bodies [N m or N]; needed by effects of the load.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            What was recorded beside the motion; needed by effects that vary with it.
 
         Returns
         -------
@@ -420,13 +460,13 @@ class Effect(TransformerMixin, BaseEstimator):
         ValueError
             If a signal that the effect needs is missing.
         """
-        motion = self._motion(X, t, load, groups)
+        motion = self._motion(X, t, load, groups, signals)
         reason = self.applies(motion)
         if reason:
             raise ValueError(f"{self.name} on joint {self.joint + 1}: {reason}.")
         return self.columns(motion)
 
-    def _motion(self, X, t=None, load=None, groups=None):
+    def _motion(self, X, t=None, load=None, groups=None, signals=None):
         self.check()
         X = check_array(X, dtype=np.float64)
         nv = X.shape[1] // 3
@@ -459,6 +499,7 @@ class Effect(TransformerMixin, BaseEstimator):
             t=t,
             load=load,
             parts=_parts(groups, X.shape[0]),
+            signals=_checked(signals, X.shape[0]),
         )
 
     def get_feature_names_out(self, input_features=None):
@@ -540,3 +581,16 @@ def _parts(groups, n):
         )
     edges = np.r_[0, np.flatnonzero(labels[1:] != labels[:-1]) + 1, n]
     return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
+
+
+def _checked(signals, n):
+    """Return signals as arrays (n,) of floats, by name."""
+    found = {}
+    for name, values in ({} if signals is None else signals).items():
+        found[name] = check_array(values, ensure_2d=False, dtype=np.float64)
+        if found[name].shape != (n,):
+            raise ValueError(
+                f"signals[{name!r}] must hold one value per row, shape ({n},); got "
+                f"{found[name].shape}."
+            )
+    return found

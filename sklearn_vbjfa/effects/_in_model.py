@@ -339,10 +339,11 @@ class JointAxis(ModelEffect):
     The columns are the derivatives of the torque by these two turns, on all joints at
     once; with the joint's own `JointZero` they are all turns of its placement [1]_.
     It shows where weight or inertia is carried around the axis and the joints before it
-    move. It is hidden in the last joint, whose body, turned along, differs in products
-    of inertia only. Of a first joint it is a `BaseTilt`; about the axis of a
-    neighbouring joint it is that one's `JointZero`. Values within 10 degrees count as
-    plausible.
+    move; in the last joint too, whose torque is that about the turned axis. Of a first
+    joint it is a `BaseTilt`; about the axis of the joint before it, it is that one's
+    `JointZero`. Hidden is what would turn the axis about itself, and, for a joint that
+    carries no weight, what its inertia alone has to show. Values within 10 degrees
+    count as plausible.
 
     References
     ----------

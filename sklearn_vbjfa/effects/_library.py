@@ -16,6 +16,7 @@ from sklearn_vbjfa.effects._friction import (
 from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
 from sklearn_vbjfa.effects._in_model import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
+from sklearn_vbjfa.effects._signals import Signal
 from sklearn_vbjfa.effects._time import Drift, Payload
 
 _LIBRARY = {
@@ -39,6 +40,7 @@ _LIBRARY = {
         Delay,
         TorqueFilter,
         Jerk,
+        Signal,
         Drift,
         Payload,
         BaseTilt,

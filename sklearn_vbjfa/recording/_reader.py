@@ -8,6 +8,7 @@ import numpy as np
 
 from sklearn_vbjfa.recording._recording import Recording, _check_dt
 from sklearn_vbjfa.recording._resample import on_grid
+from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import Table, read_table
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
@@ -49,8 +50,9 @@ def read_recording(
     Returns
     -------
     recording : Recording
-        On a uniform time grid. Other numeric columns are in its `signals`, as are
-        accelerations ("a"). Where rows were interpolated, `torque_noise` is the white
+        On a uniform time grid. Other numeric columns are in its `signals` by their
+        names, as are accelerations ("a"); what is wrong with others is in `left_out`.
+        Where rows were interpolated, `torque_noise` is the white
         noise that the torques had before.
 
     Raises
@@ -110,7 +112,7 @@ def read_recording(
     t, labels, special = _time_and_segments(table)
     taken |= special
     notes = []
-    signals = _signals(table, taken, notes)
+    signals, left_out = _signals(table, taken, notes)
     dt = _given_period(table, dt, t)
     fields = on_grid(table, t, labels, dt, {**channels, **signals}, notes)
     for note in notes:
@@ -123,6 +125,7 @@ def read_recording(
         torque_units=tuple("N" if slide else "N m" for slide in slides),
         urdf=None if urdf is None else fspath(urdf),
         description=f"Read from {table.path.name}.",
+        left_out=left_out,
         **fields,
     )
 
@@ -294,20 +297,21 @@ def _time_and_segments(table: Table):
 
 
 def _signals(table: Table, taken, notes):
-    """Return the other columns; name those that are no numbers."""
-    signals, left_out = {}, []
+    """Return the other columns, and what is wrong with those that are no numbers."""
+    signals, left_out = {}, {}
     for column, values in table.columns.items():
         if column in taken:
             continue
-        if values.dtype.kind in "biuf" and np.isfinite(values).all():
-            signals[column] = values
+        numbers, reason = as_numbers(values, table.n_rows)
+        if reason:
+            left_out[column] = reason
         else:
-            left_out.append(column)
+            signals[column] = numbers
     if left_out:
         notes.append(
             f"column(s) {_listed(left_out)} hold no finite numbers and are left out."
         )
-    return signals
+    return signals, left_out
 
 
 # -- time ------------------------------------------------------------------------------

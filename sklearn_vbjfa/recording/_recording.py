@@ -129,6 +129,8 @@ class Recording:
         was. A parameter of `RobotIdentifier`.
     signals : mapping of str to ndarray, default={}
         Other channels on the same rows; the loader gives their units.
+    left_out : mapping of str to str, default={}
+        Other columns of a file that are none of `signals`, and why.
     urdf : str or None, default=None
         File with a description of the robot.
     source, licence, citation, description : str, default=""
@@ -171,6 +173,7 @@ class Recording:
     weight: np.ndarray | None = None
     torque_noise: np.ndarray | None = None
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
+    left_out: Mapping[str, str] = field(default_factory=dict)
     urdf: str | None = None
     source: str = ""
     licence: str = ""
@@ -338,12 +341,14 @@ class Recording:
         return build_model(self.name, self.urdf, self.joint_names)
 
 
-def take_arrays(X, y, groups=None, weight=None, t=None, *, dt, joint_names):
+def take_arrays(
+    X, y, groups=None, weight=None, t=None, *, dt, joint_names, signals=None
+):
     """Make a recording of the validated arguments of a fit.
 
     X : positions (n_samples, nv) or states (n_samples, 3 nv); y (n_samples, nv); groups
     : labels in any form; weight (n_samples, nv); t : time stamps; dt : sample period
-    [s].
+    [s]; signals : arrays (n_samples,) by name.
     """
     nv = len(joint_names)
     segments = contiguous_groups(groups, X.shape[0])
@@ -361,6 +366,7 @@ def take_arrays(X, y, groups=None, weight=None, t=None, *, dt, joint_names):
         torque_units=nv * ("",),
         states=X if X.shape[1] == 3 * nv else None,
         weight=weight,
+        signals={} if signals is None else signals,
     )
 
 
@@ -380,6 +386,7 @@ def take_rows(recording, rows, groups):
         t,
         dt=recording.dt,
         joint_names=recording.joint_names,
+        signals={name: values[rows] for name, values in recording.signals.items()},
     )
 
 

@@ -110,6 +110,7 @@ def make_motion(
     rest=None,
     effects=(),
     since=None,
+    signals=None,
 ):
     """Build the `Motion` that effects are computed from.
 
@@ -117,7 +118,7 @@ def make_motion(
     parameters of the features (p,), for the load, and behind them what
     `plain_coefficients` picks of the effects' coefficients, for the whole torque;
     bandwidth : cut-off of the low-pass [Hz]; rest : velocity signs at rest; since :
-    first time of the fit [s], see `Motion`.
+    first time of the fit [s]; signals : recorded beside the motion; see `Motion`.
     """
     nv = features.n_joints_
     load = torque = rigid = derivatives = None
@@ -160,6 +161,7 @@ def make_motion(
         bandwidth=float(bandwidth),
         rest=rest,
         since=since,
+        signals={} if signals is None else signals,
     )
     if torque is not None and coefs.size:
         # The torque is the motion's own array.
@@ -349,6 +351,7 @@ def motion_of(recording, states, plan, features, *, theta=None, rest=None):
         rest,
         plan.effects,
         None if plan.time is None else plan.time[0],
+        recording.signals,
     )
 
 

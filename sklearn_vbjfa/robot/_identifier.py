@@ -12,7 +12,11 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects._ranges import outside
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
 from sklearn_vbjfa.model._urdf import write_identified
-from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
+from sklearn_vbjfa.recording._columns import (
+    columns_beside,
+    positions_in_order,
+    torques_in_order,
+)
 from sklearn_vbjfa.recording._recording import (
     check_clock,
     check_cutoff,
@@ -20,6 +24,7 @@ from sklearn_vbjfa.recording._recording import (
     contiguous_groups,
     take_arrays,
 )
+from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot._equations import (
     accumulate,
@@ -106,7 +111,7 @@ class RecordingRegressorMixin(RegressorMixin):
         tags.target_tags.single_output = True
         return tags
 
-    def score(self, X, y, sample_weight=None, groups=None, t=None):
+    def score(self, X, y, sample_weight=None, groups=None, t=None, signals=None):
         """Coefficient of determination R^2 of the predicted torques.
 
         Parameters
@@ -121,13 +126,15 @@ class RecordingRegressorMixin(RegressorMixin):
             Labels of separate recordings, as for `predict`.
         t : array-like of shape (n_samples,), default=None
             Time [s], as for `predict`.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, as for `predict`.
 
         Returns
         -------
         float
             R^2, the mean over the joints.
         """
-        predicted = self.predict(X, groups=groups, t=t)
+        predicted = self.predict(X, groups=groups, t=t, signals=signals)
         if hasattr(self, "joint_names_"):
             y = torques_in_order(y, self.joint_names_)
         return r2_score(y, predicted, sample_weight=sample_weight)
@@ -340,7 +347,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.gains = gains
         self.known_masses = known_masses
 
-    def fit(self, X, y, groups=None, sample_weight=None, t=None):
+    def fit(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
         """Identify the robot.
 
         Parameters
@@ -363,15 +370,25 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             Time stamps [s], consistent with `dt` within each recording. They may
             restart with each recording, unless effects vary with time. None counts
             `dt` from the first row.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, such as a temperature, by name (or a
+            data frame), for effects that vary with them (`effects.Signal`). Columns of
+            a data frame X that are no channel of a joint are taken as well.
 
         Returns
         -------
         self : object
             Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If an argument does not suit the robot, or a signal is missing, constant,
+            no finite numbers, or a position, velocity, torque or time by another name.
         """
         self._online = None
         self._declare()
-        recording = self._take(X, y, groups, sample_weight, t)
+        recording = self._take(X, y, groups, sample_weight, t, signals)
         periods = measure_periods(self, recording, self.effects_)
         plan, recording, states = self._prepare(recording, periods)
         self._adopt(plan)
@@ -397,7 +414,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if periods is None and self.torque_noise is None:
             X = recording.inputs
             clock = plan.clock(recording)
-            facts = noise_of(self, X, recording.tau, recording.segments, clock)
+            known = clock, recording.signals
+            facts = noise_of(self, X, recording.tau, recording.segments, *known)
             tell_noise(self, facts)
         return self
 
@@ -534,8 +552,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.parameter_units_ = self.features_.parameter_units_ + units
         self._load = None
 
-    def _take(self, X, y, groups, sample_weight, t):
+    def _take(self, X, y, groups, sample_weight, t, signals):
         """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
+        beside = columns_beside(X, self.joint_names_)
         X, y = validate_data(
             self,
             positions_in_order(X, self.joint_names_),
@@ -551,9 +570,13 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         parts = contiguous_groups(groups, X.shape[0])
         warn_of_disorder(self.joint_names_, X[:, :nv], parts, groups)
         check_time_stamps(t, self.dt, parts)
-        return self._recording(X, y, groups, check_weight(sample_weight, y.shape), t)
+        used = signals_for(self.effects_, signals, beside, X.shape[0])
+        weight = check_weight(sample_weight, y.shape)
+        recording = self._recording(X, y, groups, weight, t, used)
+        check_useful(signals, recording)
+        return recording
 
-    def _recording(self, X, y=None, groups=None, weight=None, t=None):
+    def _recording(self, X, y=None, groups=None, weight=None, t=None, signals=None):
         """Make a `Recording` of checked arrays; zero torques where none are given."""
         nv = self.features_.n_joints_
         positions = X.shape[1] == nv
@@ -566,6 +589,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             t,
             dt=dt,
             joint_names=self.joint_names_,
+            signals=signals,
         )
 
     def _prepare(self, recording, periods):
@@ -771,7 +795,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self._online = OnlineMoments(self.features_, float(self.forgetting))
         self.n_features_in_ = 3 * nv
 
-    def predict(self, X, groups=None, t=None):
+    def predict(self, X, groups=None, t=None, signals=None):
         r"""Predict the joint torques.
 
         Parameters
@@ -785,11 +809,19 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             Time [s] on the clock of the fit, for effects that vary with time. None: the
             motion begins when the first recording of the fit began, with the robot as
             cold and as loaded as it was then.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, as for `fit`; needed by effects that
+            vary with them.
 
         Returns
         -------
         ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N], friction included.
+
+        Raises
+        ------
+        ValueError
+            If X does not suit the robot, or a signal is missing.
 
         Warns
         -----
@@ -828,18 +860,18 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         both are as they were then.
         """
         check_is_fitted(self)
-        X = self._validate_query(X)
-        asked = self._ask(X, groups, t)
+        X, signals = self._validate_query(X, signals)
+        asked = self._ask(X, groups, t, signals=signals)
         warn_outside(self._said_outside(asked), stacklevel=2)
         return self._torques(asked)
 
-    def _ask(self, X, groups=None, t=None, weight=None):
+    def _ask(self, X, groups=None, t=None, weight=None, signals=None):
         """Make the `Query` of the rows of a recording."""
         smoother = self._smoother(X, groups, in_band=True)
         states, rest = self._smoothed(X, groups, smoother)
         clock = self._clock(t, X.shape[0])
         return Query(
-            recording=self._recording(X, None, groups, weight, clock),
+            recording=self._recording(X, None, groups, weight, clock, signals),
             states=states,
             rest=rest,
             smoother=smoother,
@@ -891,7 +923,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             if effect.slow
         )
 
-    def effects_of_time(self, X, groups=None, t=None):
+    def effects_of_time(self, X, groups=None, t=None, signals=None):
         """Return what effects of time add to a prediction, and how well it is known.
 
         Parameters
@@ -902,6 +934,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             Labels of separate recordings.
         t : array-like of shape (n_samples,), default=None
             Time [s] on the clock of the fit, as for `predict`.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, for effects that vary with them, as for
+            `fit`.
 
         Returns
         -------
@@ -932,7 +967,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         True
         """
         check_is_fitted(self)
-        return self._of_time(self._ask(self._validate_query(X), groups, t))
+        X, signals = self._validate_query(X, signals)
+        return self._of_time(self._ask(X, groups, t, signals=signals))
 
     def _clock(self, t, n_samples):
         """Return the time of each row of a query [s], stamped if effects need it.
@@ -968,13 +1004,25 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         states = estimator.transform(X, groups=groups)
         return states, self._plan.rest(estimator.velocity_noise())
 
-    def _validate_query(self, X):
+    def _validate_query(self, X, signals):
+        """Return positions or states, and the signals that effects vary with."""
+        beside = columns_beside(X, self.joint_names_)
         # Positions and states are both accepted, whichever were fitted.
         X = check_array(positions_in_order(X, self.joint_names_), dtype=np.float64)
         check_widths(self.joint_names_, X)
-        return X
+        return X, signals_for(self.effects_, signals, beside, X.shape[0])
 
-    def residuals(self, X, y, groups=None, sample_weight=None, t=None, *, cutoff="fit"):
+    def residuals(
+        self,
+        X,
+        y,
+        groups=None,
+        sample_weight=None,
+        t=None,
+        signals=None,
+        *,
+        cutoff="fit",
+    ):
         """Torque residuals on a recording, with the low-pass and mask of the fit.
 
         Parameters
@@ -991,6 +1039,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         t : array-like of shape (n_samples,), default=None
             Time [s] on the clock of the fit, for effects that vary with time; None as
             for `predict`.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, for effects that vary with them, as for
+            `fit`.
         cutoff : "fit", float or None, default="fit"
             Cut-off of the low-pass [Hz]; ``"fit"`` uses `cutoff_`, None filters
             nothing. Nothing was identified above the band of the fit.
@@ -1006,7 +1057,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         rest (zero weight), dry friction has its mean, as in `predict`.
         """
         check_is_fitted(self)
-        X = self._validate_query(X)
+        X, signals = self._validate_query(X, signals)
         y = torques_in_order(y, self.joint_names_)
         y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
@@ -1020,7 +1071,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         lowpass = _lowpass.design(self.dt or 1.0, cutoff)
         check_length(contiguous_groups(groups, X.shape[0]), lowpass, cutoff)
         clock = self._clock(t, X.shape[0])
-        recording = self._recording(X, y, groups, weight, clock)
+        recording = self._recording(X, y, groups, weight, clock, signals)
         states, rest = self._query(X, groups)
         states = RecordingStates.of_rows(recording.segments, states)
 
@@ -1099,18 +1150,19 @@ def corrected(identifier, effects):
     return other
 
 
-def noise_of(identifier, X, y, segments, clock=None):
+def noise_of(identifier, X, y, segments, clock=None, signals=None):
     """Measure the torque noise of recordings; a list of `NoiseFacts`, one per segment.
 
     X : positions or states; y : torques; segments : slices; clock : time of each row
-    [s] or None.
+    [s] or None; signals : recorded beside the motion, by name.
     """
     if not seen(identifier.dt, identifier.cutoff_):
         return []
     found = []
     for rows in map(rows_looked_at, segments):
         t = None if clock is None else clock[rows]
-        asked = identifier._ask(X[rows], t=t).noiseless(identifier._plan)
+        own = {name: values[rows] for name, values in (signals or {}).items()}
+        asked = identifier._ask(X[rows], t=t, signals=own).noiseless(identifier._plan)
         residual = y[rows] - identifier._torques(asked)
         band = identifier.dt, identifier.cutoff_
         found.append(noise_facts(residual, y[rows], asked.states, *band))
@@ -1133,13 +1185,15 @@ def states_of(identifier, X, groups=None):
     return identifier._query(X, groups)[0]
 
 
-def equations_of(identifier, X, y, groups, weight, t=None, *, states=None):
+def equations_of(
+    identifier, X, y, groups, weight, t=None, *, states=None, signals=None
+):
     """Return the filtered `Equations` of a recording, as in a fitted identifier.
 
     Their `index` gives the row at the centre of each. states : `states_of` the
-    recording, where they are known already.
+    recording, where they are known already; signals : recorded beside the motion.
     """
-    recording = identifier._recording(X, y, groups, weight, t)
+    recording = identifier._recording(X, y, groups, weight, t, signals)
     if states is None:
         states = states_of(identifier, X, groups)
     plan = replace(identifier._plan, repeats=False)
@@ -1159,7 +1213,8 @@ def outside_of(identifier, recording):
     Rows without weight do not count. Returns a tuple of `OutsideRange`.
     """
     t = recording.clock(stamped=True)
-    asked = identifier._ask(recording.inputs, recording.groups, t, recording.weight)
+    known = t, recording.weight, recording.signals
+    asked = identifier._ask(recording.inputs, recording.groups, *known)
     return identifier._outside(asked)
 
 

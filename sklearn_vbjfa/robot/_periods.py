@@ -335,7 +335,8 @@ def measure_periods(settings, recording, effects):
     """
     if settings.period is None:
         return None
-    timed = [effect.name for effect in effects if "time" in effect.needs]
+    varying = {"time", "signals"}
+    timed = [effect.name for effect in effects if varying & set(effect.needs)]
     if timed:
         raise ValueError(
             f"{', '.join(timed)} change(s) with time, which a mean over periods does "

@@ -582,3 +582,103 @@ def test_wrong_usage(options, good, urdf, capsys):
         main(argv)
     assert stop.value.code == 2
     assert "usage: sklearn-vbjfa close-loop" in capsys.readouterr().err
+
+
+# -- signals
+
+
+FRICTION, SLOPE = 3.0, -0.06
+
+
+@pytest.fixture(scope="module")
+def warm(urdf, tmp_path_factory):
+    """Two joints, 15 s; Coulomb friction of the shoulder falls as it gets warmer."""
+    arm = make_robot_recording(str(urdf), duration=15.0, dt=0.01, random_state=0)
+    temperature = 30 + 10 * np.sin(0.8 * arm.t)
+    tau = arm.tau.copy()
+    speed = np.sign(np.gradient(arm.q[:, 0], arm.dt))
+    tau[:, 0] += (FRICTION + SLOPE * (temperature - 30)) * speed
+    path = tmp_path_factory.mktemp("warm") / "warm.csv"
+    columns = {
+        "t": arm.t,
+        "q1": arm.q[:, 0],
+        "q2": arm.q[:, 1],
+        "tau1": tau[:, 0],
+        "tau2": tau[:, 1],
+        "temperature": temperature,
+        "gain": 2 * temperature + 7,
+        "fixed": np.full(arm.n_samples, 24.0),
+        "current": tau[:, 0] / 5.5,
+        "state": np.where(arm.t > 5, "run", "start"),
+        "hole": np.where(arm.t > 5, temperature, np.nan),
+    }
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(columns)
+        table.writerows(zip(*columns.values()))
+    return path
+
+
+def closed(warm, urdf, out, *more):
+    argv = ["close-loop", str(warm), "--urdf", str(urdf), "--out", str(out)]
+    argv += ["--effects", "offset,signal,drift", "--no-ceiling", *more]
+    assert main(argv) == 0
+    return json.loads((out / "report.json").read_text(encoding="utf-8"))
+
+
+def test_columns_of_a_file_are_candidates(warm, urdf, tmp_path, capsys):
+    report = closed(warm, urdf, tmp_path / "out")
+    (effect,) = report["effects"]
+    assert effect["name"] == "signal"
+    factor = {"temperature": 1, "gain": 2}[effect["parameters"]["signal"]]
+    low, high = effect["intervals"]["k"]
+    assert low < SLOPE / factor < high
+    assert [x for x in effect["rivals"] if x in {"signal: gain", "signal: temperature"}]
+    assert report["settings"]["signals"] == ["temperature", "gain"]
+    said = " ".join(capsys.readouterr().out.split())
+    for reason in (
+        "'fixed' is not used as a signal: it is constant",
+        "'current' is not used as a signal: it is the torque of",
+        "'state' is not used as a signal: it holds 'start' and not numbers",
+        "'hole' is not used as a signal: it has gaps",
+    ):
+        assert reason in said
+
+
+def test_signals_are_chosen_by_name(warm, urdf, tmp_path, capsys):
+    report = closed(warm, urdf, tmp_path / "one", "--signals", "temperature")
+    assert report["settings"]["signals"] == ["temperature"]
+    (effect,) = report["effects"]
+    assert effect["parameters"]["signal"] == "temperature"
+    assert report["channels"] == []
+    nothing = closed(warm, urdf, tmp_path / "none", "--signals", "none")
+    assert nothing["settings"]["signals"] == []
+    assert not any(effect["name"] == "signal" for effect in nothing["effects"])
+    assert nothing["channels"] == []
+    capsys.readouterr()
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        ("temprature", "--signals does not know 'temprature'; expected names with"),
+        ("", "--signals does not know ''"),
+        ("gain,gain", "--signals has gain twice"),
+        ("temperature,fixed", "'fixed' is constant (24 in all rows)"),
+        ("current", "'current' is the torque of"),
+        ("state", "The column 'state' holds 'start' and not numbers"),
+        ("hole", "The column 'hole' has gaps"),
+    ],
+)
+def test_signals_that_cannot_be_are_refused_in_one_line(
+    warm, urdf, tmp_path, monkeypatch, capsys, names, message
+):
+    monkeypatch.chdir(tmp_path)
+    line = refusal(capsys, warm, "--urdf", urdf, "--signals", names)
+    assert message in line
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_without_other_columns_has_no_signals(good, urdf, capsys):
+    line = refusal(capsys, good, "--urdf", urdf, "--signals", "temperature")
+    assert "holds no columns beside time" in line

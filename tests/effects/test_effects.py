@@ -29,12 +29,16 @@ NAMES = effects.available()
 T, X = motion(2, duration=6.0, seed=3)
 Q, V, A = np.split(X, 3, axis=1)
 LOAD = np.column_stack([3 * np.sin(2 * T) - 1, 2 * np.cos(3 * T)])
+# Beside the motion: a temperature that rises and falls, and a tool that is used once.
+RECORDED = {"temperature": 30 + 8 * np.sin(0.9 * T), "tool": 1.0 * (T > 3)}
 
 
 def library_effect(name, joint=0):
     (effect,) = effects.resolve(name)
     if name == "payload":
         joint = 1
+    if name == "signal":
+        effect.set_params(signal="temperature")
     return effect.set_params(joint=joint)
 
 
@@ -52,13 +56,14 @@ def signals(prismatic=(False, False), scale=1.0, **changed):
             "rigid": lambda q, v, a: inverse_dynamics(model, np.hstack([q, v, a])),
             "last_body": lambda: last_body_regressor(model, X),
             "bandwidth": 5.0,
+            "signals": RECORDED,
             **changed,
         }
     )
 
 
 def transform(effect, **given):
-    given = {"t": T, "load": LOAD, **given}
+    given = {"t": T, "load": LOAD, "signals": RECORDED, **given}
     return effect.fit(X).transform(X, **given)
 
 
@@ -102,7 +107,7 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
     assert set(effect.continuous) <= set(effect.get_params())
     # A jerk is no simpler than the delay or filter that it may stand for.
     assert effect.complexity == k + len(effect.continuous) + (name == "jerk")
-    assert set(effect.needs) <= {"time", "load"}
+    assert set(effect.needs) <= {"time", "load", "signals"}
     assert effect.visible
 
 
@@ -251,6 +256,18 @@ def closed_forms():
         ),
         "delay": ({"delay": 0.034}, [(lagged - load) / 0.034]),
         "jerk": ({}, [np.r_[a[1] - a[0], (a[2:] - a[:-2]) / 2, a[-1] - a[-2]] / 0.01]),
+        "signal": (
+            {"reference": 25.0},
+            [sign * (5 + 8 * np.sin(0.9 * T))],
+        ),
+        "signal offset": (
+            {"signal": "tool", "of": "offset"},
+            [np.r_[np.zeros(301), np.ones(T.size - 301)]],
+        ),
+        "signal viscous": (
+            {"of": "viscous", "reference": 30.0},
+            [v * 8 * np.sin(0.9 * T)],
+        ),
         "drift": ({"time_constant": 7.0}, [sign * np.exp(-T / 7)]),
         "drift offset": (
             {"of": "offset", "time_constant": 7.0},
@@ -419,12 +436,18 @@ def recordings_of(effect):
     half = T.size // 2
     groups = np.r_[np.zeros(half), np.ones(T.size - half)]
     effect = effect.fit(X)
-    together = effect.transform(X, t=T, load=LOAD, groups=groups)
+    given = {"t": T, "load": LOAD}
+    together = effect.transform(X, **given, signals=RECORDED, groups=groups)
     parts = [
-        effect.transform(X[part], t=T[part], load=LOAD[part])
+        effect.transform(
+            X[part],
+            **{key: values[part] for key, values in given.items()},
+            signals={key: values[part] for key, values in RECORDED.items()},
+        )
         for part in (slice(0, half), slice(half, None))
     ]
-    return together, np.concatenate(parts), effect.transform(X, t=T, load=LOAD)
+    whole = effect.transform(X, **given, signals=RECORDED)
+    return together, np.concatenate(parts), whole
 
 
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in ("elastic", "payload")])
@@ -573,6 +596,10 @@ def test_parameters_mean_what_they_are_called():
 def test_keys_tell_uses_apart_but_not_shapes():
     assert effects.Stribeck(vs=0.1, k=1).key() == effects.Stribeck(vs=0.2, k=2).key()
     assert effects.Drift(of="offset").key() != effects.Drift(of="coulomb").key()
+    here, there = (effects.Signal(signal="T", reference=x) for x in (0.0, 30.0))
+    assert here.key() == there.key()
+    assert here.key() != effects.Signal(signal="U").key()
+    assert here.key() != effects.Signal(signal="T", of="viscous").key()
     assert effects.Coupling(other=1).key() != effects.Coupling(other=2).key()
     assert effects.Coulomb(0).key() != effects.Coulomb(1).key()
 
@@ -584,8 +611,8 @@ def test_keys_tell_uses_apart_but_not_shapes():
 def test_missing_signals_are_named(name):
     effect = library_effect(name)
     for need in effect.needs:
-        given = {"t": T, "load": LOAD}
-        given.pop({"time": "t", "load": "load"}[need])
+        given = {"t": T, "load": LOAD, "signals": RECORDED}
+        given.pop({"time": "t"}.get(need, need))
         with pytest.raises(ValueError, match=f"{name} on joint . *: needs"):
             effect.fit(X).transform(X, **given)
 

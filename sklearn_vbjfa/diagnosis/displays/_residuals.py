@@ -84,7 +84,9 @@ class ResidualDisplay(Display):
         self.floor = floor
 
     @classmethod
-    def from_estimator(cls, estimator, X, y, groups=None, t=None, joints=None):
+    def from_estimator(
+        cls, estimator, X, y, groups=None, t=None, joints=None, signals=None
+    ):
         """Compare a fitted model with a recording.
 
         The residuals are those of the models as they are fitted: give data that they
@@ -105,6 +107,8 @@ class ResidualDisplay(Display):
             Time [s], on the clock of the fit.
         joints : list of int, default=None
             Joints to show, from zero; None shows all.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, for effects that vary with them.
 
         Returns
         -------
@@ -120,7 +124,9 @@ class ResidualDisplay(Display):
             models = (robot, estimator.identifier_)
         names = robot.joint_names_
         joints = _check_joints(joints, len(names))
-        found = [model.residuals(X, y, groups, t=t) for model in models]
+        found = [
+            model.residuals(X, y, groups, t=t, signals=signals) for model in models
+        ]
         values = [
             np.where(r.weight > 0, r.residual, np.nan)[:, joints]
             for r in (found[0], found[-1])

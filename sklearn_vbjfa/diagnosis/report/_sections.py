@@ -572,7 +572,7 @@ def _steps(outcome, verdict):
         if step.replaced:
             action = f"replaced {words.effect_label(outcome, step.replaced)}"
         j, evidence = step.joint, step.evidence
-        rivals = [words.effect_label(outcome, trial.name) for trial in step.rivals]
+        rivals = [words.effect_label(outcome, t.name, t.shape) for t in step.rivals]
         before, after = step.error_before[j], step.error_after[j]
         rows.append(
             (
@@ -647,6 +647,7 @@ def _settings(outcome, verdict):
     rows = (
         ("Declared model", _declared(outcome.declared)),
         ("Looked for", effects),
+        ("Signals", ", ".join(settings.get("signals", ()))),
         ("Seed", "" if seed is None else str(seed)),
         ("Versions", ", ".join(versions)),
     )

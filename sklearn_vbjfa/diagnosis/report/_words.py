@@ -53,7 +53,8 @@ def effect_label(outcome, name, shape=None):
     """Plain English for an effect of an outcome, with what matters of its shape."""
     found = outcome.library.get(name)
     if found is None:
-        return name.replace("_", " ")
+        # What follows a colon is the user's own name, such as that of a column.
+        return name if ": " in name else name.replace("_", " ")
     joint = functools.partial(joint_label, outcome.joint_names)
     return found.describe(shape or {}, joint)
 
@@ -146,7 +147,7 @@ def parameter_text(effect):
     """Return "Fc = 1.2 +- 0.1 N m" for each parameter worth reading."""
     found = []
     for key, value in effect.parameters.items():
-        if key in ("of", "other") or (key == "smoothing" and not value):
+        if key in ("of", "other", "signal") or (key == "smoothing" and not value):
             continue
         interval = effect.intervals.get(key)
         unit = effect.units.get(key, "")

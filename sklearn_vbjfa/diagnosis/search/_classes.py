@@ -5,6 +5,8 @@ zero of a joint is a turn of what it carries, and so is the axis of its neighbou
 Where columns are equal the effects are one class, named by its simplest member.
 """
 
+import numpy as np
+
 from sklearn_vbjfa.diagnosis.search._evidence import no_worse
 
 # Columns are equal if this share of what the model does not explain of them, or less,
@@ -36,6 +38,45 @@ def one_of_class(model, candidates):
             simplest = other
             break
     return simplest, tuple(c for c in close if c is not simplest)
+
+
+def inseparable(model, effects):
+    """Pairs of effects of which a model can tell only one from everything else.
+
+    Parameters
+    ----------
+    model : SearchModel
+        Beside which they would be.
+    effects : list of Effect
+        Effects in the robot model, each of which shows.
+
+    Yields
+    ------
+    effect, other : Effect
+        Nothing is left of the columns of the first beside those of the other, which
+        comes before it in precedence or in the list.
+    """
+    columns, places, at = [], [], 0
+    for effect in effects:
+        own = model.columns_of(effect)
+        whole = np.zeros((model.view.nv, *own.shape[1:]))
+        whole[model.view.joints_of(effect)] = own
+        columns.append(whole)
+        places.append(slice(at, at + own.shape[2]))
+        at += own.shape[2]
+    if len(effects) < 2:
+        return
+    left = model.fitted.left_gram(np.concatenate(columns, axis=2))
+    order = sorted(range(len(effects)), key=lambda i: (effects[i].precedence, i))
+    for k, i in enumerate(order):
+        a = places[i]
+        alone = np.diagonal(left[a, a])
+        for b, other in ((places[j], effects[j]) for j in order[:k]):
+            inverse = np.linalg.pinv(left[b, b], hermitian=True)
+            beside = np.diagonal(left[a, a] - left[a, b] @ inverse @ left[b, a])
+            if (beside <= _EQUAL * alone).all():
+                yield effects[i], other
+                break
 
 
 def stands_for(model, effect, other):

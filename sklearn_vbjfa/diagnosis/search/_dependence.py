@@ -95,4 +95,5 @@ def motion_signals(motion, names):
             signals[f"load of {name}"] = motion.load[:, j]
     if motion.t is not None:
         signals["time"] = motion.t
-    return signals
+    # What does not vary has no bins.
+    return signals | {k: x for k, x in motion.signals.items() if np.ptp(x) > 0}

@@ -17,15 +17,19 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
     no_worse,
 )
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
-from sklearn_vbjfa.diagnosis.search._shapes import retuned, tuned
+from sklearn_vbjfa.diagnosis.search._shapes import linearised, retuned, tuned
 
 # Effects of a joint that a second one is tried beside, the best ones alone.
 _FIRST = 3
 # Where the error is this many times the noise floor, one effect may not be enough.
 _ABOVE = 1.15
+# A simpler effect is tried in another's place if it leaves less than this many times
+# the error before it is linearised anew.
+_NEAR = 1.5
 # Rules by which a step is taken, as they are reported.
 PAIR = "Bonferroni over the pairs of the joint, where no single effect passed"
 FOR_TWO = "Bonferroni over the pairs of the joint, in place of what they replace"
+SIMPLER_CLASS = "simpler than what it replaces, and no worse on all joints"
 FOR_ONE = "one effect in place of two, simpler and no worse"
 BACKWARDS = "last pass from the full model backwards"
 
@@ -57,10 +61,12 @@ def exchange(search):
 
     Of an `EffectSearch` in which no single effect passes any more.
     """
+    if _of_class(search):
+        return True
     model = search.model
     above = (model.precision > 0) & ~search.at_floor(model.squares, _ABOVE)
     for joint in np.flatnonzero(model.precision > 0).tolist():
-        own = [e for e in model.effects if e.joint == joint and not e.whole_robot]
+        own = [e for e in model.effects if e.joint == joint and not e.everywhere]
         if _two_for_one(search, joint, own):
             return True
         if not above[joint] or search.is_full():
@@ -71,6 +77,53 @@ def exchange(search):
         if any(_pair(search, joint, effect) for effect in own if effect.continuous):
             return True
     return False
+
+
+def _of_class(search):
+    """Put a simpler effect of the geometry in the place of another, of any joint.
+
+    What was found first had to stand for those that came later as well. Returns whether
+    that was done.
+    """
+    model = search.model
+    for effect in [e for e in model.effects if e.in_model and e.whole_robot]:
+        base = model.beside(model.without(effect), None)
+        rank = _rank(effect)
+        error = model.squares @ model.precision
+        offers = []
+        for joint in np.flatnonzero(model.precision > 0).tolist():
+            for other in search.candidates_of(joint):
+                if not (other.in_model and other.whole_robot and _rank(other) < rank):
+                    continue
+                candidate, _ = search.score(other, base)
+                if candidate is not None:
+                    own = (candidate.squares @ model.precision).sum()
+                    offers.append((_rank(other), own, candidate.effect))
+        offers = [one for one in offers if one[1] < _NEAR * error.sum()]
+        for _, _, other in sorted(offers, key=lambda one: one[:2])[:_FIRST]:
+            effects = [*base.effects, other]
+            trial = linearised(SearchModel.of(model.view, effects, model), other.joint)
+            found = trial.squares @ model.precision
+            if not no_worse(error, found):
+                continue
+            evidence = compare(error, found)
+            rule = Rule(name=SIMPLER_CLASS)
+            search.step(
+                "replace",
+                trial.effects[-1],
+                list(trial.effects),
+                replaced=effect,
+                evidence=evidence,
+                rule=rule,
+            )
+            search.prune()
+            return True
+    return False
+
+
+def _rank(effect):
+    """Order of effects by how much they are: fewer coefficients, then precedence."""
+    return (effect.complexity, effect.precedence)
 
 
 def _pair(search, joint, replaced):

@@ -62,7 +62,8 @@ class DiscoveredEffect:
     evidence : Evidence
         What leaving it out of the final model would cost, by blocks of time.
     rivals : tuple of str
-        Other effects that this data cannot tell from it.
+        Other effects that this data cannot tell from it; another use of the same one
+        with what sets it apart, such as "signal: voltage".
     effect : Effect
         The transformer itself.
     ranges : EffectRange or None
@@ -240,11 +241,12 @@ class Hidden:
         Joint, from zero.
     joint_name : str
         Its name.
-    reason : {"span", "excitation", "signal"}
+    reason : {"span", "excitation", "signal", "together"}
         It lies in the span of the declared columns whatever the motion; it does so in
-        this recording; or it needs a signal that is not there.
+        this recording; it needs a signal that is not there; or it shows, but only
+        together with another effect.
     remedy : str
-        What to record.
+        What to record; the name of the other effect.
     """
 
     name: str
@@ -355,3 +357,10 @@ class Outcome:
     curves: dict = field(default_factory=dict)
     outside: tuple = ()
     gains: ChannelGains | None = None
+
+
+def named_beside(effect, chosen, names):
+    """Name an effect beside another, with its joint where that is a different one."""
+    if effect.joint == chosen.joint or effect.scope == "robot":
+        return effect.told_beside(chosen)
+    return f"{effect.told_beside(chosen)} on {names[effect.joint]}"

@@ -6,10 +6,15 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
+from sklearn_vbjfa.diagnosis.search._classes import inseparable
 from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
-from sklearn_vbjfa.diagnosis.search._findings import Hidden, Unexplained
+from sklearn_vbjfa.diagnosis.search._findings import (
+    Hidden,
+    Unexplained,
+    named_beside,
+)
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
-from sklearn_vbjfa.diagnosis.search._search import candidates_of
+from sklearn_vbjfa.diagnosis.search._search import AT_FLOOR, candidates_of
 from sklearn_vbjfa.effects._library import closure
 from sklearn_vbjfa.robot._equations import make_motion
 
@@ -92,9 +97,9 @@ def hidden(found, names):
 
 def _hidden(found, names):
     """Effects that a robot or a branch that was searched as a whole cannot show."""
-    model, view = found.model, found.model.view
-    probe = _probe(view)
-    not_seen = []
+    model = found.model
+    probe = _probe(model)
+    not_seen, in_model = [], []
     for j, name in enumerate(names):
         if model.precision[j] == 0:
             continue
@@ -106,6 +111,8 @@ def _hidden(found, names):
             reason, remedy = "signal", one.applies(model.motion)
             if not remedy:
                 if not unseen.hides(one):
+                    if one.in_model:
+                        in_model.append(one)
                     continue
                 structural = _in_span(one, *probe)
                 reason = "span" if structural else "excitation"
@@ -121,7 +128,17 @@ def _hidden(found, names):
                     remedy=remedy,
                 )
             )
-    return tuple(not_seen)
+    for one, other in inseparable(model, in_model):
+        not_seen.append(
+            Hidden(
+                name=one.name,
+                joint=one.joint,
+                joint_name=names[one.joint],
+                reason="together",
+                remedy=named_beside(other, one, names),
+            )
+        )
+    return tuple(sorted(not_seen, key=lambda one: one.joint))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -167,37 +184,47 @@ class _Unseen:
         if not family.effects:
             return False
         joints = self.model.view.joints_of(effect)
-        outside = self.bases[names].fitted.outside(joints, family.columns)
-        return not outside.max() > _UNSEEN
+        base = self.bases[names]
+        outside = base.fitted.outside(joints, family.columns)
+        if not outside.max() > _UNSEEN:
+            return True
+        if not effect.in_model:
+            return False
+        # Even the largest value there could be would drown in the noise.
+        power = np.einsum("j,jmck->k", base.precision[joints], family.columns**2)
+        low, high = effect.bounds()
+        with np.errstate(divide="ignore"):
+            deviation = 1.0 / np.sqrt(np.maximum(outside[0] * power, 0.0))
+        return bool((AT_FLOOR * deviation > 0.5 * (high - low)).all())
 
 
-def _probe(view):
+def _probe(model):
     """Regressor and signals of random states, which excite everything there is."""
-    features = view.robot.features_
-    nv = view.nv
+    view = model.view
+    features, nv = view.robot.features_, view.nv
     rng = np.random.default_rng(0)
     n = 20 * features.n_parameters_ // nv + 200
     # Whole turns, whatever the recording did: what a small motion hides is no property
     # of the robot.
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = rng.uniform(-1, 1, size=(n, 3 * nv)) * scale
+    inertial = (view.back @ model.theta)[: features.n_parameters_]
     return features.matrices(states), make_motion(
-        features, states, None, [slice(0, n)], None
+        features, states, None, [slice(0, n)], inertial
     )
 
 
 def _in_span(effect, Phi, motion):
     """Whether columns of the state alone lie in the regressor's span."""
-    if effect.needs or effect.continuous or effect.whole_robot or effect.shape():
+    linear = not (effect.needs or effect.continuous or effect.shape())
+    if not effect.in_model and (effect.whole_robot or not linear):
         return False
     columns = effect.columns(motion)
     scale = np.sqrt((Phi**2).sum(axis=(0, 1)))
     A = Phi / np.where(scale > 0, scale, 1.0)
-    target = np.zeros((*Phi.shape[:2], columns.shape[1]))
-    target[:, effect.joint] = columns
-    flat = A.reshape(-1, A.shape[2])
-    solution, *_ = np.linalg.lstsq(
-        flat, target.reshape(-1, columns.shape[1]), rcond=1e-10
-    )
-    rest = target.reshape(-1, columns.shape[1]) - flat @ solution
-    return bool(np.all((rest**2).sum(0) <= _IN_SPAN * (columns**2).sum(0)))
+    target = np.zeros((*Phi.shape[:2], columns.shape[-1]))
+    target[:, slice(None) if effect.whole_robot else effect.joint] = columns
+    flat, target = A.reshape(-1, A.shape[2]), target.reshape(-1, columns.shape[-1])
+    solution, *_ = np.linalg.lstsq(flat, target, rcond=1e-10)
+    rest = target - flat @ solution
+    return bool(np.all((rest**2).sum(0) <= _IN_SPAN * (target**2).sum(0)))

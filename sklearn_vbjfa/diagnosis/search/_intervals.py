@@ -95,6 +95,7 @@ class FinalFit:
             load_parameters(identifier),
             view.robot.cutoff_,
             effects=effects,
+            signals=view.signals,
         )
         self._columns = [self.view.in_equations(e, self.motion) for e in self.effects]
 

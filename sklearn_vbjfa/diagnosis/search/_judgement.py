@@ -16,6 +16,7 @@ from sklearn_vbjfa.diagnosis.search._price import (
     without_constraints,
 )
 from sklearn_vbjfa.diagnosis.search._split import FEWEST_VALUES
+from sklearn_vbjfa.recording._signals import OfferedSignals
 from sklearn_vbjfa.robot._identifier import outside_of
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 
@@ -98,9 +99,13 @@ def judge(declared, completed, found, split, whole):
     rows = split.test
     rest = split.untouched(whole)
 
+    given = rest.inputs, rest.tau, rest.groups, rest.weight, rest.t
+    beside = {"signals": OfferedSignals(columns=rest.signals)}
+
     def errors(**band):
-        given = rest.inputs, rest.tau, rest.groups, rest.weight, rest.t
-        return tuple(one.residuals(*given, **band) for one in (declared, completed))
+        return tuple(
+            one.residuals(*given, **beside, **band) for one in (declared, completed)
+        )
 
     before, after = (_numbered(part, rows) for part in errors())
     added = added_effects(completed, len(found.effects))
@@ -118,8 +123,7 @@ def judge(declared, completed, found, split, whole):
     cutoff = min(completed.cutoff_, 0.5 / dt)
     price = None
     if completed.projector_ is not None:
-        given = rest.inputs, rest.tau, rest.groups, rest.weight, rest.t
-        free = without_constraints(completed).residuals(*given)
+        free = without_constraints(completed).residuals(*given, **beside)
         of_free = fit.residuals_of(completed.theta_unconstrained_)
         price = price_of(
             completed,

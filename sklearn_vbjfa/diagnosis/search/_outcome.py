@@ -18,6 +18,7 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     Outcome,
     Round,
     Trial,
+    named_beside,
 )
 from sklearn_vbjfa.diagnosis.search._gaps import hidden, too_short, unexplained
 from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, quantile
@@ -121,9 +122,8 @@ def _effects(search, final, names, prismatic):
     rivals = {}
     for step in search.steps:
         if step.action not in {"drop", "withdraw"}:
-            rivals[step.effect.key()] = tuple(
-                _rival(c.effect, step.effect, names) for c in step.rivals
-            )
+            told = (named_beside(c.effect, step.effect, names) for c in step.rivals)
+            rivals[step.effect.key()] = tuple(dict.fromkeys(told))
     # The effects of the declared model come first.
     count = len(final.effects)
     ranges = final.identifier.effect_ranges_[-count:] if count else ()
@@ -159,13 +159,6 @@ def _effects(search, final, names, prismatic):
             ranges=fitted,
             afterwards=_afterwards(effect, estimate, float(final.view.clock[-1])),
         )
-
-
-def _rival(effect, chosen, names):
-    """Name a rival, with its joint where that is another one."""
-    if effect.joint == chosen.joint or effect.scope == "robot":
-        return effect.name
-    return f"{effect.name} on {names[effect.joint]}"
 
 
 def _afterwards(effect, estimate, seconds):
@@ -281,6 +274,7 @@ def _settings(search, judgement, asked):
         "last_n_tests": int(search.n_tests),
         "smallest_gain": SMALLEST_GAIN,
         "effects": tuple(e.name for e in search.library),
+        "signals": tuple(view.signals),
         "n_blocks": view.blocks.n_blocks,
         "block_seconds": float(view.blocks.length),
         "n_folds": view.blocks.n_folds,

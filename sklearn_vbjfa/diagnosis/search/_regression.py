@@ -374,6 +374,12 @@ class BlockRegression:
             share = 1.0 - inside.reshape(power.shape) / power
         return np.where(power > 0, share, 0.0)
 
+    def left_gram(self, F):
+        """Gram matrix (k, k) of what the model leaves of columns F (nv, m, k)."""
+        own = _weighted_product(self.precision, F, F)
+        C = _weighted_product(self.precision, self.Z, F)
+        return own - C.T @ linalg.cho_solve(self._factors[-1], C)
+
     def _refit(self, i, moments):
         """Solve for candidates beside the model's columns: all but fold i, or all."""
         c, k = moments.right.shape

@@ -19,9 +19,11 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
 )
 from sklearn_vbjfa.diagnosis.search._exchange import backwards, exchange
 from sklearn_vbjfa.diagnosis.search._left_out import can_be_left_out, left_out
+from sklearn_vbjfa.diagnosis.search._members import alike
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._shapes import (
     absorbing,
+    linearised,
     plainest,
     retuned,
     tuned,
@@ -73,6 +75,7 @@ HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
 ABSORBED = "the effect that contains it does as well alone, with another shape"
 MOST = "fewer effects were asked for"
+UNSETTLED = "saves less than 2 % once the robot is corrected"
 UNNATURAL = "took a sign or size that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
 BETTER = "better than what it replaces"
@@ -209,6 +212,9 @@ class EffectSearch:
         Keys of effects that did not hold on later data, beside the model as it is.
     refusals : dict
         How often each effect was refused, by its key.
+    been : set
+        Sets of keys of effects that were accepted together: a replacement must not lead
+        back to one, or the search goes in circles.
     tried : dict
         By joint, the model that candidates were last tried beside, and what they were.
     threshold, n_tests : float and int
@@ -224,6 +230,7 @@ class EffectSearch:
     steps: list = field(default_factory=list)
     refused: set = field(default_factory=set)
     refusals: dict = field(default_factory=dict)
+    been: set = field(default_factory=set)
     tried: dict = field(default_factory=dict)
     threshold: float | None = None
     n_tests: int = 0
@@ -275,7 +282,7 @@ class EffectSearch:
                     found = self._round(number)
                     number += 1
             # Each set of effects is looked at once: swaps must not go in circles.
-            names = frozenset(effect.key() for effect in self.model.effects)
+            names = keys_of(self.model.effects)
             if not found and names not in seen and number < most:
                 seen.add(names)
                 found = exchange(self)
@@ -297,6 +304,7 @@ class EffectSearch:
     def accept(self, effects):
         """Take effects for what the declared model lacks."""
         self.model = SearchModel.of(self.view, effects, self.model)
+        self.been.add(keys_of(effects))
 
     def is_full(self):
         """Whether as many effects are accepted as may be."""
@@ -312,8 +320,11 @@ class EffectSearch:
             return False
         chosen, rivals, others = offer
         chosen, rivals = self._judged_anew(chosen, rivals, others)
+        rivals = (*alike(chosen, model, self.taken(model)), *rivals)
         effect = tuned(chosen.effect, model)
         case, refusal = self.later(effect, model)
+        if refusal is None and effect.in_model:
+            effect, case, refusal = self._settled(effect)
         if refusal is not None:
             self._refuse(effect, case, rivals, others, refusal)
             return True
@@ -336,6 +347,24 @@ class EffectSearch:
         self.model = retuned(self.model, effect.joint)
         self.compete(effect.joint)
         return True
+
+    def _settled(self, effect):
+        """Linearise an effect in the model beside the others until its value stays.
+
+        What its columns promise need not hold for the corrected robot. Returns the
+        effect with its value, Evidence for the model with it, and the Rule that refuses
+        it or None.
+        """
+        model = self.model
+        trial = SearchModel.of(self.view, [*model.effects, effect], model)
+        trial = linearised(trial, effect.joint)
+        (settled,) = (e for e in trial.effects if e.key() == effect.key())
+        case = compare(*model.relevant(effect, model.squares, trial.squares))
+        if not settled.natural(trial.coefficients(settled)):
+            return settled, case, Rule(name=UNNATURAL)
+        if case.gain < SMALLEST_GAIN:
+            return settled, case, Rule(name=UNSETTLED)
+        return settled, case, None
 
     def _best_offer(self, number):
         """Best candidate that may be added, its rivals and all that beat chance.
@@ -453,13 +482,17 @@ class EffectSearch:
         """Effects of the library on a joint that can be looked for."""
         return candidates_of(joint, self.library, self.model)
 
+    def taken(self, base):
+        """Keys of effects that may not come beside a model, a set."""
+        return self.refused.union(*(e.excludes() for e in base.effects))
+
     def score(self, effect, base, finely=True):
         """Try an effect beside a model: a Candidate, and its family's columns.
 
         None of both if there is nothing new. The evidence has no p-value yet. See
         `plainest`.
         """
-        taken = self.refused.union(*(e.excludes() for e in base.effects))
+        taken = self.taken(base)
         family = base.family(effect).where(lambda one: one.key() not in taken)
         if not family.effects:
             return None, None
@@ -485,7 +518,7 @@ class EffectSearch:
         """Effects on a joint alone that save a share beside a model, scored."""
         found = []
         for effect in self.candidates_of(joint):
-            if not effect.whole_robot:
+            if not effect.everywhere:
                 candidate, _ = self.score(effect, base, finely=False)
                 if candidate and candidate.evidence.gain >= smallest:
                     found.append(candidate)
@@ -501,7 +534,7 @@ class EffectSearch:
         """
         everything = self.candidates_of(joint)
         if quiet:
-            everything = [effect for effect in everything if effect.whole_robot]
+            everything = [effect for effect in everything if effect.everywhere]
         tried, columns = {}, {}
         for effect in sorted(everything, key=lambda e: len(closure(e, everything))):
             candidate, own = self.score(effect, base)
@@ -556,14 +589,18 @@ class EffectSearch:
         explain no more are its rivals as well.
         """
         everything = list({id(c): c for c in [*candidates, *others]}.values())
-        whole = any(c.effect.whole_robot for c in everything)
+        whole = any(c.effect.everywhere for c in everything)
         joint = candidates[0].effect.joint
         error = {
             id(c): c.white.sum(axis=1) if whole else c.white[:, joint]
             for c in everything
         }
         best = min(candidates, key=lambda c: error[id(c)].sum())
-        close = [c for c in candidates if no_worse(error[id(best)], error[id(c)])]
+
+        def compares(one):
+            return self.compares(best, one, error[id(best)], error[id(one)])
+
+        close = [c for c in candidates if compares(c)]
         simplest = min(
             close,
             key=lambda c: (
@@ -572,12 +609,18 @@ class EffectSearch:
                 error[id(c)].sum(),
             ),
         )
-        rivals = tuple(
-            c
-            for c in everything
-            if c is not simplest and no_worse(error[id(best)], error[id(c)])
-        )
+        rivals = tuple(c for c in everything if c is not simplest and compares(c))
         return simplest, rivals
+
+    def compares(self, best, other, error_best, error_other):
+        """Whether blocks (n_blocks,) leave open which of two candidates is better.
+
+        A function of time imitates whatever changes slowly: against a recorded cause
+        it has to be better beyond chance, not by a standard error.
+        """
+        if best.effect.slow and other.effect.recorded:
+            return compare(error_other, error_best).p_value >= self.alpha
+        return no_worse(error_best, error_other)
 
     def _judged_anew(self, chosen, rivals, others):
         """Judge the best candidates of a joint with its other shapes tuned beside them.
@@ -587,10 +630,10 @@ class EffectSearch:
         """
         joint, model = chosen.effect.joint, self.model
         shaped = any(e.joint == joint and e.continuous for e in model.effects)
-        if not shaped or chosen.effect.whole_robot:
+        if not shaped or chosen.effect.everywhere:
             return chosen, rivals
         first = sorted(
-            (c for c in others if c is not chosen and not c.effect.whole_robot),
+            (c for c in others if c is not chosen and not c.effect.everywhere),
             key=lambda c: c.white[:, joint].sum(),
         )
         error = {}
@@ -598,8 +641,8 @@ class EffectSearch:
             effects = [*model.effects, tuned(one.effect, model)]
             with_it = retuned(SearchModel.of(self.view, effects, model), joint)
             error[id(one)] = one, with_it.squares[:, joint]
-        best = min((squares for _, squares in error.values()), key=np.sum)
-        close = [(c, e) for c, e in error.values() if no_worse(best, e)]
+        best, least = min(error.values(), key=lambda x: x[1].sum())
+        close = [(c, e) for c, e in error.values() if self.compares(best, c, least, e)]
         simplest, _ = min(close, key=lambda x: (x[0].effect.complexity, x[1].sum()))
         near = [c for c, _ in close] + [c for c in rivals if id(c) not in error]
         return simplest, tuple(c for c in near if c is not simplest)
@@ -635,7 +678,7 @@ class EffectSearch:
 
         Each time that the effect was refused before doubles it.
         """
-        if effect.whole_robot:
+        if effect.everywhere:
             white = [s.sum(axis=1) for s in white]
         else:
             white = [s[:, effect.joint] for s in white]
@@ -709,7 +752,7 @@ class EffectSearch:
                 # Where it has faded it cannot be tried: all it does there is to leave
                 # other parameters alone.
                 squares = [s[acts[border:]] for s in squares]
-            if not effect.whole_robot:
+            if not effect.everywhere:
                 squares = [s[:, [effect.joint]] for s in squares]
             case = compare(*(s.sum(axis=1) for s in squares))
             if effect.slow or late:
@@ -846,6 +889,7 @@ class EffectSearch:
             best, rivals = self.best_of(found, others)
             if best.effect.key() == effect.key():
                 continue
+            rivals = (*alike(best, base, self.taken(base)), *rivals)
             white = place.white(judge)
             case = self._evidence(
                 best.effect, (place.squares, best.squares), (white, best.white)
@@ -855,10 +899,23 @@ class EffectSearch:
             if not better and not (simpler and case.gain > 0):
                 continue
             successor = tuned(best.effect, base)
+            if keys_of([*base.effects, successor]) in self.been:
+                continue
             later, refusal = self.later(successor, base)
             if refusal is not None:
                 self._refuse(successor, later, rivals, others, refusal)
                 continue
+            if successor.in_model:
+                trial = SearchModel.of(
+                    self.view, [*base.effects, successor], self.model
+                )
+                trial = linearised(trial, joint)
+                now, then = (
+                    base.relevant(successor, m.squares)[0] for m in (self.model, trial)
+                )
+                if not no_worse(now, then):
+                    continue
+                successor = trial.effects[-1]
             self.step(
                 "replace",
                 successor,
@@ -875,6 +932,11 @@ class EffectSearch:
         for joint in sorted({e.joint for e in self.model.effects}):
             self.model = retuned(self.model, joint)
         self.prune()
+
+
+def keys_of(effects):
+    """Keys of some effects, whatever their order, a frozenset."""
+    return frozenset(effect.key() for effect in effects)
 
 
 def _weighted_gain(model):

@@ -102,6 +102,8 @@ class RecordingView:
         States at the full rate.
     clock : ndarray of shape (n,) or None
         Their time [s].
+    signals : mapping of str to ndarray of shape (n,)
+        What was recorded beside them.
     parts : list of slice
         Recordings or pieces of them: nothing is remembered across their borders.
     index : ndarray of shape (m,)
@@ -143,6 +145,7 @@ class RecordingView:
             if like is None
             else like.states
         )
+        self.signals = recording.signals
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
         self._begins = begins
         self._families, self._columns = {}, {}
@@ -205,6 +208,7 @@ class RecordingView:
             weight,
             self.clock,
             states=self.states,
+            signals=recording.signals,
         )
         self.index, tau = self.equations.index, self.equations.tau
         self.root = np.sqrt(self.equations.weight)
@@ -288,6 +292,7 @@ class RecordingView:
             parameters,
             self.robot.cutoff_,
             effects=effects,
+            signals=self.signals,
         )
         return replace(motion, begins=self._begins)
 

@@ -1,0 +1,301 @@
+"""Recorded signals in the loop: which are named, what they cannot be told from."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.datasets import fetch_bam_xl330
+from sklearn_vbjfa.diagnosis import ResidualDisplay, analyse_residuals
+from sklearn_vbjfa.effects import Signal
+from tests.diagnosis._recordings import named, record
+
+ONE = record("ZY", duration=30.0, seed=2)
+SHARE = ONE.t / ONE.t[-1]
+LIBRARY = ["viscous", "coulomb", "offset", "signal", "drift"]
+FRICTION, FALL = 2.0, 0.4
+RAMP = 25 + 20 * SHARE
+CYCLES = 35 - 10 * np.cos(2.5 * np.pi * SHARE)
+
+
+def heated(temperature):
+    """Torques whose Coulomb friction on joint 1 falls by 40 % from 25 to 45 degrees."""
+
+    def friction(r):
+        return FRICTION * (1 - FALL * (temperature - 25) / 20) * np.sign(r.v[:, 0])
+
+    return ONE.torque(joint_1=friction)
+
+
+def close(torque, signals, effects=LIBRARY, recording=ONE, X=None, **given):
+    given = {"random_state": 0, "ceiling": False, **given}
+    loop = EffectDiscovery(recording.robot(), effects=effects, **given)
+    X = recording.position if X is None else X
+    return loop.fit(X, torque, signals=signals)
+
+
+def the_signal(loop):
+    (found,) = (effect for effect in loop.effects_ if effect.name == "signal")
+    return found
+
+
+@pytest.fixture(scope="module", name="warm")
+def fixture_warm():
+    return close(heated(CYCLES), {"temperature": CYCLES})
+
+
+@pytest.fixture(scope="module", name="both")
+def fixture_both():
+    gain = 3 * CYCLES + 100
+    return close(heated(CYCLES), {"temperature": CYCLES, "kp": gain})
+
+
+# -- what is named
+
+
+@pytest.mark.parametrize("temperature", [CYCLES, RAMP], ids=["cycles", "ramp"])
+def test_friction_that_falls_with_temperature_is_named(temperature):
+    loop = close(heated(temperature), {"temperature": temperature})
+    assert named(loop) == [("coulomb", 0), ("signal", 0)]
+    found = the_signal(loop)
+    assert found.parameters["signal"] == "temperature"
+    assert found.parameters["of"] == "coulomb"
+    low, high = found.intervals["k"]
+    assert low < -FRICTION * FALL / 20 < high
+    assert high - low < 0.2 * FRICTION * FALL / 20
+    assert found.units["k"] == "N m per unit of temperature"
+    assert loop.error_after_[0] < 0.2 * loop.error_before_[0]
+
+
+def test_the_friction_is_that_of_the_reference(warm):
+    (coulomb,) = (e for e in warm.effects_ if e.name == "coulomb")
+    reference = the_signal(warm).parameters["reference"]
+    low, high = coulomb.intervals["Fc"]
+    assert low < FRICTION * (1 - FALL * (reference - 25) / 20) < high
+
+
+def test_a_drift_that_explains_as_much_is_its_rival():
+    """A robot that warms up as a drift does; nothing of the signal is tuned."""
+    warming = 45 - 20 * np.exp(-SHARE / 0.7)
+    loop = close(heated(warming), {"temperature": warming})
+    assert named(loop) == [("coulomb", 0), ("signal", 0)]
+    assert "drift" in the_signal(loop).rivals
+    assert "drift of the Coulomb friction with time" in loop.report_.to_markdown()
+
+
+def test_a_signal_that_nothing_varies_with_is_not_named():
+    plain = ONE.torque(joint_1=lambda r: FRICTION * np.sign(r.v[:, 0]))
+    signals = {"temperature": RAMP, "tool": np.sign(CYCLES - 35), "supply": CYCLES}
+    loop = close(plain, signals)
+    assert named(loop) == [("coulomb", 0)]
+
+
+@pytest.mark.parametrize("of", ["offset", "viscous"])
+def test_what_varies_is_named(of):
+    open_ = (np.floor(6 * SHARE) % 2).astype(float)
+
+    def torque(r):
+        return 0.8 * open_ * {"offset": 1.0, "viscous": r.v[:, 1]}[of]
+
+    loop = close(ONE.torque(joint_2=torque), {"gripper": open_, "supply": CYCLES})
+    found = the_signal(loop)
+    assert (found.joint, found.parameters["of"]) == (1, of)
+    assert found.parameters["signal"] == "gripper"
+    low, high = found.intervals["k"]
+    assert low < 0.8 < high
+    label = {"offset": "Offset", "viscous": "Viscous friction"}[of]
+    assert f"{label.lower()} that varies with gripper" in str(loop.report_).lower()
+
+
+# -- rivals
+
+
+def test_signals_that_go_together_are_rivals(both):
+    assert named(both) == [("coulomb", 0), ("signal", 0)]
+    found = the_signal(both)
+    (other,) = {"temperature", "kp"} - {found.parameters["signal"]}
+    assert found.rivals[0] == f"signal: {other}"
+    slope = -FRICTION * FALL / 20 / {"temperature": 3, "kp": 1}[other]
+    low, high = found.intervals["k"]
+    factor = 3 if found.parameters["signal"] == "kp" else 1
+    assert low < -FRICTION * FALL / 20 / factor < high
+    assert slope < 0
+    said = " ".join(str(both.report_).split())
+    assert f"this data cannot tell it from signal: {other}" in said
+    assert f"that varies with {other}" in both.report_.to_markdown()
+
+
+def test_a_signal_of_its_own_is_no_rival():
+    apart = {"temperature": CYCLES, "supply": 24 + np.sin(1.7 * ONE.t)}
+    loop = close(heated(CYCLES), apart)
+    found = the_signal(loop)
+    assert found.parameters["signal"] == "temperature"
+    assert not [rival for rival in found.rivals if "supply" in rival]
+
+
+# -- the model that is handed over
+
+
+def test_a_prediction_needs_the_signal(warm):
+    X = ONE.position[:400]
+    with pytest.raises(ValueError, match="varies with the recorded signal 'temperatu"):
+        warm.predict(X)
+    cold, hot = (
+        warm.predict(X, signals={"temperature": np.full(400, degrees)})
+        for degrees in (25.0, 45.0)
+    )
+    moves = np.abs(ONE.v[:400, 0]) > 0.3
+    change = (hot - cold)[moves, 0] * np.sign(ONE.v[:400, 0][moves])
+    np.testing.assert_allclose(change, -FRICTION * FALL, rtol=0.1)
+    np.testing.assert_array_equal(cold[:, 1], hot[:, 1])
+    score = warm.score(X, heated(CYCLES)[:400], signals={"temperature": CYCLES[:400]})
+    assert score > 0.95
+
+
+def test_the_report_names_the_signals(both, warm):
+    outcome = both.report_.to_dict()
+    assert outcome["settings"]["signals"] == ["temperature", "kp"]
+    assert "temperature, kp" in both.report_.to_markdown()
+    for text in (str(warm.report_), warm.report_.to_markdown()):
+        said = " ".join(text.split())
+        assert "Coulomb friction that varies with temperature" in said
+        assert "N m per unit of temperature" in said
+    assert not [one for one in outcome["hidden"] if one["name"] == "signal"]
+
+
+def test_without_signals_nothing_is_said_of_them():
+    loop = close(heated(np.full(SHARE.size, 25.0)), None)
+    assert "signal" not in {one.name for one in loop.hidden_}
+    assert loop.report_.to_dict()["settings"]["signals"] == []
+    assert "varies with" not in str(loop.report_)
+
+
+def test_what_remains_varies_with_a_signal_without_a_name():
+    loop = close(heated(CYCLES), {"temperature": CYCLES}, ["coulomb"])
+    (rest,) = loop.unexplained_
+    robot = ONE.robot(friction=("viscous", "coulomb"))
+    speed = np.sign(CYCLES - 35)
+    torque = ONE.torque(joint_1=lambda r: np.sign(r.v[:, 0]), joint_2=lambda r: speed)
+    found = analyse_residuals(
+        robot, ONE.position, torque, signals={"temperature": CYCLES}
+    )
+    assert rest.joint == 0
+    assert found.dependences[1][0].signal == "temperature"
+
+
+def test_residuals_are_drawn_with_their_signals(warm):
+    display = ResidualDisplay.from_estimator(
+        warm, ONE.position, heated(CYCLES), signals={"temperature": CYCLES}
+    )
+    before, after = display.residual_before[:, 0], display.residual_after[:, 0]
+    assert np.nanstd(after) < 0.3 * np.nanstd(before)
+
+
+# -- what the search is given
+
+
+def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(warm):
+    pandas = pytest.importorskip("pandas")
+    X = pandas.DataFrame(ONE.position, columns=["q1", "q2"]).assign(
+        temperature=CYCLES,
+        gaps=np.where(SHARE > 0.5, np.nan, RAMP),
+        fixed=12.0,
+        operator="me",
+        reference=ONE.q[:, 0] + 0.5 * ONE.q[:, 0].std() * np.sin(9 * ONE.t),
+        clock=1e3 * ONE.t,
+        t=ONE.t,
+    )
+    loop = close(heated(CYCLES), None, X=X)
+    assert the_signal(loop).parameters == the_signal(warm).parameters
+    found = {c.message.split("'")[1]: c for c in loop.report_.outcome.channels}
+    assert set(found) == {"gaps", "fixed", "operator", "reference", "clock", "t"}
+    assert {c.kind for c in found.values()} == {"unusable_signal"}
+    assert {c.severity for c in found.values()} == {"warning"}
+    said = " ".join(str(loop.report_).split())
+    for reason in (
+        "'gaps' is not used as a signal: it has gaps",
+        "'fixed' is not used as a signal: it is constant (12 in all rows)",
+        "'operator' is not used as a signal: it holds 'me' and not numbers",
+        "'reference' is not used as a signal: it follows the position of",
+        "'clock' is not used as a signal: it is a clock",
+        "'t' is not used as a signal: it is time: give it as t",
+    ):
+        assert reason in said
+    np.testing.assert_allclose(
+        loop.predict(X[:50]),
+        warm.predict(ONE.position[:50], signals={"temperature": CYCLES[:50]}),
+        rtol=1e-6,
+    )
+
+
+def test_an_effect_may_name_the_one_that_it_is_meant_for():
+    signals = {"temperature": CYCLES, "kp": 3 * CYCLES + 100}
+    meant = [*LIBRARY[:3], Signal(signal="kp")]
+    found = the_signal(close(heated(CYCLES), signals, meant))
+    assert found.parameters["signal"] == "kp"
+    assert not [rival for rival in found.rivals if "temperature" in rival]
+    with pytest.raises(ValueError, match="the recorded signal 'x', which is missing"):
+        close(heated(CYCLES), signals, [Signal(signal="x")])
+    with pytest.raises(ValueError, match="the recorded signal 'x', which is missing"):
+        close(heated(CYCLES), None, [Signal(signal="x")])
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (np.full(SHARE.size, 3.0), "'other' is constant"),
+        (np.where(SHARE > 0.5, np.inf, 1.0), "'other' has gaps"),
+        (2 - 3 * ONE.position[:, 1], "'other' is the position of"),
+        (heated(CYCLES)[:, 0] / 8.0, "'other' is the torque of"),
+        (ONE.t + 1.7e9, "'other' is a clock"),
+        (CYCLES[:-1], "'other' has the shape"),
+        (np.where(SHARE > 0.5, "on", "off"), "'other' holds 'off' and not numbers"),
+    ],
+)
+def test_bad_signals_are_refused(values, message):
+    with pytest.raises(ValueError, match=message):
+        close(heated(CYCLES), {"temperature": CYCLES, "other": values})
+
+
+def test_a_declared_signal_goes_through_the_loop():
+    declared = Signal(joint=0, signal="temperature", reference=35.0)
+    robot = ONE.robot(friction=("viscous", "coulomb"), effects=(declared,))
+    torque = heated(CYCLES) + 4.0 * np.c_[0 * SHARE, ONE.q[:, 1]]
+    loop = EffectDiscovery(robot, effects=["spring", "offset"], ceiling=False)
+    loop.fit(ONE.position, torque, signals={"temperature": CYCLES})
+    assert named(loop) == [("spring", 1)]
+    assert loop.identifier_.theta_[-3] == pytest.approx(-FRICTION * FALL / 20, rel=0.1)
+
+
+def test_a_frame_of_signals_is_cut_with_the_rows():
+    """Cross-validation cuts data frames and arrays, and hands mappings on whole."""
+    pandas = pytest.importorskip("pandas")
+    from sklearn.model_selection import KFold, cross_val_score
+
+    declared = Signal(joint=0, signal="temperature", reference=35.0)
+    robot = ONE.robot(friction=("viscous", "coulomb"), effects=(declared,))
+    X = pandas.DataFrame(ONE.position, columns=["q1", "q2"])
+    scores = cross_val_score(
+        robot, X.assign(temperature=CYCLES), heated(CYCLES), cv=KFold(2)
+    )
+    assert (scores > 0.95).all()
+
+
+# -- measured
+
+
+def test_gain_and_temperature_of_a_servo_cannot_be_told_apart(measured_data_home):
+    """Both rise from recording to recording."""
+    servo = fetch_bam_xl330(data_home=measured_data_home)
+    robot = RobotIdentifier(
+        servo.robot_model(), dt=servo.dt, friction=("viscous", "coulomb")
+    )
+    both = {name: servo.signals[name] for name in ("temperature", "kp")}
+    loop = EffectDiscovery(robot, ceiling=False, random_state=0)
+    loop.fit(servo.q, servo.tau, groups=servo.groups, signals=both)
+    found = the_signal(loop)
+    (other,) = both.keys() - {found.parameters["signal"]}
+    assert any(rival.startswith(f"signal: {other}") for rival in found.rivals)
+    low, high = found.intervals["k"]
+    assert low * high > 0

@@ -1,0 +1,128 @@
+"""What varies with a recorded signal: columns, units, words, and what is refused."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sklearn_vbjfa import effects
+from sklearn_vbjfa.effects import Motion
+from tests.effects._arms import motion
+
+T, X = motion(2, duration=4.0, seed=5)
+Q, V, A = np.split(X, 3, axis=1)
+WARM = 25 + 10 * np.sin(0.8 * T)
+SIGNALS = {"temperature": WARM, "voltage": 24 - 0.02 * WARM**2}
+
+
+def moved(**changed):
+    return Motion(**{"q": Q, "v": V, "a": A, "t": T, "signals": SIGNALS, **changed})
+
+
+def label(joint):
+    return f"joint {joint + 1}"
+
+
+@pytest.mark.parametrize("of", ["offset", "coulomb", "viscous"])
+def test_another_reference_is_another_share_of_the_plainer_effect(of):
+    """As k (s - r) f = k (s - r') f + k (r' - r) f."""
+    plain = {"offset": 1.0, "coulomb": np.sign(V[:, 1]), "viscous": V[:, 1]}[of]
+    given = {"joint": 1, "signal": "temperature", "of": of}
+    here, there = (
+        effects.Signal(**given, reference=r).columns(moved())[:, 0] for r in (20.0, 31)
+    )
+    assert_allclose(here - there, (31 - 20) * plain * np.ones(T.size), atol=1e-12)
+
+
+def test_units_of_the_signal_change_the_coefficient_alone():
+    celsius = effects.Signal(signal="temperature", reference=25.0)
+    kelvin = effects.Signal(signal="temperature", reference=298.15)
+    fahrenheit = effects.Signal(signal="temperature", reference=77.0)
+    base = celsius.columns(moved())
+    shifted = moved(signals={"temperature": WARM + 273.15})
+    assert_allclose(kelvin.columns(shifted), base, atol=1e-10)
+    scaled = moved(signals={"temperature": 1.8 * WARM + 32})
+    assert_allclose(fahrenheit.columns(scaled), 1.8 * base, atol=1e-10)
+
+
+def test_all_signals_that_vary_are_tried_about_their_mean():
+    flat = {**SIGNALS, "humidity": np.full(T.size, 40.0)}
+    shapes = effects.Signal(joint=1).shapes(moved(signals=flat))
+    assert {(s["signal"], s["of"]) for s in shapes} == {
+        (name, of) for name in SIGNALS for of in ("offset", "coulomb", "viscous")
+    }
+    for shape in shapes:
+        assert shape["reference"] == pytest.approx(SIGNALS[shape["signal"]].mean())
+    assert effects.Signal().shapes(moved(signals={})) == []
+
+
+def test_units_name_the_signal():
+    warm = effects.Signal(signal="temperature", of="viscous")
+    assert warm.parameter_units() == {"k": "N m s/rad per unit of temperature"}
+    assert warm.parameter_units(True) == {"k": "N s/m per unit of temperature"}
+    assert effects.Signal().parameter_units()["k"] == "N m per unit of the signal"
+    assert warm.complexity == 1
+    assert effects.Drift().complexity == 2
+
+
+def test_it_says_what_varies_with_which_signal():
+    describe = effects.Signal.describe
+    assert describe({}, label) == "variation with a recorded signal"
+    assert describe({"signal": "load cell"}, label) == "variation with load cell"
+    for of, words in (
+        ("coulomb", "Coulomb friction that varies with temperature"),
+        ("viscous", "viscous friction that varies with temperature"),
+        ("offset", "offset that varies with temperature"),
+    ):
+        assert describe({"signal": "temperature", "of": of}, label) == words
+
+
+def test_rivals_are_told_apart():
+    warm = effects.Signal(signal="temperature")
+    assert effects.Signal(signal="voltage").told_beside(warm) == "signal: voltage"
+    other = effects.Signal(signal="voltage", of="viscous")
+    assert other.told_beside(warm) == "signal: voltage, viscous"
+    assert warm.told_beside(effects.Drift()) == "signal: temperature, coulomb"
+    assert effects.Drift().told_beside(warm) == "drift"
+
+
+def test_a_recording_without_signals_has_nothing_hidden():
+    reason = effects.Signal().applies(moved(signals={}))
+    assert reason != ""
+    assert not reason.startswith("needs")
+    assert effects.Signal().applies(moved()) == ""
+    named = effects.Signal(signal="current")
+    assert named.applies(moved()).startswith("needs the recorded signal 'current'")
+    assert named.recorded == ("current",)
+    assert effects.Signal().recorded == ()
+
+
+@pytest.mark.parametrize("signal", ["", "current"])
+def test_unknown_signals_are_refused(signal):
+    with pytest.raises(ValueError, match="expected one of temperature, voltage"):
+        effects.Signal(signal=signal).columns(moved())
+
+
+def test_what_cannot_vary_is_refused():
+    with pytest.raises(ValueError, match="of must be one of"):
+        effects.Signal(signal="temperature", of="inertia").fit(X)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        (WARM[:-1], r"signals\['temperature'\] must hold one value per row"),
+        (np.column_stack([WARM, WARM]), "must hold one value per row"),
+        (np.where(T > 1, np.nan, WARM), "NaN"),
+    ],
+)
+def test_bad_signals_are_refused(values, message):
+    effect = effects.Signal(signal="temperature").fit(X)
+    with pytest.raises(ValueError, match=message):
+        effect.transform(X, signals={"temperature": values})
+
+
+def test_a_data_frame_of_signals_will_do():
+    pandas = pytest.importorskip("pandas")
+    effect = effects.Signal(signal="voltage").fit(X)
+    expected = effect.transform(X, signals=SIGNALS)
+    assert_array_equal(effect.transform(X, signals=pandas.DataFrame(SIGNALS)), expected)

@@ -1,0 +1,263 @@
+"""Which columns beside the motion may stand for a cause, and why others may not."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.recording._columns import columns_beside, positions_in_order
+from sklearn_vbjfa.recording._recording import take_arrays, take_rows
+from sklearn_vbjfa.recording._signals import (
+    OfferedSignals,
+    check_given,
+    fault,
+    survey,
+)
+
+DT, N = 0.01, 2000
+T = DT * np.arange(N)
+HIP, KNEE = 2 * T, 3.1 * T + 1
+Q = np.column_stack(
+    [np.sin(HIP) + 0.4 * np.cos(7.3 * T), np.sin(KNEE) + 0.2 * np.sin(9 * T)]
+)
+V = np.column_stack(
+    [2 * np.cos(HIP) - 2.92 * np.sin(7.3 * T), 3.1 * np.cos(KNEE) + 1.8 * np.cos(9 * T)]
+)
+A = np.gradient(V, DT, axis=0)
+TAU = 0.3 * A + 4 * np.sign(V) + 5 * np.sin(Q)
+GROUPS = np.repeat([0, 1], N // 2)
+RNG = np.random.default_rng(0)
+NOISE = RNG.normal(size=N)
+WARM = 30 + 10 * np.sin(0.5 * T)
+
+
+def recording(**changed):
+    X = changed.pop("X", Q)
+    given = {"dt": DT, "joint_names": ("hip", "knee"), **changed}
+    return take_arrays(X, TAU, GROUPS, **given)
+
+
+STATES = recording(X=np.hstack([Q, V, A]))
+MEASURED = recording()
+CHANNELS = {
+    "position of knee": Q[:, 1],
+    "velocity of hip": V[:, 0],
+    "acceleration of knee": A[:, 1],
+    "torque of hip": TAU[:, 0],
+}
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+@pytest.mark.parametrize("given", [MEASURED, STATES], ids=["positions", "states"])
+def test_copies_of_channels_are_known(channel, given):
+    said = f"is the {channel} under another name"
+    assert said in fault(CHANNELS[channel], given)
+    assert said in fault(-7e3 * CHANNELS[channel] + 1e4, given)
+    noisy = CHANNELS[channel] + 0.1 * CHANNELS[channel].std() * NOISE
+    assert said in fault(noisy, given)
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    factor=st.floats(1e-6, 1e6),
+    sign=st.sampled_from([-1, 1]),
+    shift=st.floats(-1e3, 1e3),
+    channel=st.sampled_from(sorted(CHANNELS)),
+)
+def test_units_and_zeros_hide_no_copy(factor, sign, shift, channel):
+    values = CHANNELS[channel]
+    copy = sign * factor * (values + shift * values.std())
+    assert f"is the {channel}" in fault(copy, MEASURED)
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_what_follows_a_channel_is_left_out_where_nobody_asks_for_it(channel):
+    values = CHANNELS[channel]
+    half = values + 0.5 * values.std() * np.sin(23 * T)
+    if channel.startswith(("velocity", "acceleration")):
+        half = values + 0.5 * values.std() * np.sin(1.1 * T)
+    explained = fault(half, STATES, 0.8)
+    assert f"follows the {channel}" in explained
+    assert "ask for it by name" in explained
+    assert fault(half, STATES) == ""
+
+
+SIGNALS = {
+    "cycles": WARM,
+    "ramp": 20 + 0.4 * T,
+    "warming": 40 - 20 * np.exp(-T / 5),
+    "steps": np.floor(T / 3) % 2,
+    "recording": GROUPS.astype(float),
+    "sag": 24 - 0.02 * (TAU * V).sum(axis=1),
+    "noise": NOISE,
+}
+
+
+@pytest.mark.parametrize("name", SIGNALS)
+@pytest.mark.parametrize("given", [MEASURED, STATES], ids=["positions", "states"])
+def test_conditions_of_a_robot_are_none(name, given):
+    assert fault(SIGNALS[name], given, 0.8) == ""
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        T,
+        T + 1.7e9,
+        1e3 * T,
+        1e9 * T,
+        T / 60,
+        np.arange(N),
+        np.tile(T[: N // 2], 2),
+        T + 0.2 * DT * NOISE.clip(-2, 2),
+    ],
+    ids=["s", "epoch", "ms", "ns", "min", "rows", "each", "jitter"],
+)
+def test_clocks_are_known(values):
+    assert fault(np.asarray(values, dtype=float), MEASURED).startswith("is a clock")
+
+
+def test_rows_without_a_clock_have_none():
+    timeless = take_arrays(
+        np.hstack([Q, V, A]), TAU, dt=None, joint_names=("hip", "knee")
+    )
+    assert fault(T, timeless) == ""
+    assert fault(WARM, timeless) == ""
+
+
+@pytest.mark.parametrize("size", [0.0, 21.5, 1e9])
+def test_constants_are_known(size):
+    assert fault(np.full(N, size), MEASURED).startswith("is constant")
+    rounded = np.full(N, size) * (1 + 1e-16 * NOISE)
+    assert fault(rounded, MEASURED).startswith("is constant")
+
+
+# -- what is given and what is offered
+
+
+class Uses:
+    """An effect that varies with some signals."""
+
+    needs = ("signals",)
+
+    def __init__(self, *recorded):
+        self.recorded = recorded
+
+
+def test_signals_by_name_become_floats():
+    found = check_given({"tool": np.array([True, False]), "n": [1, 2]}, 2)
+    assert {name: x.dtype.kind for name, x in found.items()} == {"tool": "f", "n": "f"}
+    boxed = np.array([1.5, 2.5], dtype=object)
+    np.testing.assert_array_equal(check_given({"x": boxed}, 2)["x"], [1.5, 2.5])
+    assert check_given(None, 2) == {}
+
+
+def test_what_is_offered_is_taken_or_said():
+    offered = OfferedSignals(
+        columns={"warm": WARM, "torque": TAU[:, 0], "gap": np.where(T > 1, T, np.nan)},
+        left_out={"label": "holds 'a' and not numbers"},
+    )
+    found, said = survey(None, offered, MEASURED, (Uses(),))
+    assert list(found) == ["warm"]
+    assert [one.message.split("'")[1] for one in said] == ["label", "torque", "gap"]
+    assert all(one.joints == () and one.severity == "warning" for one in said)
+    asked, _ = survey({"tool": SIGNALS["steps"]}, offered, MEASURED, (Uses(),))
+    assert set(asked) == {"tool", "warm"}
+    one, _ = survey(None, offered, MEASURED, (Uses("warm"),))
+    assert list(one) == ["warm"]
+    for name in ("label", "gap"):
+        with pytest.raises(ValueError, match=f"The column '{name}' "):
+            survey(None, offered, MEASURED, (Uses(name),))
+    with pytest.raises(ValueError, match="'torque' is the torque of hip"):
+        survey(None, offered, MEASURED, (Uses("torque"),))
+    with pytest.raises(ValueError, match="'warm', which is a column of X as well"):
+        survey({"warm": WARM}, offered, MEASURED, ())
+
+
+def test_who_asks_by_name_decides_what_a_signal_is():
+    """What follows a channel with an error of its own is a suspect, and no copy."""
+    sag = TAU[:, 0] + 0.4 * TAU[:, 0].std() * NOISE
+    offered = OfferedSignals(columns={"sag": sag})
+    nothing, (said,) = survey(None, offered, MEASURED, (Uses(),))
+    assert nothing == {}
+    assert "follows the torque of hip" in said.message
+    assert list(survey(None, offered, MEASURED, (Uses("sag"),))[0]) == ["sag"]
+    assert list(survey({"sag": sag}, OfferedSignals(), MEASURED, ())[0]) == ["sag"]
+
+
+def test_parts_of_a_recording_keep_their_rows():
+    whole = recording(signals={"warm": WARM})
+    rows = np.r_[5:300, 1200:1500]
+    part = take_rows(whole, rows, rows > 1000)
+    np.testing.assert_array_equal(part.signals["warm"], WARM[rows])
+    assert len(part.segments) == 2
+
+
+# -- data frames and files
+
+
+def test_columns_of_a_frame_are_divided():
+    pandas = pytest.importorskip("pandas")
+    names = ("hip", "knee")
+    columns = {"q_knee": Q[:, 1], "warm": WARM, "q_hip": Q[:, 0], "t": T}
+    X = pandas.DataFrame({**columns, "tau_hip": T, "tau_knee": T, "v_hip": T})
+    np.testing.assert_array_equal(positions_in_order(X, names), Q)
+    beside = columns_beside(X, names)
+    assert list(beside.columns) == ["warm", "v_hip"]
+    assert beside.left_out == {
+        "t": "is time: give it as t",
+        "tau_hip": "belongs to a joint",
+        "tau_knee": "belongs to a joint",
+    }
+    states = pandas.DataFrame(
+        {f"{kind}{j}": x[:, j] for kind, x in zip("qva", (Q, V, A)) for j in (0, 1)}
+    ).assign(warm=WARM)
+    assert list(columns_beside(states, names).columns) == ["warm"]
+    np.testing.assert_array_equal(positions_in_order(states, names), STATES.states)
+
+
+def test_frames_without_columns_beside_are_as_they_were():
+    pandas = pytest.importorskip("pandas")
+    for X in (Q, pandas.DataFrame(Q), pandas.DataFrame(Q, columns=["knee", "hip"])):
+        assert columns_beside(X, ("hip", "knee")).names == ()
+    with pytest.raises(ValueError, match="of which warm name no joint"):
+        positions_in_order(
+            pandas.DataFrame(Q, columns=["hip", "warm"]), ("hip", "knee")
+        )
+
+
+@pytest.mark.parametrize("kind", ["csv", "npz", "parquet"])
+def test_other_columns_of_a_file_are_signals_by_their_names(kind, tmp_path):
+    source = tmp_path / f"arm.{kind}"
+    columns = {"t": T, "q1": Q[:, 0], "tau1": TAU[:, 0], "a1": A[:, 0], "Temp °C": WARM}
+    if kind == "npz":
+        np.savez(source, **columns)
+    else:
+        pandas = pytest.importorskip("pandas")
+        frame = pandas.DataFrame(columns)
+        if kind == "csv":
+            frame.to_csv(source, index=False)
+        else:
+            pytest.importorskip("pyarrow")
+            frame.to_parquet(source)
+    found = read_recording(source)
+    offered = OfferedSignals.of_file(found)
+    assert offered.names == ("Temp °C",)
+    np.testing.assert_allclose(offered.column("Temp °C", N), WARM, rtol=1e-9)
+
+
+def test_what_a_file_holds_besides_numbers_is_known(tmp_path):
+    source = tmp_path / "arm.csv"
+    rows = ["t,q1,tau1,state,volts"]
+    rows += [f"{t},{q},1.0,idle,{'' if t == 0.05 else 24}" for t, q in zip(T, Q[:, 0])]
+    source.write_text("\n".join(rows[:200]))
+    with pytest.warns(UserWarning, match="state, volts hold no finite numbers"):
+        found = read_recording(source)
+    assert found.left_out == {
+        "state": "holds 'idle' and not numbers",
+        "volts": "has gaps: 1 of 199 values are not finite, the first in row 5; "
+        "interpolate them",
+    }
+    with pytest.raises(ValueError, match="The column 'volts' has gaps"):
+        OfferedSignals.of_file(found).column("volts", found.n_samples)

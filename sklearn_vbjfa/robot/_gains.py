@@ -29,8 +29,7 @@ _WIDEST = LIMIT**2
 HALF_WIDTH = 1.645
 # An exactly fitted joint would get infinite weight.
 _LEAST_NOISE = 1e-12
-# Standard deviation of the logarithm of a gain about which nothing is known: wide
-# beside the plausible ones, so that it does not narrow any interval that matters.
+# Standard deviation of the logarithm of a gain about which nothing is known.
 _UNKNOWN = np.log(1e4)
 # Weights follow from the gains, and these from the weights.
 _PASSES = 30
@@ -176,14 +175,13 @@ def _smallest(found):
 
 
 def _spread(found):
-    """Variances (k, k) of the logarithms of ratios of gains; infinite if not seen."""
-    k = found.size.size
-    seen = scaled_eigen(
-        found.matrix, IDENTIFIABLE, scale=np.sqrt(found.size), relative=False
-    )
-    covariance = linalg.inv(seen.matrix() + np.eye(k) / _UNKNOWN**2)
-    own = np.diagonal(covariance)
-    return np.maximum(own[:, None] + own - 2 * covariance, 0.0)
+    """Variances (k, k) of the logarithms of ratios of gains; large if not seen."""
+    scale = np.sqrt(found.size)
+    seen = scaled_eigen(found.matrix, IDENTIFIABLE, scale=scale, relative=False)
+    known = np.where(seen.known, seen.values, 1.0)
+    variance = np.where(seen.known, 1.0 / known, (_UNKNOWN * scale.max()) ** 2)
+    roots = seen.vectors / scale[:, None] * np.sqrt(variance)
+    return ((roots[:, None] - roots) ** 2).sum(axis=2)
 
 
 def _grouped(spread, strength, references):

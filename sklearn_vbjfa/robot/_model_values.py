@@ -39,7 +39,7 @@ class ModelValues:
         Corrections of the values; zero where the recording does not show them.
     std : ndarray
         Standard deviations of the values; nan where the recording does not show them.
-    estimate : PlainEstimate
+    estimate : PlainEstimate or None
         Of everything, with corrections in the places of the values.
     """
 
@@ -47,7 +47,7 @@ class ModelValues:
     places: np.ndarray
     step: np.ndarray
     std: np.ndarray
-    estimate: PlainEstimate
+    estimate: PlainEstimate | None = None
 
     @classmethod
     def of(cls, moments, effects, n_rigid, joint_weights):

@@ -21,6 +21,10 @@ from sklearn_vbjfa.robot._weights import (
     reweighted_moments,
 )
 
+# Largest weight of a joint's equations in units of its mean squared torque: no robot is
+# modelled better than to 1e-4 of its torque. Without noise, the weight of a joint that
+# is fitted already would hide what only the others show.
+_FINEST = 1e8
 # Directions of parameter space that the data determine less than this, relative to
 # the best-determined one in scaled columns, count as unidentifiable, ...
 IDENTIFIABLE = 1e-9
@@ -173,6 +177,9 @@ def plain_estimate(moments, joint_weights="auto"):
     do not determine are left out. Returns a `PlainEstimate`.
     """
     weight = resolve_weights(joint_weights, moments)
+    if isinstance(joint_weights, str):
+        with np.errstate(divide="ignore"):
+            weight = np.minimum(weight, _FINEST * moments.n / moments.yy)
     total, noise = moments.total(weight), moments.total_noise(weight)
     metric = total.S_xx if noise is None else denoised(total, noise)
     found = scaled_eigen(metric, IDENTIFIABLE)

@@ -340,12 +340,18 @@ def check_gains(gains, joint_names):
 
 
 def note_of_gains(gains):
-    """Say in which unit the parameters of an identified robot are; empty for SI."""
-    if gains is None or gains.absolute:
+    """Say what channels read over the torque in a written file; empty if known."""
+    if gains is None:
         return ""
+    each = ", ".join(
+        f"{name} {gain:.5g}" for name, gain in zip(gains.joint_names, gains.gain)
+    )
+    told = f"Divide what the torque channels read by: {each}."
+    if gains.absolute:
+        return told
     names = [gains.joint_names[j] for j in gains.references]
-    of = f"relative to that of {', '.join(names)}" if names else "not shown"
+    unit = f"that of {' or '.join(names)}" if names else "each channel"
     return (
-        f"The gains of the torque channels are {of}: masses, inertias and friction are "
-        "in units of that channel, not in kg and N m."
+        f"{told} These gains are relative: masses, inertias and friction in this file "
+        f"are in units of {unit}, not in kg and N m."
     )

@@ -19,10 +19,14 @@ from sklearn_vbjfa.robot._estimate import PlainEstimate, plain_estimate
 
 # A value stays where a correction is smaller than this share of its standard error.
 STAYS = 0.1
+# ... or than this share of the range of plausible values, which is rounding.
+_ROUNDING = 1e-10
 # Corrections of one fit.
 MOST_CORRECTIONS = 12
 # Of a correction that would lead out of the plausible values, this share of the way.
 _SHORT = 0.9
+# A value is at the end of its range where it is within this share of it.
+_END = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,9 +77,18 @@ class ModelValues:
         )
 
     def stay(self):
-        """Whether no value moves by more than a tenth of its standard error."""
+        """Whether no value moves by more than a tenth of its standard error.
+
+        One at the end of what is plausible stays where it would go on outwards.
+        """
+        own = [effect for effect in self.effects if effect.in_model]
+        low, high = (np.concatenate(x) for x in zip(*[e.bounds() for e in own]))
         with np.errstate(invalid="ignore"):
-            return not (np.abs(self.step) > STAYS * self.std).any()
+            least = np.maximum(STAYS * self.std, _ROUNDING * (high - low))
+            moves = np.abs(self.step) > least
+        below, above = (np.concatenate(x) for x in zip(*map(_at_bounds, own)))
+        out = (below & (self.step < 0)) | (above & (self.step > 0))
+        return not (moves & ~out).any()
 
     @staticmethod
     def values_of(effects):
@@ -102,13 +115,12 @@ class ModelValues:
         for effect in self.effects:
             if not effect.in_model:
                 continue
-            low, high = effect.bounds()
-            near = (1 - _SHORT) * 0.2
-            below = effect.values < low + near * (effect.idle - low)
-            at = below | (effect.values > high - near * (high - effect.idle))
+            below, above = _at_bounds(effect)
             told += [
                 f"{name} of {effect.name} on {names[effect.joint]} ({value:.3g})"
-                for name, value, ends in zip(effect.tangent, effect.values, at)
+                for name, value, ends in zip(
+                    effect.tangent, effect.values, below | above
+                )
                 if ends
             ]
         if told:
@@ -119,6 +131,13 @@ class ModelValues:
                 UserWarning,
                 stacklevel=4,
             )
+
+
+def _at_bounds(effect):
+    """Which values are at their lower and at their upper bounds, two arrays (k,)."""
+    low, high = effect.bounds()
+    near = _END * (high - low)
+    return effect.values < low + near, effect.values > high - near
 
 
 def _within(effect, step):

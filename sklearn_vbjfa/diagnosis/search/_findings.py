@@ -10,6 +10,7 @@ from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
 from sklearn_vbjfa.effects import EffectRange
+from sklearn_vbjfa.robot._corrections import Corrections
 from sklearn_vbjfa.robot._gains import ChannelGains
 
 
@@ -325,6 +326,9 @@ class Outcome:
     gains : ChannelGains or None
         Gains of the torque channels in the model that is handed over; None unless they
         were unknown.
+    corrections : Corrections
+        What effects in the model that is handed over ask for: of the base, of encoders,
+        of axes, of torque channels.
     """
 
     declared: dict
@@ -357,6 +361,7 @@ class Outcome:
     curves: dict = field(default_factory=dict)
     outside: tuple = ()
     gains: ChannelGains | None = None
+    corrections: Corrections = field(default_factory=Corrections)
 
 
 def named_beside(effect, chosen, names):

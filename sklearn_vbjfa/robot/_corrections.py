@@ -138,7 +138,7 @@ class Corrections:
     axes : tuple of AxisCorrection
         Of joints; a URDF that is written has them.
     gains : tuple of GainCorrection
-        Of torque channels.
+        Of torque channels, unless all are unknown: then `ChannelGains` has them.
     """
 
     tilt: TiltCorrection | None = None
@@ -231,7 +231,7 @@ def corrections_of(robot):
                     **where,
                 )
             )
-        elif isinstance(effect, TorqueGain):
+        elif isinstance(effect, TorqueGain) and robot.gains_ is None:
             gain = float(effect.gain)
             gains.append(
                 GainCorrection(gain=gain, percent=100.0 * (gain - 1.0), **where)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa.robot._estimate import plain_estimate
+from sklearn_vbjfa.robot._estimate import PlainEstimate, plain_estimate
 
 # A value stays where a correction is smaller than this share of its standard error.
 STAYS = 0.1
@@ -43,12 +43,15 @@ class ModelValues:
         Corrections of the values; zero where the recording does not show them.
     std : ndarray
         Standard deviations of the values; nan where the recording does not show them.
+    estimate : PlainEstimate or None
+        Of everything, with corrections in the places of the values.
     """
 
     effects: tuple
     places: np.ndarray
     step: np.ndarray
     std: np.ndarray
+    estimate: PlainEstimate | None = None
 
     @classmethod
     def of(cls, moments, effects, n_rigid, joint_weights):
@@ -63,13 +66,14 @@ class ModelValues:
             if effect.in_model:
                 places += range(at, stop)
             at = stop
-        theta, std, known = plain_estimate(moments, joint_weights)
-        shown = known[places]
+        found = plain_estimate(moments, joint_weights)
+        shown = found.known[places]
         return cls(
             effects=tuple(effects),
             places=np.array(places),
-            step=np.where(shown, theta[places], 0.0),
-            std=np.where(shown, std[places], np.nan),
+            step=np.where(shown, found.theta[places], 0.0),
+            std=np.where(shown, found.std[places], np.nan),
+            estimate=found,
         )
 
     def stay(self):
@@ -86,10 +90,10 @@ class ModelValues:
         out = (below & (self.step < 0)) | (above & (self.step > 0))
         return not (moves & ~out).any()
 
-    def values(self):
-        """Present values, ndarray."""
-        own = [effect.values for effect in self.effects if effect.in_model]
-        return np.concatenate(own)
+    @staticmethod
+    def values_of(effects):
+        """Present values of effects, ndarray, in the order of `places`."""
+        return np.concatenate([one.values for one in effects if one.in_model])
 
     def corrected(self):
         """Return the effects with corrected values, within those that are plausible."""
@@ -153,5 +157,5 @@ def tell_unsettled(values):
         f"tenth of their standard errors after {MOST_CORRECTIONS} corrections: the "
         "recording hardly tells them apart. Declare fewer of them.",
         ConvergenceWarning,
-        stacklevel=3,
+        stacklevel=5,
     )

@@ -385,6 +385,11 @@ class Effect(TransformerMixin, BaseEstimator):
         """Number of coefficients and searched shape parameters."""
         return len(self.coefficients) + len(self.continuous)
 
+    @property
+    def everywhere(self):
+        """Whether all joints tell of the effect, not its own alone."""
+        return self.whole_robot or self.in_model
+
     def shape(self):
         """Shape parameters in use."""
         parameters = self.get_params(deep=False)

@@ -66,7 +66,7 @@ def exchange(search):
     model = search.model
     above = (model.precision > 0) & ~search.at_floor(model.squares, _ABOVE)
     for joint in np.flatnonzero(model.precision > 0).tolist():
-        own = [e for e in model.effects if e.joint == joint and not e.whole_robot]
+        own = [e for e in model.effects if e.joint == joint and not e.everywhere]
         if _two_for_one(search, joint, own):
             return True
         if not above[joint] or search.is_full():

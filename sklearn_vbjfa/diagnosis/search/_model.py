@@ -158,7 +158,7 @@ class SearchModel:
 
     def relevant(self, effect, *squares):
         """Squared errors of an effect's joint, or of the robot in units of noise."""
-        if effect.whole_robot:
+        if effect.everywhere:
             return [s @ self.precision for s in squares]
         return [s[:, effect.joint] for s in squares]
 

@@ -23,6 +23,7 @@ from sklearn_vbjfa.diagnosis.search._members import alike
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._shapes import (
     absorbing,
+    linearised,
     plainest,
     retuned,
     tuned,
@@ -74,6 +75,7 @@ HARM = "does harm on later data, beyond one standard error"
 SUPERFLUOUS = "leaving it out costs no more than chance, or less than 1 %"
 ABSORBED = "the effect that contains it does as well alone, with another shape"
 MOST = "fewer effects were asked for"
+UNSETTLED = "saves less than 2 % once the robot is corrected"
 UNNATURAL = "took a sign or size that it cannot have"
 ELSEWHERE = "does harm on motion that it was not fitted to"
 BETTER = "better than what it replaces"
@@ -210,6 +212,9 @@ class EffectSearch:
         Keys of effects that did not hold on later data, beside the model as it is.
     refusals : dict
         How often each effect was refused, by its key.
+    been : set
+        Sets of keys of effects that were accepted together: a replacement must not lead
+        back to one, or the search goes in circles.
     tried : dict
         By joint, the model that candidates were last tried beside, and what they were.
     threshold, n_tests : float and int
@@ -225,6 +230,7 @@ class EffectSearch:
     steps: list = field(default_factory=list)
     refused: set = field(default_factory=set)
     refusals: dict = field(default_factory=dict)
+    been: set = field(default_factory=set)
     tried: dict = field(default_factory=dict)
     threshold: float | None = None
     n_tests: int = 0
@@ -276,7 +282,7 @@ class EffectSearch:
                     found = self._round(number)
                     number += 1
             # Each set of effects is looked at once: swaps must not go in circles.
-            names = frozenset(effect.key() for effect in self.model.effects)
+            names = keys_of(self.model.effects)
             if not found and names not in seen and number < most:
                 seen.add(names)
                 found = exchange(self)
@@ -298,6 +304,7 @@ class EffectSearch:
     def accept(self, effects):
         """Take effects for what the declared model lacks."""
         self.model = SearchModel.of(self.view, effects, self.model)
+        self.been.add(keys_of(effects))
 
     def is_full(self):
         """Whether as many effects are accepted as may be."""
@@ -316,6 +323,8 @@ class EffectSearch:
         rivals = (*alike(chosen, model, self.taken(model)), *rivals)
         effect = tuned(chosen.effect, model)
         case, refusal = self.later(effect, model)
+        if refusal is None and effect.in_model:
+            effect, case, refusal = self._settled(effect)
         if refusal is not None:
             self._refuse(effect, case, rivals, others, refusal)
             return True
@@ -338,6 +347,24 @@ class EffectSearch:
         self.model = retuned(self.model, effect.joint)
         self.compete(effect.joint)
         return True
+
+    def _settled(self, effect):
+        """Linearise an effect in the model beside the others until its value stays.
+
+        What its columns promise need not hold for the corrected robot. Returns the
+        effect with its value, Evidence for the model with it, and the Rule that refuses
+        it or None.
+        """
+        model = self.model
+        trial = SearchModel.of(self.view, [*model.effects, effect], model)
+        trial = linearised(trial, effect.joint)
+        (settled,) = (e for e in trial.effects if e.key() == effect.key())
+        case = compare(*model.relevant(effect, model.squares, trial.squares))
+        if not settled.natural(trial.coefficients(settled)):
+            return settled, case, Rule(name=UNNATURAL)
+        if case.gain < SMALLEST_GAIN:
+            return settled, case, Rule(name=UNSETTLED)
+        return settled, case, None
 
     def _best_offer(self, number):
         """Best candidate that may be added, its rivals and all that beat chance.
@@ -491,7 +518,7 @@ class EffectSearch:
         """Effects on a joint alone that save a share beside a model, scored."""
         found = []
         for effect in self.candidates_of(joint):
-            if not effect.whole_robot:
+            if not effect.everywhere:
                 candidate, _ = self.score(effect, base, finely=False)
                 if candidate and candidate.evidence.gain >= smallest:
                     found.append(candidate)
@@ -507,7 +534,7 @@ class EffectSearch:
         """
         everything = self.candidates_of(joint)
         if quiet:
-            everything = [effect for effect in everything if effect.whole_robot]
+            everything = [effect for effect in everything if effect.everywhere]
         tried, columns = {}, {}
         for effect in sorted(everything, key=lambda e: len(closure(e, everything))):
             candidate, own = self.score(effect, base)
@@ -562,7 +589,7 @@ class EffectSearch:
         explain no more are its rivals as well.
         """
         everything = list({id(c): c for c in [*candidates, *others]}.values())
-        whole = any(c.effect.whole_robot for c in everything)
+        whole = any(c.effect.everywhere for c in everything)
         joint = candidates[0].effect.joint
         error = {
             id(c): c.white.sum(axis=1) if whole else c.white[:, joint]
@@ -603,10 +630,10 @@ class EffectSearch:
         """
         joint, model = chosen.effect.joint, self.model
         shaped = any(e.joint == joint and e.continuous for e in model.effects)
-        if not shaped or chosen.effect.whole_robot:
+        if not shaped or chosen.effect.everywhere:
             return chosen, rivals
         first = sorted(
-            (c for c in others if c is not chosen and not c.effect.whole_robot),
+            (c for c in others if c is not chosen and not c.effect.everywhere),
             key=lambda c: c.white[:, joint].sum(),
         )
         error = {}
@@ -651,7 +678,7 @@ class EffectSearch:
 
         Each time that the effect was refused before doubles it.
         """
-        if effect.whole_robot:
+        if effect.everywhere:
             white = [s.sum(axis=1) for s in white]
         else:
             white = [s[:, effect.joint] for s in white]
@@ -725,7 +752,7 @@ class EffectSearch:
                 # Where it has faded it cannot be tried: all it does there is to leave
                 # other parameters alone.
                 squares = [s[acts[border:]] for s in squares]
-            if not effect.whole_robot:
+            if not effect.everywhere:
                 squares = [s[:, [effect.joint]] for s in squares]
             case = compare(*(s.sum(axis=1) for s in squares))
             if effect.slow or late:
@@ -872,10 +899,23 @@ class EffectSearch:
             if not better and not (simpler and case.gain > 0):
                 continue
             successor = tuned(best.effect, base)
+            if keys_of([*base.effects, successor]) in self.been:
+                continue
             later, refusal = self.later(successor, base)
             if refusal is not None:
                 self._refuse(successor, later, rivals, others, refusal)
                 continue
+            if successor.in_model:
+                trial = SearchModel.of(
+                    self.view, [*base.effects, successor], self.model
+                )
+                trial = linearised(trial, joint)
+                now, then = (
+                    base.relevant(successor, m.squares)[0] for m in (self.model, trial)
+                )
+                if not no_worse(now, then):
+                    continue
+                successor = trial.effects[-1]
             self.step(
                 "replace",
                 successor,
@@ -892,6 +932,11 @@ class EffectSearch:
         for joint in sorted({e.joint for e in self.model.effects}):
             self.model = retuned(self.model, joint)
         self.prune()
+
+
+def keys_of(effects):
+    """Keys of some effects, whatever their order, a frozenset."""
+    return frozenset(effect.key() for effect in effects)
 
 
 def _weighted_gain(model):

@@ -194,7 +194,7 @@ class BaseTilt(ModelEffect):
     """
 
     name = "base_tilt"
-    label = "base not level"
+    label = "tilted base"
     formula = (
         r"\frac{\partial\tau}{\partial g}"
         r"\left(R_y(\mathrm{pitch})\,R_x(\mathrm{roll}) - 1\right) g_0"
@@ -291,7 +291,7 @@ class JointZero(ModelEffect):
     """
 
     name = "joint_zero"
-    label = "zero of the encoder is off"
+    label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
     coefficients = ("zero",)
     units = (POSITION,)
@@ -361,7 +361,7 @@ class JointAxis(ModelEffect):
     """
 
     name = "joint_axis"
-    label = "axis of the joint is elsewhere"
+    label = "turned joint axis"
     formula = (
         r"\frac{\partial\tau}{\partial w_j}\left(\mathrm{about\_x}\,e_1"
         r" + \mathrm{about\_y}\,e_2\right)"
@@ -443,7 +443,7 @@ class TorqueGain(ModelEffect):
     """
 
     name = "torque_gain"
-    label = "gain of the torque channel"
+    label = "wrong gain of the torque channel"
     formula = r"(\mathrm{gain} - 1)\,\tau"
     coefficients = ("gain",)
     units = (_NONE,)

@@ -26,6 +26,7 @@ from sklearn_vbjfa.recording._recording import (
 )
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
+from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
@@ -53,7 +54,6 @@ from sklearn_vbjfa.robot._plan import (
     check_effects,
     effect_names,
     make_plan,
-    needs_load,
     observe,
     resolve_standstill,
     takes_moments,
@@ -366,8 +366,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         else:
             self.torque_noise_ = periods.filtered_torque_noise(plan.lowpass)
         fitted = ()
-        for one in plan.passes():
-            if needs_load(one.effects):
+        for number, one in enumerate(plan.passes()):
+            if number > 0:
                 self._load = self._known_torque(fitted)
             fitted = one.effects
             made = segments(recording, states, one, self.features_, theta=self._load)
@@ -985,7 +985,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.
 
-        A comment names bodies whose masses the recording does not determine.
+        Axes of joints that a `JointAxis` has turned are corrected, too. A tilt of the
+        base, zeros of encoders and gains of torque channels are no property of the
+        robot that a description could hold: a comment at the top says what is to be
+        changed, as plainly as that four degrees are to be subtracted. It also names
+        bodies whose masses the recording does not determine. Torques of the written
+        robot are the true ones, at true positions.
 
         Parameters
         ----------
@@ -1006,7 +1011,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             self._bodies(),
             self.features_.friction_,
             self.min_eigenvalues_,
-            note_of_masses(self),
+            "\n".join(filter(None, [*note_of_corrections(self), note_of_masses(self)])),
+            turned_joints(self),
         )
 
 

@@ -10,6 +10,7 @@ from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
 from sklearn_vbjfa.effects import EffectRange
+from sklearn_vbjfa.robot._corrections import Corrections
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,6 +322,9 @@ class Outcome:
         part, its recordings joined [s]; "maps" has a `Map` of some joints.
     outside : tuple of OutsideRange
         Where the untouched part leaves what the judged model was fitted on.
+    corrections : Corrections
+        What effects in the model that is handed over ask for: of the base, of encoders,
+        of axes, of torque channels.
     """
 
     declared: dict
@@ -352,6 +356,7 @@ class Outcome:
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)
     outside: tuple = ()
+    corrections: Corrections = field(default_factory=Corrections)
 
 
 def named_beside(effect, chosen, names):

@@ -7,6 +7,8 @@ the present value is a column like any other, whose coefficient says how far to 
 and the model is corrected and linearised again until the value stays.
 """
 
+from numbers import Real
+
 import numpy as np
 from sklearn.base import clone
 
@@ -99,7 +101,7 @@ class ModelEffect(Effect):
         super().check()
         for name in self.tangent:
             value = getattr(self, name)
-            if not (np.isscalar(value) and np.isfinite(value)):
+            if not (isinstance(value, Real) and np.isfinite(value)):
                 raise ValueError(
                     f"{name} of {self.name} must be a finite number; got {value!r}."
                 )
@@ -460,9 +462,9 @@ class TorqueGain(ModelEffect):
         super().check()
         if not self.gain > 0:
             raise ValueError(f"gain of {self.name} must be positive; got {self.gain}.")
-        if not self.limit > 1:
+        if not (isinstance(self.limit, Real) and self.limit > 1):
             raise ValueError(
-                f"limit of {self.name} must be greater than 1; got {self.limit}."
+                f"limit of {self.name} must be greater than 1; got {self.limit!r}."
             )
 
     def shape(self):

@@ -137,7 +137,7 @@ class Corrections:
     axes : tuple of AxisCorrection
         Of joints; a URDF that is written has them.
     gains : tuple of GainCorrection
-        Of torque channels.
+        Of torque channels, unless all are unknown: then `ChannelGains` has them.
     """
 
     tilt: TiltCorrection | None = None
@@ -192,6 +192,8 @@ def corrections_of(robot):
     """
     turned, values = _turns(robot), {}
     for effect in robot.effects_:
+        if isinstance(effect, TorqueGain) and robot.gains_ is not None:
+            continue
         for kind in (BaseTilt, JointZero, JointAxis, TorqueGain):
             if isinstance(effect, kind):
                 # Small turns add up, of one that was declared and found once more.

@@ -173,6 +173,7 @@ def test_undetermined_parameters_have_no_deviation(tmp_path):
         theta_=np.array([1.0, 0.1 + 0.2]),
         theta_std_=np.array([np.inf, 0.25]),
         identifiable_=np.array([False, True]),
+        gains_=None,
     )
     path = tmp_path / "parameters.csv"
     _close_loop._write_parameters(robot, ("in combination", "yes"), path)

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import (
+    _gains,
     _limits,
     _plain,
     _remains,
@@ -294,6 +295,19 @@ def _recordings(outcome, verdict):
     """Say first what is wrong with recordings, then what their motion leaves open."""
     found = _limits.contradiction_sentences(outcome) + _limits.motion_sentences(outcome)
     return _paragraph("Limits of the recordings", found)
+
+
+def _channel_gains(outcome, verdict):
+    found = _gains.gain_sentences(outcome)
+    if not found:
+        return _paragraph("Gains of the torque channels", found)
+    heads = ("joint", "gain", "90 % interval", "relative to")
+    return Section(
+        heading="Gains of the torque channels",
+        sentences=found,
+        table=Table(heads=heads, rows=_gains.gain_rows(outcome)),
+        terminal=(" ".join(found), Table(heads=heads, rows=_gains.gain_rows(outcome))),
+    )
 
 
 def _masses(outcome, verdict):
@@ -794,6 +808,7 @@ SECTIONS = (
     _unexplained,
     _record_next,
     _hidden,
+    _channel_gains,
     _masses,
     _channels,
     _residuals,

@@ -87,6 +87,7 @@ def make_outcome(search, models, judgement, channels, asked, recordings=()):
         contradictions=contradictions(models.final, spread, float(asked["alpha"])),
         curves=_curves(models.judged, judgement.before, judgement.after, maps),
         outside=judgement.outside,
+        gains=models.final.identifier.gains_,
         corrections=corrections_of(models.final.identifier),
     )
 

@@ -287,8 +287,8 @@ def hidden(name, joints, reason, remedy=""):
     [
         (
             hidden("joint_zero", (0, 5), "span"),
-            "The zeros of joints 1 and 6 cannot be seen in any motion: parameters of "
-            "the bodies that are fitted anyway do the same.",
+            "The zeros of joints 1 and 6 cannot be seen in any motion: what is "
+            "fitted anyway does the same.",
         ),
         (
             hidden("joint_axis", (0,), "excitation", "more moves"),

@@ -75,7 +75,9 @@ from sklearn_vbjfa.robot._plan import (
 from sklearn_vbjfa.robot._query import Query
 from sklearn_vbjfa.robot._ranges import (
     effect_ranges,
+    ends,
     outside_text,
+    signals_outside_text,
     sum_ranges,
     warn_outside,
 )
@@ -411,6 +413,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         if any(effect.in_model for effect in self.effects_):
             made = self._settle(recording, states, relative)
         self._tell_loads(made)
+        self._signal_ends = ends(recording.signals)
         if periods is None and self.torque_noise is None:
             X = recording.inputs
             clock = plan.clock(recording)
@@ -550,7 +553,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         names, units = effect_names(self.effects_, self.features_.model_)
         self.parameter_names_ = self.features_.parameter_names_ + names
         self.parameter_units_ = self.features_.parameter_units_ + units
-        self._load = None
+        self._load, self._signal_ends = None, {}
 
     def _take(self, X, y, groups, sample_weight, t, signals):
         """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
@@ -832,7 +835,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             where the effect is curved) in more than 0.5 % of the rows. The same warning
             tells of effects of time outside the time of the fit, by more than a tenth
             of its duration, what they add there and its standard deviation
-            (`effects_of_time`).
+            (`effects_of_time`), and of recorded signals that leave their range in the
+            fit by more than a fifth of its width.
 
         Notes
         -----
@@ -904,6 +908,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         found = self._outside(asked)
         joints = self.joint_names_, is_prismatic(self.features_.model_)
         said = [outside_text(found, *joints)] if found else []
+        said += signals_outside_text(self._signal_ends, asked.recording.signals)
         timed = self._of_time(asked)
         return said + (beyond_text(timed, self._plan.time, *joints) if timed else [])
 

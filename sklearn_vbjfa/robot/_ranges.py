@@ -9,6 +9,7 @@ import numpy as np
 
 from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.effects._base import POSITION, SPEED, TORQUE
+from sklearn_vbjfa.effects._ranges import OUTLIERS, ROUNDING, STRAIGHT
 
 _UNITS = {"position": POSITION, "speed": SPEED, "load": TORQUE}
 _WAYS = ("forward motion", "backward motion")
@@ -95,6 +96,31 @@ def effect_ranges(friction, effects, motion, load=None):
         )
         for effect, joint in used
     )
+
+
+def ends(signals):
+    """Lowest and highest value of each recorded signal, a dict of (float, float)."""
+    return {name: (float(x.min()), float(x.max())) for name, x in signals.items()}
+
+
+def signals_outside_text(fitted, signals):
+    """Say which recorded signals leave what was fitted, a list of str.
+
+    fitted : `ends` of each in the fit; effects are straight lines in a signal.
+    """
+    said = []
+    for name, (low, high) in fitted.items():
+        values = signals[name]
+        margin = STRAIGHT * (high - low) + ROUNDING * max(abs(low), abs(high))
+        excess = np.maximum(low - values, values - high)
+        share = float((excess > margin).mean())
+        if share > OUTLIERS:
+            reached = values[np.argmax(excess)]
+            said.append(
+                f"The recorded signal {name}: to {reached:.3g}, fitted on {low:.3g} to "
+                f"{high:.3g} ({100 * share:.2g} % of the rows)"
+            )
+    return said
 
 
 def outside_text(found, names, prismatic):

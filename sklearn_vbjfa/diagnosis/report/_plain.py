@@ -121,34 +121,72 @@ def _about(outcome, effect):
 # -- what to do -------------------------------------------------------------------
 
 
-def remedy(outcome, effect):
-    """Say what to do about an effect in the model; empty if nothing is known to do."""
+@dataclass(frozen=True, kw_only=True)
+class Remedy:
+    """What to do about an effect of the robot model.
+
+    Attributes
+    ----------
+    name : str
+        Effect.
+    joint : int
+        Joint, from zero; 0 for what belongs to none.
+    text : str
+        What to do.
+    """
+
+    name: str
+    joint: int
+    text: str
+
+
+def remedies(outcome):
+    """Say what to do about each effect in the completed model, a tuple of `Remedy`.
+
+    Those that were declared are among them.
+    """
     found = outcome.corrections
-    joint = words.joint_label(outcome.joint_names, effect.joint)
-    if effect.name == "base_tilt" and found.tilt is not None:
-        roll, pitch, _ = found.tilt.lean_rpy_degrees
-        return (
-            "level the base, which leans the opposite way (roll "
-            f"{_hundredths(roll)}, pitch {_hundredths(pitch)} degrees), or mount it so "
-            f"in the robot description (rpy {_rpy(found.tilt.lean_rpy)})"
-        )
-    own = [
-        one
-        for one in (*found.zeros, *found.axes, *found.gains)
-        if one.joint == effect.joint
+    told = [
+        Remedy(name="base_tilt", joint=0, text=_level(t)) for t in [found.tilt] if t
     ]
-    for one in own:
-        if effect.name == "joint_zero" and one in found.zeros:
-            off = f"{_hundredths(one.plain)} {one.plain_unit}"
-            return f"subtract {off} from what the encoder of {joint} reads"
-        if effect.name == "joint_axis" and one in found.axes:
-            return (
-                f"take the rpy of the origin of {joint} from the URDF that is written "
-                f"({_rpy(one.new_rpy)} instead of {_rpy(one.old_rpy)})"
-            )
-        if effect.name == "torque_gain" and one in found.gains:
-            return f"divide the torque of {joint} by {one.gain:.4g}"
-    return ""
+    for name, own, text in (
+        ("joint_zero", found.zeros, _subtract),
+        ("joint_axis", found.axes, _turn),
+        ("torque_gain", found.gains, _divide),
+    ):
+        for one in own:
+            joint = words.joint_label(outcome.joint_names, one.joint)
+            told.append(Remedy(name=name, joint=one.joint, text=text(one, joint)))
+    return tuple(told)
+
+
+def _level(tilt):
+    """Say what to do about a base that is not level."""
+    roll, pitch, _ = tilt.lean_rpy_degrees
+    return (
+        "level the base, which leans the opposite way (roll "
+        f"{_hundredths(roll)}, pitch {_hundredths(pitch)} degrees), or mount it so in "
+        f"the robot description (rpy {_rpy(tilt.lean_rpy)})"
+    )
+
+
+def _subtract(zero, joint):
+    """Say what to do about a zero."""
+    off = f"{_hundredths(zero.plain)} {zero.plain_unit}"
+    return f"subtract {off} from what the encoder of {joint} reads"
+
+
+def _turn(axis, joint):
+    """Say what to do about an axis."""
+    return (
+        f"take the rpy of the origin of {joint} from the URDF that is written "
+        f"({_rpy(axis.new_rpy)} instead of {_rpy(axis.old_rpy)})"
+    )
+
+
+def _divide(gain, joint):
+    """Say what to do about the gain of a channel."""
+    return f"divide the torque of {joint} by {gain.gain:.4g}"
 
 
 def _hundredths(value):

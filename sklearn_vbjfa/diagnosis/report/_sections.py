@@ -353,14 +353,14 @@ def _effects(outcome, verdict):
 def _corrections(outcome, verdict):
     """Say what to mend on the robot, in the program that reads it, or in its files."""
     own = [e for e in outcome.effects if _plain.in_model(outcome, e)]
-    remedies = [_plain.remedy(outcome, e) for e in own]
-    told = [
-        ". ".join(
-            map(words.capital, filter(None, (_plain.statement(outcome, e), todo)))
-        )
-        for e, todo in zip(own, remedies)
-    ]
-    remedies = list(filter(None, remedies))
+    remedies = {(one.name, one.joint): one.text for one in _plain.remedies(outcome)}
+    told = []
+    for e in own:
+        said = [_plain.statement(outcome, e), remedies.pop((e.name, e.joint), "")]
+        told.append(". ".join(map(words.capital, filter(None, said))))
+    # The others were declared.
+    told += map(words.capital, remedies.values())
+    todo = [one.text for one in _plain.remedies(outcome)]
     rows = [
         (
             words.place_label(outcome, e.name, e.joint),
@@ -376,9 +376,9 @@ def _corrections(outcome, verdict):
         table=_table(("where", "what", "value (90 %)", "in SI units"), rows),
         note="The completed model has all of it: it takes positions and torques as "
         "they were recorded."
-        if own
+        if told
         else "",
-        terminal=(f"To correct: {'; '.join(remedies)}.",) if remedies else (),
+        terminal=(f"To correct: {'; '.join(todo)}.",) if todo else (),
     )
 
 

@@ -44,9 +44,12 @@ def one_of_class(model, candidates):
     for other in candidates:
         if other is simplest or other in near:
             continue
-        # Less than what was named may do as well once the robot is corrected.
-        if stands_for(model, simplest.effect, other.effect) and no_worse(
-            *(_settled(model, c.effect) for c in (simplest, other))
+        pair = simplest.effect, other.effect
+        # What contains the one that is named explains all that it does; a part of it
+        # may do as well once the robot is corrected.
+        if stands_for(model, *pair[::-1]) or (
+            stands_for(model, *pair)
+            and no_worse(*(_settled(model, effect) for effect in pair))
         ):
             near.append(other)
     return simplest, tuple(near)

@@ -7,8 +7,13 @@ which of several recorded signals, the others are rivals of the best one.
 
 from dataclasses import replace
 
+import numpy as np
+
 from sklearn_vbjfa.diagnosis.search._evidence import Candidate, compare, no_worse
 from sklearn_vbjfa.diagnosis.search._model import Judge
+
+# Members that are judged, those that explain most: a logger may have a hundred columns.
+_MOST = 8
 
 
 def alike(chosen, base, taken=()):
@@ -27,6 +32,10 @@ def alike(chosen, base, taken=()):
     others = base.family(effect).where(
         lambda one: one.key() != effect.key() and one.key() not in taken
     )
+    if others.effects:
+        drops = base.fitted.score(joints, others.columns).drop
+        first = {others.effects[k].key() for k in np.argsort(-drops)[:_MOST]}
+        others = others.where(lambda one: one.key() in first)
     judge = Judge(base, base.beside([*base.effects, effect]).residuals())
 
     def candidate(one, columns):

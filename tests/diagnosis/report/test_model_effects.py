@@ -113,6 +113,17 @@ def outcome_of(*effects, **changes):
     )
 
 
+def only(effect):
+    """Leave what is to be corrected because of one effect."""
+    kind = {
+        "base_tilt": "tilt",
+        "joint_zero": "zeros",
+        "joint_axis": "axes",
+        "torque_gain": "gains",
+    }[effect.name]
+    return Corrections(**{kind: getattr(CORRECTIONS, kind)})
+
+
 def formats(report):
     texts = (str(report), report.to_markdown().replace("\\", ""), report.to_html())
     return [
@@ -153,9 +164,10 @@ def formats(report):
     ids=lambda given: getattr(given, "name", None),
 )
 def test_effects_are_told_with_what_to_do(effect, sentence, remedy):
-    outcome = outcome_of(effect)
+    outcome = outcome_of(effect, corrections=only(effect))
     assert _plain.statement(outcome, effect) == sentence
-    assert _plain.remedy(outcome, effect) == remedy
+    (own,) = _plain.remedies(outcome)
+    assert (own.name, own.joint, own.text) == (effect.name, effect.joint, remedy)
     text, marked, page = formats(Report(outcome))
     assert f"- {sentence}; saves 46 %" in text
     assert f"To correct: {remedy}." in text
@@ -165,6 +177,15 @@ def test_effects_are_told_with_what_to_do(effect, sentence, remedy):
         assert remedy[1:] in shown
         assert value in shown
         assert "What to correct" in shown
+
+
+def test_what_was_declared_is_to_be_corrected_as_well():
+    # A declared effect is none that was missing.
+    outcome = make_outcome(names=NAMES, corrections=only(ZERO), channels=())
+    for shown in formats(Report(outcome)):
+        text = "ubtract 4.04 degrees from what the encoder of joint 3 reads."
+        assert text in shown
+        assert "zero is off by" not in shown
 
 
 def test_a_tilt_belongs_to_no_joint():

@@ -64,6 +64,23 @@ def add_to(commands):
         help="effects to look for, by default all; see the command effects",
     )
     parser.add_argument(
+        "--gain",
+        default=None,
+        metavar="unknown",
+        help="unknown: tau1..taun are proportional to the torques (motor currents), "
+        "each with a factor of its own; the factors are identified relative to one of "
+        "them",
+    )
+    parser.add_argument(
+        "--known-mass",
+        action="append",
+        default=[],
+        metavar="LINK=KG",
+        help="with --gain unknown, a mass that fixes the common factor: of a link with "
+        "what is fixed to it, or payload=KG of what is picked up or put down; may be "
+        "repeated",
+    )
+    parser.add_argument(
         "--signals",
         default=None,
         metavar="NAMES",
@@ -110,6 +127,8 @@ def run(arguments):
     cutoff = _input.cutoff(arguments.cutoff)
     seed = _input.seed(arguments.seed)
     joints = _input.joint_names(arguments.joints)
+    gains = _input.gains(arguments.gain)
+    masses = _input.known_masses(arguments.known_mass, gains)
     with (
         tempfile.TemporaryDirectory() as folder,
         warnings.catch_warnings(record=True) as caught,
@@ -118,6 +137,7 @@ def run(arguments):
         urdf, held = _input.robot(urdf, joints, Path(folder))
         recording = _input.read(source, arguments.dt, urdf, joints)
         _input.check_nyquist(cutoff, recording, source)
+        _input.check_gains(gains, masses, urdf)
         signals = _input.signals(arguments.signals, recording, source)
         try:
             loop = _close(
@@ -129,12 +149,17 @@ def run(arguments):
                 ceiling=arguments.ceiling,
                 seed=seed,
                 torque_noise=recording.torque_noise,
+                gains=gains,
+                known_masses=masses,
                 signals=signals,
             )
         except (ValueError, ProjectionError) as error:
             # The options are valid, so the recording is at fault.
             raise ValueError(f"{source}: {error}") from error
         text = [str(recording), str(loop.report_)]
+        hint = _input.gain_hint(recording.torque_units, gains)
+        if hint:
+            text.append(hint)
         if held:
             text.insert(1, f"held at zero: {', '.join(held)}")
         try:
@@ -173,6 +198,8 @@ def _close(
     ceiling=True,
     seed=0,
     torque_noise=None,
+    gains=None,
+    known_masses=None,
     signals=None,
 ):
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
@@ -183,6 +210,8 @@ def _close(
         friction=friction,
         cutoff=cutoff,
         torque_noise=torque_noise,
+        gains=gains,
+        known_masses=known_masses,
     )
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed, verbose=True
@@ -220,6 +249,10 @@ def _write_parameters(robot, known, path):
     known : what `known_parameters` says of each.
     """
     heads = ["parameter", "value", "unit", "std", "identifiable", "known"]
+    relative = ""
+    if robot.gains_ is not None and not robot.gains_.absolute:
+        names = [robot.joint_names_[j] for j in robot.gains_.references]
+        relative = " or ".join(names) or "each channel"
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(heads)
@@ -233,5 +266,7 @@ def _write_parameters(robot, known, path):
         ):
             deviation = repr(float(std)) if np.isfinite(std) else ""
             alone = "yes" if alone else "no"
+            if relative and unit.startswith(("N", "kg")):
+                unit = f"{unit}, times the gain of {relative}"
             row = [name, repr(float(value)), unit, deviation, alone, told]
             table.writerow(row)

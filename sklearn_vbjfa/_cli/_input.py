@@ -218,6 +218,74 @@ def _refuse_twice(option, found):
         raise ValueError(f"{option} has {twice[0]} twice; name it once.")
 
 
+def gains(text):
+    """Return "unknown" where the gains of channels are, else None."""
+    if text in (None, "unknown"):
+        return text
+    raise ValueError(
+        f"--gain must be unknown, for all channels together; got {text!r}. Multiply "
+        "known factors into the columns of torques, so that these are in N m or N; "
+        "where one factor is unknown all are, as only their ratios are identified."
+    )
+
+
+def known_masses(texts, gains):
+    """Return masses [kg] by name from arguments NAME=KG; None for none."""
+    if texts and gains is None:
+        raise ValueError(
+            "--known-mass fixes the common factor of channels with unknown gains: "
+            "give --gain unknown as well."
+        )
+    found = {}
+    for text in texts:
+        name, equals, number = text.rpartition("=")
+        try:
+            mass = float(number)
+        except ValueError:
+            mass = math.nan
+        if not (equals and name and 0 < mass < math.inf):
+            raise ValueError(
+                "--known-mass must be LINK=KG or payload=KG with a positive mass in "
+                f"kg; got {text!r}."
+            )
+        if name in found:
+            raise ValueError(f"--known-mass has {name} twice; name it once.")
+        found[name] = mass
+    return found or None
+
+
+def check_gains(gains, masses, urdf):
+    """Refuse unknown gains of a robot that cannot show them, and unknown links."""
+    from sklearn_vbjfa.model._loading import body_names, load_model
+
+    if gains is None:
+        return
+    model = load_model(urdf)
+    if model.nv == 1:
+        raise ValueError(
+            "--gain unknown needs several joints that move the same bodies: the gain "
+            f"of the only one in {urdf} is in every parameter."
+        )
+    known = (*body_names(model), "payload")
+    for name in masses or {}:
+        if name not in known:
+            raise ValueError(
+                f"--known-mass does not know {name!r}; expected one of "
+                f"{', '.join(known)}."
+            )
+
+
+def gain_hint(units, gains):
+    """Say what to do with channels that are recorded in no unit of torque."""
+    odd = [unit for unit in units if unit in ("A", "V", "count")]
+    if not odd or gains is not None:
+        return ""
+    return (
+        f"The torques are recorded in {odd[0]}: --gain unknown identifies what a "
+        "channel reads for a torque, relative to the other channels."
+    )
+
+
 def cutoff(text):
     """Return the cut-off frequency [Hz], "auto", or None for no low-pass."""
     if text in ("auto", "none"):

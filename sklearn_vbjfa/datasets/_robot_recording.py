@@ -19,7 +19,7 @@ from sklearn_vbjfa.datasets._robots import (
     true_inertias,
     with_inertias,
 )
-from sklearn_vbjfa.model._loading import load_model
+from sklearn_vbjfa.model._loading import import_pinocchio, load_model
 from sklearn_vbjfa.recording._recording import Recording
 
 # Share of a joint's range and speed that the motion keeps to.
@@ -31,6 +31,64 @@ _SLIPS = (0.004, 0.01, 0.02)
 _RIPPLE_PERIOD = np.radians(20.0)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Misfit:
+    """In what a robot is another one than its description.
+
+    Attributes
+    ----------
+    base_tilt : tuple of 2 float
+        Roll and pitch by which gravity is turned in the frame of the base [rad].
+    zeros : ndarray of shape (nv,)
+        What encoders read where their joints are at zero [rad or m].
+    axes : dict of int to tuple of 3 float
+        Rotation vectors by which origins of joints are turned, in their frame [rad].
+    gains : ndarray of shape (nv,)
+        What torque channels read over the torque.
+    """
+
+    base_tilt: tuple = (0.0, 0.0)
+    zeros: np.ndarray = 0.0
+    axes: dict = field(default_factory=dict)
+    gains: np.ndarray = 1.0
+
+    @classmethod
+    def of(cls, base_tilt, joint_zero, joint_axis, torque_gain, nv):
+        """Check what was asked for of a robot of nv joints."""
+        roll, pitch = map(float, base_tilt)
+        axes = {
+            j: tuple(map(float, turn)) for j, turn in dict(joint_axis or {}).items()
+        }
+        zeros, gains = np.zeros(nv), np.ones(nv)
+        for values, given in ((zeros, joint_zero), (gains, torque_gain)):
+            for joint, value in dict(given or {}).items():
+                _check_joint(joint, nv)
+                values[joint] = value
+        for joint in axes:
+            _check_joint(joint, nv)
+        if not (gains > 0).all():
+            raise ValueError(f"torque_gain must be positive; got {torque_gain}.")
+        return cls(base_tilt=(roll, pitch), zeros=zeros, axes=axes, gains=gains)
+
+    def built(self, model):
+        """Return the robot of a model as it stands there."""
+        pin = import_pinocchio()
+        robot = model.copy()
+        gravity = robot.gravity.copy()
+        gravity.linear = pin.rpy.rpyToMatrix(*self.base_tilt, 0.0) @ gravity.linear
+        robot.gravity = gravity
+        for joint, turn in self.axes.items():
+            placement = robot.jointPlacements[joint + 1]
+            placement.rotation = placement.rotation @ pin.exp3(np.array(turn))
+        return robot
+
+
+def _check_joint(joint, nv):
+    """Refuse a joint that the robot does not have."""
+    if joint not in range(nv):
+        raise ValueError(f"joints are numbered 0 to {nv - 1}; got {joint!r}.")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SimulatedRecording(Recording):
     """A recording that was simulated, and what it was simulated from.
@@ -40,7 +98,7 @@ class SimulatedRecording(Recording):
     states : ndarray of shape (n_samples, 3 * nv)
         True states [q | v | a].
     tau_clean : ndarray of shape (n_samples, nv)
-        Torques without noise [N m or N].
+        What the torque channels would read without noise [N m or N].
     inertial : ndarray of shape (nv, 10)
         True inertial parameters of each body in Pinocchio's order.
     friction : mapping of str to ndarray of shape (nv,)
@@ -51,6 +109,8 @@ class SimulatedRecording(Recording):
         Standard deviation of the torque noise [N m or N].
     undeclared : mapping of str to (int, float)
         Effects beside rigid bodies and friction: name -> joint (from zero) and size.
+    misfit : Misfit
+        In what the robot is another one than its description.
     """
 
     states: np.ndarray
@@ -60,6 +120,7 @@ class SimulatedRecording(Recording):
     encoder_noise: float
     torque_noise: np.ndarray
     undeclared: dict = field(default_factory=dict)
+    misfit: Misfit = field(default_factory=Misfit)
 
     def select(self, *names_or_labels):
         """Keep some of the recordings, with their truth; see `Recording.select`."""
@@ -100,6 +161,10 @@ def make_robot_recording(
     perturbation=0.3,
     inertial=None,
     undeclared=None,
+    base_tilt=(0.0, 0.0),
+    joint_zero=None,
+    joint_axis=None,
+    torque_gain=None,
     random_state=None,
 ) -> SimulatedRecording:
     """Simulate the recording of a robot: a smooth motion, noisy encoders and torques.
@@ -137,6 +202,16 @@ def make_robot_recording(
         Effects that a rigid-body model with friction does not have: name -> joint
         (from zero) and size, which is a share of the load for load_friction, a
         stiffness [N m/rad or N/m] for spring, a torque [N m or N] for the others.
+    base_tilt : (float, float), default=(0.0, 0.0)
+        Roll and pitch by which gravity is turned in the frame of the base, as that is
+        not level [rad].
+    joint_zero : mapping of int to float, default=None
+        What encoders read where their joints, from zero, are at zero [rad or m].
+    joint_axis : mapping of int to (float, float, float), default=None
+        Rotation vectors by which the origins of joints are turned, in the joint's own
+        frame [rad].
+    torque_gain : mapping of int to float, default=None
+        What torque channels read over the torque.
     random_state : int, RandomState instance or None, default=None
         Seed of everything that is drawn.
 
@@ -168,16 +243,18 @@ def make_robot_recording(
     ]
     states = np.concatenate(pieces)
     q, v, a = np.split(states, 3, axis=1)
-    rigid = rigid_torques(with_inertias(nominal, inertial), states)
+    misfit = Misfit.of(base_tilt, joint_zero, joint_axis, torque_gain, nominal.nv)
+    rigid = rigid_torques(misfit.built(with_inertias(nominal, inertial)), states)
     coefficients = _draw_friction(friction, rigid, v, a, rng)
     clean = rigid + _friction_torque(coefficients, q, v, a)
     undeclared = dict(undeclared or {})
     for part in (slice(k * n, (k + 1) * n) for k in range(n_recordings)):
         clean[part] += undeclared_torque(undeclared, q[part], v[part], rigid[part])
+    clean *= misfit.gains
     noise = torque_noise * clean.std(axis=0)
     return SimulatedRecording(
         name="simulated",
-        q=q + encoder_noise * rng.normal(size=q.shape),
+        q=q + misfit.zeros + encoder_noise * rng.normal(size=q.shape),
         tau=clean + noise * rng.normal(size=clean.shape),
         **recording_fields(nominal, n, n_recordings, dt),
         urdf=urdf if isinstance(urdf, str) else None,
@@ -190,6 +267,7 @@ def make_robot_recording(
         encoder_noise=float(encoder_noise),
         torque_noise=noise,
         undeclared=undeclared,
+        misfit=misfit,
     )
 
 

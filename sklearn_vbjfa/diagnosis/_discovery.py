@@ -17,7 +17,7 @@ from sklearn_vbjfa.diagnosis.search._search import EffectSearch
 from sklearn_vbjfa.diagnosis.search._shapes import tuned_on
 from sklearn_vbjfa.diagnosis.search._split import split_in_time
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects import TorqueGain, resolve
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
@@ -31,6 +31,7 @@ from sklearn_vbjfa.recording._signals import OfferedSignals, survey
 from sklearn_vbjfa.robot._identifier import (
     RecordingRegressorMixin,
     RobotIdentifier,
+    asked_again,
     tell_spreads,
 )
 from sklearn_vbjfa.robot._plan import check_effects
@@ -59,6 +60,8 @@ def progress_bar(wanted):
 # Channels with these faults are reported and not searched: the search would find the
 # fault.
 _NO_INFORMATION = ("coarse_torque", "still_joint")
+# What is found of torques in another unit, which unknown gains allow for.
+_OF_GAIN = "gear_factor"
 
 
 class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
@@ -318,7 +321,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             raise ValueError(
                 f"max_effects must be a non-negative integer or None; got {limit!r}."
             )
-        return resolve(self.effects)
+        library = resolve(self.effects)
+        if self.identifier.gains is not None:
+            # They are declared on every channel.
+            library = [one for one in library if not isinstance(one, TorqueGain)]
+        return library
 
     def _recording(self, model, X, y, groups, sample_weight, t):
         """Make a `Recording` of the arguments of a fit, with weights and a clock."""
@@ -342,6 +349,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         errors = [f.message for f in findings if f.severity == "error"]
         if errors:
             raise ValueError(" ".join(errors))
+        if self.identifier.gains is not None:
+            findings = tuple(f for f in findings if f.kind != _OF_GAIN)
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
         return findings, silent
 
@@ -389,8 +398,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _with(self, effects):
         """Return the declared model with effects, not fitted."""
-        own = (*self.declared_.effects_, *effects)
-        return clone(self.identifier).set_params(effects=own)
+        asked = asked_again(self.declared_)
+        asked["effects"] = (*asked["effects"], *effects)
+        return clone(self.identifier).set_params(**asked)
 
     def _hand_over(self, found, whole, silent):
         """Fit the completed model to all data, in the band that was judged."""

@@ -7,6 +7,8 @@ the present value is a column like any other, whose coefficient says how far to 
 and the model is corrected and linearised again until the value stays.
 """
 
+from numbers import Real
+
 import numpy as np
 from sklearn.base import clone
 
@@ -99,7 +101,7 @@ class ModelEffect(Effect):
         super().check()
         for name in self.tangent:
             value = getattr(self, name)
-            if not (np.isscalar(value) and np.isfinite(value)):
+            if not (isinstance(value, Real) and np.isfinite(value)):
                 raise ValueError(
                     f"{name} of {self.name} must be a finite number; got {value!r}."
                 )
@@ -192,7 +194,7 @@ class BaseTilt(ModelEffect):
     """
 
     name = "base_tilt"
-    label = "base not level"
+    label = "tilted base"
     formula = (
         r"\frac{\partial\tau}{\partial g}"
         r"\left(R_y(\mathrm{pitch})\,R_x(\mathrm{roll}) - 1\right) g_0"
@@ -289,7 +291,7 @@ class JointZero(ModelEffect):
     """
 
     name = "joint_zero"
-    label = "zero of the encoder is off"
+    label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
     coefficients = ("zero",)
     units = (POSITION,)
@@ -359,7 +361,7 @@ class JointAxis(ModelEffect):
     """
 
     name = "joint_axis"
-    label = "axis of the joint is elsewhere"
+    label = "turned joint axis"
     formula = (
         r"\frac{\partial\tau}{\partial w_j}\left(\mathrm{about\_x}\,e_1"
         r" + \mathrm{about\_y}\,e_2\right)"
@@ -441,7 +443,7 @@ class TorqueGain(ModelEffect):
     """
 
     name = "torque_gain"
-    label = "gain of the torque channel"
+    label = "wrong gain of the torque channel"
     formula = r"(\mathrm{gain} - 1)\,\tau"
     coefficients = ("gain",)
     units = (_NONE,)
@@ -460,9 +462,9 @@ class TorqueGain(ModelEffect):
         super().check()
         if not self.gain > 0:
             raise ValueError(f"gain of {self.name} must be positive; got {self.gain}.")
-        if not self.limit > 1:
+        if not (isinstance(self.limit, Real) and self.limit > 1):
             raise ValueError(
-                f"limit of {self.name} must be greater than 1; got {self.limit}."
+                f"limit of {self.name} must be greater than 1; got {self.limit!r}."
             )
 
     def shape(self):

@@ -163,10 +163,10 @@ class _Link:
         return np.concatenate([alpha, beta, spin])
 
     def shifted(self):
-        """Change of motion (9, n) for a shift along the axis."""
-        w, u = self.spin_above, self.axis
-        out = np.zeros((9, u.shape[1]))
-        out[:3] = _cross(self.gain_above, u) + _cross(w, _cross(w, u))
+        """Change of motion (9, 3, n) for shifts along the placed axes."""
+        w, dw, u = self.spin_above[:, None], self.gain_above[:, None], self.placed
+        out = np.zeros((9, *u.shape[1:]))
+        out[:3] = _cross(dw, u) + _cross(w, _cross(w, u))
         return out
 
 
@@ -255,12 +255,15 @@ class TorqueDerivatives:
 
     @functools.cached_property
     def _made(self):
-        """Derivatives by turns (n, nv, nv, 3), shifts (n, nv, nv), gravity (n, nv, 3).
+        """Derivatives by turns and shifts (n, nv, nv, 3), and gravity (n, nv, 3).
 
-        The first joint is the one whose torque changes, the second the one turned.
+        The first joint is the one whose torque changes, the second the one moved.
+        Shifts are left out where no joint slides.
         """
         n, nv = self._motion[0].shape
-        made = np.zeros((n, nv, nv, 3)), np.zeros((n, nv, nv)), np.empty((n, nv, 3))
+        shape = (n, nv, nv, 3)
+        shifts = np.zeros(shape if self._tree.slides.any() else (n, 0))
+        made = np.zeros(shape), shifts, np.empty((n, nv, 3))
         for begin in range(0, n, _ROWS):
             rows = slice(begin, min(begin + _ROWS, n))
             self._fill(rows, *(one[rows] for one in made))
@@ -284,13 +287,13 @@ class TorqueDerivatives:
         slides = bool(tree.slides.any())
         for k, link in enumerate(links):
             change = link.turned()
-            kinds = [change, link.shifted()[:, None]] if slides else [change]
+            kinds = [change, link.shifted()] if slides else [change]
             change = np.concatenate(kinds, axis=1)
             for j in self._carried(k):
                 torque = np.einsum("in,ikn->nk", by_motion[j], change)
                 turns[:, j, k] = torque[:, :3]
                 if slides:
-                    shifts[:, j, k] = torque[:, 3]
+                    shifts[:, j, k] = torque[:, 3:]
             self._fill_above(k, links, masses[k], change, turns, shifts)
 
     def _fill_above(self, k, links, mass, change, turns, shifts):
@@ -306,7 +309,7 @@ class TorqueDerivatives:
         force[:, :3] += lean
         moment[:, :3] += _cross(u, about) + _cross(p[:, None], lean)
         if change.shape[1] > 3:
-            moment[:, 3] += _cross(links[k].axis, F)
+            moment[:, 3:] += _cross(u, F[:, None])
         while j >= 0:
             link = links[j]
             torque = _dot(link.moment[:, None], moment) + _dot(
@@ -314,7 +317,7 @@ class TorqueDerivatives:
             )
             turns[:, j, k] = torque[:3].T
             if change.shape[1] > 3:
-                shifts[:, j, k] = torque[3]
+                shifts[:, j, k] = torque[3:].T
             j = self._parents[j]
 
     def _carried(self, k):
@@ -328,15 +331,29 @@ class TorqueDerivatives:
     def by_turn(self, joint):
         """Differentiate by turns of a joint's placement about its own axes.
 
-        Returns an ndarray of shape (n, nv, 3), torques by angles [N m/rad].
+        The axes go through the origin that the robot had before it was corrected: with
+        its axis turns the way by which the zero of a slide was moved. Returns an
+        ndarray of shape (n, nv, 3), torques by angles [N m/rad].
         """
-        return self._made[0][:, :, joint]
+        turns = self._made[0][:, :, joint]
+        if not self._tree.slides[joint]:
+            return turns
+        here, before = (
+            one.jointPlacements[joint + 1].translation
+            for one in (self._model, self._nominal)
+        )
+        way = self.rotation(joint).T @ (here - before)
+        return turns + self._made[1][:, :, joint] @ np.cross(np.eye(3), way).T
 
     def by_position(self, joint):
         """Differentiate by the position of a joint, ndarray of shape (n, nv)."""
         tree = self._tree
-        turned = tree.turns[joint] * (self.by_turn(joint) @ tree.axes[joint])
-        return turned + tree.slides[joint] * self._made[1][:, :, joint]
+        turns, shifts, _ = self._made
+        moved = tree.turns[joint] * (turns[:, :, joint] @ tree.axes[joint])
+        if tree.slides[joint]:
+            along = shifts[:, :, joint] @ tree.axes[joint]
+            moved = moved + tree.slides[joint] * along
+        return moved
 
     def by_gravity(self):
         """Differentiate by the vector of gravity, ndarray of shape (n, nv, 3)."""

@@ -368,6 +368,25 @@ def is_prismatic(model):
     )
 
 
+def joint_origin(model, joint):
+    """Axes (3, 3) of a joint's origin in the link that carries it, as a URDF has them.
+
+    Links that are fixed to each other are one body of the model, in whose axes the
+    placement is; that of the carrying link is among its frames. A model without frames
+    has the body's axes.
+    """
+    pin = import_pinocchio()
+    placed = model.jointPlacements[joint + 1].rotation
+    name = model.names[joint + 1]
+    if not model.existFrame(name, pin.FrameType.JOINT):
+        return placed.copy()
+    own = model.frames[model.getFrameId(name, pin.FrameType.JOINT)]
+    link = model.frames[own.parentFrame]
+    if link.parentJoint != model.parents[joint + 1]:
+        return placed.copy()
+    return link.placement.rotation.T @ placed
+
+
 def nominal_parameters(model):
     """Inertial parameters in the model, ndarray of shape (nv, 10).
 

@@ -1,4 +1,4 @@
-"""Writing identified inertias and friction into a robot description."""
+"""Writing identified bodies, friction and axes into a robot description."""
 
 import os
 import tempfile
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa.model._loading import joint_names
+from sklearn_vbjfa.model._loading import import_pinocchio, joint_names
 from sklearn_vbjfa.physical import inertia_matrix
 
 
@@ -46,7 +46,19 @@ def _set_inertial(link, phi):
         tensor.set(name, repr(float(inertia[i, j])))
 
 
-def write_urdf(source, target, model, parameters, friction, note=""):
+def _turn_origin(joint, rotation):
+    """Turn the origin of a joint, and with it what the joint carries."""
+    rpy = import_pinocchio().rpy
+    origin = joint.find("origin")
+    if origin is None:
+        origin = ElementTree.SubElement(joint, "origin")
+        origin.set("xyz", "0 0 0")
+    given = np.array(origin.get("rpy", "0 0 0").split(), dtype=float)
+    turned = rpy.matrixToRpy(rpy.rpyToMatrix(given) @ rotation)
+    origin.set("rpy", " ".join(repr(float(angle)) for angle in turned))
+
+
+def write_urdf(source, target, model, parameters, friction, note="", turned=None):
     """Write a copy of a URDF with other inertias and friction.
 
     Parameters
@@ -62,12 +74,15 @@ def write_urdf(source, target, model, parameters, friction, note=""):
         dynamics, others have no place in URDF.
     note : str, default=""
         Comment at the top of the robot.
+    turned : mapping of str to ndarray of shape (3, 3), default=None
+        Joints whose origin is turned, in its own axes, by a rotation matrix.
     """
     tree = ElementTree.parse(source)
     root = tree.getroot()
     if note:
         # Two hyphens would end the comment.
-        root.insert(0, ElementTree.Comment(f" {note.replace('--', '- -')} "))
+        lines = note.replace("--", "- -").replace("\n", "\n    ")
+        root.insert(0, ElementTree.Comment(f" {lines} "))
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     links = {link.get("name"): link for link in root.findall("link")}
     names = joint_names(model)
@@ -93,6 +108,8 @@ def write_urdf(source, target, model, parameters, friction, note=""):
             for inertial in links[link].findall("inertial"):
                 links[link].remove(inertial)
             waiting += fixed_children.get(link, [])
+        if turned and name in turned:
+            _turn_origin(joint, turned[name])
         values = dict(zip(friction, row[10:]))
         dynamics = joint.find("dynamics")
         if dynamics is None:
@@ -114,7 +131,9 @@ def write_urdf(source, target, model, parameters, friction, note=""):
         raise
 
 
-def write_identified(source, path, model, bodies, friction, min_eigenvalues, note=""):
+def write_identified(
+    source, path, model, bodies, friction, min_eigenvalues, note="", turned=None
+):
     """Write a URDF with identified bodies, or say why there can be none.
 
     Parameters
@@ -133,6 +152,8 @@ def write_identified(source, path, model, bodies, friction, min_eigenvalues, not
         Smallest pseudo-inertia eigenvalue of each body, positive where it can exist.
     note : str, default=""
         What a reader of the file has to know, written into it as a comment.
+    turned : mapping of str to ndarray of shape (3, 3), default=None
+        Joints whose origin is turned, see `write_urdf`.
     """
     if not isinstance(source, (str, os.PathLike)):
         raise ValueError(
@@ -146,4 +167,4 @@ def write_identified(source, path, model, bodies, friction, min_eigenvalues, not
             f"The bodies of {', '.join(bad)} are not physically consistent, and a "
             'URDF must be: identify with projector="default".'
         )
-    write_urdf(source, path, model, bodies, friction, note)
+    write_urdf(source, path, model, bodies, friction, note, turned)

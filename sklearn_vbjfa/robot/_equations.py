@@ -242,6 +242,8 @@ class RegressorRows:
         wanted.
         """
         for effect in effects:
+            if effect.in_model and not tangents:
+                continue
             reason = effect.applies(motion)
             if reason:
                 raise ValueError(

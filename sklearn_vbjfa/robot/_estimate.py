@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._scaled_eigen import ScaledEigen, scaled_eigen
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._loading import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
@@ -21,11 +21,15 @@ from sklearn_vbjfa.robot._weights import (
     reweighted_moments,
 )
 
+# Largest weight of a joint's equations in units of its mean squared torque: no robot is
+# modelled better than to 1e-4 of its torque. Without noise, the weight of a joint that
+# is fitted already would hide what only the others show.
+_FINEST = 1e8
 # Directions of parameter space that the data determine less than this, relative to
 # the best-determined one in scaled columns, count as unidentifiable, ...
-_IDENTIFIABLE = 1e-9
+IDENTIFIABLE = 1e-9
 # ... and so does a parameter with more than this share in such directions.
-_LOST = 1e-6
+LOST = 1e-6
 # Rows of a block of constant noise: 2.5 periods of the cut-off.
 _BLOCK_ROWS = 10
 # Student's t has a deviation from three degrees of freedom on.
@@ -80,6 +84,33 @@ class Estimate:
         return self.moments.split_residual(self.theta)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlainEstimate:
+    """Least squares without a prior and without a projection.
+
+    Attributes
+    ----------
+    theta : ndarray of shape (p,)
+        Parameters; directions that the data do not determine are left out.
+    covariance : ndarray of shape (p, p)
+        Their covariance, without these directions.
+    known : ndarray of shape (p,), bool
+        Parameters that the data determine individually.
+    eigen : ScaledEigen
+        Decomposition of the Gram matrix, input noise subtracted.
+    """
+
+    theta: np.ndarray
+    covariance: np.ndarray
+    known: np.ndarray
+    eigen: ScaledEigen
+
+    @property
+    def std(self):
+        """Standard deviations (p,)."""
+        return np.sqrt(np.diagonal(self.covariance))
+
+
 def default_regressor():
     """Bayesian regression with automatic relevance determination, noiseless queries."""
     return VBJFARegressor(latent="correlated", query="noiseless")
@@ -131,7 +162,7 @@ def estimate(
         theta_unconstrained=theta,
         std=std * _correlation(moments, weight, theta),
         joint_weights=weight,
-        metric=total.S_xx.copy() if noise is None else _denoised(total, noise),
+        metric=total.S_xx.copy() if noise is None else denoised(total, noise),
         input_noise=noise,
         moments=replace(moments, blocks=None),
         regressor=regressor,
@@ -142,21 +173,28 @@ def estimate(
 def plain_estimate(moments, joint_weights="auto"):
     """Estimate by weighted least squares without a prior, input noise corrected for.
 
-    Returns the parameters (p,), their standard deviations, accounting for residuals
-    correlated in time, and whether the data determine each. Directions that they do not
-    determine are left out.
+    Its covariance accounts for residuals correlated in time. Directions that the data
+    do not determine are left out. Returns a `PlainEstimate`.
     """
     weight = resolve_weights(joint_weights, moments)
+    if isinstance(joint_weights, str):
+        with np.errstate(divide="ignore"):
+            weight = np.minimum(weight, _FINEST * moments.n / moments.yy)
     total, noise = moments.total(weight), moments.total_noise(weight)
-    metric = total.S_xx if noise is None else _denoised(total, noise)
-    found = scaled_eigen(metric, _IDENTIFIABLE)
+    metric = total.S_xx if noise is None else denoised(total, noise)
+    found = scaled_eigen(metric, IDENTIFIABLE)
     theta = found.solve(total.S_xy)
     count = moments.n_rows[weight > 0].sum()
     squares = weight @ moments.residual_squares(theta)
     # Weights may be fractions of a row; only the count knows what was estimated.
     variance = squares / total.n_samples * count / max(count - found.rank, 1)
-    std = np.sqrt(np.diagonal(found.inverse()) * variance)
-    return theta, std * _correlation(moments, weight, theta), identifiable(metric)
+    wider = _correlation(moments, weight, theta)
+    return PlainEstimate(
+        theta=theta,
+        covariance=found.inverse() * variance * np.outer(wider, wider),
+        known=identifiable(metric),
+        eigen=found,
+    )
 
 
 def _weigh_blocks(rows):
@@ -280,7 +318,7 @@ def _read_coefficients(regressor, sample):
     return coef
 
 
-def _denoised(total, noise):
+def denoised(total, noise):
     """Gram matrix without the input noise's share (X_t' X_t of eq. 35), projected.
 
     Directions in which the noise exceeds the signal keep nothing.
@@ -429,8 +467,8 @@ def identifiable(metric):
     moved = np.diagonal(metric) > 0
     result = np.zeros(moved.size, dtype=bool)
     if moved.any():
-        found = scaled_eigen(metric[np.ix_(moved, moved)], _IDENTIFIABLE)
-        result[moved] = ~found.lost(_LOST)
+        found = scaled_eigen(metric[np.ix_(moved, moved)], IDENTIFIABLE)
+        result[moved] = ~found.lost(LOST)
     return result
 
 

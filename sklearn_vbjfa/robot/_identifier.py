@@ -26,6 +26,7 @@ from sklearn_vbjfa.recording._recording import (
 )
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
+from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
@@ -38,9 +39,23 @@ from sklearn_vbjfa.robot._equations import (
 )
 from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._gains import (
+    channel_gains,
+    check_gains,
+    declared_gains,
+    gain_places,
+    note_of_gains,
+    relative_gains,
+    with_gains,
+)
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._known import note_of_masses
+from sklearn_vbjfa.robot._known_masses import (
+    check_masses,
+    common_gain,
+    mass_places,
+)
 from sklearn_vbjfa.robot._model_values import (
     MOST_CORRECTIONS,
     ModelValues,
@@ -53,7 +68,6 @@ from sklearn_vbjfa.robot._plan import (
     check_effects,
     effect_names,
     make_plan,
-    needs_load,
     observe,
     resolve_standstill,
     takes_moments,
@@ -192,6 +206,17 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     forgetting : float, default=1.0
         For `partial_fit`: factor in (0, 1] by which each new row scales the weight of
         earlier ones.
+    gains : None, "unknown" or sequence of str, default=None
+        None: y holds torques. ``"unknown"``: it holds what is proportional to them,
+        such as motor currents, with an unknown factor for each channel. The factors are
+        identified relative to one channel, from what joints have in common, see
+        `gains_`; torques, masses and friction are then in units of that channel, unless
+        `known_masses` fixes its gain. Names of joints: channels that are to be the
+        units, one for each group of joints that share bodies.
+    known_masses : dict of str to float, default=None
+        Masses [kg] of bodies by their names, or of a ``"payload"``, which an effect
+        `Payload` has; for unknown gains. A mass that the recording determines fixes the
+        gain that all channels have in common.
 
     Attributes
     ----------
@@ -217,6 +242,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         `effects_`: positions, speeds and loads of its joint behind the low-pass, in
         rows with weight in which it moves. `predict` warns outside. Loads are nan
         without `effects`; `forgetting` does not narrow the ranges again.
+    gains_ : ChannelGains or None
+        Gains of the torque channels: ``gain`` and ``std`` (nv,), ``intervals()`` of
+        90 %, the joint whose channel each is relative to, ``reference`` (nv,), and
+        ``common``, what their common factor rests on. None unless they are unknown.
     parameter_names_, parameter_units_ : tuple of str
         Names ("joint_1:m") and units of the parameters.
     identifiable_ : ndarray of shape (p,), bool
@@ -298,6 +327,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         torque_noise=None,
         n_jobs=None,
         forgetting=1.0,
+        gains=None,
+        known_masses=None,
     ):
         self.model = model
         self.dt = dt
@@ -315,6 +346,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.torque_noise = torque_noise
         self.n_jobs = n_jobs
         self.forgetting = forgetting
+        self.gains = gains
+        self.known_masses = known_masses
 
     def fit(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
         """Identify the robot.
@@ -367,15 +400,18 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             )
         else:
             self.torque_noise_ = periods.filtered_torque_noise(plan.lowpass)
+        relative = None
+        if self.gains is not None:
+            relative = self._first_gains(recording, states)
         fitted = ()
-        for one in plan.passes():
-            if needs_load(one.effects):
+        for number, one in enumerate(self._plan.passes()):
+            if number > 0:
                 self._load = self._known_torque(fitted)
             fitted = one.effects
             made = segments(recording, states, one, self.features_, theta=self._load)
             self._set(self._estimate(made))
         if any(effect.in_model for effect in self.effects_):
-            made = self._settle(recording, states)
+            made = self._settle(recording, states, relative)
         self._tell_loads(made)
         self._signal_ends = ends(recording.signals)
         if periods is None and self.torque_noise is None:
@@ -391,18 +427,101 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         bodies, coefs = np.split(self.theta_, [self.features_.n_parameters_])
         return np.concatenate([bodies, plain_coefficients(effects, coefs)])
 
-    def _settle(self, recording, states):
+    def _first_gains(self, recording, states):
+        """Begin with the gains in closed form, `RelativeGains`."""
+        plan = self._plan.passes()[0]
+        made = segments(recording, states, plan, self.features_)
+        moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
+        zeros = unexcited_entries(moments, self.features_.n_parameters_)
+        units = [] if isinstance(self.gains, str) else list(self.gains)
+        found = relative_gains(
+            moments.zeroed(zeros), [self.joint_names_.index(name) for name in units]
+        )
+        self._correct(with_gains(self.effects_, found.gains))
+        return found
+
+    def _correct(self, effects):
+        """Correct the robot by the present values of effects."""
+        self.effects_ = effects
+        self.features_ = self.features_.corrected(effects)
+        self._plan = replace(self._plan, effects=effects)
+
+    def _settle(self, recording, states, relative):
         """Correct the robot until the values of effects in the model stay.
 
-        Returns the segments of the last fit.
+        relative : `RelativeGains` to begin with, or None. Returns the segments of the
+        last fit.
         """
-        names = self.joint_names_
+        found = self._corrections(recording, states, relative)
+        if relative is not None:
+            while (vague := relative.vague(found)).any():
+                relative = relative.without(vague)
+                self._correct(with_gains(self.effects_, relative.gains))
+                self._fit_again(recording, states)
+                found = self._corrections(recording, states, relative)
+        found.tell_bounds(self.joint_names_)
+        if relative is not None:
+            common, covariance = self._common_gain(relative, found)
+            if common.factor is not None:
+                self._scale(recording, states, common.factor)
+        values = found.values_of(self.effects_)
+        self.theta_[found.places] = values
+        self.theta_unconstrained_[found.places] = values
+        self.theta_std_[found.places] = found.std
+        if relative is not None:
+            at = gain_places(self.effects_, self.features_.n_parameters_)
+            if common.factor is not None:
+                # What is one relative to itself is the factor.
+                self.theta_std_[at[relative.references]] = 0.0
+                self.theta_std_ = common.widened(
+                    self.theta_,
+                    self.theta_std_,
+                    self.parameter_units_,
+                    at,
+                    covariance,
+                )
+            self.gains_ = channel_gains(self, relative, common, at)
+        self.identifiable_[found.places] = np.isfinite(self.theta_std_[found.places])
+        self._spreads = tuple(
+            Spread.of_deviations(deviations)
+            for deviations in self._split(self.theta_std_)
+        )
+        return segments(recording, states, self._plan, self.features_, theta=self._load)
+
+    def _common_gain(self, relative, found):
+        """Find the common gain that known masses ask for, see `common_gain`."""
+        model, n_rigid = self.features_.model_, self.features_.n_parameters_
+        places = mass_places(self._masses, model, self.effects_, n_rigid)
+        common, covariance = common_gain(
+            self._masses, places, self.theta_, found.estimate
+        )
+        if len(relative.references) != 1:
+            # Gains of joints that share nothing have no common factor.
+            return common.given_up(), None
+        return common, covariance
+
+    def _scale(self, recording, states, factor):
+        """Fit again with all gains multiplied, and torques in their own unit."""
+        self._correct(with_gains(self.effects_, factor * self.features_.gains_))
+        self._load = self._load / factor
+        self._fit_again(recording, states)
+
+    def _fit_again(self, recording, states):
+        """Fit the parameters with the values of effects as they are."""
+        made = segments(recording, states, self._plan, self.features_, theta=self._load)
+        self._set(self._estimate(made))
+
+    def _corrections(self, recording, states, relative):
+        """Correct the robot step by step; `ModelValues` of the last one."""
+        places = gain_places(self.effects_, self.features_.n_parameters_)
         for _ in range(MOST_CORRECTIONS):
             self._load = self._known_torque(self.effects_)
             plan = replace(self._plan, tangents=True)
             made = segments(recording, states, plan, self.features_, theta=self._load)
             moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
             zeros = unexcited_entries(moments, self.features_.n_parameters_)
+            if relative is not None:
+                zeros[:, places[relative.held]] = True
             found = ModelValues.of(
                 moments.zeroed(zeros),
                 self.effects_,
@@ -411,26 +530,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             )
             if found.stay():
                 break
-            self.effects_ = found.corrected()
-            self.features_ = self.features_.corrected(self.effects_)
-            self._plan = replace(self._plan, effects=self.effects_)
-            made = segments(
-                recording, states, self._plan, self.features_, theta=self._load
-            )
-            self._set(self._estimate(made))
+            self._correct(found.corrected())
+            self._fit_again(recording, states)
         else:
             tell_unsettled(found)
-        found.tell_bounds(names)
-        self.theta_[found.places] = found.values()
-        self.theta_unconstrained_[found.places] = found.values()
-        self.theta_std_[found.places] = found.std
-        self.identifiable_[found.places] = np.isfinite(found.std)
-        self._spreads = tuple(
-            Spread.of_deviations(deviations)
-            for deviations in self._split(self.theta_std_)
-        )
-        made = segments(recording, states, self._plan, self.features_, theta=self._load)
-        return made
+        return found
 
     # -- from the arguments to a plan --------------------------------------------------
 
@@ -439,6 +543,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
         self.joint_names_ = joint_names(self.features_.model_)
         self.effects_ = check_effects(self.effects, self.features_.n_joints_)
+        self.gains_ = None
+        model = self.features_.model_
+        check_gains(self.gains, self.joint_names_)
+        self._masses = check_masses(self.known_masses, self.gains, model)
+        if self.gains is not None:
+            self.effects_ = declared_gains(self.effects_, model.nv)
         self.features_ = self.features_.corrected(self.effects_)
         names, units = effect_names(self.effects_, self.features_.model_)
         self.parameter_names_ = self.features_.parameter_names_ + names
@@ -990,7 +1100,12 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.
 
-        A comment names bodies whose masses the recording does not determine.
+        Axes of joints that a `JointAxis` has turned are corrected, too. A tilt of the
+        base, zeros of encoders and gains of torque channels are no property of the
+        robot that a description could hold: a comment at the top says what is to be
+        changed, as plainly as that four degrees are to be subtracted. It also names
+        bodies whose masses the recording does not determine. Torques of the written
+        robot are the true ones, at true positions.
 
         Parameters
         ----------
@@ -1011,7 +1126,17 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             self._bodies(),
             self.features_.friction_,
             self.min_eigenvalues_,
-            note_of_masses(self),
+            "\n".join(
+                filter(
+                    None,
+                    [
+                        note_of_gains(self.gains_),
+                        *note_of_corrections(self),
+                        note_of_masses(self),
+                    ],
+                )
+            ),
+            turned_joints(self),
         )
 
 
@@ -1036,11 +1161,12 @@ def conclude(identifier, plan, moments):
 def corrected(identifier, effects):
     """Return a fitted identifier with its robot corrected, parameters as they were.
 
-    effects : `ModelEffect` of those that correct it, beside its own.
+    effects : `ModelEffect` of those that correct it, beside its own, or in place of
+    them where they are the same with other values.
     """
     other = copy.copy(identifier)
-    own = (*identifier.effects_, *effects)
-    other.features_ = identifier.features_.corrected(own)
+    own = {effect.key(): effect for effect in (*identifier.effects_, *effects)}
+    other.features_ = identifier.features_.corrected(own.values())
     return other
 
 
@@ -1165,6 +1291,18 @@ def tell_spreads(identifier, estimates):
     if estimates:
         own = [Spread(shape=one.shape, covariance=one.covariance) for one in estimates]
         identifier._spreads = (*identifier._spreads[: -len(own)], *own)
+
+
+def asked_again(identifier):
+    """Parameters for a fit with the effects of a fitted identifier, a dict.
+
+    Channels that were the units of gains stay that.
+    """
+    asked = {"effects": identifier.effects_}
+    if identifier.gains_ is not None:
+        names = identifier.joint_names_
+        asked["gains"] = tuple(names[j] for j in identifier.gains_.references)
+    return asked
 
 
 def load_parameters(identifier):

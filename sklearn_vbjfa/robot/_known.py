@@ -56,7 +56,8 @@ def known_parameters(robot):
         torque depends on it, or it is a mass whose deviation, with what the projection
         moved it by, is over half its value.
     """
-    seen = np.diagonal(robot.estimator_.metric_) > 0
+    # Values of effects in the model have no columns of their own.
+    seen = (np.diagonal(robot.estimator_.metric_) > 0) | robot.identifiable_
     known = np.where(robot.identifiable_, "yes", "in combination").astype(object)
     known[~seen] = "no"
     masses = _masses(robot)

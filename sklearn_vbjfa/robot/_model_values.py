@@ -15,14 +15,18 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa.robot._estimate import plain_estimate
+from sklearn_vbjfa.robot._estimate import PlainEstimate, plain_estimate
 
 # A value stays where a correction is smaller than this share of its standard error.
 STAYS = 0.1
+# ... or than this share of the range of plausible values, which is rounding.
+_ROUNDING = 1e-10
 # Corrections of one fit.
 MOST_CORRECTIONS = 12
 # Of a correction that would lead out of the plausible values, this share of the way.
 _SHORT = 0.9
+# A value is at the end of its range where it is within this share of it.
+_END = 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,12 +43,15 @@ class ModelValues:
         Corrections of the values; zero where the recording does not show them.
     std : ndarray
         Standard deviations of the values; nan where the recording does not show them.
+    estimate : PlainEstimate or None
+        Of everything, with corrections in the places of the values.
     """
 
     effects: tuple
     places: np.ndarray
     step: np.ndarray
     std: np.ndarray
+    estimate: PlainEstimate | None = None
 
     @classmethod
     def of(cls, moments, effects, n_rigid, joint_weights):
@@ -59,24 +66,34 @@ class ModelValues:
             if effect.in_model:
                 places += range(at, stop)
             at = stop
-        theta, std, known = plain_estimate(moments, joint_weights)
-        shown = known[places]
+        found = plain_estimate(moments, joint_weights)
+        shown = found.known[places]
         return cls(
             effects=tuple(effects),
             places=np.array(places),
-            step=np.where(shown, theta[places], 0.0),
-            std=np.where(shown, std[places], np.nan),
+            step=np.where(shown, found.theta[places], 0.0),
+            std=np.where(shown, found.std[places], np.nan),
+            estimate=found,
         )
 
     def stay(self):
-        """Whether no value moves by more than a tenth of its standard error."""
-        with np.errstate(invalid="ignore"):
-            return not (np.abs(self.step) > STAYS * self.std).any()
+        """Whether no value moves by more than a tenth of its standard error.
 
-    def values(self):
-        """Present values, ndarray."""
-        own = [effect.values for effect in self.effects if effect.in_model]
-        return np.concatenate(own)
+        One at the end of what is plausible stays where it would go on outwards.
+        """
+        own = [effect for effect in self.effects if effect.in_model]
+        low, high = (np.concatenate(x) for x in zip(*[e.bounds() for e in own]))
+        with np.errstate(invalid="ignore"):
+            least = np.maximum(STAYS * self.std, _ROUNDING * (high - low))
+            moves = np.abs(self.step) > least
+        below, above = (np.concatenate(x) for x in zip(*map(_at_bounds, own)))
+        out = (below & (self.step < 0)) | (above & (self.step > 0))
+        return not (moves & ~out).any()
+
+    @staticmethod
+    def values_of(effects):
+        """Present values of effects, ndarray, in the order of `places`."""
+        return np.concatenate([one.values for one in effects if one.in_model])
 
     def corrected(self):
         """Return the effects with corrected values, within those that are plausible."""
@@ -98,12 +115,12 @@ class ModelValues:
         for effect in self.effects:
             if not effect.in_model:
                 continue
-            low, high = effect.bounds()
-            near = (1 - _SHORT) * 0.1 * (high - low)
-            at = (effect.values < low + near) | (effect.values > high - near)
+            below, above = _at_bounds(effect)
             told += [
                 f"{name} of {effect.name} on {names[effect.joint]} ({value:.3g})"
-                for name, value, ends in zip(effect.tangent, effect.values, at)
+                for name, value, ends in zip(
+                    effect.tangent, effect.values, below | above
+                )
                 if ends
             ]
         if told:
@@ -114,6 +131,13 @@ class ModelValues:
                 UserWarning,
                 stacklevel=4,
             )
+
+
+def _at_bounds(effect):
+    """Which values are at their lower and at their upper bounds, two arrays (k,)."""
+    low, high = effect.bounds()
+    near = _END * (high - low)
+    return effect.values < low + near, effect.values > high - near
 
 
 def _within(effect, step):
@@ -133,5 +157,5 @@ def tell_unsettled(values):
         f"tenth of their standard errors after {MOST_CORRECTIONS} corrections: the "
         "recording hardly tells them apart. Declare fewer of them.",
         ConvergenceWarning,
-        stacklevel=3,
+        stacklevel=5,
     )

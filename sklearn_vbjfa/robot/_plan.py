@@ -101,8 +101,11 @@ class Plan:
         return replace(self, time=(float(clock[0]), float(clock[-1])))
 
     def passes(self):
-        """Plans of successive fits: effects that need the load come later."""
-        if not needs_load(self.effects):
+        """Plans of successive fits: effects that need the load come later.
+
+        Those in the model have no columns in a fit; their values are corrected after.
+        """
+        if not needs_load(e for e in self.effects if not e.in_model):
             return [self]
         plain = tuple(e for e in self.effects if "load" not in e.needs)
         return [replace(self, effects=plain)] + (_LOAD_PASSES - 1) * [self]
@@ -183,9 +186,9 @@ def effect_names(effects, model):
     names, units = [], []
     for effect in effects:
         kind = int(kinds[effect.joint])
-        names += [
-            f"{joints[effect.joint]}:{effect.name}:{c}" for c in effect.coefficients
-        ]
+        # What belongs to the robot as a whole bears the name of no joint.
+        own = "" if effect.scope == "robot" else f"{joints[effect.joint]}:"
+        names += [f"{own}{effect.name}:{c}" for c in effect.coefficients]
         units += [unit[kind] for unit in effect.units]
     return tuple(names), tuple(units)
 

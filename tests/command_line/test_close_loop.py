@@ -123,7 +123,7 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     folder = tmp_path / "swing-report"
     assert sorted(path.name for path in folder.iterdir()) == FILES
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    assert report["schema_version"] == 4
+    assert report["schema_version"] == 5
     (effect,) = report["effects"]
     assert (effect["name"], effect["joint"]) == ("spring", 0)
     low, high = effect["intervals"]["k"]
@@ -173,6 +173,7 @@ def test_undetermined_parameters_have_no_deviation(tmp_path):
         theta_=np.array([1.0, 0.1 + 0.2]),
         theta_std_=np.array([np.inf, 0.25]),
         identifiable_=np.array([False, True]),
+        gains_=None,
     )
     path = tmp_path / "parameters.csv"
     _close_loop._write_parameters(robot, ("in combination", "yes"), path)

@@ -166,3 +166,51 @@ def test_selection_keeps_the_truth_of_what_is_kept():
     rows = recording.groups == 1
     np.testing.assert_array_equal(second.states, recording.states[rows])
     np.testing.assert_array_equal(second.tau_clean, recording.tau_clean[rows])
+
+
+def test_a_robot_that_is_not_as_described():
+    turn = (0.03, 0.0, -0.02)
+    recording = make_robot_recording(
+        duration=1.0,
+        dt=0.01,
+        friction=("coulomb",),
+        perturbation=0.0,
+        encoder_noise=0.0,
+        torque_noise=0.0,
+        base_tilt=(0.07, -0.03),
+        joint_zero={2: 0.05},
+        joint_axis={3: turn},
+        torque_gain={1: 1.2},
+        random_state=0,
+    )
+    model = pin.buildModelFromUrdf(recording.urdf)
+    placed = model.jointPlacements[4]
+    placed.rotation = (
+        placed.rotation
+        @ pin.AngleAxis(
+            np.linalg.norm(turn), np.array(turn) / np.linalg.norm(turn)
+        ).toRotationMatrix()
+    )
+    about_x = np.array([[1, 0, 0], [0, np.cos(0.07), -np.sin(0.07)], [0, 0, 0]])
+    about_x[2] = 0, np.sin(0.07), np.cos(0.07)
+    about_y = np.array([[np.cos(-0.03), 0, np.sin(-0.03)], [0, 1, 0], [0, 0, 0]])
+    about_y[2] = -np.sin(-0.03), 0, np.cos(-0.03)
+    model.gravity.linear = about_y @ about_x @ np.array([0, 0, -9.81])
+    data = model.createData()
+    gains = np.array([1, 1.2, 1, 1, 1, 1])
+    for row, torque in zip(recording.states[::20], recording.tau[::20]):
+        q, v, a = row.reshape(3, 6)
+        friction = recording.friction["coulomb"] * np.sign(v)
+        expected = gains * (pin.rnea(model, data, q, v, a) + friction)
+        np.testing.assert_allclose(torque, expected, rtol=1e-9, atol=1e-9)
+    off = recording.q - recording.states[:, :6]
+    np.testing.assert_allclose(off, np.tile([0, 0, 0.05, 0, 0, 0], (100, 1)))
+
+
+def test_a_misfit_that_no_robot_has():
+    with pytest.raises(ValueError, match="numbered 0 to 5; got 6"):
+        make_robot_recording(duration=1.0, joint_zero={6: 0.1})
+    with pytest.raises(ValueError, match="numbered 0 to 5; got -1"):
+        make_robot_recording(duration=1.0, joint_axis={-1: (0.1, 0, 0)})
+    with pytest.raises(ValueError, match="must be positive"):
+        make_robot_recording(duration=1.0, torque_gain={0: 0.0})

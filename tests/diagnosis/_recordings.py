@@ -8,7 +8,7 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.02
-VISCOUS = (0.8, 0.5, 0.3)
+VISCOUS = (0.8, 0.5, 0.3, 0.4)
 
 
 @dataclass(frozen=True, eq=False)

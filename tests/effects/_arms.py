@@ -19,7 +19,7 @@ def arm(axes="ZYX", gravity=9.81):
         name = f"joint_{j + 1}"
         parent = model.addJoint(parent, joint, pin.SE3(np.eye(3), shift), name)
         centre = np.array([0.12, 0.03, 0.15]) + 0.02 * rng.normal(size=3)
-        box = pin.Inertia.FromBox(4.0 - j, 0.1, 0.15, 0.3)
+        box = pin.Inertia.FromBox(max(4.0 - j, 1.0), 0.1, 0.15, 0.3)
         model.inertias[parent] = pin.SE3(np.eye(3), centre).act(box)
     return model
 
@@ -48,6 +48,75 @@ def inverse_dynamics(model, states):
     return np.array(
         [pin.rnea(model, data, *row.reshape(3, model.nv)) for row in states]
     )
+
+
+class Derivatives:
+    """Derivatives of `inverse_dynamics` by the geometry, by central differences.
+
+    With the names of `TorqueDerivatives`, and none of its mathematics.
+    """
+
+    def __init__(self, model, states, nominal=None, step=1e-4):
+        self._model, self._states, self._step = model, states, step
+        self._nominal = model if nominal is None else nominal
+
+    def _change(self, change):
+        """Differentiate by a number that `change` (model, number) puts in."""
+        high, low = (self._model.copy() for _ in range(2))
+        shifted = self._states.copy(), self._states.copy()
+        change(high, shifted[0], self._step)
+        change(low, shifted[1], -self._step)
+        rise = inverse_dynamics(high, shifted[0]) - inverse_dynamics(low, shifted[1])
+        return rise / (2 * self._step)
+
+    def by_turn(self, joint):
+        """By turns of a joint's placement about its own axes, (n, nv, 3)."""
+        import pinocchio as pin
+
+        def about(axis):
+            def change(model, states, angle):
+                placement = model.jointPlacements[joint + 1]
+                placement.rotation = placement.rotation @ pin.exp3(angle * axis)
+
+            return self._change(change)
+
+        return np.stack([about(axis) for axis in np.eye(3)], axis=2)
+
+    def by_position(self, joint):
+        """By the position of a joint, (n, nv)."""
+
+        def change(model, states, shift):
+            states[:, joint] += shift
+
+        return self._change(change)
+
+    def by_gravity(self):
+        """By the vector of gravity, (n, nv, 3)."""
+
+        def along(axis):
+            def change(model, states, size):
+                model.gravity.linear = model.gravity.linear + size * axis
+
+            return self._change(change)
+
+        return np.stack([along(axis) for axis in np.eye(3)], axis=2)
+
+    def axis(self, joint):
+        """Direction of a joint in its own frame, (3,); of `arm` only."""
+        return np.eye(3)["XYZ".index(self._model.joints[joint + 1].shortname()[-1])]
+
+    def rotation(self, joint):
+        """Axes of a joint's placement, (3, 3)."""
+        return self._model.jointPlacements[joint + 1].rotation
+
+    def nominal_rotation(self, joint):
+        """Return those before a correction."""
+        return self._nominal.jointPlacements[joint + 1].rotation
+
+    @property
+    def nominal_gravity(self):
+        """Gravity before a correction, (3,)."""
+        return self._nominal.gravity.linear
 
 
 def with_changed_body(model, delta):

@@ -14,6 +14,7 @@ from sklearn_vbjfa import effects
 from sklearn_vbjfa.effects import Effect, Motion
 from sklearn_vbjfa.effects._hysteresis import dahl, play
 from tests.effects._arms import (
+    Derivatives,
     arm,
     dahl_in_small_steps,
     inverse_dynamics,
@@ -25,6 +26,9 @@ from tests.effects._arms import (
 
 # The guide pins the names and their order; tests/test_docs.py compares.
 NAMES = effects.available()
+# Effects of the robot's geometry: their columns need the bodies.
+GEOMETRY = ("base_tilt", "joint_zero", "joint_axis")
+BODIES = ("elastic", "payload", *GEOMETRY)
 # Two joints: q1 q2 v1 v2 a1 a2
 T, X = motion(2, duration=6.0, seed=3)
 Q, V, A = np.split(X, 3, axis=1)
@@ -55,6 +59,7 @@ def signals(prismatic=(False, False), scale=1.0, **changed):
             "prismatic": np.array(prismatic),
             "rigid": lambda q, v, a: inverse_dynamics(model, np.hstack([q, v, a])),
             "last_body": lambda: last_body_regressor(model, X),
+            "derivatives": Derivatives(model, X),
             "bandwidth": 5.0,
             "signals": RECORDED,
             **changed,
@@ -119,8 +124,10 @@ def test_parameters_have_units(name, prismatic):
     units = effect.parameter_units(prismatic)
     assert all(isinstance(value, float) for value in values.values())
     assert set(values) | set(effect.continuous) <= set(units)
+    # What turns by an angle does so on a joint that slides as well.
+    angles = {"phase", "roll", "pitch", "about_x", "about_y"}
     assert "rad" not in " ".join(
-        unit for key, unit in units.items() if prismatic and key != "phase"
+        unit for key, unit in units.items() if prismatic and key not in angles
     )
 
 
@@ -133,6 +140,8 @@ def test_scikit_learn_contract(name):
     used = set(effect.get_params()) - {"joint"}
     if name == "counterbalance":
         used -= {"ratio", "angle"}  # of its other form
+    if name == "torque_gain":
+        used -= {"limit"}  # of what is plausible
     assert set(effect.shape()) == used
     assert effect.set_params(joint=1) is effect
     assert effect.joint == 1
@@ -255,6 +264,7 @@ def closed_forms():
             [w - v, np.sign(w - v), A[:, 0] - a],
         ),
         "delay": ({"delay": 0.034}, [(lagged - load) / 0.034]),
+        "torque_gain": ({"gain": 1.6}, [load / 1.6]),
         "jerk": ({}, [np.r_[a[1] - a[0], (a[2:] - a[:-2]) / 2, a[-1] - a[-2]] / 0.01]),
         "signal": (
             {"reference": 25.0},
@@ -450,7 +460,7 @@ def recordings_of(effect):
     return together, np.concatenate(parts), whole
 
 
-@pytest.mark.parametrize("name", [n for n in NAMES if n not in ("elastic", "payload")])
+@pytest.mark.parametrize("name", [n for n in NAMES if n not in BODIES])
 def test_nothing_is_remembered_across_recordings(name):
     effect = library_effect(name)
     memory = name in ("delay", "torque_filter", "jerk", "presliding", "backlash")
@@ -543,7 +553,7 @@ def test_a_joint_that_does_not_move_has_no_ripple():
     assert effects.Ripple().shapes(still) == []
 
 
-SCALED = [n for n in NAMES if n not in ("counterbalance", "elastic", "payload")]
+SCALED = [n for n in NAMES if n not in ("counterbalance", *BODIES)]
 
 
 @pytest.mark.parametrize("name", SCALED)
@@ -617,7 +627,7 @@ def test_missing_signals_are_named(name):
             effect.fit(X).transform(X, **given)
 
 
-@pytest.mark.parametrize("name", ["elastic", "payload"])
+@pytest.mark.parametrize("name", BODIES)
 def test_effects_of_the_bodies_ask_for_them(name):
     with pytest.raises(ValueError, match="needs the rigid-body dynamics"):
         transform(library_effect(name))

@@ -3,6 +3,8 @@
 Each function returns sentences on an outcome, none where there is nothing to say.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
@@ -162,7 +164,11 @@ def _pushed(one, names):
 
 def mass_sentences(outcome):
     """Say which masses are not measured, and which are not those of the description."""
-    return tuple(filter(None, (_unknown(outcome.bodies), _other(outcome.bodies))))
+    bodies, gains = outcome.bodies, outcome.gains
+    if gains is not None and not gains.absolute:
+        # In another unit than those of the description.
+        bodies = [replace(b, nominal=b.mass) for b in bodies]
+    return tuple(filter(None, (_unknown(bodies), _other(bodies))))
 
 
 def _unknown(bodies):

@@ -7,13 +7,13 @@ import numbers
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from sklearn_vbjfa.diagnosis.report import _render
+from sklearn_vbjfa.diagnosis.report import _plain, _render
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._sections import sections
 from sklearn_vbjfa.diagnosis.report._verdict import judge
 
 # Changes when keys of `to_dict` do.
-SCHEMA_VERSION = 4
+SCHEMA_VERSION = 5
 # Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
 _NOT_DATA = ("curves", "library")
 
@@ -80,18 +80,24 @@ class Report:
         -------
         dict
             Lists instead of arrays, None instead of nan, joints from zero;
-            ``"schema_version"`` changes when keys do.
+            ``"schema_version"`` changes when keys do. Values are in SI units; an effect
+            of the robot model has them in degrees, mm or per cent as well, under
+            ``"plain"``, and ``"corrections"`` has what is to be changed: the tilt of
+            the base, zeros of encoders, axes and gains of torque channels.
         """
         data = {
             "schema_version": SCHEMA_VERSION,
             "status": self.status,
             "headline": self.headline,
             "verdict": self.verdict,
-            "joints": _plain(self.joints),
+            "joints": _json(self.joints),
         }
         for field in dataclasses.fields(self.outcome):
             if field.name not in _NOT_DATA:
-                data[field.name] = _plain(getattr(self.outcome, field.name))
+                data[field.name] = _json(getattr(self.outcome, field.name))
+        for told, effect in zip(data["effects"], self.outcome.effects):
+            if _plain.in_model(self.outcome, effect):
+                told["plain"] = _json(_plain.plain_values(effect))
         return data
 
     def to_markdown(self):
@@ -118,7 +124,7 @@ class Report:
         return _render.fragment(self._sections())
 
 
-def _plain(value):
+def _json(value):
     """Turn a value into what JSON knows; nan and infinity become None."""
     if value is None or isinstance(value, (bool, str)):
         return value
@@ -129,17 +135,17 @@ def _plain(value):
     if isinstance(value, numbers.Real):
         return float(value) if math.isfinite(value) else None
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return _json(value.tolist())
     if isinstance(value, dict):
-        return {str(key): _plain(one) for key, one in value.items()}
+        return {str(key): _json(one) for key, one in value.items()}
     if isinstance(value, (list, tuple, set, frozenset)):
-        return [_plain(one) for one in value]
+        return [_json(one) for one in value]
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {
-            field.name: _plain(getattr(value, field.name))
+            field.name: _json(getattr(value, field.name))
             for field in dataclasses.fields(value)
         }
     if isinstance(value, BaseEstimator):
         parameters = value.get_params(deep=False)
-        return {"class": type(value).__name__, "parameters": _plain(parameters)}
+        return {"class": type(value).__name__, "parameters": _json(parameters)}
     return str(value)

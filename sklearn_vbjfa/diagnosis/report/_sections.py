@@ -10,7 +10,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.report import _limits, _remains, _verdict
+from sklearn_vbjfa.diagnosis.report import (
+    _gains,
+    _limits,
+    _plain,
+    _remains,
+    _unseen,
+    _verdict,
+)
 from sklearn_vbjfa.diagnosis.report import _ranges as ranges
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import (
@@ -290,6 +297,19 @@ def _recordings(outcome, verdict):
     return _paragraph("Limits of the recordings", found)
 
 
+def _channel_gains(outcome, verdict):
+    found = _gains.gain_sentences(outcome)
+    if not found:
+        return _paragraph("Gains of the torque channels", found)
+    heads = ("joint", "gain", "90 % interval", "relative to")
+    return Section(
+        heading="Gains of the torque channels",
+        sentences=found,
+        table=Table(heads=heads, rows=_gains.gain_rows(outcome)),
+        terminal=(" ".join(found), Table(heads=heads, rows=_gains.gain_rows(outcome))),
+    )
+
+
 def _masses(outcome, verdict):
     return _paragraph("Masses", _limits.mass_sentences(outcome))
 
@@ -298,16 +318,19 @@ def _masses(outcome, verdict):
 
 
 def _effects(outcome, verdict):
-    names = outcome.joint_names
     sentences, short, rows = [], [], []
     for e in outcome.effects:
-        joint = words.joint_label(names, e.joint)
+        joint = words.place_label(outcome, e.name, e.joint)
         label = words.effect_label(outcome, e.name, e.parameters)
-        parameters = words.parameter_text(e)
+        if _plain.in_model(outcome, e):
+            first, parameters = _plain.statement(outcome, e), _plain.value_cells(e)
+        else:
+            parameters = words.parameter_text(e)
+            first = ", ".join([f"{joint}: {label}", *parameters])
         gain, p = words.whole_percent(e.evidence.gain), e.evidence.p_value
-        rivals = [words.effect_label(outcome, rival) for rival in e.rivals]
+        rivals = [words.other_label(outcome, rival, e.name) for rival in e.rivals]
         evidence = f"saves {gain}, {words.p_text(p)}"
-        told = [", ".join([f"- {joint}: {label}", *parameters]), evidence]
+        told = [f"- {first}", evidence]
         if rivals:
             told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
         afterwards = ranges.afterwards_text(e)
@@ -324,6 +347,38 @@ def _effects(outcome, verdict):
         heading="Effects that were missing",
         table=_table((*heads, "cannot be told from"), rows),
         terminal=_terminal(sentences, short),
+    )
+
+
+def _corrections(outcome, verdict):
+    """Say what to mend on the robot, in the program that reads it, or in its files."""
+    own = [e for e in outcome.effects if _plain.in_model(outcome, e)]
+    remedies = {(one.name, one.joint): one.text for one in _plain.remedies(outcome)}
+    told = []
+    for e in own:
+        said = [_plain.statement(outcome, e), remedies.pop((e.name, e.joint), "")]
+        told.append(". ".join(map(words.capital, filter(None, said))))
+    # The others were declared.
+    told += map(words.capital, remedies.values())
+    todo = [one.text for one in _plain.remedies(outcome)]
+    rows = [
+        (
+            words.place_label(outcome, e.name, e.joint),
+            words.effect_label(outcome, e.name, e.parameters),
+            _plain.value_cells(e),
+            tuple(words.parameter_text(e)),
+        )
+        for e in own
+    ]
+    return Section(
+        heading="What to correct",
+        sentences=tuple(f"{text}." for text in told),
+        table=_table(("where", "what", "value (90 %)", "in SI units"), rows),
+        note="The completed model has all of it: it takes positions and torques as "
+        "they were recorded."
+        if told
+        else "",
+        terminal=(f"To correct: {'; '.join(todo)}.",) if todo else (),
     )
 
 
@@ -461,16 +516,17 @@ def _record_next(outcome, verdict):
             wanted.setdefault(advice, []).append(rest.joint)
     for effect in outcome.effects:
         for name in (effect.name, *effect.rivals) if effect.rivals else ():
-            wanted.setdefault(words.record_for(outcome, name), []).append(effect.joint)
+            where = wanted.setdefault(words.record_for(outcome, name), [])
+            where += _own_joint(outcome, effect)
     for h in outcome.hidden:
         if h.reason == "excitation":
             advice = words.record_for(outcome, h.name) or h.remedy
-            wanted.setdefault(advice, []).append(h.joint)
-    found = [
-        f"{advice} ({words.joint_list(outcome.joint_names, joints)})"
-        for advice, joints in wanted.items()
-        if advice
-    ]
+            wanted.setdefault(advice, []).extend(_own_joint(outcome, h))
+    found = []
+    for advice, joints in wanted.items():
+        where = words.joint_list(outcome.joint_names, joints)
+        if advice:
+            found.append(f"{advice} ({where})" if where else advice)
     return Section(
         heading="Record next",
         sentences=tuple(found),
@@ -478,15 +534,22 @@ def _record_next(outcome, verdict):
     )
 
 
+def _own_joint(outcome, effect):
+    """Joint of an effect, in a list; an empty one for what belongs to none."""
+    found = outcome.library.get(effect.name)
+    return [] if found is not None and found.scope == "robot" else [effect.joint]
+
+
 def _hidden(outcome, verdict):
     """Say what could not be looked for, in a sentence for each reason."""
-    sentences = []
+    sentences = list(_unseen.model_sentences(outcome))
+    rest = [h for h in outcome.hidden if not _unseen.is_of_model(outcome, h)]
     for reason, title, because in (
         ("excitation", "This recording cannot show", ""),
         ("signal", "Not looked for:", "; {}"),
         ("span", "No motion can show", ", which the declared parameters cover"),
     ):
-        own = [h for h in outcome.hidden if h.reason == reason]
+        own = [h for h in rest if h.reason == reason]
         if not own:
             continue
         by_effect = {}
@@ -499,6 +562,7 @@ def _hidden(outcome, verdict):
         ]
         because = because.format(words.join(sorted({h.remedy for h in own}), 2))
         sentences.append(f"{title} {words.join(parts, len(parts))}{because}.")
+    sentences += _unseen.together_sentences(outcome, rest)
     return Section(heading="Not visible in this recording", sentences=tuple(sentences))
 
 
@@ -552,19 +616,24 @@ def _residuals(outcome, verdict):
 
 
 def _steps(outcome, verdict):
-    names = outcome.joint_names
     rows, details = [], []
     for i, step in enumerate(outcome.rounds, 1):
+        robot = words.place_label(outcome, step.name, step.joint) == "robot"
         action = _ACTIONS.get(step.action, step.action)
         if step.replaced:
             action = f"replaced {words.effect_label(outcome, step.replaced)}"
         j, evidence = step.joint, step.evidence
-        rivals = [words.effect_label(outcome, t.name, t.shape) for t in step.rivals]
+        rivals = [
+            words.effect_at(outcome, t.name, t.joint, t.shape)
+            if robot or t.joint != j
+            else words.effect_label(outcome, t.name, t.shape)
+            for t in step.rivals
+        ]
         before, after = step.error_before[j], step.error_after[j]
         rows.append(
             (
                 str(i),
-                words.joint_label(names, j),
+                words.place_label(outcome, step.name, j),
                 words.effect_label(outcome, step.name, step.shape),
                 action,
                 words.whole_percent(evidence.gain),
@@ -602,8 +671,7 @@ def _undone(outcome):
         ("withdraw", "Withdrawn, as it did harm on motion that it was not fitted to"),
     ):
         own = dict.fromkeys(
-            f"{words.effect_label(outcome, r.name, r.shape)} on "
-            f"{words.joint_label(outcome.joint_names, r.joint)}"
+            words.effect_at(outcome, r.name, r.joint, r.shape)
             for r in outcome.rounds
             if r.action == action
         )
@@ -735,10 +803,12 @@ SECTIONS = (
     _recordings,
     _projection,
     _effects,
+    _corrections,
     _outside,
     _unexplained,
     _record_next,
     _hidden,
+    _channel_gains,
     _masses,
     _channels,
     _residuals,

@@ -106,10 +106,15 @@ def _judge_joint(outcome, j):
         joint=j,
         label=words.joint_label(outcome.joint_names, j),
         status=status,
-        n_effects=sum(e.joint == j for e in outcome.effects),
+        n_effects=sum(_belongs(e, j) for e in outcome.effects),
         text=text,
         remains=_remains.of_joint(outcome, j, text),
     )
+
+
+def _belongs(effect, j):
+    """Whether an effect is one of a joint."""
+    return effect.joint == j and effect.scope == "joint"
 
 
 def _joint_status(outcome, j):
@@ -142,7 +147,7 @@ def _joint_status(outcome, j):
         return "above", "above floor on untouched data"
     if after > near and least > floor:
         return "floor", f"near the floor ({after / floor:.1f} x)"
-    if any(e.joint == j for e in outcome.effects) and np.isfinite(high) and high >= 0:
+    if any(_belongs(e, j) for e in outcome.effects) and np.isfinite(high) and high >= 0:
         return "floor", "at the floor, gain within chance"
     return "floor", "at the noise floor"
 
@@ -282,12 +287,11 @@ def _headline(outcome, joints, status):
 
 def _found(outcome):
     """Name the first effects, which save most, and count the others; with a verb."""
-    effects, names = outcome.effects, outcome.joint_names
+    effects = outcome.effects
     if not effects:
         return "0 effects were"
     named = [
-        f"{words.effect_label(outcome, e.name, e.parameters)} on "
-        f"{words.joint_label(names, e.joint)}"
+        words.effect_at(outcome, e.name, e.joint, e.parameters)
         for e in effects[:_NAMED]
     ]
     if len(effects) > _NAMED:

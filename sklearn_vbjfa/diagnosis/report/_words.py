@@ -59,9 +59,54 @@ def effect_label(outcome, name, shape=None):
     return found.describe(shape or {}, joint)
 
 
-def record_for(outcome, name):
-    """Return what to record to see an effect; empty if its class does not say."""
+def place_label(outcome, name, joint):
+    """Where an effect is: its joint, or the robot for one that belongs to none."""
     found = outcome.library.get(name)
+    if found is not None and found.scope == "robot":
+        return "robot"
+    return joint_label(outcome.joint_names, joint)
+
+
+def effect_at(outcome, name, joint, shape=None):
+    """Name an effect with its joint, if it belongs to one."""
+    label, place = effect_label(outcome, name, shape), place_label(outcome, name, joint)
+    return label if place == "robot" else f"{label} on {place}"
+
+
+def other_label(outcome, other, name):
+    """Name an effect that stands beside another, with its joint if that differs.
+
+    other : name, with the joint's own name behind " on " for that of another joint;
+    name : of the effect that it stands beside.
+    """
+    joint = _joint_of(outcome, other)
+    if joint is not None:
+        return effect_at(outcome, _name_of(outcome, other), joint)
+    if place_label(outcome, name, 0) == "robot":
+        # What belongs to no joint counts as one of the first.
+        return effect_at(outcome, other, 0)
+    return effect_label(outcome, other)
+
+
+def _joint_of(outcome, other):
+    """Joint behind the " on " of a name, from zero; None if there is none."""
+    _, _, joint = other.rpartition(" on ")
+    if other in outcome.library or joint not in outcome.joint_names:
+        return None
+    return list(outcome.joint_names).index(joint)
+
+
+def _name_of(outcome, other):
+    """Return the name of an effect, without the joint that may stand behind it."""
+    return other if _joint_of(outcome, other) is None else other.rpartition(" on ")[0]
+
+
+def record_for(outcome, name):
+    """Return what to record to see an effect; empty if its class does not say.
+
+    name : with or without a joint's name behind " on ".
+    """
+    found = outcome.library.get(_name_of(outcome, name))
     return "" if found is None else found.record
 
 
@@ -150,7 +195,9 @@ def parameter_text(effect):
         if key in ("of", "other", "signal") or (key == "smoothing" and not value):
             continue
         interval = effect.intervals.get(key)
+        # A share has no unit that anyone would write.
         unit = effect.units.get(key, "")
+        unit = "" if unit == "1" else unit
         if value is None:
             continue
         found.append(f"{key} = {with_error(value, interval, unit)}")

@@ -106,7 +106,7 @@ def branches_of(robot, library, max_effects):
         model.nv <= _TOGETHER
         or roots.size == 1
         or max_effects is not None
-        or robot.effects
+        or robot.effects_
         or set(own) != {__name__.split(".")[0]}
     ):
         return [Branch(joints=list(range(model.nv)), model=model)]

@@ -8,6 +8,9 @@ Where columns are equal the effects are one class, named by its simplest member.
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.search._evidence import no_worse
+from sklearn_vbjfa.diagnosis.search._model import SearchModel
+from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE
+from sklearn_vbjfa.diagnosis.search._shapes import linearised
 
 # Columns are equal if this share of what the model does not explain of them, or less,
 # is outside the other's.
@@ -37,7 +40,26 @@ def one_of_class(model, candidates):
         if before and stands_for(model, other.effect, simplest.effect):
             simplest = other
             break
-    return simplest, tuple(c for c in close if c is not simplest)
+    near = [c for c in close if c is not simplest]
+    for other in candidates:
+        if other is simplest or other in near:
+            continue
+        pair = simplest.effect, other.effect
+        # What contains the one that is named explains all that it does; a part of it
+        # may do as well once the robot is corrected.
+        if stands_for(model, *pair[::-1]) or (
+            stands_for(model, *pair)
+            and no_worse(*(_settled(model, effect) for effect in pair))
+        ):
+            near.append(other)
+    return simplest, tuple(near)
+
+
+def _settled(model, effect):
+    """Errors of blocks (n_blocks,) with an effect whose value has settled."""
+    effects = [*model.effects, effect]
+    trial = linearised(SearchModel.of(model.view, effects, model), effect.joint)
+    return trial.squares @ model.precision
 
 
 def inseparable(model, effects):
@@ -80,8 +102,13 @@ def inseparable(model, effects):
 
 
 def stands_for(model, effect, other):
-    """Whether the columns of an effect span those of another beside a model."""
+    """Whether the columns of an effect span those of another beside a model.
+
+    A ridge would leave something of equal columns.
+    """
     joints, columns = model.view.joints_of(other), model.columns_of(other)[:, :, None]
-    alone = model.fitted.outside(joints, columns)
-    larger = model.beside([*model.effects, effect])
-    return bool((larger.fitted.outside(joints, columns) <= _EQUAL * alone).all())
+    alone, beside = (
+        model.beside(effects, LEAST_RIDGE).fitted.outside(joints, columns)
+        for effects in (model.effects, [*model.effects, effect])
+    )
+    return bool((beside <= _EQUAL * alone).all())

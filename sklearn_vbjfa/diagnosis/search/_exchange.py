@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.search._evidence import (
+    Candidate,
     Evidence,
     Rule,
     compare,
@@ -115,6 +116,15 @@ def _of_class(search):
                 replaced=effect,
                 evidence=evidence,
                 rule=rule,
+                # They do not differ by more than chance.
+                rivals=[
+                    Candidate(
+                        effect=effect,
+                        evidence=evidence,
+                        squares=model.squares,
+                        white=model.squares,
+                    )
+                ],
             )
             search.prune()
             return True

@@ -10,6 +10,8 @@ from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
 from sklearn_vbjfa.effects import EffectRange
+from sklearn_vbjfa.robot._corrections import Corrections
+from sklearn_vbjfa.robot._gains import ChannelGains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -321,6 +323,12 @@ class Outcome:
         part, its recordings joined [s]; "maps" has a `Map` of some joints.
     outside : tuple of OutsideRange
         Where the untouched part leaves what the judged model was fitted on.
+    gains : ChannelGains or None
+        Gains of the torque channels in the model that is handed over; None unless they
+        were unknown.
+    corrections : Corrections
+        What effects in the model that is handed over ask for: of the base, of encoders,
+        of axes, of torque channels.
     """
 
     declared: dict
@@ -352,6 +360,8 @@ class Outcome:
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)
     outside: tuple = ()
+    gains: ChannelGains | None = None
+    corrections: Corrections = field(default_factory=Corrections)
 
 
 def named_beside(effect, chosen, names):

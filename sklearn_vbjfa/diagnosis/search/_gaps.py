@@ -209,9 +209,22 @@ def _probe(model):
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = rng.uniform(-1, 1, size=(n, 3 * nv)) * scale
     inertial = (view.back @ model.theta)[: features.n_parameters_]
-    return features.matrices(states), make_motion(
-        features, states, None, [slice(0, n)], inertial
-    )
+    motion = make_motion(features, states, None, [slice(0, n)], inertial)
+    # What corrects the robot already is fitted beside its parameters.
+    found = [
+        effect.columns(motion) if effect.whole_robot else _on_joint(effect, motion)
+        for effect in model.effects
+        if effect.in_model
+    ]
+    return np.concatenate([features.matrices(states), *found], axis=2), motion
+
+
+def _on_joint(effect, motion):
+    """Columns of an effect of one joint in the torques of all, (n, nv, k)."""
+    own = effect.columns(motion)
+    columns = np.zeros((*motion.q.shape, own.shape[-1]))
+    columns[:, effect.joint] = own
+    return columns
 
 
 def _in_span(effect, Phi, motion):
@@ -222,8 +235,7 @@ def _in_span(effect, Phi, motion):
     columns = effect.columns(motion)
     scale = np.sqrt((Phi**2).sum(axis=(0, 1)))
     A = Phi / np.where(scale > 0, scale, 1.0)
-    target = np.zeros((*Phi.shape[:2], columns.shape[-1]))
-    target[:, slice(None) if effect.whole_robot else effect.joint] = columns
+    target = columns if effect.whole_robot else _on_joint(effect, motion)
     flat, target = A.reshape(-1, A.shape[2]), target.reshape(-1, columns.shape[-1])
     solution, *_ = np.linalg.lstsq(flat, target, rcond=1e-10)
     rest = target - flat @ solution

@@ -84,7 +84,9 @@ class FinalFit:
     def __init__(self, declared, identifier, view, effects):
         self.declared, self.identifier = declared, identifier
         self.effects = list(effects)
-        self.nominal, self.view = view, view.corrected(self.effects)
+        # What was declared has other values with other effects beside it.
+        values = (*identifier.effects_[: len(declared.effects_)], *self.effects)
+        self.nominal, self.view = view, view.corrected(values)
         self.motion = make_motion(
             identifier.features_,
             view.states,

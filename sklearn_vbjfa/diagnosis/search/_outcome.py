@@ -25,6 +25,7 @@ from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, qu
 from sklearn_vbjfa.diagnosis.search._motion import motion_limits
 from sklearn_vbjfa.diagnosis.search._search import STEP_UP
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
+from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._known import body_masses
 
@@ -86,6 +87,8 @@ def make_outcome(search, models, judgement, channels, asked, recordings=()):
         contradictions=contradictions(models.final, spread, float(asked["alpha"])),
         curves=_curves(models.judged, judgement.before, judgement.after, maps),
         outside=judgement.outside,
+        gains=models.final.identifier.gains_,
+        corrections=corrections_of(models.final.identifier),
     )
 
 

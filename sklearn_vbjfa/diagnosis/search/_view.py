@@ -169,7 +169,8 @@ class RecordingView:
         Itself if they correct what its own robot is corrected by. Rows, blocks and
         weights are the same; equations and coordinates are another robot's.
         """
-        wanted = [e for e in effects if e.in_model and e.corrects]
+        own = {effect.key() for effect in self._root.robot.effects_}
+        wanted = [e for e in effects if e.in_model and (e.corrects or e.key() in own)]
         key = frozenset((e.key(), tuple(e.values.tolist())) for e in wanted)
         if key == self._corrections:
             return self

@@ -1,5 +1,7 @@
 """Effects are tried on motion that they were not fitted to."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -8,6 +10,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import JointTorqueRegressor, PhysicalProjector, effects
 from sklearn_vbjfa.diagnosis.search._blocks import Blocks
+from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.diagnosis.search._transfer import Transfer, stretches
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import coulomb, found, search, spring
@@ -37,8 +40,8 @@ def test_squares_are_those_of_models_that_did_not_see_the_stretch():
     now = search(torque, ["coulomb"], ARM, robot, groups=HALVES)
     view, motion = now.view, now.view.motion(None)
     one, other = effects.Coulomb(1), effects.Spring(0)
-    model = replace(SearchModel.of(view).beside([one, other]), motion=motion)
-    found = Transfer(model)
+    both = replace(SearchModel.of(view).beside([one, other]), motion=motion)
+    precision, found = both.precision, Transfer(both)
     both, alone = found.squares([one, other]), found.squares([other])
     assert both.shape == (3, 2)
     assert np.all(both[:, 1] < 0.1 * alone[:, 1])
@@ -52,7 +55,7 @@ def test_squares_are_those_of_models_that_did_not_see_the_stretch():
     third = stretches(view.blocks, view.origin)
     for k in range(3):
         kept, rest = third == k, third != k
-        model = JointTorqueRegressor(joint_weights=view.precision)
+        model = JointTorqueRegressor(joint_weights=precision)
         model.fit(
             Phi[rest].reshape(tau[rest].shape[0], -1),
             tau[rest],
@@ -74,7 +77,7 @@ def test_bodies_of_every_stretch_are_physically_consistent(monkeypatch):
     monkeypatch.setattr(PhysicalProjector, "transform", spy)
     now = search(ARM.torque(), ["coulomb"], ARM, groups=HALVES)
     made.clear()
-    Transfer(now.view, now.view.motion(None), [], now.view.precision).squares([])
+    Transfer(SearchModel.of(now.view)).squares([])
     assert len(made) == 3
 
 

@@ -1,0 +1,143 @@
+"""What a report says of the gains of torque channels."""
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.report import _words as words
+
+_PAYLOAD = (
+    "; a known payload that is picked up or put down in the recording, or between two "
+    "of them, can (--known-mass payload=KG)"
+)
+
+
+def gain_sentences(outcome):
+    """Say what the gains are relative to, which are hidden, and what fixes the rest."""
+    gains = outcome.gains
+    if gains is None:
+        return ()
+    told = [_unit(outcome, gains), _hidden(outcome, gains)]
+    told += [_unused(gains, known) for known in gains.common.masses]
+    told.append(_contradiction(gains.common))
+    return tuple(filter(None, told))
+
+
+def gain_rows(outcome):
+    """Cells of each joint: its name, the gain, its interval, and its unit."""
+    gains, names = outcome.gains, outcome.joint_names
+    rows = []
+    for j, gain in enumerate(gains.gain):
+        low, high = gains.intervals[:, j]
+        relative = words.joint_label(names, gains.reference[j])
+        if j in gains.hidden:
+            cells = ("not shown", "", "")
+        elif gains.absolute:
+            cells = (words.number(gain), _interval(low, high), "N m or N")
+        elif j in gains.references:
+            cells = ("1", "", "the unit")
+        else:
+            cells = (words.number(gain), _interval(low, high), relative)
+        rows.append((words.joint_label(names, j), *cells))
+    return tuple(rows)
+
+
+def _interval(low, high):
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return ""
+    return f"{words.number(low)} to {words.number(high)}"
+
+
+def _unit(outcome, gains):
+    """Say in which unit everything is, and on what that rests."""
+    if not gains.references:
+        return (
+            "This recording does not show the gains of the torque channels relative to "
+            "one another: no two of them feel enough of the same bodies."
+        )
+    channel = words.joint_list(outcome.joint_names, gains.references)
+    common = gains.common
+    if gains.absolute:
+        masses = [
+            f"{_called(known)} of {words.number(known.mass)} kg"
+            for known in common.masses
+            if known.used
+        ]
+        share = words.percent(1.645 * common.std / common.factor)
+        return (
+            f"The common gain rests on {words.join(masses, 4)} (to {share}, 90 %): "
+            "masses are in kg, and torques and friction in N m or N. A channel reads "
+            "its gain times the torque."
+        )
+    several = len(gains.references) > 1
+    return (
+        f"Gains are relative to the channel{'s' * several} of {channel}, from which "
+        "those of the other joints that move the same bodies are known best. The gain "
+        "that all have in common is in every parameter and in no recording without a "
+        "known mass: torques, masses and friction are in units of "
+        f"{'these channels' if several else 'that channel'}."
+    )
+
+
+def _called(known):
+    return "the payload" if known.name == "payload" else f"the mass of {known.name}"
+
+
+def _hidden(outcome, gains):
+    """Name the joints whose gain is not shown."""
+    if not gains.hidden or not gains.references:
+        return ""
+    several = len(gains.hidden) > 1
+    joints = words.joint_list(outcome.joint_names, gains.hidden)
+    return (
+        f"The gain{'s' * several} of {joints} "
+        f"{'are' if several else 'is'} not shown relative to the others: too little of "
+        f"what {'they move' if several else 'it moves'} is felt by another joint. "
+        f"{'Each counts' if several else 'It counts'} as 1."
+    )
+
+
+def _unused(gains, known):
+    """Say why a known mass does not fix the common gain."""
+    what = f"{_called(known)} ({words.number(known.mass)} kg)"
+    what = f"{what[0].upper()}{what[1:]}"
+    if known.used:
+        return ""
+    if len(gains.references) > 1:
+        return (
+            f"{what} cannot fix the gain of channels that share no body with it: "
+            "identify the branches of the robot one by one."
+        )
+    if known.name == "payload" and np.isnan(known.found):
+        return (
+            f"{what} cannot fix the common gain: no change of payload was found. "
+            "Record motion against gravity with and without it."
+        )
+    if known.shown:
+        return (
+            f"{what} cannot fix the common gain: the recording shows it too poorly; "
+            "slow motion against gravity in several poses shows it better."
+        )
+    return (
+        f"{what} cannot fix the common gain: torques show it only together with "
+        f"moments and masses of other bodies{'' if gains.absolute else _PAYLOAD}."
+    )
+
+
+def _contradiction(common):
+    """Say that known masses disagree."""
+    if common.agree:
+        return ""
+    each = [
+        f"{_called(known)} asks for {words.number(known.found / known.mass)}"
+        + (
+            f" +- {words.number(1.645 * known.std / known.mass, 2)}"
+            if np.isfinite(known.std)
+            else ""
+        )
+        for known in common.masses
+        if np.isfinite(known.found)
+    ]
+    return (
+        "The known masses disagree by more than chance "
+        f"({words.p_text(common.p_value)}): for the gain of the reference channel, "
+        f"{words.join(each, 4)}. One of them is wrong."
+    )

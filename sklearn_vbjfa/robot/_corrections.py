@@ -1,0 +1,290 @@
+"""What effects of the robot model ask for: of its base, its encoders, its files.
+
+A fitted robot with such effects is another one than its description. Axes are put right
+in a description; a base, a zero and the gain of a channel are things that somebody has
+to change, on the robot or in the program that reads it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
+from sklearn_vbjfa.effects._in_model import cross_axes
+from sklearn_vbjfa.model._corrected import CorrectedModel
+from sklearn_vbjfa.model._loading import (
+    import_pinocchio,
+    is_prismatic,
+    joint_names,
+    joint_origin,
+)
+
+# Of the length of an axis, what may be across the coordinate axis that names it.
+_ALONG = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class TiltCorrection:
+    """A base that is not level.
+
+    Attributes
+    ----------
+    roll, pitch : float
+        By which gravity is turned in the base's frame [rad].
+    roll_degrees, pitch_degrees : float
+        The same in degrees.
+    gravity : tuple of 3 float
+        Gravity in the base's frame [m/s^2].
+    lean_rpy, lean_rpy_degrees : tuple of 3 float
+        How the base itself leans, the opposite turn: roll, pitch and yaw of its frame
+        in that of a level base, as a URDF has them [rad, degrees].
+    """
+
+    roll: float
+    pitch: float
+    roll_degrees: float
+    pitch_degrees: float
+    gravity: tuple
+    lean_rpy: tuple
+    lean_rpy_degrees: tuple
+
+
+@dataclass(frozen=True, kw_only=True)
+class ZeroCorrection:
+    """An encoder whose zero is off.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    subtract : float
+        To subtract from what the encoder reads [rad or m].
+    plain, plain_unit : float, str
+        The same in degrees or mm.
+    """
+
+    joint: int
+    joint_name: str
+    subtract: float
+    plain: float
+    plain_unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class AxisCorrection:
+    """A joint whose axis is not where the description has it.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    about_x, about_y : float
+        By which it is turned [rad].
+    about_x_degrees, about_y_degrees : float
+        The same in degrees.
+    about : tuple of 2 str
+        What these two turns are about, axes of the joint's frame.
+    old_rpy, new_rpy : tuple of 3 float
+        Roll, pitch and yaw of the joint's origin in a URDF, before and after [rad].
+    """
+
+    joint: int
+    joint_name: str
+    about_x: float
+    about_y: float
+    about_x_degrees: float
+    about_y_degrees: float
+    about: tuple
+    old_rpy: tuple
+    new_rpy: tuple
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainCorrection:
+    """A torque channel with a wrong gain.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    gain : float
+        To divide what the channel reads by.
+    percent : float
+        What it reads too much [%].
+    """
+
+    joint: int
+    joint_name: str
+    gain: float
+    percent: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Corrections:
+    """What the effects in the model of a fitted robot ask for.
+
+    Attributes
+    ----------
+    tilt : TiltCorrection or None
+        Of the base.
+    zeros : tuple of ZeroCorrection
+        Of encoders.
+    axes : tuple of AxisCorrection
+        Of joints; a URDF that is written has them.
+    gains : tuple of GainCorrection
+        Of torque channels, unless all are unknown: then `ChannelGains` has them.
+    """
+
+    tilt: TiltCorrection | None = None
+    zeros: tuple = ()
+    axes: tuple = ()
+    gains: tuple = ()
+
+
+class _Turns(CorrectedModel):
+    """A robot that keeps the turns that it is corrected by, `base` and `joints`."""
+
+    def __init__(self, nominal):
+        super().__init__(nominal)
+        self.base, self.joints = np.eye(3), {}
+
+    def tilt(self, rotation):
+        """Turn gravity; see `CorrectedModel.tilt`."""
+        super().tilt(rotation)
+        self.base = rotation @ self.base
+
+    def turn(self, joint, rotation):
+        """Turn the placement of a joint; see `CorrectedModel.turn`."""
+        super().turn(joint, rotation)
+        self.joints[joint] = rotation @ self.joints.get(joint, np.eye(3))
+
+
+def _turns(robot):
+    """Return the `_Turns` of a fitted identifier."""
+    turned = _Turns(robot.features_.nominal_)
+    for effect in robot.effects_:
+        if effect.in_model:
+            effect.correct(turned)
+    return turned
+
+
+def turned_joints(robot):
+    """Return turns of the joints' placements, joint's name -> matrix (3, 3).
+
+    robot : fitted `RobotIdentifier`.
+    """
+    names = robot.joint_names_
+    return {names[joint]: turn for joint, turn in _turns(robot).joints.items()}
+
+
+def corrections_of(robot):
+    """Say what is to be corrected of a robot, `Corrections`.
+
+    Parameters
+    ----------
+    robot : RobotIdentifier
+        Fitted.
+    """
+    turned, model = _turns(robot), robot.features_.nominal_
+    names, slides = joint_names(model), is_prismatic(model)
+    rpy = import_pinocchio().rpy.matrixToRpy
+    tilt, zeros, axes, gains = None, [], [], []
+    for effect in robot.effects_:
+        j = effect.joint
+        where = {"joint": int(j), "joint_name": names[j]}
+        if isinstance(effect, BaseTilt):
+            lean = rpy(turned.base.T)
+            tilt = TiltCorrection(
+                roll=float(effect.roll),
+                pitch=float(effect.pitch),
+                roll_degrees=float(np.degrees(effect.roll)),
+                pitch_degrees=float(np.degrees(effect.pitch)),
+                gravity=_floats(turned.model.gravity.linear),
+                lean_rpy=_floats(lean),
+                lean_rpy_degrees=_floats(np.degrees(lean)),
+            )
+        elif isinstance(effect, JointZero):
+            off = float(effect.zero)
+            plain = (1e3 * off, "mm") if slides[j] else (np.degrees(off), "degrees")
+            zeros.append(
+                ZeroCorrection(
+                    subtract=off, plain=float(plain[0]), plain_unit=plain[1], **where
+                )
+            )
+        elif isinstance(effect, JointAxis):
+            origin = joint_origin(model, j)
+            axes.append(
+                AxisCorrection(
+                    about_x=float(effect.about_x),
+                    about_y=float(effect.about_y),
+                    about_x_degrees=float(np.degrees(effect.about_x)),
+                    about_y_degrees=float(np.degrees(effect.about_y)),
+                    about=tuple(map(_axis_name, cross_axes(turned.axis(j)))),
+                    old_rpy=_floats(rpy(origin)),
+                    new_rpy=_floats(rpy(origin @ turned.joints[j])),
+                    **where,
+                )
+            )
+        elif isinstance(effect, TorqueGain) and robot.gains_ is None:
+            gain = float(effect.gain)
+            gains.append(
+                GainCorrection(gain=gain, percent=100.0 * (gain - 1.0), **where)
+            )
+    return Corrections(
+        tilt=tilt, zeros=tuple(zeros), axes=tuple(axes), gains=tuple(gains)
+    )
+
+
+def _floats(values):
+    """Numbers of an array, a tuple of float."""
+    return tuple(map(float, values))
+
+
+def _axis_name(direction):
+    """Name an axis of a frame (3,)."""
+    k = int(np.argmax(np.abs(direction)))
+    if direction[k] > 1.0 - _ALONG:
+        return f"{'xyz'[k]} axis"
+    return f"axis ({', '.join(f'{x:.4g}' for x in direction)})"
+
+
+def note_of_corrections(robot):
+    """Say what an identified robot asks for that a URDF cannot hold; a list of str."""
+    found = corrections_of(robot)
+    told = []
+    if found.tilt is not None:
+        roll, pitch, yaw = found.tilt.lean_rpy
+        told.append(
+            "The base of the recorded robot was not level: gravity is turned in its "
+            f"frame by roll {found.tilt.roll_degrees:.4g} and pitch "
+            f"{found.tilt.pitch_degrees:.4g} degrees, and the base leans the opposite "
+            f'way (rpy="{roll:.6g} {pitch:.6g} {yaw:.6g}" in a level frame). Level it, '
+            "or simulate with gravity "
+            f"{' '.join(f'{x:.6g}' for x in found.tilt.gravity)} m/s^2 in its frame: "
+            "this file has a level base."
+        )
+    told += [
+        f"Subtract {one.plain:.4g} {one.plain_unit} ({one.subtract:.6g} "
+        f"{'m' if one.plain_unit == 'mm' else 'rad'}) from what the encoder of "
+        f"{one.joint_name} reads: this file has the zeros of the description."
+        for one in found.zeros
+    ]
+    told += [
+        f"Divide the torque that the channel of {one.joint_name} reads by "
+        f"{one.gain:.5g}: inertias and friction in this file are those of the true "
+        "torque."
+        for one in found.gains
+    ]
+    told += [
+        f"The axis of {one.joint_name} was turned by {one.about_x_degrees:.4g} degrees "
+        f"about the {one.about[0]} and {one.about_y_degrees:.4g} degrees about the "
+        f"{one.about[1]} of its frame: the rpy of its origin has it."
+        for one in found.axes
+    ]
+    return told

@@ -1,0 +1,275 @@
+"""A search looks at a recording with the robot as its effects correct it."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
+from sklearn_vbjfa.diagnosis.search._search import Place
+from sklearn_vbjfa.diagnosis.search._shapes import linearised
+from sklearn_vbjfa.diagnosis.search._transfer import Transfer
+from sklearn_vbjfa.effects import (
+    BaseTilt,
+    Coulomb,
+    JointAxis,
+    JointZero,
+    Offset,
+    TorqueGain,
+)
+from sklearn_vbjfa.robot._identifier import equations_of
+from tests.diagnosis._faulty import PLAIN, with_faults
+from tests.diagnosis.search._searches import coulomb, search
+
+TILT, ZERO, GAIN = BaseTilt(0, 0.07, -0.04), JointZero(1, 0.05), TorqueGain(1, 1.2)
+LIBRARY = ("base_tilt", "joint_zero", "joint_axis", "torque_gain", "coulomb")
+
+
+def searched(truth, library=LIBRARY, declared=(), **added):
+    """Search in the recording of a robot with faults, before anything was accepted."""
+    recording = with_faults(truth)
+    robot = recording.robot(projector=None, input_noise=None, effects=declared)
+    now = search(recording.torque(**added), library, recording, robot)
+    now.accept(())
+    return now
+
+
+@pytest.fixture(scope="module")
+def leaning():
+    return searched([TILT])
+
+
+@pytest.fixture(scope="module")
+def view(leaning):
+    return leaning.view
+
+
+# -- the view
+
+
+def test_the_same_corrections_are_the_same_view(view):
+    one = view.corrected([TILT, ZERO])
+    assert one is not view
+    assert view.corrected([ZERO, TILT]) is one
+    assert one.corrected([TILT, ZERO]) is one
+    assert one.corrected([ZERO, Coulomb(0), TILT]) is one
+    assert view.corrected([TILT, JointZero(1, 0.06)]) is not one
+    assert view.corrected([TILT, JointZero(2, 0.05)]) is not one
+
+
+def test_what_corrects_nothing_is_no_correction(view):
+    assert view.corrected(()) is view
+    assert view.corrected([Coulomb(0), BaseTilt(), TorqueGain(1)]) is view
+    # From any of its corrected views the way leads back.
+    assert view.corrected([TILT]).corrected([Coulomb(1)]) is view
+
+
+def test_rows_blocks_and_weights_stay(view):
+    other = view.corrected([TILT, ZERO, GAIN])
+    assert_array_equal(other.index, view.index)
+    assert other.blocks is view.blocks
+    assert other.states is view.states
+    assert_array_equal(other.root, view.root)
+    assert_array_equal(other.target, view.target)
+    assert_array_equal(other.precision, view.precision)
+    assert_array_equal(other.equations.weight, view.equations.weight)
+    assert not np.allclose(other.equations.Phi, view.equations.Phi)
+    assert other.moments is not view.moments
+
+
+@pytest.mark.parametrize("effects", [[TILT], [ZERO, GAIN], [TILT, JointAxis(2, 0.1)]])
+def test_equations_are_those_of_an_identifier_with_the_corrected_model(view, effects):
+    """Which has no effects, and knows of the gains by its torques alone."""
+    other = view.corrected(effects)
+    robot = PLAIN.robot(projector=None, input_noise=None)
+    model = view.robot.features_.corrected(effects).model_
+    robot.set_params(model=model)
+    recording = with_faults([TILT])
+    torque = recording.torque()
+    robot.fit(recording.position, torque)
+    assert robot.cutoff_ == view.robot.cutoff_
+    expected = equations_of(
+        robot,
+        recording.position,
+        torque,
+        np.zeros(torque.shape[0], int),
+        np.ones_like(torque),
+    )
+    gains = np.ones(3)
+    for effect in effects:
+        if isinstance(effect, TorqueGain):
+            gains[effect.joint] = effect.gain
+    assert_allclose(other.equations.Phi, gains[:, None] * expected.Phi, atol=1e-9)
+    assert_allclose(other.equations.tau, expected.tau)
+    assert_array_equal(other.gains, gains)
+
+
+def test_views_that_are_let_go_are_made_again_as_they_were(view):
+    first = view.corrected([TILT])
+    Phi = first.equations.Phi
+    for k in range(10):
+        view.corrected([JointZero(1, 0.01 * (k + 1))])
+    again = view.corrected([TILT])
+    assert again is not first
+    assert_array_equal(again.equations.Phi, Phi)
+
+
+def test_columns_pass_the_channel_as_the_torque_does(view):
+    other = view.corrected([GAIN])
+    motion = view.motion(None)
+    for effect in (Coulomb(1), Coulomb(0), Offset(1)):
+        factor = 1.2 if effect.joint == 1 else 1.0
+        plain = view.columns([effect], motion)
+        assert_allclose(other.columns([effect], motion), factor * plain)
+        assert_allclose(other.columns_of(effect, motion), factor * plain[:, :, 0])
+        assert_allclose(
+            other.family(effect, motion).columns[:, :, 0], factor * plain[:, :, 0]
+        )
+        assert_allclose(
+            other.in_equations(effect, motion),
+            factor * view.in_equations(effect, motion),
+        )
+    # What was made for the one is not taken for the other.
+    assert_allclose(
+        view.columns_of(Coulomb(1), motion), view.columns([Coulomb(1)], motion)[:, :, 0]
+    )
+
+
+def test_what_the_robot_declares_is_corrected_from_the_start():
+    """The identifier found the tilt: the search has nothing to add to it."""
+    now = searched([TILT, ZERO], declared=[BaseTilt()])
+    assert now.view.robot.effects_[0].corrects
+    assert_allclose(now.view.robot.effects_[0].values, TILT.values, atol=0.02)
+    view = now.view.corrected([ZERO])
+    features = view.robot.features_
+    expected = now.view.robot.features_.corrected(
+        [*now.view.robot.effects_, ZERO]
+    ).model_
+    for one, other in zip(features.model_.jointPlacements, expected.jointPlacements):
+        assert_allclose(one.homogeneous, other.homogeneous)
+    assert_allclose(features.model_.gravity.linear, expected.gravity.linear)
+
+
+# -- models with corrections
+
+
+def accepted(now, effects):
+    """Let a search accept effects, and linearise them until they stay."""
+    model = SearchModel.of(now.view, effects, now.model)
+    for joint in range(3):
+        model = linearised(model, joint)
+    return model
+
+
+@pytest.mark.parametrize(
+    "truth",
+    [
+        [BaseTilt(0, 0.2, -0.15)],
+        [JointZero(1, 0.2)],
+        [JointAxis(2, 0.15, 0.1)],
+        [TorqueGain(1, 1.5)],
+        [TorqueGain(2, 0.6)],
+    ],
+    ids=lambda truth: truth[0].name,
+)
+def test_values_are_linearised_until_they_stay(truth):
+    now = searched(truth)
+    (start,) = truth
+    first = SearchModel.of(now.view, [type(start)(joint=start.joint)], now.model)
+    (model,) = [linearised(first, start.joint)]
+    (effect,) = model.effects
+    step, std = model.coefficients(effect), model.deviations(effect)
+    assert np.all(np.abs(step) <= 0.1 * std)
+    assert np.all(std > 0)
+    # The deviations are those of independent rows, which the low-pass leaves not.
+    assert_allclose(effect.values + step, start.values, atol=20 * std.max())
+    assert_allclose(effect.values, start.values, atol=0.02)
+    assert np.all(model.squares.sum(axis=0) < 1.5 * first.squares.sum(axis=0))
+    # From the first linearisation on the error only falls.
+    before, after = (m.squares @ now.model.precision for m in (first, model))
+    assert after.sum() <= before.sum() * 1.01
+    assert linearised(model, start.joint) is model
+
+
+def test_effects_of_other_joints_are_left_alone():
+    now = searched([ZERO, GAIN])
+    first = SearchModel.of(now.view, [JointZero(1), TorqueGain(2)], now.model)
+    model = linearised(first, 1)
+    assert model.effects[0].corrects
+    assert not model.effects[1].corrects
+
+
+def test_deviations_are_those_of_the_fit():
+    """Against the inverse of the Gram matrix, written out."""
+    now = searched([ZERO])
+    effect = JointZero(1, 0.05)
+    model = SearchModel.of(now.view, [Coulomb(0), effect], now.model)
+    Z, scales = model.view.stacked(model.effects, model.motion)
+    W = model.precision[:, None, None]
+    gram = np.einsum("jmi,jmk->ik", W * Z, Z)
+    ridge = model.ridge * np.trace(gram) / gram.shape[0]
+    for given in (gram, gram + ridge * np.eye(gram.shape[0])):
+        expected = np.sqrt(np.linalg.inv(given)[-1, -1]) * scales[-1][0]
+        if np.isclose(model.deviations(effect)[0], expected, rtol=1e-3):
+            break
+    else:
+        pytest.fail(f"{model.deviations(effect)[0]} is not {expected}")
+    with pytest.raises(ValueError, match="not among the accepted"):
+        model.deviations(Coulomb(0))
+
+
+def test_the_model_without_an_accepted_tilt_is_the_declared_one(leaning):
+    """Its evidence is against the robot of the description, not a tilted one."""
+    model = accepted(leaning, [BaseTilt()])
+    (tilt,) = model.effects
+    place = Place.of(tilt, model)
+    assert place.base.view is leaning.view
+    assert place.base.effects == ()
+    assert_allclose(place.squares, model.squares)
+    error = [(x.squares @ model.precision).sum() for x in (place.base, model)]
+    assert error[1] < 0.1 * error[0]
+    judge = Judge(place.base, model.residuals())
+    assert place.white(judge).sum() < 0.2 * judge.squares.sum()
+    leaning.model = model
+    case = leaning.evidence_of(tilt)
+    assert case.gain > 0.8
+    assert case.p_value < 1e-3
+
+
+def test_other_effects_are_judged_on_the_corrected_robot():
+    now = searched([TILT], joint_2=coulomb(1.0))
+    friction = Coulomb(1)
+    model = accepted(now, [BaseTilt(), friction])
+    place = Place.of(friction, model)
+    assert place.base.view is model.view
+    assert place.base.view is not now.view
+    assert [e.name for e in place.base.effects] == ["base_tilt"]
+    now.model = model
+    assert now.evidence_of(friction).significant(1e-3)
+
+
+def test_the_transfer_has_each_models_own_robot():
+    """Without the tilt, motion that was not fitted is predicted by a level robot."""
+    now = searched([TILT], joint_2=coulomb(1.0))
+    model = accepted(now, [BaseTilt(), Coulomb(1)])
+    tilt, friction = model.effects
+    transfer = Transfer(model)
+    both, level, smooth = (
+        transfer.squares(chosen).sum(axis=0)
+        for chosen in ([tilt, friction], [friction], [tilt])
+    )
+    assert level @ model.precision > 5 * (both @ model.precision)
+    assert smooth[1] > 5 * both[1]
+    # The declared model alone, whatever else was ever corrected.
+    alone = Transfer(SearchModel.of(now.view)).squares([]).sum(axis=0)
+    assert_allclose(transfer.squares([]).sum(axis=0), alone, rtol=0.5)
+
+
+def test_a_gain_changes_the_robot_for_what_comes_later():
+    now = searched([GAIN], joint_2=lambda r: 1.2 * np.sign(r.v[:, 1]))
+    model = accepted(now, [TorqueGain(1), Coulomb(1)])
+    gain, friction = model.effects
+    assert gain.gain == pytest.approx(1.2, abs=0.03)
+    # Friction is what the joint has, not what its channel reads.
+    assert model.coefficients(friction)[0] == pytest.approx(1.0, abs=0.05)

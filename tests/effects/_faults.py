@@ -1,0 +1,47 @@
+"""What robots with faults in geometry and channels measure, without the package."""
+
+import numpy as np
+
+from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero
+from tests.effects._arms import inverse_dynamics
+
+
+def across(model, joint):
+    """Axes of a correction of a joint of `arm`, written out."""
+    letter = model.joints[joint + 1].shortname()[-1]
+    return {"Z": np.eye(3)[:2], "X": np.eye(3)[1:], "Y": np.eye(3)[[0, 2]]}[letter]
+
+
+def faulty(model, effects):
+    """Robot, shifts of the encoders and gains of the channels, as the guide says.
+
+    Effects of one kind on one joint come once.
+    """
+    import pinocchio as pin
+
+    other = model.copy()
+    shifts, gains = np.zeros(model.nv), np.ones(model.nv)
+    for effect in effects:
+        j = effect.joint
+        if isinstance(effect, BaseTilt):
+            g = model.gravity.linear
+            first, second = np.delete(np.eye(3), np.argmax(np.abs(g)), axis=0)
+            roll, pitch = pin.exp3(effect.roll * first), pin.exp3(effect.pitch * second)
+            other.gravity.linear = pitch @ roll @ g
+        elif isinstance(effect, JointZero):
+            shifts[j] = effect.zero
+        elif isinstance(effect, JointAxis):
+            w = np.array([effect.about_x, effect.about_y]) @ across(model, j)
+            placement = other.jointPlacements[j + 1]
+            placement.rotation = placement.rotation @ pin.exp3(w)
+        else:
+            gains[j] = effect.gain
+    return other, shifts, gains
+
+
+def measured(model, states, effects, viscous=0.0):
+    """Torques (n, nv) that are read where the encoders read some states."""
+    other, shifts, gains = faulty(model, effects)
+    nv = model.nv
+    true = states - np.r_[shifts, np.zeros(2 * nv)]
+    return gains * (inverse_dynamics(other, true) + viscous * states[:, nv : 2 * nv])

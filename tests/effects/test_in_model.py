@@ -1,0 +1,320 @@
+"""Effects whose value is part of the model: columns, values, corrections."""
+
+import pickle
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+from sklearn.base import clone
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.effects import (  # noqa: E402
+    BaseTilt,
+    JointAxis,
+    JointZero,
+    Motion,
+    TorqueGain,
+)
+from sklearn_vbjfa.effects._in_model import (  # noqa: E402
+    cross_axes,
+    rotation,
+    turned_by,
+)
+from sklearn_vbjfa.model._corrected import CorrectedModel  # noqa: E402
+from sklearn_vbjfa.model._derivatives import TorqueDerivatives  # noqa: E402
+from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+from tests.effects._faults import measured  # noqa: E402
+
+STEP = 1e-5
+vectors = st.tuples(*3 * [st.floats(-1.5, 1.5)]).map(np.array)
+
+
+# -- turns
+
+
+@given(vector=vectors, size=st.sampled_from([0.0, 1e-12, 1e-6, 1e-3, 1.0]))
+def test_rotation_is_scipys(vector, size):
+    expected = Rotation.from_rotvec(size * vector).as_matrix()
+    assert_allclose(rotation(size * vector), expected, atol=1e-14)
+
+
+@settings(deadline=None)
+@given(
+    vector=vectors, change=vectors, size=st.sampled_from([0.0, 1e-6, 1e-3, 0.1, 1.0])
+)
+def test_turned_by_is_the_derivative_of_the_rotation_vector(vector, change, size):
+    """R(w)' R(w + h c), for a small h, is a turn by h times what is returned."""
+    w, h = size * vector, 1e-5
+    high, low = (Rotation.from_rotvec(w + s * h * change) for s in (1, -1))
+    expected = (low.inv() * high).as_rotvec() / (2 * h)
+    # R(w - hc)' R(w + hc) is seen in the frame of the lower end: to second order the
+    # middle one.
+    assert_allclose(turned_by(w, change), expected, atol=1e-4)
+    middle = Rotation.from_rotvec(w)
+    up, down = (middle.inv() * end for end in (high, low))
+    central = (up.as_rotvec() - down.as_rotvec()) / (2 * h)
+    assert_allclose(turned_by(w, change), central, atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("direction", "expected"),
+    [
+        ([0, 0, 1], [[1, 0, 0], [0, 1, 0]]),
+        ([0, 0, -1], [[1, 0, 0], [0, 1, 0]]),
+        ([1, 0, 0], [[0, 1, 0], [0, 0, 1]]),
+        ([0, -3, 0], [[1, 0, 0], [0, 0, 1]]),
+    ],
+)
+def test_axes_across_a_coordinate_axis_are_the_others(direction, expected):
+    assert_allclose(cross_axes(direction), expected, atol=1e-15)
+
+
+@given(vector=vectors.filter(lambda x: np.linalg.norm(x) > 1e-3))
+def test_axes_across_any_direction_are_perpendicular(vector):
+    first, second = cross_axes(vector)
+    n = vector / np.linalg.norm(vector)
+    made = np.array([first, second, n])
+    assert_allclose(made @ made.T, np.eye(3), atol=1e-12)
+    # Each leans as little as it can from a coordinate axis.
+    others = np.delete(np.eye(3), np.argmax(np.abs(n)), axis=0)
+    assert first @ others[0] > 0.5
+    assert second @ others[1] > 0
+
+
+# -- columns
+
+
+def columns(model, states, effects, effect):
+    """Columns of one of several effects, in what the channels read."""
+    robot = CorrectedModel(model)
+    for one in effects:
+        one.correct(robot)
+    nv = model.nv
+    q, v, a = states[:, :nv], states[:, nv : 2 * nv], states[:, 2 * nv :]
+    inertial = np.array([b.toDynamicParameters() for b in model.inertias[1:]])
+    found = effect.columns(
+        Motion(
+            q=q,
+            v=v,
+            a=a,
+            load=inverse_dynamics(robot.model, states),
+            derivatives=TorqueDerivatives(robot.model, q, v, a, inertial, model),
+        )
+    )
+    if effect.whole_robot:
+        return found * robot.gains[:, None]
+    out = np.zeros((*q.shape, found.shape[1]))
+    out[:, effect.joint] = robot.gains[effect.joint] * found
+    return out
+
+
+def wall(axes, gravity):
+    """Make an arm in whose base gravity points elsewhere."""
+    model = arm(axes)
+    model.gravity.linear = np.array(gravity, dtype=float)
+    return model
+
+
+CASES = {
+    "tilt": (arm("ZYX"), [BaseTilt(0, 0.1, -0.2)]),
+    "tilt on a wall, x": (wall("ZYX", [9.81, 0, 0]), [BaseTilt(0, 0.1, -0.2)]),
+    "tilt on a wall, y": (wall("XYZ", [0, -9.81, 0]), [BaseTilt(0, 0.1, -0.2)]),
+    "tilt of a base at an angle": (
+        wall("ZYX", [3.0, 2.0, -9.0]),
+        [BaseTilt(0, 0.1, 0.2)],
+    ),
+    "zero": (arm("ZYX"), [JointZero(1, 0.2)]),
+    "zero of a slide": (arm("ZyX"), [JointZero(1, 0.2)]),
+    "axis about z": (arm("ZYZ"), [JointAxis(2, 0.1, -0.15)]),
+    "axis about y": (arm("ZYX"), [JointAxis(1, 0.1, -0.15)]),
+    "axis about x": (arm("XYX"), [JointAxis(0, 0.1, -0.15)]),
+    "axis of a slide": (arm("ZyX"), [JointAxis(1, 0.1, -0.15)]),
+    "gain": (arm("ZYX"), [TorqueGain(1, 1.3)]),
+    "axis and zero": (arm("ZYX"), [JointAxis(1, 0.1, -0.15), JointZero(1, 0.2)]),
+    "axis and zero of a slide": (
+        arm("ZyX"),
+        [JointZero(1, 0.2), JointAxis(1, 0.1, -0.15)],
+    ),
+    "everything": (
+        wall("ZYX", [0.5, 0.3, -9.81]),
+        [
+            TorqueGain(1, 1.3),
+            JointZero(1, 0.2),
+            BaseTilt(0, -0.1, 0.15),
+            JointAxis(1, 0.1, 0.1),
+            JointAxis(0, 0.05, -0.1),
+            JointZero(2, -0.2),
+            TorqueGain(2, 0.7),
+        ],
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_columns_are_the_derivatives_at_the_present_values(case):
+    model, used = CASES[case]
+    _, states = motion(3, duration=0.5, dt=0.02, seed=4)
+    for i, effect in enumerate(used):
+        found = columns(model, states, used, effect)
+        for k, name in enumerate(effect.tangent):
+            made = []
+            for step in (STEP, -STEP):
+                moved = [*used]
+                moved[i] = clone(effect).set_params(
+                    **{name: getattr(effect, name) + step}
+                )
+                made.append(measured(model, states, moved))
+            expected = (made[0] - made[1]) / (2 * STEP)
+            size = np.abs(expected).max()
+            assert size > 0.1
+            assert_allclose(found[:, :, k], expected, atol=1e-7 * size)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_corrected_models_say_what_the_guide_says(case):
+    model, used = CASES[case]
+    _, states = motion(3, duration=0.3, dt=0.02, seed=4)
+    robot = CorrectedModel(model)
+    for effect in used:
+        effect.correct(robot)
+    found = robot.gains * inverse_dynamics(robot.model, states)
+    assert_allclose(found, measured(model, states, used), atol=1e-10)
+
+
+def test_roll_and_pitch_are_those_of_the_usual_angles():
+    model = arm("ZY")
+    robot = CorrectedModel(model)
+    BaseTilt(roll=0.1, pitch=-0.2).correct(robot)
+    expected = pin.rpy.rpyToMatrix(0.1, -0.2, 0.0) @ model.gravity.linear
+    assert_allclose(robot.model.gravity.linear, expected, atol=1e-14)
+
+
+def test_a_gain_is_that_of_the_whole_torque_where_it_is_known():
+    """Friction passes the channel as the load does."""
+    q = np.linspace(0.0, 1.0, 5)[:, None] * np.ones(2)
+    load, torque = 3.0 + q, 7.0 - q
+    known = Motion(q=q, v=q, a=q, load=load, torque=torque)
+    expected = torque[:, [1]] / 1.25
+    assert_allclose(TorqueGain(1, 1.25).columns(known), expected)
+
+
+# -- values
+
+ALL = [
+    BaseTilt(0, 0.1, -0.2),
+    JointZero(1, 0.2),
+    JointAxis(1, 0.1, -0.15),
+    TorqueGain(1, 1.3),
+]
+
+
+@pytest.mark.parametrize("effect", ALL)
+def test_values_are_parameters_that_coefficients_correct(effect):
+    k = len(effect.coefficients)
+    assert effect.in_model
+    assert len(effect.values) == len(effect.idle) == k
+    step = 0.01 * np.arange(1, k + 1)
+    further = effect.at(step)
+    assert_allclose(further.values, effect.values + step)
+    assert further is not effect
+    assert_allclose(effect.at(np.zeros(k)).values, effect.values)
+    assert_allclose(effect.with_values(step).values, step)
+    assert all(isinstance(getattr(further, name), float) for name in effect.tangent)
+    # What is called a parameter is the value and not the correction.
+    assert effect.parameters(effect.values) == dict(zip(effect.tangent, effect.values))
+    assert further.key() == effect.key()
+    assert further.joint == effect.joint
+    assert pickle.loads(pickle.dumps(further)).get_params() == further.get_params()
+
+
+@pytest.mark.parametrize("effect", ALL)
+def test_idle_values_correct_nothing(effect):
+    fresh = type(effect)(joint=effect.joint)
+    assert_allclose(fresh.values, fresh.idle)
+    assert not fresh.corrects
+    assert effect.corrects
+    robot = CorrectedModel(arm("ZYX"))
+    fresh.correct(robot)
+    nominal = arm("ZYX")
+    for one, other in zip(robot.model.jointPlacements, nominal.jointPlacements):
+        assert_allclose(one.homogeneous, other.homogeneous, atol=1e-15)
+    assert_allclose(robot.model.gravity.linear, nominal.gravity.linear, atol=1e-15)
+    assert_allclose(robot.gains, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("effect", "low", "high"),
+    [
+        (BaseTilt(), -np.deg2rad(15), np.deg2rad(15)),
+        (JointZero(), -np.deg2rad(15), np.deg2rad(15)),
+        (JointAxis(), -np.deg2rad(10), np.deg2rad(10)),
+        (TorqueGain(), 0.4, 2.5),
+        (TorqueGain(limit=5.0), 0.2, 5.0),
+    ],
+)
+def test_what_is_plausible(effect, low, high):
+    assert_allclose(effect.bounds()[0], low)
+    assert_allclose(effect.bounds()[1], high)
+    idle = np.array(effect.idle)
+    for end, inside in ((low, 1), (high, -1)):
+        away = 1e-6 * inside
+        assert effect.natural(end - idle + away)
+        assert effect.plausible(end - idle + away)
+        for k in range(idle.size):
+            # One value outside is enough.
+            out = np.zeros(idle.size)
+            out[k] = end - idle[k] - away
+            assert not effect.natural(out)
+    # What counts is the corrected value.
+    almost = effect.with_values(np.full(idle.size, high - 0.01))
+    assert almost.natural(np.full(idle.size, 0.005))
+    assert not almost.natural(np.full(idle.size, 0.02))
+
+
+@pytest.mark.parametrize(
+    ("effect", "message"),
+    [
+        (BaseTilt(roll=np.nan), "roll of base_tilt must be a finite number; got nan"),
+        (JointZero(zero=[0.1]), "zero of joint_zero must be a finite number"),
+        (JointAxis(about_y=np.inf), "about_y of joint_axis must be a finite number"),
+        (TorqueGain(gain=0.0), r"gain of torque_gain must be positive; got 0\.0"),
+        (TorqueGain(gain=-1.1), "gain of torque_gain must be positive"),
+        (TorqueGain(limit=1.0), "limit of torque_gain must be greater than 1"),
+    ],
+)
+def test_values_that_are_none_are_refused(effect, message):
+    with pytest.raises(ValueError, match=message):
+        effect.check()
+
+
+@pytest.mark.parametrize("value", [None, "level"])
+def test_values_of_another_type_are_refused(value):
+    with pytest.raises(ValueError, match="roll of base_tilt must be a finite number"):
+        BaseTilt(roll=value).check()
+    with pytest.raises(ValueError, match="gain of torque_gain"):
+        TorqueGain(gain=value).check()
+    with pytest.raises(ValueError, match="limit of torque_gain"):
+        TorqueGain(limit=value).check()
+
+
+def test_where_they_cannot_be():
+    q = np.zeros((3, 1))
+    still = Motion(q=q, v=q, a=q, load=q)
+    assert "only joint" in TorqueGain().applies(still)
+    assert JointZero().applies(still) == "needs the rigid-body dynamics"
+    two = np.zeros((3, 2))
+
+    def known(model):
+        bodies = np.array([b.toDynamicParameters() for b in model.inertias[1:]])
+        made = TorqueDerivatives(model, two, two, two, bodies)
+        return Motion(q=two, v=two, a=two, load=two, derivatives=made)
+
+    assert BaseTilt().applies(known(arm("ZY"))) == ""
+    assert TorqueGain(1).applies(known(arm("ZY"))) == ""
+    assert "whole robot" in BaseTilt(joint=1).applies(known(arm("ZY")))
+    assert "no gravity" in BaseTilt().applies(known(arm("ZY", gravity=0.0)))
+    assert JointAxis(1).applies(known(arm("ZY", gravity=0.0))) == ""

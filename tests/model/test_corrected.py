@@ -1,0 +1,148 @@
+"""The corrected model is what a person would build by hand."""
+
+import itertools
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.model._corrected import CorrectedModel  # noqa: E402
+from tests.model._trees import build  # noqa: E402
+
+KINDS = ("RZ", "RevoluteUnaligned", "PX", "HY", "PrismaticUnaligned")
+
+
+def robot(kinds=KINDS, seed=0):
+    rng = np.random.default_rng(seed)
+    model = build(rng, kinds, [*range(len(kinds))])
+    for i in range(1, model.njoints):
+        model.inertias[i] = pin.Inertia.Random()
+    return model
+
+
+def torques(model, states):
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *x) for x in zip(*states)])
+
+
+def motion(nv, n=4, seed=1):
+    return np.random.default_rng(seed).uniform(-2.0, 2.0, size=(3, n, nv))
+
+
+def placements(model):
+    return np.array([m.homogeneous for m in model.jointPlacements])
+
+
+def test_nothing_is_corrected_of_itself():
+    model = robot()
+    same = CorrectedModel(model)
+    assert_array_equal(placements(same.model), placements(model))
+    assert_array_equal(same.gains, 1.0)
+    assert_array_equal(same.nominal_gravity, model.gravity.linear)
+
+
+@pytest.mark.parametrize("joint", range(len(KINDS)))
+def test_a_zero_is_what_the_encoder_reads_too_much(joint):
+    """True torques at q are those of the corrected model at q + zero."""
+    model = robot()
+    states = motion(model.nv)
+    found = CorrectedModel(model)
+    found.move_zero(joint, 0.2)
+    read = states.copy()
+    read[0, :, joint] += 0.2
+    assert_allclose(torques(found.model, read), torques(model, states), atol=1e-9)
+    assert np.abs(torques(model, read) - torques(model, states)).max() > 1e-3
+
+
+def test_a_turned_axis_carries_along_what_it_carries():
+    model = robot(("RZ", "RY"))
+    w = np.array([0.1, -0.2, 0.0])
+    found = CorrectedModel(model)
+    found.turn(0, pin.exp3(w))
+    nominal, placement = model.jointPlacements[1], found.model.jointPlacements[1]
+    assert_allclose(placement.rotation, nominal.rotation @ pin.exp3(w), atol=1e-14)
+    assert_array_equal(placement.translation, nominal.translation)
+    # Written as a description would have it: the same joint by other rpy.
+    other = model.copy()
+    rpy = pin.rpy.matrixToRpy(placement.rotation)
+    other.jointPlacements[1] = pin.SE3(
+        pin.rpy.rpyToMatrix(rpy), nominal.translation.copy()
+    )
+    states = motion(2)
+    assert_allclose(torques(found.model, states), torques(other, states), atol=1e-10)
+
+
+def test_gravity_is_turned():
+    model = robot()
+    found = CorrectedModel(model)
+    turn = pin.rpy.rpyToMatrix(0.1, 0.2, 0.0)
+    found.tilt(turn)
+    assert_allclose(found.model.gravity.linear, turn @ model.gravity.linear)
+    assert_array_equal(found.nominal_gravity, model.gravity.linear)
+
+
+def test_gains_multiply():
+    found = CorrectedModel(robot())
+    found.read(1, 1.2)
+    found.read(3, 0.5)
+    found.read(1, 2.0)
+    assert_allclose(found.gains, [1.0, 2.4, 1.0, 0.5, 1.0])
+
+
+@pytest.mark.parametrize("joint", range(len(KINDS)))
+def test_the_order_of_corrections_does_not_matter(joint):
+    """Axis and zero of one joint, of its neighbour, gravity and a gain."""
+    model = robot()
+    neighbour = (joint + 1) % model.nv
+    steps = [
+        lambda r: r.turn(joint, pin.exp3(np.array([0.1, 0.0, -0.15]))),
+        lambda r: r.move_zero(joint, 0.2),
+        lambda r: r.move_zero(neighbour, -0.1),
+        lambda r: r.tilt(pin.rpy.rpyToMatrix(0.1, -0.05, 0.0)),
+        lambda r: r.read(joint, 1.2),
+    ]
+    made = []
+    for order in itertools.permutations(steps):
+        found = CorrectedModel(model)
+        for step in order:
+            step(found)
+        made.append((placements(found.model), found.model.gravity.linear.copy()))
+        assert_allclose(found.gains[joint], 1.2)
+    for place, gravity in made[1:]:
+        assert_allclose(place, made[0][0], atol=1e-14)
+        assert_allclose(gravity, made[0][1], atol=1e-14)
+
+
+@pytest.mark.parametrize("kind", ["PX", "PrismaticUnaligned"])
+def test_a_slide_whose_axis_is_turned_has_its_zero_along_the_axis(kind):
+    """The body is where the encoder, less its zero, says along the turned axis."""
+    model = robot((kind, "RZ"))
+    axis = CorrectedModel(model).axis(0)
+    turned = pin.exp3(np.array([0.1, 0.2, -0.1]))
+    found = CorrectedModel(model)
+    found.move_zero(0, 0.3)
+    found.turn(0, turned)
+    data = found.model.createData()
+    pin.forwardKinematics(found.model, data, np.array([0.7, 0.0]))
+    nominal = model.jointPlacements[1]
+    expected = nominal.translation + nominal.rotation @ turned @ axis * (0.7 - 0.3)
+    assert_allclose(data.oMi[1].translation, expected, atol=1e-14)
+    assert_allclose(data.oMi[1].rotation, nominal.rotation @ turned, atol=1e-14)
+
+
+def test_the_description_is_left_alone():
+    model = robot()
+    before, gravity = placements(model), model.gravity.linear.copy()
+    found = CorrectedModel(model)
+    for joint in range(model.nv):
+        found.move_zero(joint, 0.3)
+        found.turn(joint, pin.exp3(np.array([0.1, 0.2, 0.0])))
+    found.tilt(pin.rpy.rpyToMatrix(0.2, 0.1, 0.0))
+    assert_array_equal(placements(model), before)
+    assert_array_equal(model.gravity.linear, gravity)
+    assert not np.allclose(placements(found.model), before)
+    states = motion(model.nv)
+    again = CorrectedModel(model)
+    assert_array_equal(torques(again.model, states), torques(model, states))

@@ -1,0 +1,251 @@
+"""What effects of the robot model ask for, and the description that is written."""
+
+import csv
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa._cli._close_loop import _write_parameters  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.effects import (  # noqa: E402
+    BaseTilt,
+    JointAxis,
+    JointZero,
+    Offset,
+    TorqueGain,
+)
+from sklearn_vbjfa.model._loading import joint_origin  # noqa: E402
+from sklearn_vbjfa.robot._corrections import (  # noqa: E402
+    corrections_of,
+    note_of_corrections,
+)
+from sklearn_vbjfa.robot._identifier import declare  # noqa: E402
+from sklearn_vbjfa.robot._known import known_parameters  # noqa: E402
+
+FRICTION = ("viscous", "coulomb")
+BODY = """<inertial><origin xyz="{0} 0.05 0.1"/><mass value="{1}"/>
+<inertia ixx="0.1" ixy="0" ixz="0" iyy="0.12" iyz="0" izz="0.09"/></inertial>"""
+JOINT = """<joint name="{}" type="{}"><parent link="{}"/><child link="{}"/>
+<origin xyz="0.1 0 0.3" {}/><axis xyz="{}"/>
+<limit lower="-3" upper="3" effort="9" velocity="3"/></joint>"""
+# Links in between are fixed, with turns of their own; one origin has no rpy.
+FIXED = (
+    '<robot name="fixed"><link name="base"/>'
+    + JOINT.format("first", "revolute", "base", "one", 'rpy="0.1 0 0"', "0 0 1")
+    + f'<link name="one">{BODY.format(0.1, 3)}</link>'
+    + JOINT.format("hold", "fixed", "one", "plate", 'rpy="0.4 1.2 -0.3"', "1 0 0")
+    + '<link name="plate"/>'
+    + JOINT.format("second", "revolute", "plate", "two", "", "0 1 0")
+    + f'<link name="two">{BODY.format(0.2, 2)}</link>'
+    + JOINT.format("clamp", "fixed", "two", "tool", 'rpy="0 0.7 0"', "1 0 0")
+    + f'<link name="tool">{BODY.format(0.0, 1)}</link>'
+    + JOINT.format(
+        "third", "revolute", "tool", "three", 'rpy="0 1.5707963 0"', "0 .6 .8"
+    )
+    + f'<link name="three">{BODY.format(-0.1, 1)}</link></robot>'
+)
+
+
+@pytest.fixture(scope="module", params=[FRICTION, ()], ids=["friction", "none"])
+def moved(request):
+    """Record an arm of which everything is wrong."""
+    return make_robot_recording(
+        duration=16.0,
+        dt=0.01,
+        frequency=1.0,
+        torque_noise=0.01,
+        friction=request.param,
+        base_tilt=np.deg2rad([4.0, 2.0]),
+        joint_zero={2: np.deg2rad(3.0)},
+        joint_axis={3: np.deg2rad([2.0, 0.0, 0.0])},
+        torque_gain={1: 1.15},
+        random_state=3,
+    )
+
+
+@pytest.fixture(scope="module")
+def robot(moved):
+    """Identify it with the effects that it has."""
+    wrong = [BaseTilt(), JointZero(2), JointAxis(3), TorqueGain(1)]
+    robot = RobotIdentifier(
+        moved.urdf, dt=moved.dt, friction=tuple(moved.friction), effects=wrong
+    )
+    return robot.fit(moved.q, moved.tau)
+
+
+def turned(roll, pitch):
+    """Gravity of the vertical, turned about x and then about y."""
+    s, c = np.sin(roll), np.cos(roll)
+    y, z = 9.81 * s, -9.81 * c
+    return np.array([np.sin(pitch) * z, y, np.cos(pitch) * z])
+
+
+def read_back(path, gravity, states, zero, gain, friction):
+    """Torques that a channel reads of a robot in a file, by Pinocchio alone."""
+    model = pin.buildModelFromUrdf(str(path))
+    model.gravity.linear = np.array(gravity, dtype=float)
+    data, nv = model.createData(), model.nv
+    found = []
+    for row in states:
+        q, v, a = row.reshape(3, nv)
+        rigid = pin.rnea(model, data, q - zero, v, a)
+        found.append(gain * (rigid + friction[0] * v + friction[1] * np.sign(v)))
+    return np.array(found)
+
+
+def declared(path, names):
+    """Friction of the joints in a file, (2, nv)."""
+    joints = {j.get("name"): j for j in ElementTree.parse(path).findall("joint")}
+    return np.array(
+        [
+            [float(joints[name].find("dynamics").get(key)) for name in names]
+            for key in ("damping", "friction")
+        ]
+    )
+
+
+def test_the_written_robot_is_the_identified_one(robot, moved, tmp_path):
+    path = tmp_path / "identified.urdf"
+    robot.to_urdf(path)
+    tilt, zero, _, gain = robot.effects_
+    states = moved.states[::50]
+    expected = robot.predict(states)
+    found = read_back(
+        path,
+        turned(tilt.roll, tilt.pitch),
+        states,
+        zero.zero * np.eye(6)[2],
+        1.0 + (gain.gain - 1.0) * np.eye(6)[1],
+        declared(path, robot.joint_names_),
+    )
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=1e-8)
+    # The description as it was, with the same bodies, is another robot.
+    plain = read_back(
+        path, [0, 0, -9.81], states, 0.0, 1.0, declared(path, robot.joint_names_)
+    )
+    assert np.abs(plain - expected).max() > 0.01 * np.abs(expected).max()
+
+
+def test_axes_behind_fixed_links_are_written(tmp_path):
+    source, path = tmp_path / "fixed.urdf", tmp_path / "out.urdf"
+    source.write_text(FIXED)
+    wrong = {1: (0.04, 0.0, -0.02), 2: (0.03, 0.0, 0.0)}
+    recording = make_robot_recording(
+        str(source), duration=12.0, dt=0.01, joint_axis=wrong, random_state=1
+    )
+    robot = RobotIdentifier(
+        source, dt=recording.dt, friction=FRICTION, effects=[JointAxis(1), JointAxis(2)]
+    )
+    robot.fit(recording.q, recording.tau)
+    assert all(np.abs(effect.values).max() > 1e-3 for effect in robot.effects_)
+    robot.to_urdf(path)
+    states = recording.states[::50]
+    friction = declared(path, robot.joint_names_)
+    np.testing.assert_allclose(
+        read_back(path, [0, 0, -9.81], states, 0.0, 1.0, friction),
+        robot.predict(states),
+        rtol=1e-8,
+        atol=1e-8,
+    )
+    # What is told of the origins is what the file has, whatever lies in between.
+    model = pin.buildModelFromUrdf(str(path))
+    for one in corrections_of(robot).axes:
+        old = joint_origin(robot.features_.nominal_, one.joint)
+        new = joint_origin(model, one.joint)
+        rotation = pin.rpy.rpyToMatrix
+        np.testing.assert_allclose(rotation(*one.old_rpy), old, atol=1e-12)
+        np.testing.assert_allclose(rotation(*one.new_rpy), new, atol=1e-12)
+    joints = {j.get("name"): j for j in ElementTree.parse(path).findall("joint")}
+    given = ElementTree.fromstring(FIXED).findall("joint")
+    for joint in given:
+        written = joints[joint.get("name")].find("origin")
+        assert written.get("xyz") == joint.find("origin").get("xyz")
+        same = written.get("rpy") == joint.find("origin").get("rpy")
+        assert same == (joint.get("name") not in ("second", "third"))
+
+
+def test_what_is_to_be_corrected(robot, moved):
+    found = corrections_of(robot)
+    tilt, zero, axis, gain = robot.effects_
+    np.testing.assert_allclose(
+        [found.tilt.roll_degrees, found.tilt.pitch_degrees], [4.0, 2.0], atol=0.5
+    )
+    np.testing.assert_allclose(found.tilt.gravity, turned(tilt.roll, tilt.pitch))
+    # A level frame in which the base leans has its gravity along z.
+    lean = pin.rpy.rpyToMatrix(*found.tilt.lean_rpy)
+    np.testing.assert_allclose(lean @ found.tilt.gravity, [0, 0, -9.81], atol=1e-12)
+    (off,) = found.zeros
+    assert (off.joint, off.joint_name) == (2, "joint_3")
+    assert off.subtract == zero.zero
+    assert (off.plain, off.plain_unit) == (np.degrees(zero.zero), "degrees")
+    (turn,) = found.axes
+    assert turn.joint_name == "joint_4"
+    assert turn.about_x_degrees == np.degrees(axis.about_x)
+    assert len(set(turn.about)) == 2
+    (channel,) = found.gains
+    assert channel.gain == gain.gain
+    assert channel.percent == pytest.approx(100 * (gain.gain - 1))
+
+
+def test_the_file_says_what_to_change(robot, tmp_path):
+    path = tmp_path / "identified.urdf"
+    robot.to_urdf(path)
+    text = path.read_text()
+    # At the top, before any link.
+    comment = text[text.index("<!--") : text.index("-->")]
+    assert text.index("-->") < text.index("<link")
+    found = corrections_of(robot)
+    assert f"Subtract {found.zeros[0].plain:.4g} degrees" in comment
+    assert "from what the encoder of joint_3 reads" in comment
+    assert f"channel of joint_2 reads by {found.gains[0].gain:.5g}" in comment
+    assert f"roll {found.tilt.roll_degrees:.4g} and pitch" in comment
+    assert "axis of joint_4 was turned" in comment
+    assert "does not determine the masses" in comment
+
+
+def test_a_robot_as_described_asks_for_nothing(moved):
+    robot = RobotIdentifier(moved.urdf, dt=moved.dt, effects=[Offset(1)])
+    robot.fit(moved.q, moved.tau)
+    found = corrections_of(robot)
+    assert found.tilt is None
+    assert (found.zeros, found.axes, found.gains) == ((), (), ())
+    assert note_of_corrections(robot) == []
+
+
+def test_a_slider_is_off_by_millimetres(tmp_path):
+    source = tmp_path / "slide.urdf"
+    source.write_text(
+        FIXED.replace('"second" type="revolute"', '"second" type="prismatic"')
+    )
+    robot = RobotIdentifier(source, dt=0.01, effects=[JointZero(1, zero=0.02)])
+    declare(robot)
+    (off,) = corrections_of(robot).zeros
+    assert off.plain_unit == "mm"
+    assert off.subtract == 0.02
+    assert off.plain == pytest.approx(20.0)
+    (note,) = note_of_corrections(robot)
+    assert note.startswith("Subtract 20 mm (0.02 m) from what the encoder of second")
+
+
+def test_the_table_of_parameters_has_the_values(robot, tmp_path):
+    path = tmp_path / "parameters.csv"
+    _write_parameters(robot, known_parameters(robot), path)
+    with path.open(newline="", encoding="utf-8") as file:
+        rows = {row["parameter"]: row for row in csv.DictReader(file)}
+    tilt, zero, axis, gain = robot.effects_
+    for name, value, unit in (
+        ("base_tilt:roll", tilt.roll, "rad"),
+        ("base_tilt:pitch", tilt.pitch, "rad"),
+        ("joint_3:joint_zero:zero", zero.zero, "rad"),
+        ("joint_4:joint_axis:about_x", axis.about_x, "rad"),
+        ("joint_2:torque_gain:gain", gain.gain, "1"),
+    ):
+        row = rows[name]
+        assert float(row["value"]) == pytest.approx(value, rel=1e-9), name
+        assert row["unit"] == unit
+        assert row["identifiable"] == "yes"
+        assert 0 < float(row["std"]) < 0.05

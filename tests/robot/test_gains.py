@@ -1,0 +1,268 @@
+"""Unknown gains of torque channels, relative to one of them."""
+
+import pickle
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy import linalg, optimize
+from sklearn.base import clone
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.effects import TorqueGain  # noqa: E402
+from sklearn_vbjfa.robot._gains import _grouped, relative_gains  # noqa: E402
+from sklearn_vbjfa.robot._joint_moments import joint_moments  # noqa: E402
+from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+
+DT = 0.02
+# States as they are, all rows, no filter and no projection.
+EXACT = {"projector": None, "cutoff": None, "standstill": None, "dt": DT}
+ARM = arm("ZYYX")
+NV = 4
+VISCOUS = np.array([0.8, 0.5, 0.3, 0.4])
+_, STATES = motion(NV, duration=16.0, dt=DT, seed=1)
+GAINS = np.array([2.0, 0.6, 1.7, 1.1])
+
+
+def torques(noise=0.02, gains=GAINS, seed=0, states=STATES, model=ARM):
+    """Compute what the channels read: noise is a share of each channel's spread."""
+    exact = inverse_dynamics(model, states)
+    nv = model.nv
+    exact = gains * (exact + VISCOUS[:nv] * states[:, nv : 2 * nv])
+    white = np.random.default_rng(seed).normal(size=exact.shape)
+    return exact + noise * exact.std(axis=0) * white
+
+
+def regressor(states=STATES, model=ARM):
+    """Regressor matrices (n, nv, 11 nv), written down without the package."""
+    nv = model.nv
+    data = model.createData()
+    Phi = np.zeros((states.shape[0], nv, nv, 11))
+    for row, x in zip(Phi, states):
+        found = pin.computeJointTorqueRegressor(model, data, *x.reshape(3, nv))
+        row[:, :, :10] = found.reshape(nv, nv, 10)
+    joints = np.arange(nv)
+    Phi[:, joints, joints, 10] = states[:, nv : 2 * nv]
+    return Phi.reshape(-1, nv, 11 * nv)
+
+
+PHI = regressor()
+
+
+def fit(tau, states=STATES, model=ARM, **given):
+    given = {"gains": "unknown", **EXACT, **given}
+    return RobotIdentifier(model, **given).fit(states, tau)
+
+
+def relative(gains, found):
+    return gains / gains[found.reference]
+
+
+# -- the estimate
+
+
+def test_gains_are_those_of_nonlinear_least_squares():
+    tau = torques()
+    found = fit(tau, joint_weights=None, input_noise=None).gains_
+    (first,) = found.references
+    # Base parameters by a singular value decomposition.
+    flat = PHI.reshape(-1, PHI.shape[2])
+    base = linalg.svd(flat, full_matrices=False)[2]
+    base = base[: np.linalg.matrix_rank(flat, tol=1e-9 * np.abs(flat).max() * 100)]
+    rows = PHI @ base.T
+    others = np.delete(np.arange(NV), first)
+
+    def residual(x):
+        gains = np.ones(NV)
+        gains[others] = x[: NV - 1]
+        return (tau - gains * (rows @ x[NV - 1 :])).ravel()
+
+    start = np.r_[np.ones(NV - 1), np.zeros(base.shape[0])]
+    best = optimize.least_squares(residual, start, x_scale="jac", xtol=1e-12)
+    covariance = linalg.pinvh(best.jac.T @ best.jac)
+    covariance *= 2 * best.cost / (best.fun.size - start.size)
+    std = np.sqrt(np.diagonal(covariance))[: NV - 1]
+    assert np.all(np.abs(found.gain[others] - best.x[: NV - 1]) < 0.12 * std)
+    assert_allclose(found.std[others], std, rtol=0.5)
+    assert_allclose(found.gain[first], 1.0)
+    assert found.std[first] == 0.0
+    assert not found.hidden
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gains_far_from_one_another_are_found(seed):
+    rng = np.random.default_rng(seed)
+    gains = np.exp(rng.uniform(np.log(0.2), np.log(5.0), NV))
+    found = fit(torques(gains=gains, seed=seed)).gains_
+    error = found.gain / relative(gains, found) - 1
+    assert np.abs(error).max() < 0.03
+    low, high = found.intervals
+    # Of three at a time, an interval of 90 % may miss one, and not by much.
+    wide = 2.0 * (high - low) / 2
+    assert np.all(np.abs(found.gain - relative(gains, found)) <= wide)
+
+
+def test_without_noise_gains_in_closed_form_are_exact():
+    tau = torques(noise=0.0)
+    moments = joint_moments(PHI, tau, np.ones_like(tau))
+    found = relative_gains(moments)
+    assert_allclose(found.gains, relative(GAINS, found), rtol=1e-5)
+
+
+def test_least_squares_takes_noise_of_the_torques_for_signal():
+    """Inverse gains h of h_j y_j = Phi_j theta, all other channels as inputs."""
+    _, states = motion(NV, duration=160.0, dt=2 * DT, seed=1)
+    tau, rows = torques(0.1, seed=3, states=states), regressor(states)
+    moments = joint_moments(rows, tau, np.ones_like(tau))
+    found = relative_gains(moments)
+    (first,) = found.references
+    others = np.delete(np.arange(NV), first)
+    weight = 1 / tau.std(axis=0)
+    inputs = np.zeros((*tau.shape, NV - 1))
+    inputs[:, others, np.arange(NV - 1)] = -tau[:, others]
+    A = np.concatenate([rows, inputs], axis=2) * weight[:, None]
+    b = np.zeros_like(tau)
+    b[:, first] = tau[:, first] * weight[first]
+    # Minimum norm in columns of unit length.
+    size = np.linalg.norm(A.reshape(-1, A.shape[2]), axis=0)
+    size[size == 0] = 1.0
+    plain = np.linalg.lstsq(A.reshape(-1, A.shape[2]) / size, b.ravel(), rcond=1e-9)[0]
+    inverse = (plain / size)[-(NV - 1) :]
+    truth = 1 / relative(GAINS, found)[others]
+    short = inverse / truth - 1
+    ours = 1 / found.gains[others] / truth - 1
+    # Noise of 1 % of the mean square is much beside what tells the gains apart.
+    assert np.all(short < -0.1)
+    assert np.abs(ours).max() < 0.03
+    assert np.all(np.abs(ours) < 3 * found.std[others])
+
+
+def test_gains_do_not_depend_on_units():
+    tau, scale = torques(), np.array([3.0, 0.5, 1.0, 2.0])
+    one, other = fit(tau).gains_, fit(tau * scale).gains_
+    assert_array_equal(one.reference, other.reference)
+    assert_allclose(other.gain, one.gain * relative(scale, one), rtol=1e-4)
+
+
+def test_the_reference_does_not_depend_on_the_order():
+    rng = np.random.default_rng(0)
+    A = rng.normal(size=(5, 5))
+    covariance = A @ A.T * 1e-4
+    own = np.diagonal(covariance)
+    spread = own[:, None] + own - 2 * covariance
+    strength = rng.uniform(1, 2, size=5)
+    first = _grouped(spread, strength, ())[0]
+    sums = spread.sum(axis=0)
+    assert sums[first] == sums.min()
+    order = rng.permutation(5)
+    again = _grouped(spread[np.ix_(order, order)], strength[order], ())[0]
+    assert order[again] == first
+    # Two know each other equally well: the louder one.
+    pair = spread[:2, :2]
+    assert _grouped(pair, np.array([1.0, 2.0]), ())[0] == 1
+    assert _grouped(pair, np.array([2.0, 1.0]), ())[0] == 0
+
+
+def test_a_reference_may_be_given():
+    robot = fit(torques(), gains=("joint_4",))
+    assert robot.gains_.references == (3,)
+    assert_allclose(robot.gains_.gain, GAINS / GAINS[3], rtol=0.03)
+
+
+# -- what the data do not show
+
+
+def two_trees():
+    """Two joints that carry each other, and one beside them."""
+    model = arm("YY")
+    body = model.inertias[1]
+    lone = model.addJoint(
+        0, pin.JointModelRY(), pin.SE3(np.eye(3), np.array([0.0, 1.0, 0.0])), "lone"
+    )
+    model.inertias[lone] = body
+    return model
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_a_joint_that_shares_no_body_is_hidden(noise):
+    model = two_trees()
+    _, states = motion(3, duration=16.0, dt=DT, seed=2)
+    gains = np.array([2.0, 0.7, 3.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        robot = fit(torques(noise, gains, 0, states, model), states, model)
+    found = robot.gains_
+    assert found.hidden == (2,)
+    assert found.gain[2] == 1.0
+    assert np.isnan(found.std[2])
+    (first,) = found.references
+    assert_allclose(found.gain[:2], gains[:2] / gains[first], rtol=0.03)
+    place = robot.parameter_names_.index("lone:torque_gain:gain")
+    assert not robot.identifiable_[place]
+
+
+def test_a_joint_that_no_other_feels_is_hidden():
+    model = arm("ZYYX")
+    # Next to nothing on the last axis, whose torque is friction and noise.
+    light = pin.Inertia(1e-6, np.zeros(3), 1e-9 * np.eye(3))
+    model.inertias[4] = light
+    robot = fit(torques(model=model), model=model)
+    assert robot.gains_.hidden == (3,)
+    assert robot.gains_.gain[3] == 1.0
+    gains = relative(GAINS, robot.gains_)
+    assert_allclose(robot.gains_.gain[:3], gains[:3], rtol=0.03)
+
+
+# -- in the house
+
+
+def test_predictions_are_what_channels_read():
+    tau = torques(noise=0.0)
+    robot = fit(tau)
+    assert_allclose(robot.predict(STATES), tau, atol=1e-3 * tau.std())
+    names = [f"joint_{j + 1}:torque_gain:gain" for j in range(NV)]
+    assert robot.parameter_names_[-NV:] == tuple(names)
+    assert [e.gain for e in robot.effects_] == robot.gains_.gain.tolist()
+    assert robot.effects == ()
+
+
+def test_clones_and_copies_are_the_same():
+    tau = torques()
+    robot = fit(tau)
+    assert clone(robot).get_params() == robot.get_params()
+    again = pickle.loads(pickle.dumps(robot))
+    assert_array_equal(again.predict(STATES), robot.predict(STATES))
+    assert_array_equal(again.gains_.gain, robot.gains_.gain)
+    assert_array_equal(clone(robot).fit(STATES, tau).theta_, robot.theta_)
+    assert fit(tau, gains=None).gains_ is None
+
+
+def test_declared_gains_are_where_it_starts():
+    tau = torques()
+    given = fit(tau, effects=[TorqueGain(2, gain=4.0)])
+    assert_allclose(given.gains_.gain, fit(tau).gains_.gain, rtol=1e-3)
+    with pytest.raises(ValueError, match="partial_fit cannot do with effects"):
+        given.partial_fit(STATES, tau)
+
+
+@pytest.mark.parametrize(
+    ("gains", "message"),
+    [
+        ("known", "gains is 'known'; expected None, 'unknown', or names of joints"),
+        (("elbow",), "gains names joint 'elbow'; .* of joint_1, joint_2"),
+    ],
+)
+def test_other_gains_are_refused(gains, message):
+    with pytest.raises(ValueError, match=message):
+        fit(torques(), gains=gains)
+
+
+def test_one_joint_has_no_relative_gain():
+    _, states = motion(1, duration=8.0, dt=DT, seed=1)
+    model = arm("Y")
+    tau = torques(0.0, np.ones(1), 0, states, model)
+    with pytest.raises(ValueError, match=r"the gain of the only one, joint_1, is in"):
+        fit(tau, states, model)

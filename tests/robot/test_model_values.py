@@ -354,8 +354,8 @@ def test_predictions_are_those_of_the_corrected_robot(reference):
 def test_parameters_are_named_and_have_units(reference):
     names = reference.parameter_names_[-3:]
     assert names == (
-        "joint_1:base_tilt:roll",
-        "joint_1:base_tilt:pitch",
+        "base_tilt:roll",
+        "base_tilt:pitch",
         "joint_2:torque_gain:gain",
     )
     assert reference.parameter_units_[-3:] == ("rad", "rad", "1")

@@ -1,7 +1,6 @@
 """Intervals that respect correlation in time."""
 
 import functools
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +8,9 @@ from scipy import special
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._sandwich import block_variance
+from sklearn_vbjfa.diagnosis.search._values import blocks_of_time
 from sklearn_vbjfa.robot._equations import make_motion
 from sklearn_vbjfa.robot._identifier import linear_part, load_parameters
-from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 
 # Probability below the upper end of an interval, and above its lower end.
@@ -200,22 +199,16 @@ class FinalFit:
         squares = (residual**2).sum(axis=0)
         used = (count > 0) & (squares > 0)
         factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
-        edges = [*view.starts.tolist(), residual.shape[0]]
-        numbering = Numbering.of(np.diff(edges).tolist())
-        grams, scores, keys = [], [], []
-        for number, (first, last) in enumerate(itertools.pairwise(edges)):
-            found, starts = numbering.parts(number, slice(0, last - first))
-            keys.append(found)
-            for begin, end in itertools.pairwise([*(first + starts), last]):
-                declared = view.Z[:, begin:end].transpose(1, 0, 2)
-                rows = np.concatenate([declared, extra[begin:end]], axis=2)
-                rows = (rows * factor[:, None]).reshape(-1, rows.shape[2])
-                own = (residual[begin:end] * factor).ravel()
-                grams.append(rows.T @ rows)
-                scores.append(own @ rows)
-        return block_variance(
-            np.array(grams), np.array(scores), np.concatenate(keys), 1.0
-        )
+        grams, scores, places = [], [], []
+        for block, place in blocks_of_time(view):
+            declared = view.Z[:, block].transpose(1, 0, 2)
+            rows = np.concatenate([declared, extra[block]], axis=2)
+            rows = (rows * factor[:, None]).reshape(-1, rows.shape[2])
+            own = (residual[block] * factor).ravel()
+            grams.append(rows.T @ rows)
+            scores.append(own @ rows)
+            places.append(place)
+        return block_variance(np.array(grams), np.array(scores), np.array(places), 1.0)
 
 
 # -- errors -------------------------------------------------------------------------

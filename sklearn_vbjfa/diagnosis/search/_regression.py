@@ -178,6 +178,25 @@ class FamilyMoments:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Profile:
+    """Some columns of a regression with everything else fitted beside them.
+
+    Attributes
+    ----------
+    left : ndarray of shape (nv, m, k)
+        What the other columns leave of them.
+    coef : ndarray of shape (k,)
+        Their coefficients.
+    residual : ndarray of shape (nv, m)
+        What is left of the torques.
+    """
+
+    left: np.ndarray
+    coef: np.ndarray
+    residual: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Refit:
     """What becomes of a fit with each of c candidates beside the model's columns.
 
@@ -373,6 +392,33 @@ class BlockRegression:
         with np.errstate(divide="ignore", invalid="ignore"):
             share = 1.0 - inside.reshape(power.shape) / power
         return np.where(power > 0, share, 0.0)
+
+    def profile(self, F):
+        """Fit columns F (nv, m, k) beside the model's, on all rows, without a ridge.
+
+        Returns a `Profile`.
+        """
+        C = _weighted_product(self.precision, self.Z, F)
+        left = F - self.Z @ linalg.cho_solve(self._factors[-1], C)
+        return self._profile(left, self.y - self.Z @ self.theta)
+
+    def profile_of(self, place):
+        """Return the `Profile` of columns that the model has already, a slice."""
+        own = np.zeros(self.Z.shape[2], dtype=bool)
+        own[place] = True
+        Z, F = self.Z[:, :, ~own], self.Z[:, :, own]
+        G, g = self._G.sum(axis=0), self._g.sum(axis=0)
+        penalty = self.ridge * self._unit * np.eye(Z.shape[2])
+        factor = linalg.cho_factor(G[np.ix_(~own, ~own)] + penalty)
+        left = F - Z @ linalg.cho_solve(factor, G[np.ix_(~own, own)])
+        return self._profile(left, self.y - Z @ linalg.cho_solve(factor, g[~own]))
+
+    def _profile(self, left, residual):
+        """Regress residuals (nv, m) on what is left of columns (nv, m, k)."""
+        S = _weighted_product(self.precision, left, left)
+        right = _weighted_product(self.precision, left, residual[:, :, None])[:, 0]
+        coef = np.linalg.pinv(S, hermitian=True) @ right
+        return Profile(left=left, coef=coef, residual=residual - left @ coef)
 
     def left_gram(self, F):
         """Gram matrix (k, k) of what the model leaves of columns F (nv, m, k)."""

@@ -32,6 +32,7 @@ from sklearn_vbjfa.diagnosis.search._shapes import (
 )
 from sklearn_vbjfa.diagnosis.search._symmetry import one_sided
 from sklearn_vbjfa.diagnosis.search._transfer import Transfer
+from sklearn_vbjfa.diagnosis.search._values import p_of_value
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect
 from sklearn_vbjfa.effects._library import closure
@@ -550,7 +551,7 @@ class EffectSearch:
             one = tried[name]
             white = judge.score(self.view.joints_of(one.effect), columns[name])
             evidence = self._evidence(
-                one.effect, (base.squares, one.squares), (judge.squares, white)
+                one.effect, (base.squares, one.squares), (judge.squares, white), base
             )
             tried[name] = replace(one, white=white, evidence=evidence)
         return tried, judge
@@ -673,16 +674,20 @@ class EffectSearch:
 
     # -- evidence -------------------------------------------------------------------
 
-    def _evidence(self, effect, squares, white):
+    def _evidence(self, effect, squares, white, model=None):
         """Evidence for a change on an effect's joint, p-value from whitened rows.
 
-        Each time that the effect was refused before doubles it.
+        That of an effect in the robot model is of its value, in the model given or
+        beside it, see `p_of_value`. Each time that the effect was refused before
+        doubles it.
         """
         if effect.everywhere:
             white = [s.sum(axis=1) for s in white]
         else:
             white = [s[:, effect.joint] for s in white]
         evidence = compare(*self.model.relevant(effect, *squares), white=white)
+        if effect.in_model and model is not None and evidence.gain > 0:
+            evidence = replace(evidence, p_value=p_of_value(model, effect))
         trials = 2.0 ** self.refusals.get(effect.key(), 0)
         return replace(evidence, p_value=min(1.0, trials * evidence.p_value))
 
@@ -698,6 +703,7 @@ class EffectSearch:
             effect,
             (place.base.squares, place.squares),
             (judge.squares, place.white(judge)),
+            self.model,
         )
 
     def all_evidence(self):

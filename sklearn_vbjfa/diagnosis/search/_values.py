@@ -1,0 +1,84 @@
+"""How surely the value of an effect in the model is not the one that changes nothing.
+
+A tilt of the base or a gain acts through gravity, as slowly as the poses change, and on
+many joints a little. Blocks of rows from which the residual's memory is taken out see
+little of that. What such an effect has, other than most, is a value with a meaning,
+whose standard error follows from the scatter of its estimating equations between blocks
+of time, slow residuals included; its distance from the idle value in that unit is
+Wald's test.
+"""
+
+import itertools
+
+import numpy as np
+from scipy import special
+
+from sklearn_vbjfa._core._sandwich import block_variance
+from sklearn_vbjfa.robot._joint_moments import Numbering
+
+
+def blocks_of_time(view):
+    """Yield the rows of each block of a view, a slice, and its place (recording, k)."""
+    edges = [*view.starts.tolist(), view.index.size]
+    numbering = Numbering.of(np.diff(edges).tolist())
+    for number, (first, last) in enumerate(itertools.pairwise(edges)):
+        places, starts = numbering.parts(number, slice(0, last - first))
+        begins = [*(first + starts), last]
+        for place, (begin, end) in zip(places, itertools.pairwise(begins)):
+            yield slice(begin, end), place
+
+
+def p_of_value(model, effect):
+    """p-value of an effect in the model: that its value is idle, after Wald.
+
+    It is one of the `SearchModel`, or comes beside it. 1 where nothing shows it.
+    """
+    estimate, covariance, freedom = value_and_spread(model, effect)
+    k = estimate.size
+    if not np.isfinite(covariance).all() or not freedom > k:
+        return 1.0
+    values, vectors = np.linalg.eigh(covariance)
+    if values[0] <= 1e-12 * values[-1]:
+        return 1.0
+    away = vectors.T @ (estimate - effect.idle)
+    # Hotelling's T squared.
+    ratio = (away**2 / values).sum() * (freedom - k + 1) / (freedom * k)
+    return float(special.fdtrc(k, freedom - k + 1, ratio))
+
+
+def value_and_spread(model, effect):
+    """Estimate (k,) of an effect's value, its covariance (k, k) and their freedom.
+
+    All else is fitted beside it; see `p_of_value`.
+    """
+    view, fitted = model.view, model.fitted
+    place = next(
+        (p for e, p in zip(model.effects, model.places()) if e is effect), None
+    )
+    if place is not None:
+        scale = next(s for e, s in zip(model.effects, model.scales) if e is effect)
+        found = fitted.profile_of(place)
+    else:
+        columns = model.columns_of(effect)
+        whole = np.zeros((view.nv, *columns.shape[1:]))
+        whole[view.joints_of(effect)] = columns
+        power = np.sqrt(np.mean(whole**2, axis=(0, 1)))
+        scale = view.size / np.where(power > 0, power, 1.0)
+        found = fitted.profile(whole * scale)
+    count, squares = view.rows, (found.residual**2).sum(axis=1)
+    used = (fitted.precision > 0) & (squares > 0)
+    weight = np.where(used, fitted.precision, 0.0)
+    grams, scores, places = [], [], []
+    for rows, where in blocks_of_time(view):
+        left = found.left[:, rows]
+        grams.append(np.einsum("j,jma,jmb->ab", weight, left, left, optimize=True))
+        own = found.residual[:, rows]
+        scores.append(np.einsum("j,jma,jm->a", weight, left, own, optimize=True))
+        places.append(where)
+    variance = float(weight @ squares / max(count[used].sum(), 1.0))
+    spread = block_variance(
+        np.array(grams), np.array(scores), np.array(places), variance
+    )
+    covariance = spread.scores.T @ spread.scores * np.outer(scale, scale)
+    estimate = effect.values + found.coef * scale
+    return estimate, covariance, float(np.fmin.reduce(spread.freedom, initial=np.inf))

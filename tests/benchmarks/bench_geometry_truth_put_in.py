@@ -12,10 +12,10 @@ and by 1.25. Zeros are put into the two joints that show them most and the two t
 show them least, gains into the joint that shows it most and the one that does so least.
 
 What can be seen is decided without the library (``_undeclared_told_apart.py``): bodies
-and declared friction are fitted to the recording, the fault is put into the torque of
-that fit, and what another fit of bodies and friction leaves of it is compared with what
-the declared model leaves of the recording in its band, joint by joint. Above `SHOWN`
-times that rest, all joints together, the fault is to be named and valued. Below
+and declared friction are fitted to the recording, the change is made to the torque of
+that fit, and what the changed model's bodies and friction leave of it is compared with
+what the declared model leaves of the recording in its band, joint by joint. Above
+`SHOWN` times that rest, all joints together, the fault is to be named and valued. Below
 `HIDDEN` it is to be called invisible, by the search (no fault is named) and by the
 declared model that has it as an effect (its coefficient is not identifiable). Between
 them it may be named or not: the rest of a real robot is no noise, and has by chance
@@ -117,7 +117,7 @@ def _scaled(joint, gain):
 
 
 def visibility(model, states, tau, declared, rest):
-    """Return a function that says how much of a fault is left beside the declared fit.
+    """Return a function that says how much of a change the declared columns leave.
 
     Parameters
     ----------
@@ -141,11 +141,16 @@ def visibility(model, states, tau, declared, rest):
     plain = tuple(name for name in declared if name != "rotor_inertia")
     first = Teller(model, states, tau, tau.std(axis=0), plain, further)
     theta = first.coefficients()
-    some = [x[first.rows] for x in further]
+    torque = first.torque_of([], theta)
+    q, v, a = np.split(states[first.rows], 3, axis=1)
+    further = [x[first.rows] for x in further]
 
-    def seen(fault):
-        torque = first.torque_of([fault], theta)
-        teller = Teller(model, states[first.rows], torque, rest, plain, some)
+    def seen(change):
+        changed, read, channels = change(model, q, torque)
+        _, _, scaled = change(model, q[:1], rest[None])
+        teller = Teller(
+            changed, np.hstack([read, v, a]), channels, scaled[0], plain, further
+        )
         return teller.explain([]).rms
 
     return seen
@@ -161,16 +166,16 @@ def cases(model, seen):
     seen : callable
         Of `visibility`.
     """
-    zeros = sorted((_shifted(j) for j in range(model.nv)), key=lambda x: -seen(x[1]))
+    zeros = sorted((_shifted(j) for j in range(model.nv)), key=lambda x: -seen(x[2]))
     gains = sorted(
         ([_scaled(j, gain) for gain in GAINS] for j in range(model.nv)),
-        key=lambda x: -seen(x[0][1]),
+        key=lambda x: -seen(x[0][2]),
     )
     tilts = [_tilted(degrees, axis) for axis in range(2) for degrees in TILTS]
     ends = list(dict.fromkeys([0, 1, model.nv - 2, model.nv - 1]))
     wanted = [*tilts, *(zeros[i] for i in ends), *gains[0], *gains[-1]]
     return [
-        PutIn(label=label, fault=fault, change=change, seen=float(seen(fault)))
+        PutIn(label=label, fault=fault, change=change, seen=float(seen(change)))
         for label, fault, change in wanted
     ]
 

@@ -316,6 +316,20 @@ class ChannelGains:
         return tuple(np.setdiff1d(alone, self.references).tolist())
 
     @property
+    def doubtful(self):
+        """Joints (tuple of int) whose gain is far from those of all others.
+
+        By more than is plausible, from the median of those that are relative to one
+        channel.
+        """
+        found, logs = [], np.log(self.gain)
+        for reference in self.references:
+            own = np.flatnonzero(self.reference == reference)
+            off = np.abs(logs[own] - np.median(logs[own]))
+            found += own[off > np.log(LIMIT)].tolist()
+        return tuple(sorted(found))
+
+    @property
     def absolute(self):
         """Whether a known mass fixes what a gain of 1 is."""
         return self.common.factor is not None

@@ -252,6 +252,15 @@ class Effect(TransformerMixin, BaseEstimator):
     def __init__(self, joint=0):
         self.joint = joint
 
+    @property
+    def trend(self):
+        """Whether it adds a torque of its own that need not change with the motion.
+
+        Such a torque could imitate whatever changes slowly: like a `slow` effect it has
+        to prove itself on later data.
+        """
+        return False
+
     # -- what a new effect says ---------------------------------------------------
 
     def columns(self, motion):

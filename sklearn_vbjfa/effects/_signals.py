@@ -81,6 +81,11 @@ class Signal(Effect):
         return (tuple(f"{unit} per unit of {of}" for unit in units),)
 
     @property
+    def trend(self):
+        """Whether the signal alone is a torque; see `Effect.trend`."""
+        return self.of == "offset"
+
+    @property
     def recorded(self):
         """The signal, if it is set; see `Effect.recorded`."""
         return (self.signal,) if self.signal else ()

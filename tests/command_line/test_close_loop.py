@@ -212,6 +212,50 @@ def test_options_reach_the_estimators(good, urdf, monkeypatch):
     assert seen["effects"] == "all"
 
 
+def test_what_is_to_be_corrected_is_in_all_files(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    roll, pitch, gain = np.deg2rad(4.0), np.deg2rad(2.0), 1.15
+    arm = make_robot_recording(
+        duration=20.0,
+        dt=0.01,
+        frequency=1.0,
+        base_tilt=(roll, pitch),
+        torque_gain={1: gain},
+        random_state=2,
+    )
+    write_csv(tmp_path / "arm.csv", arm)
+    options = ["--effects", "base_tilt,torque_gain", "--no-ceiling", "--out", "out"]
+    assert main(["close-loop", "arm.csv", "--urdf", arm.urdf, *options]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "the base is not level: gravity is turned by roll" in text
+    assert "joint 2: the torque channel reads 1" in text
+    report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
+    told = report["corrections"]
+    assert told["tilt"]["roll"] == pytest.approx(roll, abs=0.01)
+    assert told["tilt"]["pitch"] == pytest.approx(pitch, abs=0.01)
+    (channel,) = told["gains"]
+    assert channel["joint_name"] == "joint_2"
+    assert channel["gain"] == pytest.approx(gain, abs=0.02)
+    assert (told["zeros"], told["axes"]) == ([], [])
+    by_name = {effect["name"]: effect for effect in report["effects"]}
+    assert set(by_name) == {"base_tilt", "torque_gain"}
+    found = by_name["base_tilt"]
+    assert found["scope"] == "robot"
+    assert found["parameters"]["roll"] == told["tilt"]["roll"]
+    low, high = found["plain"]["roll"]["interval"]
+    assert low < told["tilt"]["roll_degrees"] < high
+    # The files are of one model.
+    with open("out/parameters.csv", newline="", encoding="utf-8") as file:
+        rows = {row["parameter"]: float(row["value"]) for row in csv.DictReader(file)}
+    assert rows["base_tilt:roll"] == pytest.approx(told["tilt"]["roll"], rel=1e-9)
+    assert rows["joint_2:torque_gain:gain"] == pytest.approx(channel["gain"], rel=1e-9)
+    written = Path("out/identified.urdf").read_text(encoding="utf-8")
+    assert f"of joint_2 reads by {channel['gain']:.5g}" in written
+    assert "The base of the recorded robot was not level" in written
+    page = Path("out/report.html").read_text(encoding="utf-8")
+    assert "What to correct" in page
+
+
 def test_an_interrupted_run_leaves_nothing(good, urdf, monkeypatch, capsys):
     def fit(self, *arguments, **given):
         raise KeyboardInterrupt

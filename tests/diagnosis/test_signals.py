@@ -91,6 +91,19 @@ def test_a_signal_that_nothing_varies_with_is_not_named():
     assert named(loop) == [("coulomb", 0)]
 
 
+@pytest.mark.parametrize("seed", [20, 22, 25])
+def test_torques_that_wander_are_no_matter_of_signals_that_wander(seed):
+    """Two slow curves resemble each other by chance; later they part."""
+    recording = record("ZY", duration=30.0, seed=seed, noise=0.1)
+    rng = np.random.default_rng(seed + 1000)
+    n = recording.t.size
+    signals = {f"s{k}": np.cumsum(rng.normal(size=n)) for k in range(5)}
+    wander = np.cumsum(rng.normal(size=(n, 2)), axis=0)
+    torque = recording.torque() + 0.1 * wander / wander.std(axis=0)
+    loop = close(torque, signals, recording=recording)
+    assert not [effect for effect in loop.effects_ if effect.name == "signal"]
+
+
 @pytest.mark.parametrize("of", ["offset", "viscous"])
 def test_what_varies_is_named(of):
     open_ = (np.floor(6 * SHARE) % 2).astype(float)

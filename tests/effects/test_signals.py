@@ -96,6 +96,15 @@ def test_a_recording_without_signals_has_nothing_hidden():
     assert effects.Signal().recorded == ()
 
 
+def test_an_offset_is_a_torque_of_its_own():
+    """Whatever the motion does; friction has the motion as its witness."""
+    trends = {
+        of: effects.Signal(of=of).trend for of in ("offset", "coulomb", "viscous")
+    }
+    assert trends == {"offset": True, "coulomb": False, "viscous": False}
+    assert not effects.Signal().slow
+
+
 @pytest.mark.parametrize("signal", ["", "current"])
 def test_unknown_signals_are_refused(signal):
     with pytest.raises(ValueError, match="expected one of temperature, voltage"):

@@ -68,7 +68,7 @@ _MOST_ROUNDS_PER_JOINT = 6
 # Rules by which a step is taken, as they are reported.
 STEP_UP = "Benjamini-Hochberg over the candidates of the round"
 CONTAINED = "plainer than a candidate that passed, and saves most of what it does"
-LATER = "an effect of time must help on later data"
+LATER = "what changes slowly must help on later data"
 FADED = "has faded before there is later data to try it on"
 TOO_LATE = "acts in too few blocks to be tried on later data"
 HARM = "does harm on later data, beyond one standard error"
@@ -732,19 +732,20 @@ class EffectSearch:
         late = where[0] > 0.5 * where[int(_FORWARD * where.size)]
         # What begins late has to be fitted where it acts, and tried there as well. A
         # trend goes on for another quarter more often than for another half.
-        shares = [_LATE] if late else [_LATE, _FORWARD] if effect.slow else [_FORWARD]
+        trend = effect.slow or effect.trend
+        shares = [_LATE] if late else [_LATE, _FORWARD] if trend else [_FORWARD]
         larger = self.model.beside([*base.effects, effect])
         if not effect.natural(larger.coefficients(effect)):
             # Between the points of the grid it became something else.
             return compare(nothing, nothing), Rule(name=UNNATURAL)
         judge = Judge(base, larger.residuals())
         least = 0.0
-        if effect.slow:
+        if trend:
             whole = compare(*base.relevant(effect, base.squares, larger.squares))
             least = max(_HOLDS * whole.gain, 0.0)
         for share in shares:
             border = where[int(share * where.size)]
-            if effect.slow or late:
+            if trend or late:
                 early = blocks.label < border
                 own = base.columns_of(tuned_before(effect, base, early))
             squares = judge.forward(joints, own, blocks, border)
@@ -755,12 +756,12 @@ class EffectSearch:
             if not effect.everywhere:
                 squares = [s[:, [effect.joint]] for s in squares]
             case = compare(*(s.sum(axis=1) for s in squares))
-            if effect.slow or late:
-                # Whatever changes slowly can be fitted by a function of time, and
-                # whatever happened once by what begins late.
+            if trend or late:
+                # Whatever changes slowly can be fitted by a function of time or of a
+                # slow signal, and whatever happened once by what begins late.
                 if not (case.gain > least and case.p_value < self.alpha):
                     return case, self.one_test(LATER)
-        if effect.slow or late:
+        if trend or late:
             return case, None
         return case, None if case.gain > -case.gain_std else Rule(name=HARM)
 

@@ -81,8 +81,16 @@ class RelativeGains:
         )
         at = np.searchsorted(found.places, gain_places(found.effects, n_rigid))
         value, std = found.values_of(found.effects)[at], found.std[at]
+        half = HALF_WIDTH * std
+        middle = [
+            np.median(value[self.reference == reference])
+            for reference in self.reference
+        ]
         with np.errstate(invalid="ignore"):
-            narrow = HALF_WIDTH * std / value < np.log(LIMIT)
+            # As a factor, and beside the gains of the others: a large gain whose
+            # interval holds all that is plausible is known as a factor alone.
+            narrow = half / value < np.log(LIMIT)
+            narrow &= 2 * half < (LIMIT - 1 / LIMIT) * np.array(middle)
         return ~self.held & ~narrow
 
     def without(self, joints):

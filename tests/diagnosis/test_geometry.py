@@ -107,6 +107,17 @@ def test_two_faults_and_friction_are_told_apart():
         assert_allclose(own.values, effect.values, atol=0.01)
 
 
+def test_gains_are_those_of_channels_over_each_other():
+    """Two of three are off; which one is right no recording says."""
+    loop = discover([TorqueGain(0, 1.2), TorqueGain(2, 0.8)])
+    assert {name for name, _ in named(loop)} == {"torque_gain"}
+    assert len(loop.effects_) == 2
+    gains = np.ones(3)
+    for effect in loop.effects_:
+        gains[effect.joint] = effect.parameters["gain"]
+    assert_allclose(gains / gains[1], [1.2, 1.0, 0.8], atol=0.01)
+
+
 def test_a_declared_tilt_is_found_by_the_identifier():
     """And what the search adds comes beside it."""
     truth = [BaseTilt(0, 0.07, -0.04), JointZero(1, 0.06)]

@@ -28,6 +28,7 @@ from sklearn_vbjfa.model._corrected import CorrectedModel  # noqa: E402
 from sklearn_vbjfa.model._derivatives import TorqueDerivatives  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 from tests.effects._faults import measured  # noqa: E402
+from tests.model._trees import build, by_sample  # noqa: E402
 
 STEP = 1e-5
 vectors = st.tuples(*3 * [st.floats(-1.5, 1.5)]).map(np.array)
@@ -183,6 +184,42 @@ def test_corrected_models_say_what_the_guide_says(case):
         effect.correct(robot)
     found = robot.gains * inverse_dynamics(robot.model, states)
     assert_allclose(found, measured(model, states, used), atol=1e-10)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_columns_of_joints_in_any_direction(seed):
+    """Oblique, sliding and screwing, on two branches, with everything off at once."""
+    rng = np.random.default_rng(seed)
+    kinds = ["RevoluteUnaligned", "HelicalUnaligned", "PrismaticUnaligned", "HY", "RX"]
+    model = build(rng, rng.permutation(kinds))
+    bodies = rng.normal(size=(5, 10))
+    states = rng.uniform(-1.0, 1.0, size=(3, 4, 5))
+    used = [BaseTilt(0, *rng.uniform(-0.2, 0.2, 2))]
+    for j in range(5):
+        used.append(JointAxis(j, *rng.uniform(-0.15, 0.15, 2)))
+        used.append(JointZero(j, rng.uniform(-0.2, 0.2)))
+
+    def corrected(effects):
+        robot = CorrectedModel(model)
+        for effect in effects:
+            effect.correct(robot)
+        return robot.model
+
+    def torques(effects):
+        return np.einsum("njic,ic->nj", by_sample(corrected(effects), *states), bodies)
+
+    q, v, a = states
+    made = TorqueDerivatives(corrected(used), q, v, a, bodies, model)
+    motion = Motion(q=q, v=v, a=a, load=torques(used), derivatives=made)
+    for i, effect in enumerate(used):
+        found = effect.columns(motion)
+        for k in range(found.shape[2]):
+            step = STEP * np.eye(found.shape[2])[k]
+            high, low = ([*used] for _ in range(2))
+            high[i], low[i] = effect.at(step), effect.at(-step)
+            expected = (torques(high) - torques(low)) / (2 * STEP)
+            size = np.abs(expected).max() + 1.0
+            assert_allclose(found[:, :, k], expected, atol=1e-7 * size)
 
 
 def test_roll_and_pitch_are_those_of_the_usual_angles():

@@ -427,7 +427,7 @@ class TorqueGain(ModelEffect):
 
     The gain is taken on the side of the model: the measured torque stays an output with
     noise. A regression on measured torques, with the inverse gains as coefficients,
-    would take that noise for signal and make gains too small.
+    would take that noise for signal and make these too small.
 
     References
     ----------

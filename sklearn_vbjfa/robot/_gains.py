@@ -2,23 +2,26 @@
 
 The channel of joint j reads y_j = g_j Phi_j theta. Joints share the parameters theta of
 the bodies that they move, so that the ratios of the gains are in the couplings between
-them; their common factor is in theta and in no recording. In the inverse gains h the
-equations h_j y_j = Phi_j theta are linear. The torques are then inputs with noise, and
-least squares takes their noise for signal: inverse gains come out too small by its
-share. With the noise of each channel measured, by a fit of its own that no gain enters,
-its share is subtracted, as in generalised total least squares. The smallest eigenvector
-of what remains are the inverse gains, and the rest is their information.
+them; their common factor is in theta and in no recording.
+
+In the inverse gains h the equations h_j y_j = Phi_j theta are linear, with the torques
+as inputs. These have noise, which least squares takes for signal: inverse gains come
+out too small, by much more than the share of the noise, as it is only what the bodies
+of other joints do not explain that tells them apart. The gains are therefore taken on
+the side of the model, and the likelihood is maximised over their logarithms by Gauss
+and Newton. It depends on a recording through the second moments of each joint's
+equations alone, so that all steps together cost one pass over it.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy import linalg
 
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa.effects import TorqueGain
-from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, denoised
-from sklearn_vbjfa.robot._weights import least_squares
+from sklearn_vbjfa.robot._estimate import IDENTIFIABLE
+from sklearn_vbjfa.robot._weights import noise_weights
 
 # Gains are plausible within this factor of those of the other channels, and known if
 # their 90 % interval is narrower than that ...
@@ -31,11 +34,12 @@ HALF_WIDTH = 1.645
 _LEAST_NOISE = 1e-12
 # Standard deviation of the logarithm of a gain about which nothing is known.
 _UNKNOWN = np.log(1e4)
-# Weights follow from the gains, and these from the weights.
-_PASSES = 30
-_CONVERGED = 1e-6
-# Largest change in one of them.
-_STEP = 3.0
+# Steps to the gains, the largest of them, and halvings of one that does harm.
+_STEPS = 60
+_STEP = np.log(3.0)
+_HALVINGS = 6
+# The logarithm of the likelihood is at its maximum where a step adds less.
+_SETTLED = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,8 +81,16 @@ class RelativeGains:
         )
         at = np.searchsorted(found.places, gain_places(found.effects, n_rigid))
         value, std = found.values_of(found.effects)[at], found.std[at]
+        half = HALF_WIDTH * std
+        middle = [
+            np.median(value[self.reference == reference])
+            for reference in self.reference
+        ]
         with np.errstate(invalid="ignore"):
-            narrow = HALF_WIDTH * std / value < np.log(LIMIT)
+            # As a factor, and beside the gains of the others: a large gain whose
+            # interval holds all that is plausible is known as a factor alone.
+            narrow = half / value < np.log(LIMIT)
+            narrow &= 2 * half < (LIMIT - 1 / LIMIT) * np.array(middle)
         return ~self.held & ~narrow
 
     def without(self, joints):
@@ -92,92 +104,110 @@ class RelativeGains:
 
 
 def relative_gains(moments, references=()):
-    """Gains in closed form from the moments of equations with gains of 1.
+    """Gains from the moments of equations with gains of 1.
 
     moments : JointMoments; references : joints whose channels are to be the units, for
     groups of joints in which one of them is; the others' are chosen, see `_grouped`.
     """
     used = np.flatnonzero((moments.n > 0) & (moments.yy > 0))
     nv = moments.n.size
-    noise = channel_noise(moments)
-    h = np.ones(nv)
-    found = None
-    for _ in range(_PASSES):
-        found = _information(moments, h, noise, used)
-        change = _smallest(found)
-        h[used] *= change
-        h[used] /= np.exp(np.log(h[used]).mean())
-        if np.abs(change - 1).max(initial=0.0) < _CONVERGED:
-            break
-    spread = np.full((nv, nv), np.inf)
+    logs, found = _most_likely(moments, used)
+    spread, strength = np.full((nv, nv), np.inf), np.zeros(nv)
     if used.size:
         spread[np.ix_(used, used)] = _spread(found)
-    strength = np.where(noise > 0, moments.yy / np.where(noise > 0, noise, 1.0), 0.0)
+        strength[used] = found.size
     reference = _grouped(spread, strength, references)
-    gains = np.clip(h[reference] / h, 1.01 / _WIDEST, 0.99 * _WIDEST)
+    own = np.exp(logs - logs[reference])
     return RelativeGains(
-        gains=gains,
+        gains=np.clip(own, 1.01 / _WIDEST, 0.99 * _WIDEST),
         reference=reference,
         std=np.sqrt(spread[np.arange(nv), reference]),
     )
 
 
-def channel_noise(moments):
-    """Variance (nv,) of each joint's torque about a fit of its own, free of gains."""
-    variance = np.zeros(moments.n.size)
-    for j in np.flatnonzero(moments.n > 0):
-        own = np.flatnonzero(np.diagonal(moments.G[j]) > 0)
-        theta = np.zeros(moments.g.shape[1])
-        theta[own] = least_squares(moments.G[j][np.ix_(own, own)], moments.g[j, own])
-        squares = moments.residual_squares(theta)[j]
-        share = max(moments.n_rows[j] - own.size, 1) / moments.n_rows[j]
-        variance[j] = max(squares / share, _LEAST_NOISE * moments.yy[j]) / moments.n[j]
-    return variance
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Information:
-    """Information (k, k) on the logarithms of inverse gains.
+class _Likelihood:
+    """Likelihood of logarithms of gains of k joints, everything else fitted.
 
-    `size` is its diagonal (k,) where nothing else has to be fitted.
+    Attributes
+    ----------
+    cost : float
+        Minus its logarithm, up to a constant.
+    score : ndarray of shape (k,)
+        Slope of the logarithm.
+    information : ndarray of shape (k, k)
+        Fisher information.
+    size : ndarray of shape (k,)
+        Its diagonal where nothing else has to be fitted: torque over noise, squared.
     """
 
-    matrix: np.ndarray
+    cost: float
+    score: np.ndarray
+    information: np.ndarray
     size: np.ndarray
 
+    @classmethod
+    def at(cls, moments, logs, used):
+        """Evaluate it at logarithms (nv,), for joints `used`, from `JointMoments`."""
+        gains = np.exp(logs)
+        square = gains[:, None, None] ** 2
+        read = replace(
+            moments,
+            G=moments.G * square,
+            g=moments.g * gains[:, None],
+            noise=None,
+            blocks=None,
+        )
+        weight = noise_weights(read)
+        total = read.total(weight)
+        metric = scaled_eigen(total.S_xx, IDENTIFIABLE)
+        theta = metric.solve(total.S_xy)
+        torque = (weight[:, None] * (read.G @ theta))[used]
+        size = torque @ theta
+        rest = read.residual_squares(theta)[used] / read.yy[used]
+        left = np.diag(size) - torque @ metric.solve(torque.T)
+        return cls(
+            cost=float(0.5 * read.n_rows[used] @ np.log(rest)),
+            score=weight[used] * (read.g[used] @ theta) - size,
+            information=0.5 * (left + left.T),
+            size=size,
+        )
 
-def _information(moments, h, noise, used):
-    """Information on the inverse gains around h (nv,), for the joints that are used.
 
-    The squares that are left when everything else is fitted, less those of the noise.
+def _most_likely(moments, used):
+    """Return the most likely logarithms of gains (nv,), and the `_Likelihood` there.
+
+    Those that are not seen are as the others are, by a prior that is weak beside
+    anything that is seen.
     """
-    weight = np.zeros(moments.n.size)
-    weight[used] = 1.0 / (h[used] ** 2 * noise[used])
-    total, of_inputs = moments.total(weight), moments.total_noise(weight)
-    metric = total.S_xx if of_inputs is None else denoised(total, of_inputs)
-    coupled = (moments.g * (weight * h)[:, None])[used].T
-    size = moments.yy[used] / noise[used]
-    left = np.diag(size) - coupled.T @ scaled_eigen(metric, IDENTIFIABLE).solve(coupled)
-    left = 0.5 * (left + left.T)
-    rows = moments.n[used]
-    share = linalg.eigh(left, np.diag(rows), eigvals_only=True, subset_by_index=[0, 0])
-    return _Information(matrix=left - np.diag(share * rows), size=size)
-
-
-def _smallest(found):
-    """Inverse gains (k,) of the least information, about 1; those not seen stay."""
-    k = found.size.size
-    # Those that are not seen are as the others are, and nothing else.
-    alike = (np.eye(k) - 1.0 / k) / np.log(LIMIT) ** 2
-    vectors = linalg.eigh(found.matrix + alike, subset_by_index=[0, 0])[1]
-    h = vectors[:, 0] / (vectors[:, 0].mean() or 1.0)
-    return np.clip(h, 1 / _STEP, _STEP)
+    logs, k = np.zeros(moments.n.size), used.size
+    prior = (np.eye(k) - 1.0 / max(k, 1)) / np.log(LIMIT) ** 2
+    now = _Likelihood.at(moments, logs, used)
+    for _ in range(_STEPS if k else 0):
+        own = logs[used]
+        cost = now.cost + 0.5 * own @ prior @ own
+        # Nothing changes if all gains do; the step is the smallest one.
+        step = linalg.pinvh(now.information + prior) @ (now.score - prior @ own)
+        step -= step.mean()
+        step /= max(np.abs(step).max() / _STEP, 1.0)
+        for halving in range(_HALVINGS):
+            moved = own + 0.5**halving * step
+            there = logs.copy()
+            there[used] = moved
+            new = _Likelihood.at(moments, there, used)
+            better = cost - new.cost - 0.5 * moved @ prior @ moved
+            if better > 0:
+                logs, now = there, new
+                break
+        if better < _SETTLED:
+            break
+    return logs, now
 
 
 def _spread(found):
     """Variances (k, k) of the logarithms of ratios of gains; large if not seen."""
     scale = np.sqrt(found.size)
-    seen = scaled_eigen(found.matrix, IDENTIFIABLE, scale=scale, relative=False)
+    seen = scaled_eigen(found.information, IDENTIFIABLE, scale=scale, relative=False)
     known = np.where(seen.known, seen.values, 1.0)
     variance = np.where(seen.known, 1.0 / known, (_UNKNOWN * scale.max()) ** 2)
     roots = seen.vectors / scale[:, None] * np.sqrt(variance)
@@ -292,6 +322,20 @@ class ChannelGains:
         own = np.arange(self.reference.size)
         alone = own[self.reference == own]
         return tuple(np.setdiff1d(alone, self.references).tolist())
+
+    @property
+    def doubtful(self):
+        """Joints (tuple of int) whose gain is far from those of all others.
+
+        By more than is plausible, from the median of those that are relative to one
+        channel.
+        """
+        found, logs = [], np.log(self.gain)
+        for reference in self.references:
+            own = np.flatnonzero(self.reference == reference)
+            off = np.abs(logs[own] - np.median(logs[own]))
+            found += own[off > np.log(LIMIT)].tolist()
+        return tuple(sorted(found))
 
     @property
     def absolute(self):

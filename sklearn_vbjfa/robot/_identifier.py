@@ -428,7 +428,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return np.concatenate([bodies, plain_coefficients(effects, coefs)])
 
     def _first_gains(self, recording, states):
-        """Begin with the gains in closed form, `RelativeGains`."""
+        """Begin with the gains that second moments show, `RelativeGains`."""
         plan = self._plan.passes()[0]
         made = segments(recording, states, plan, self.features_)
         moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
@@ -528,7 +528,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
                 self.features_.n_parameters_,
                 self.joint_weights,
             )
-            if found.stay():
+            if found.stay() or (relative is not None and relative.vague(found).any()):
                 break
             self._correct(found.corrected())
             self._fit_again(recording, states)

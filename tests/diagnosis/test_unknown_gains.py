@@ -33,13 +33,15 @@ def recording():
     return model, states, GAINS * (tau + 0.01 * tau.std(axis=0) * white)
 
 
-def close(recording, masses, effects):
+PAYLOAD = Payload(joint=NV - 1, instant=PICKED, centre=tuple(CENTRE))
+
+
+def close(recording, masses, effects, declared=(PAYLOAD,)):
     model, X, y = recording
-    payload = Payload(joint=NV - 1, instant=PICKED, centre=tuple(CENTRE))
     robot = RobotIdentifier(
         model,
         dt=DT,
-        effects=[payload],
+        effects=declared,
         gains="unknown",
         known_masses=masses,
         cutoff=None,
@@ -59,6 +61,20 @@ def test_effects_are_found_beside_unknown_gains(recording):
     assert_allclose(loop.identifier_.gains_.gain, GAINS, rtol=0.03)
     assert np.all(loop.error_after_ < 0.02)
     assert loop.report_.outcome.gains is loop.identifier_.gains_
+
+
+def test_a_payload_that_is_found_fixes_the_common_gain(recording):
+    loop = close(recording, {"payload": MASS}, ["payload", "spring"], ())
+    assert {(e.name, e.joint) for e in loop.effects_} == {("spring", 1), ("payload", 2)}
+    assert not loop.declared_.gains_.absolute
+    assert loop.identifier_.gains_.absolute
+    assert_allclose(loop.identifier_.gains_.gain, GAINS, rtol=0.03)
+    found = {e.name: e for e in loop.effects_}
+    assert_allclose(found["payload"].parameters["dm"], MASS, rtol=1e-6)
+    assert_allclose(found["spring"].parameters["k"], STIFFNESS, rtol=0.05)
+    low, high = found["spring"].intervals["k"]
+    assert low - (high - low) < STIFFNESS < high + (high - low)
+    assert "rests on the payload of 1.5 kg" in " ".join(str(loop.report_).split())
 
 
 def test_the_reference_stays_and_gains_are_not_searched(recording):

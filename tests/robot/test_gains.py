@@ -13,8 +13,16 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.effects import TorqueGain  # noqa: E402
-from sklearn_vbjfa.robot._gains import _grouped, relative_gains  # noqa: E402
+from sklearn_vbjfa.robot._estimate import PlainEstimate  # noqa: E402
+from sklearn_vbjfa.robot._gains import (  # noqa: E402
+    RelativeGains,
+    _grouped,
+    declared_gains,
+    relative_gains,
+    with_gains,
+)
 from sklearn_vbjfa.robot._joint_moments import joint_moments  # noqa: E402
+from sklearn_vbjfa.robot._model_values import ModelValues  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.02
@@ -105,7 +113,7 @@ def test_gains_far_from_one_another_are_found(seed):
     assert np.all(np.abs(found.gain - relative(gains, found)) <= wide)
 
 
-def test_without_noise_gains_in_closed_form_are_exact():
+def test_without_noise_gains_of_moments_are_exact():
     tau = torques(noise=0.0)
     moments = joint_moments(PHI, tau, np.ones_like(tau))
     found = relative_gains(moments)
@@ -214,6 +222,34 @@ def test_a_joint_that_no_other_feels_is_hidden():
     assert robot.gains_.gain[3] == 1.0
     gains = relative(GAINS, robot.gains_)
     assert_allclose(robot.gains_.gain[:3], gains[:3], rtol=0.03)
+
+
+@pytest.mark.parametrize(
+    ("gain", "std", "vague"),
+    [
+        (2.0, 0.1, False),
+        (0.2, 0.15, False),
+        (0.2, 0.25, True),  # as a factor
+        (19.0, 9.0, True),  # beside the others
+        (19.0, 0.5, False),
+        (2.0, np.nan, True),
+    ],
+)
+def test_a_gain_is_known_if_its_interval_is_narrow(gain, std, vague):
+    start = RelativeGains(
+        gains=np.ones(3), reference=np.zeros(3, dtype=int), std=np.zeros(3)
+    )
+    gains = np.array([1.0, 1.5, gain])
+    found = ModelValues(
+        effects=with_gains(declared_gains((), 3), gains),
+        places=np.arange(5, 8),
+        step=np.zeros(3),
+        std=np.array([np.nan, 0.01, std]),
+        estimate=PlainEstimate(
+            theta=np.zeros(8), covariance=np.eye(8), known=np.ones(8), eigen=None
+        ),
+    )
+    assert_array_equal(start.vague(found), [False, False, vague])
 
 
 # -- in the house

@@ -15,7 +15,7 @@ def gain_sentences(outcome):
     gains = outcome.gains
     if gains is None:
         return ()
-    told = [_unit(outcome, gains), _hidden(outcome, gains)]
+    told = [_unit(outcome, gains), _hidden(outcome, gains), _far(outcome, gains)]
     told += [_unused(gains, known) for known in gains.common.masses]
     told.append(_contradiction(gains.common))
     return tuple(filter(None, told))
@@ -86,6 +86,18 @@ def _hidden(outcome, gains):
         f"{'are' if several else 'is'} not shown relative to the others: too little of "
         f"what {'they move' if several else 'it moves'} is felt by another joint. "
         f"{'Each counts' if several else 'It counts'} as 1."
+    )
+
+
+def _far(outcome, gains):
+    """Name the joints whose gain would take another kind of drive."""
+    if not gains.doubtful:
+        return ""
+    joints = words.joint_list(outcome.joint_names, gains.doubtful)
+    return (
+        f"The gain of {joints} is more than five times from the others': where the "
+        "drives are alike, something that the model lacks (rotor inertia, friction) "
+        "has taken its place."
     )
 
 

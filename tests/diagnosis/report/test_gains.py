@@ -16,12 +16,12 @@ def known(name="payload", found=12.0, *, used=False, shown=True):
     return KnownMass(name=name, mass=1.5, found=found, std=0.1, shown=shown, used=used)
 
 
-def told(reference=(1, 1, 1), common=None, **changes):
+def told(reference=(1, 1, 1), common=None, first=0.5, **changes):
     """Return what a terminal shows, in one line."""
     reference = np.array(reference)
     gains = ChannelGains(
         joint_names=NAMES,
-        gain=np.array([0.5, 1.0, 2.0]),
+        gain=np.array([first, 1.0, 2.0]),
         std=np.array([0.01, 0.0, 0.02]),
         reference=reference,
         common=common or CommonGain(),
@@ -43,6 +43,12 @@ def test_hidden_gains():
     assert "The gain of joint 3 is not shown relative to the others" in text
     assert "joint 3 not shown" in text
     assert "no two of them feel enough of the same bodies" in told((0, 1, 2))
+
+
+def test_gains_that_are_far_from_the_others():
+    assert "more than five times" not in told()
+    text = told(first=0.19)
+    assert "The gain of joint 1 is more than five times from the others'" in text
 
 
 def test_what_a_common_gain_rests_on():

@@ -15,7 +15,6 @@ from sklearn_vbjfa.model._corrected import CorrectedModel
 from sklearn_vbjfa.model._loading import (
     import_pinocchio,
     is_prismatic,
-    joint_names,
     joint_origin,
 )
 
@@ -191,53 +190,83 @@ def corrections_of(robot):
     robot : RobotIdentifier
         Fitted.
     """
-    turned, model = _turns(robot), robot.features_.nominal_
-    names, slides = joint_names(model), is_prismatic(model)
-    rpy = import_pinocchio().rpy.matrixToRpy
-    tilt, zeros, axes, gains = None, [], [], []
+    turned, values = _turns(robot), {}
     for effect in robot.effects_:
-        j = effect.joint
-        where = {"joint": int(j), "joint_name": names[j]}
-        if isinstance(effect, BaseTilt):
-            lean = rpy(turned.base.T)
-            tilt = TiltCorrection(
-                roll=float(effect.roll),
-                pitch=float(effect.pitch),
-                roll_degrees=float(np.degrees(effect.roll)),
-                pitch_degrees=float(np.degrees(effect.pitch)),
-                gravity=_floats(turned.model.gravity.linear),
-                lean_rpy=_floats(lean),
-                lean_rpy_degrees=_floats(np.degrees(lean)),
-            )
-        elif isinstance(effect, JointZero):
-            off = float(effect.zero)
-            plain = (1e3 * off, "mm") if slides[j] else (np.degrees(off), "degrees")
-            zeros.append(
-                ZeroCorrection(
-                    subtract=off, plain=float(plain[0]), plain_unit=plain[1], **where
-                )
-            )
-        elif isinstance(effect, JointAxis):
-            origin = joint_origin(model, j)
-            axes.append(
-                AxisCorrection(
-                    about_x=float(effect.about_x),
-                    about_y=float(effect.about_y),
-                    about_x_degrees=float(np.degrees(effect.about_x)),
-                    about_y_degrees=float(np.degrees(effect.about_y)),
-                    about=tuple(map(_axis_name, cross_axes(turned.axis(j)))),
-                    old_rpy=_floats(rpy(origin)),
-                    new_rpy=_floats(rpy(origin @ turned.joints[j])),
-                    **where,
-                )
-            )
-        elif isinstance(effect, TorqueGain) and robot.gains_ is None:
-            gain = float(effect.gain)
-            gains.append(
-                GainCorrection(gain=gain, percent=100.0 * (gain - 1.0), **where)
-            )
+        if isinstance(effect, TorqueGain) and robot.gains_ is not None:
+            continue
+        for kind in (BaseTilt, JointZero, JointAxis, TorqueGain):
+            if isinstance(effect, kind):
+                # Small turns add up, of one that was declared and found once more.
+                own = values.setdefault(kind, {})
+                own[effect.joint] = own.get(effect.joint, 0.0) + effect.values
+    tilts = [_tilt(turned, *own) for own in values.get(BaseTilt, {}).values()]
     return Corrections(
-        tilt=tilt, zeros=tuple(zeros), axes=tuple(axes), gains=tuple(gains)
+        tilt=tilts[0] if tilts else None,
+        zeros=tuple(
+            _zero(robot, joint, float(own[0]))
+            for joint, own in values.get(JointZero, {}).items()
+        ),
+        axes=tuple(
+            _axis(robot, turned, joint, *own)
+            for joint, own in values.get(JointAxis, {}).items()
+        ),
+        gains=tuple(
+            _gain(robot, joint, float(turned.gains[joint]))
+            for joint in values.get(TorqueGain, {})
+        ),
+    )
+
+
+def _tilt(turned, roll, pitch):
+    """Make the correction of a base, given the `_Turns` of the robot."""
+    lean = import_pinocchio().rpy.matrixToRpy(turned.base.T)
+    return TiltCorrection(
+        roll=float(roll),
+        pitch=float(pitch),
+        roll_degrees=float(np.degrees(roll)),
+        pitch_degrees=float(np.degrees(pitch)),
+        gravity=_floats(turned.model.gravity.linear),
+        lean_rpy=_floats(lean),
+        lean_rpy_degrees=_floats(np.degrees(lean)),
+    )
+
+
+def _zero(robot, joint, off):
+    """Make the correction of an encoder that reads `off` at zero."""
+    slides = is_prismatic(robot.features_.nominal_)[joint]
+    return ZeroCorrection(
+        joint=int(joint),
+        joint_name=robot.joint_names_[joint],
+        subtract=off,
+        plain=1e3 * off if slides else float(np.degrees(off)),
+        plain_unit="mm" if slides else "degrees",
+    )
+
+
+def _axis(robot, turned, joint, about_x, about_y):
+    """Make the correction of an axis, given the `_Turns` of the robot."""
+    rpy = import_pinocchio().rpy.matrixToRpy
+    origin = joint_origin(robot.features_.nominal_, joint)
+    return AxisCorrection(
+        joint=int(joint),
+        joint_name=robot.joint_names_[joint],
+        about_x=float(about_x),
+        about_y=float(about_y),
+        about_x_degrees=float(np.degrees(about_x)),
+        about_y_degrees=float(np.degrees(about_y)),
+        about=tuple(map(_axis_name, cross_axes(turned.axis(joint)))),
+        old_rpy=_floats(rpy(origin)),
+        new_rpy=_floats(rpy(origin @ turned.joints[joint])),
+    )
+
+
+def _gain(robot, joint, gain):
+    """Make the correction of a torque channel."""
+    return GainCorrection(
+        joint=int(joint),
+        joint_name=robot.joint_names_[joint],
+        gain=gain,
+        percent=100.0 * (gain - 1.0),
     )
 
 

@@ -1212,11 +1212,13 @@ def equations_of(
 
     Their `index` gives the row at the centre of each. states : `states_of` the
     recording, where they are known already; signals : recorded beside the motion.
+    Columns of effects in the model are the derivatives by their values, for other fits
+    to correct them; they have no part in what is predicted, see `linear_part`.
     """
     recording = identifier._recording(X, y, groups, weight, t, signals)
     if states is None:
         states = states_of(identifier, X, groups)
-    plan = replace(identifier._plan, repeats=False)
+    plan = replace(identifier._plan, repeats=False, tangents=True)
     made = segments(
         recording,
         RecordingStates.of_rows(recording.segments, states),
@@ -1225,6 +1227,17 @@ def equations_of(
         theta=identifier._load,
     )
     return joined(equations(made, plan.lowpass))
+
+
+def linear_part(identifier, theta):
+    """Parameters (p,) without the values that a fitted identifier's model holds."""
+    held = np.concatenate(
+        [
+            np.zeros(identifier.features_.n_parameters_, dtype=bool),
+            *(np.repeat(e.in_model, len(e.coefficients)) for e in identifier.effects_),
+        ]
+    )
+    return np.where(held, 0.0, theta)
 
 
 def outside_of(identifier, recording):

@@ -136,8 +136,10 @@ class ModelValues:
 def _at_bounds(effect):
     """Which values are at their lower and at their upper bounds, two arrays (k,)."""
     low, high = effect.bounds()
-    near = _END * (high - low)
-    return effect.values < low + near, effect.values > high - near
+    # A gain has more room above 1 than below.
+    below, above = effect.idle - low, high - effect.idle
+    near = 2 * _END
+    return effect.values < low + near * below, effect.values > high - near * above
 
 
 def _within(effect, step):

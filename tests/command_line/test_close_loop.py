@@ -212,6 +212,50 @@ def test_options_reach_the_estimators(good, urdf, monkeypatch):
     assert seen["effects"] == "all"
 
 
+def test_what_is_to_be_corrected_is_in_all_files(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    roll, pitch, gain = np.deg2rad(4.0), np.deg2rad(2.0), 1.15
+    arm = make_robot_recording(
+        duration=20.0,
+        dt=0.01,
+        frequency=1.0,
+        base_tilt=(roll, pitch),
+        torque_gain={1: gain},
+        random_state=2,
+    )
+    write_csv(tmp_path / "arm.csv", arm)
+    options = ["--effects", "base_tilt,torque_gain", "--no-ceiling", "--out", "out"]
+    assert main(["close-loop", "arm.csv", "--urdf", arm.urdf, *options]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "the base is not level: gravity is turned by roll" in text
+    assert "joint 2: the torque channel reads 1" in text
+    report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
+    told = report["corrections"]
+    assert told["tilt"]["roll"] == pytest.approx(roll, abs=0.01)
+    assert told["tilt"]["pitch"] == pytest.approx(pitch, abs=0.01)
+    (channel,) = told["gains"]
+    assert channel["joint_name"] == "joint_2"
+    assert channel["gain"] == pytest.approx(gain, abs=0.02)
+    assert (told["zeros"], told["axes"]) == ([], [])
+    by_name = {effect["name"]: effect for effect in report["effects"]}
+    assert set(by_name) == {"base_tilt", "torque_gain"}
+    found = by_name["base_tilt"]
+    assert found["scope"] == "robot"
+    assert found["parameters"]["roll"] == told["tilt"]["roll"]
+    low, high = found["plain"]["roll"]["interval"]
+    assert low < told["tilt"]["roll_degrees"] < high
+    # The files are of one model.
+    with open("out/parameters.csv", newline="", encoding="utf-8") as file:
+        rows = {row["parameter"]: float(row["value"]) for row in csv.DictReader(file)}
+    assert rows["base_tilt:roll"] == pytest.approx(told["tilt"]["roll"], rel=1e-9)
+    assert rows["joint_2:torque_gain:gain"] == pytest.approx(channel["gain"], rel=1e-9)
+    written = Path("out/identified.urdf").read_text(encoding="utf-8")
+    assert f"of joint_2 reads by {channel['gain']:.5g}" in written
+    assert "The base of the recorded robot was not level" in written
+    page = Path("out/report.html").read_text(encoding="utf-8")
+    assert "What to correct" in page
+
+
 def test_an_interrupted_run_leaves_nothing(good, urdf, monkeypatch, capsys):
     def fit(self, *arguments, **given):
         raise KeyboardInterrupt
@@ -222,6 +266,77 @@ def test_an_interrupted_run_leaves_nothing(good, urdf, monkeypatch, capsys):
     assert captured.out == ""
     assert captured.err == "sklearn-vbjfa: interrupted, nothing was written\n"
     assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
+
+
+# -- gains -----------------------------------------------------------------------------
+
+
+def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, capsys):
+    path = tmp_path / "bare.urdf"
+    path.write_text(re.sub(r"<inertial>.*?</inertial>", "", URDF, flags=re.DOTALL))
+    gains = np.array([2.0, 0.8])
+    source = write_csv(tmp_path / "amperes.csv", recording, tau=recording.tau * gains)
+    options = ["--gain", "unknown", "--effects", "spring", "--no-ceiling"]
+    options += ["--known-mass", "lower=2", "--out", str(tmp_path / "out")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert main(["close-loop", str(source), "--urdf", str(path), *options]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "Gains are relative to the channel of joint" in text
+    assert "The mass of lower (2 kg) cannot fix the common gain" in text
+    report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
+    found = report["gains"]
+    (first,) = set(found["reference"])
+    np.testing.assert_allclose(found["gain"], gains / gains[first], rtol=0.05)
+    assert found["common"]["factor"] is None
+    with (tmp_path / "out" / "parameters.csv").open(newline="") as file:
+        rows = {row["parameter"]: row for row in csv.DictReader(file)}
+    names = ("shoulder", "elbow")
+    for j, name in enumerate(names):
+        row = rows[f"{name}:torque_gain:gain"]
+        assert float(row["value"]) == found["gain"][j]
+        assert (row["std"] == "") == (j == first)
+    unit = rows["elbow:m"]["unit"]
+    assert unit == f"kg, times the gain of {names[first]}"
+    assert "These gains are relative" in (tmp_path / "out/identified.urdf").read_text()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--gain", "8,unknown"], "--gain must be unknown, for all channels together"),
+        (["--gain", "8,8"], "Multiply known factors into the columns of torques"),
+        (["--known-mass", "lower=2"], "give --gain unknown as well"),
+        (
+            ["--gain", "unknown", "--known-mass", "hand=2"],
+            "does not know 'hand'; expected one of upper, lower, payload.",
+        ),
+        (["--gain", "unknown", "--known-mass", "lower=-2"], "got 'lower=-2'"),
+        (["--gain", "unknown", "--known-mass", "lower"], "LINK=KG or payload=KG"),
+        (
+            ["--gain", "unknown", "--known-mass=lower=1", "--known-mass=lower=2"],
+            "--known-mass has lower twice",
+        ),
+    ],
+)
+def test_other_gains_and_masses_are_refused(good, urdf, options, message, capsys):
+    assert message in refusal(capsys, good, "--urdf", urdf, *options)
+
+
+def test_one_joint_has_no_unknown_gain(tmp_path, capsys):
+    path = tmp_path / "one.urdf"
+    base = '<robot name="arm"><link name="base"/>'
+    path.write_text(base + LINK.format(**UPPER, centre=0.2, mass=3) + "</robot>")
+    one = make_robot_recording(str(path), duration=5.0, random_state=0)
+    source = write_csv(tmp_path / "one.csv", one)
+    line = refusal(capsys, source, "--urdf", path, "--gain", "unknown")
+    assert "the gain of the only one" in line
+
+
+def test_a_recording_in_amperes_suggests_the_option():
+    assert "--gain unknown" in _input.gain_hint(("N m", "A"), None)
+    assert _input.gain_hint(("A", "A"), "unknown") == ""
+    assert _input.gain_hint(("N m", "N"), None) == ""
 
 
 # -- joints ----------------------------------------------------------------------------

@@ -153,7 +153,10 @@ def test_axes_behind_fixed_links_are_written(tmp_path):
     )
     # What is told of the origins is what the file has, whatever lies in between.
     model = pin.buildModelFromUrdf(str(path))
-    for one in corrections_of(robot).axes:
+    found = corrections_of(robot).axes
+    assert found[0].about == ("x axis", "z axis")
+    assert found[1].about == ("x axis", "axis (0, 0.8, -0.6)")
+    for one in found:
         old = joint_origin(robot.features_.nominal_, one.joint)
         new = joint_origin(model, one.joint)
         rotation = pin.rpy.rpyToMatrix

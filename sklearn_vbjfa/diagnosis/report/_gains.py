@@ -22,28 +22,22 @@ def gain_sentences(outcome):
 
 
 def gain_rows(outcome):
-    """Cells of each joint: its name, the gain, its interval, and its unit."""
+    """Cells of each joint: its name, the gain with its interval, and its unit."""
     gains, names = outcome.gains, outcome.joint_names
     rows = []
     for j, gain in enumerate(gains.gain):
-        low, high = gains.intervals[:, j]
+        value = words.with_error(gain, tuple(gains.intervals[:, j]))
         relative = words.joint_label(names, gains.reference[j])
         if j in gains.hidden:
-            cells = ("not shown", "", "")
+            cells = ("not shown", "")
         elif gains.absolute:
-            cells = (words.number(gain), _interval(low, high), "N m or N")
+            cells = (value, f"per {outcome.torque_units[j]}")
         elif j in gains.references:
-            cells = ("1", "", "the unit")
+            cells = ("1", "the unit")
         else:
-            cells = (words.number(gain), _interval(low, high), relative)
+            cells = (value, f"relative to {relative}")
         rows.append((words.joint_label(names, j), *cells))
     return tuple(rows)
-
-
-def _interval(low, high):
-    if not (np.isfinite(low) and np.isfinite(high)):
-        return ""
-    return f"{words.number(low)} to {words.number(high)}"
 
 
 def _unit(outcome, gains):

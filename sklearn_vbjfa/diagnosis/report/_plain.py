@@ -195,5 +195,6 @@ def _hundredths(value):
 
 
 def _rpy(angles):
-    """Write three angles as a URDF has them."""
-    return f'"{" ".join(f"{angle:.5g}" for angle in angles)}"'
+    """Write three angles [rad] as a URDF has them, to a thousandth of a degree."""
+    # Without the sign of a zero.
+    return f'"{" ".join(f"{round(angle, 5) + 0.0:.5f}" for angle in angles)}"'

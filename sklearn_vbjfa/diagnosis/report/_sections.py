@@ -301,7 +301,7 @@ def _channel_gains(outcome, verdict):
     found = _gains.gain_sentences(outcome)
     if not found:
         return _paragraph("Gains of the torque channels", found)
-    heads = ("joint", "gain", "90 % interval", "relative to")
+    heads = ("joint", "gain (90 %)", "")
     return Section(
         heading="Gains of the torque channels",
         sentences=found,

@@ -39,8 +39,7 @@ def _sentence(outcome, reason, name, why, own):
     what = words.capital(_what(outcome, name, own))
     if reason == "span":
         return (
-            f"{what} cannot be seen in any motion: parameters of the bodies that are "
-            "fitted anyway do the same."
+            f"{what} cannot be seen in any motion: what is fitted anyway does the same."
         )
     if reason == "signal":
         return f"{what} could not be looked for: {why}."

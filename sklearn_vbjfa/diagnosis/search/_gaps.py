@@ -100,13 +100,14 @@ def _hidden(found, names):
     model = found.model
     probe = _probe(model)
     not_seen, in_model = [], []
+    declared = {effect.key() for effect in model.view.robot.effects_}
     for j, name in enumerate(names):
         if model.precision[j] == 0:
             continue
         unseen = _Unseen.on(j, found)
         for effect in found.library:
             one = clone(effect).set_params(joint=j)
-            if one.name in unseen.present:
+            if one.name in unseen.present or one.key() in declared:
                 continue
             reason, remedy = "signal", one.applies(model.motion)
             if not remedy:
@@ -213,7 +214,7 @@ def _probe(model):
     # What corrects the robot already is fitted beside its parameters.
     found = [
         effect.columns(motion) if effect.whole_robot else _on_joint(effect, motion)
-        for effect in model.effects
+        for effect in (*view.robot.effects_, *model.effects)
         if effect.in_model
     ]
     return np.concatenate([features.matrices(states), *found], axis=2), motion

@@ -10,7 +10,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core._sandwich import block_variance
 from sklearn_vbjfa.robot._equations import make_motion
-from sklearn_vbjfa.robot._identifier import load_parameters
+from sklearn_vbjfa.robot._identifier import linear_part, load_parameters
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 
@@ -110,11 +110,10 @@ class FinalFit:
 
     def _predicted(self, theta):
         """Torques of the completed model with some parameters, (m, nv)."""
-        Phi = self.view.equations.Phi
+        Phi, theta = self.view.equations.Phi, linear_part(self.identifier, theta)
         predicted = Phi @ theta[: Phi.shape[2]]
-        for effect, own, coef in zip(self.effects, self._columns, self._split(theta)):
-            if not effect.in_model:
-                predicted = predicted + own @ coef
+        for own, coef in zip(self._columns, self._split(theta)):
+            predicted = predicted + own @ coef
         return predicted
 
     def _split(self, theta):
@@ -125,7 +124,8 @@ class FinalFit:
 
     def residuals(self):
         """Residuals before and after, a pair of TorqueResiduals."""
-        before = self.nominal.equations.Phi @ self.declared.theta_
+        theta = linear_part(self.declared, self.declared.theta_)
+        before = self.nominal.equations.Phi @ theta
         return self._compared(before), self.residuals_of(self.identifier.theta_)
 
     def residuals_of(self, theta):

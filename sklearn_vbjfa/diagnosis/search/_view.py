@@ -17,7 +17,12 @@ from sklearn_vbjfa.diagnosis.search._regression import FoldMoments, reduced
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock
 from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
-from sklearn_vbjfa.robot._identifier import corrected, equations_of, states_of
+from sklearn_vbjfa.robot._identifier import (
+    corrected,
+    equations_of,
+    linear_part,
+    states_of,
+)
 
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
@@ -221,7 +226,8 @@ class RecordingView:
         robot = self.robot
         weights = robot.estimator_.joint_weights_
         self.precision = np.where(self.root.any(axis=0), weights, 0.0)
-        residual = self.equations.tau - self.equations.Phi @ robot.theta_unconstrained_
+        theta = linear_part(robot, robot.theta_unconstrained_)
+        residual = self.equations.tau - self.equations.Phi @ theta
         correlation = correlation_time(
             residual, self.equations.weight, self.step, self.starts
         )

@@ -140,8 +140,8 @@ def formats(report):
             "the base is not level: gravity is turned by roll 4.00 +- 0.02 and pitch "
             "2.00 +- 0.02 degrees",
             "level the base, which leans the opposite way (roll -4.00, pitch -2.00 "
-            'degrees), or mount it so in the robot description (rpy "-0.0698 -0.0348 '
-            '0.0024")',
+            'degrees), or mount it so in the robot description (rpy "-0.06980 -0.03480 '
+            '0.00240")',
         ),
         (
             ZERO,
@@ -153,7 +153,7 @@ def formats(report):
             "joint 4: the axis is turned by 3.00 +- 0.10 degrees about the x axis and "
             "-0.50 +- 0.10 degrees about the z axis of its frame",
             "take the rpy of the origin of joint 4 from the URDF that is written "
-            '("0.05 1.5 0.1" instead of "0 1.5708 0")',
+            '("0.05000 1.50000 0.10000" instead of "0.00000 1.57080 0.00000")',
         ),
         (
             GAIN,
@@ -287,8 +287,8 @@ def hidden(name, joints, reason, remedy=""):
     [
         (
             hidden("joint_zero", (0, 5), "span"),
-            "The zeros of joints 1 and 6 cannot be seen in any motion: parameters of "
-            "the bodies that are fitted anyway do the same.",
+            "The zeros of joints 1 and 6 cannot be seen in any motion: what is "
+            "fitted anyway does the same.",
         ),
         (
             hidden("joint_axis", (0,), "excitation", "more moves"),

@@ -1,0 +1,192 @@
+"""The loop on robots whose base leans, whose zeros, axes or channels are off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+pytest.importorskip("pinocchio")
+
+import pinocchio as pin
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
+from tests.diagnosis._faulty import with_faults
+from tests.diagnosis._recordings import named, record
+from tests.diagnosis.search.test_branches import arms
+from tests.effects._arms import inverse_dynamics
+
+LIBRARY = ("base_tilt", "joint_zero", "joint_axis", "torque_gain", "offset", "coulomb")
+ARM = record("ZYX", seed=2, duration=30.0)
+
+
+def discover(truth, recording=ARM, effects=LIBRARY, declared=(), model=None, **torque):
+    faulty = with_faults(truth, recording)
+    robot = recording.robot(effects=declared)
+    if model is not None:
+        robot.set_params(model=model)
+    return faulty.discover(
+        faulty.torque(**torque), effects=list(effects), robot=robot, ceiling=False
+    )
+
+
+TRUTHS = {
+    "tilt": BaseTilt(0, 0.07, -0.04),
+    "zero": JointZero(1, 0.07),
+    "axis": JointAxis(2, 0.05, 0.06),
+    "gain": TorqueGain(1, 1.15),
+}
+
+
+@pytest.fixture(scope="module", params=TRUTHS)
+def one_fault(request):
+    truth = TRUTHS[request.param]
+    return truth, discover([truth])
+
+
+def test_the_fault_is_named_with_its_value(one_fault):
+    truth, loop = one_fault
+    assert named(loop) == [(truth.name, truth.joint)]
+    (found,) = loop.effects_
+    for name, value in zip(truth.tangent, truth.values):
+        low, high = found.intervals[name]
+        # Of 90 % in a single recording: a little more is allowed for.
+        slack = 0.75 * (high - low)
+        assert low - slack < value < high + slack
+        assert high - low < 0.02
+        assert low < found.parameters[name] < high
+    assert set(found.parameters) == set(truth.tangent)
+    assert set(found.units.values()) <= {"rad", "1"}
+    assert found.scope == truth.scope
+    assert_allclose(found.effect.values, list(found.parameters.values()))
+
+
+def test_the_error_falls_to_the_noise(one_fault):
+    truth, loop = one_fault
+    torque = with_faults([truth]).torque()
+    spread = torque.std(axis=0)
+    assert np.all(loop.error_after_ < np.maximum(1.2 * loop.error_before_, 0.02))
+    worst = np.argmax(loop.error_before_ - loop.error_after_)
+    assert loop.error_after_[worst] < 0.5 * loop.error_before_[worst]
+    # On a motion that nobody has seen as well.
+    other = record("ZYX", seed=7, duration=10.0, noise=0.0)
+    there = with_faults([truth], other).torque()
+    error = loop.identifier_.predict(other.position) - there
+    declared = loop.declared_.predict(other.position) - there
+    size = np.sqrt(np.mean(error**2, axis=0)) / spread
+    assert np.all(size < 0.05)
+    assert np.sum((error / spread) ** 2) < 0.3 * np.sum((declared / spread) ** 2)
+
+
+def test_the_completed_model_holds_the_value(one_fault):
+    truth, loop = one_fault
+    (own,) = loop.identifier_.effects_
+    assert own.key() == truth.key()
+    assert_allclose(own.values, truth.values, atol=0.01)
+    assert_allclose(loop.identifier_.theta_[-own.values.size :], own.values)
+    assert loop.declared_.effects_ == ()
+    text = " ".join(str(loop.report_).lower().split())
+    assert f"{truth.label} " in text
+    assert "was missing" in text
+
+
+def test_a_robot_without_faults_has_none():
+    loop = discover([])
+    assert named(loop) == []
+    assert_allclose(loop.error_after_, loop.error_before_)
+
+
+def test_two_faults_and_friction_are_told_apart():
+    truth = [BaseTilt(0, 0.06, 0.03), JointZero(1, 0.06)]
+    loop = discover(truth, joint_3=lambda r: 1.0 * np.sign(r.v[:, 2]))
+    assert named(loop) == [("base_tilt", 0), ("coulomb", 2), ("joint_zero", 1)]
+    for effect in truth:
+        (own,) = [e for e in loop.identifier_.effects_ if e.key() == effect.key()]
+        assert_allclose(own.values, effect.values, atol=0.01)
+
+
+def test_a_declared_tilt_is_found_by_the_identifier():
+    """And what the search adds comes beside it."""
+    truth = [BaseTilt(0, 0.07, -0.04), JointZero(1, 0.06)]
+    loop = discover(truth, declared=[BaseTilt()])
+    assert named(loop) == [("joint_zero", 1)]
+    tilt, zero = loop.identifier_.effects_
+    assert_allclose(tilt.values, truth[0].values, atol=0.01)
+    assert_allclose(zero.values, truth[1].values, atol=0.01)
+    # The declared model had the tilt as good as it could without the zero.
+    (first,) = loop.declared_.effects_
+    assert first.corrects
+    assert loop.hidden_ is not None
+    assert "base_tilt" not in {e.name for e in loop.effects_}
+
+
+def test_a_declared_tilt_of_a_level_robot_is_nothing():
+    loop = discover([], declared=[BaseTilt()])
+    assert named(loop) == []
+    (tilt,) = loop.identifier_.effects_
+    assert_allclose(tilt.values, 0.0, atol=2e-3)
+
+
+def test_a_description_without_masses_is_enough():
+    empty = ARM.model.copy()
+    for i in range(1, 4):
+        empty.inertias[i] = pin.Inertia.Zero()
+    loop = discover([TRUTHS["tilt"]], model=empty)
+    assert named(loop) == [("base_tilt", 0)]
+    assert_allclose(
+        list(loop.effects_[0].parameters.values()), [0.07, -0.04], atol=5e-3
+    )
+
+
+def test_a_robot_without_gravity_has_no_tilt_to_find():
+    model = ARM.model.copy()
+    model.gravity.linear = np.zeros(3)
+    states = np.hstack([ARM.q, ARM.v, ARM.a])
+    weightless = replace(ARM, load=inverse_dynamics(model, states))
+    robot = ARM.robot().set_params(model=model)
+    loop = weightless.discover(
+        weightless.torque(), effects=list(LIBRARY), robot=robot, ceiling=False
+    )
+    assert named(loop) == []
+    declared = ARM.robot(effects=[BaseTilt()]).set_params(model=model)
+    with pytest.raises(ValueError, match="the robot description has no gravity"):
+        weightless.discover(
+            weightless.torque(), effects=["offset"], robot=declared, ceiling=False
+        )
+
+
+def test_what_does_not_show_is_hidden():
+    loop = discover([])
+    told = {(h.name, h.joint) for h in loop.hidden_}
+    assert {("joint_zero", 0), ("joint_zero", 2), ("joint_axis", 0)} <= told
+    assert ("base_tilt", 0) not in told
+    assert ("joint_zero", 1) not in told
+
+
+def test_the_tilt_of_a_robot_of_two_branches_is_one():
+    """Each branch finds it alone; the robot leans as a whole."""
+    model = arms(2)
+    roll, pitch = 0.06, -0.03
+    leaning = model.copy()
+    leaning.gravity.linear = pin.rpy.rpyToMatrix(roll, pitch, 0.0) @ [0, 0, -9.81]
+    recording = make_robot_recording(
+        leaning,
+        duration=12.0,
+        dt=0.01,
+        frequency=1.0,
+        friction=("viscous",),
+        torque_noise=0.02,
+        random_state=1,
+    )
+    robot = RobotIdentifier(model, dt=recording.dt)
+    loop = EffectDiscovery(
+        robot, effects=["base_tilt", "offset"], ceiling=False, random_state=0
+    ).fit(recording.q, recording.tau)
+    assert [e.name for e in loop.effects_] == ["base_tilt"]
+    (tilt,) = loop.effects_
+    assert (tilt.joint, tilt.scope) == (0, "robot")
+    assert_allclose(list(tilt.parameters.values()), [roll, pitch], atol=5e-3)
+    assert np.all(loop.error_after_ <= loop.error_before_ * 1.1)
+    assert loop.error_after_.max() < 0.5 * loop.error_before_.max()

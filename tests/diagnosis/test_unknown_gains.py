@@ -1,0 +1,84 @@
+"""The loop with torque channels of unknown gains."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.effects import Payload  # noqa: E402
+from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+
+DT, NV = 0.02, 3
+GAINS = np.array([8.0, 5.0, 12.0])
+STIFFNESS, MASS, PICKED = 6.0, 1.5, 20.0
+CENTRE = np.array([0.02, 0.0, 0.1])
+VISCOUS = np.array([0.5, 0.4, 0.3])
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Currents of an arm that picks up a ball, with a spring that is not declared."""
+    model = arm("ZYX")
+    t, states = motion(NV, duration=40.0, dt=DT, seed=4)
+    loaded = model.copy()
+    ball = pin.Inertia(MASS, CENTRE, np.zeros((3, 3)))
+    loaded.inertias[NV] = loaded.inertias[NV] + ball
+    after = (t >= PICKED)[:, None]
+    tau = np.where(after, *(inverse_dynamics(m, states) for m in (loaded, model)))
+    tau += VISCOUS * states[:, NV : 2 * NV]
+    tau[:, 1] += STIFFNESS * states[:, 1]
+    white = np.random.default_rng(0).normal(size=tau.shape)
+    return model, states, GAINS * (tau + 0.01 * tau.std(axis=0) * white)
+
+
+def close(recording, masses, effects):
+    model, X, y = recording
+    payload = Payload(joint=NV - 1, instant=PICKED, centre=tuple(CENTRE))
+    robot = RobotIdentifier(
+        model,
+        dt=DT,
+        effects=[payload],
+        gains="unknown",
+        known_masses=masses,
+        cutoff=None,
+    )
+    loop = EffectDiscovery(robot, effects=effects, ceiling=False, random_state=0)
+    return loop.fit(X, y)
+
+
+def test_effects_are_found_beside_unknown_gains(recording):
+    loop = close(recording, {"payload": MASS}, ["spring", "torque_gain", "offset"])
+    (found,) = loop.effects_
+    assert (found.name, found.joint) == ("spring", 1)
+    # In N m/rad: what is reported is of the model that is handed over.
+    low, high = found.intervals["k"]
+    assert low - (high - low) < STIFFNESS < high + (high - low)
+    assert_allclose(found.parameters["k"], STIFFNESS, rtol=0.05)
+    assert_allclose(loop.identifier_.gains_.gain, GAINS, rtol=0.03)
+    assert np.all(loop.error_after_ < 0.02)
+    assert loop.report_.outcome.gains is loop.identifier_.gains_
+
+
+def test_the_reference_stays_and_gains_are_not_searched(recording):
+    loop = close(recording, None, ["spring", "torque_gain"])
+    references = {
+        robot.gains_.references
+        for robot in (loop.declared_, loop.judged_, loop.identifier_)
+    }
+    assert len(references) == 1
+    assert "torque_gain" not in loop.report_.outcome.library
+    (first,) = references.pop()
+    assert_allclose(loop.identifier_.gains_.gain, GAINS / GAINS[first], rtol=0.03)
+    (found,) = loop.effects_
+    assert_allclose(found.parameters["k"], STIFFNESS * GAINS[first], rtol=0.05)
+    low, high = found.intervals["k"]
+    assert high - low < 0.1 * found.parameters["k"]
+
+
+def test_a_doubt_about_the_unit_of_torques_is_none(recording):
+    model, X, y = recording
+    loop = close((model, X[:, :NV], 40.0 * y), None, ["spring"])
+    kinds = {one.kind for one in loop.report_.outcome.channels}
+    assert "gear_factor" not in kinds

@@ -4,8 +4,10 @@ import warnings
 
 import numpy as np
 import pytest
+import sklearn
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
+from sklearn.model_selection import GroupKFold, cross_validate
 
 pytest.importorskip("pinocchio")
 
@@ -198,3 +200,24 @@ def test_what_varies_steadily_or_with_a_period_is_accepted():
         24 - 0.01 * TAU[:, 1] ** 2,
     ):
         robot().fit(ARM.q, TAU, groups=ARM.groups, signals={"other": values})
+
+
+def test_a_frame_of_signals_is_routed_and_cut_with_the_rows(found):
+    """Each fold is fitted and scored with its own rows of the frame."""
+    pandas = pytest.importorskip("pandas")
+    signals = pandas.DataFrame(GIVEN)
+    with sklearn.config_context(enable_metadata_routing=True):
+        asked = robot(EFFECT).set_fit_request(groups=True, signals=True)
+        asked.set_score_request(groups=True, signals=True)
+        result = cross_validate(
+            asked,
+            ARM.q,
+            TAU,
+            cv=GroupKFold(2),
+            params={"groups": ARM.groups, "signals": signals},
+            return_estimator=True,
+            error_score="raise",
+        )
+    for one, score in zip(result["estimator"], result["test_score"]):
+        assert one.theta_[-1] == pytest.approx(found.theta_[-1], abs=0.2)
+        assert score > 0.9

@@ -141,6 +141,20 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
     assert "spring" in str(loop.report_)
 
 
+def test_signals_are_those_of_all_branches(two_arms):
+    recording, robot = two_arms
+    tool = np.floor(recording.t / 3.0) % 2
+    tau = recording.tau.copy()
+    tau[:, 3] += 6.0 * tool * np.gradient(recording.q[:, 3], recording.dt)
+    library = ["spring", "offset", "coulomb", "signal"]
+    loop = EffectDiscovery(robot, effects=library, ceiling=False)
+    loop.fit(recording.q, tau, signals={"tool": tool, "other": np.sin(recording.t)})
+    assert ("signal", 3) in {(e.name, e.joint) for e in loop.effects_}
+    (found,) = (e for e in loop.effects_ if e.name == "signal")
+    assert (found.parameters["signal"], found.parameters["of"]) == ("tool", "viscous")
+    assert found.parameters["k"] == pytest.approx(6.0, rel=0.02)
+
+
 def test_what_is_hidden_is_told_by_the_robots_joints(two_arms):
     recording, robot = two_arms
     library = ["rotor_inertia", "offset", "coulomb"]

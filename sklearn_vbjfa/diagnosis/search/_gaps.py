@@ -14,7 +14,9 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     named_beside,
 )
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
-from sklearn_vbjfa.diagnosis.search._search import AT_FLOOR, candidates_of
+from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE
+from sklearn_vbjfa.diagnosis.search._search import candidates_of
+from sklearn_vbjfa.diagnosis.search._values import shows
 from sklearn_vbjfa.effects._library import closure
 from sklearn_vbjfa.robot._equations import make_motion
 
@@ -25,6 +27,8 @@ ABOVE_FLOOR = (1.1, 1.5)
 # Share of a column's power outside the span of the others below which it cannot be
 # seen in this recording, and below which no motion can show it.
 _UNSEEN, _IN_SPAN = 1e-3, 1e-6
+# Among the fits beside which effects may show, that without a ridge worth the name.
+_BARE = "as it is"
 
 
 def unexplained(model, names, spread, floors, errors):
@@ -177,6 +181,11 @@ class _Unseen:
 
     def hides(self, effect):
         """Whether no shape of an effect shows beside the plainer ones it contains."""
+        if effect.in_model:
+            if _BARE not in self.bases:
+                own = self.model.effects
+                self.bases[_BARE] = self.model.beside(own, LEAST_RIDGE)
+            return not shows(self.bases[_BARE], effect)
         plain = [e for e in self.missing if e.name in effect.contains]
         names = tuple(e.name for e in plain)
         if names not in self.bases:
@@ -185,18 +194,8 @@ class _Unseen:
         if not family.effects:
             return False
         joints = self.model.view.joints_of(effect)
-        base = self.bases[names]
-        outside = base.fitted.outside(joints, family.columns)
-        if not outside.max() > _UNSEEN:
-            return True
-        if not effect.in_model:
-            return False
-        # Even the largest value there could be would drown in the noise.
-        power = np.einsum("j,jmck->k", base.precision[joints], family.columns**2)
-        low, high = effect.bounds()
-        with np.errstate(divide="ignore"):
-            deviation = 1.0 / np.sqrt(np.maximum(outside[0] * power, 0.0))
-        return bool((AT_FLOOR * deviation > 0.5 * (high - low)).all())
+        outside = self.bases[names].fitted.outside(joints, family.columns)
+        return not outside.max() > _UNSEEN
 
 
 def _probe(model):

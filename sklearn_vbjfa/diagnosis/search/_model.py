@@ -218,13 +218,15 @@ class Judge:
         """Squared residuals of a joint (n_blocks, c) where columns of Z are missing."""
         return self._fitted.squares_without(joint, groups) * self._precision[joint]
 
-    def forward(self, joints, columns, blocks, border):
+    def forward(self, joints, columns, blocks, border, ridge=None):
         """Squared residuals of later blocks (n_blocks - border, nv), in units of noise.
 
         Without the candidate's columns (nj, m, k) and with them, all fitted to the
-        blocks before the border.
+        blocks before the border, with another ridge if that is given.
         """
         base = self._fitted
+        if ridge is not None:
+            base = BlockRegression(base.Z, base.y, base.precision, base.blocks, ridge)
         extra = np.zeros((*base.Z.shape[:2], columns.shape[-1]))
         extra[joints] = self._whiten(columns, joints)
         power = np.mean(extra**2, axis=(0, 1))

@@ -185,6 +185,8 @@ class Profile:
     ----------
     left : ndarray of shape (nv, m, k)
         What the other columns leave of them.
+    power : ndarray of shape (k,)
+        Sum of squares of the columns themselves.
     coef : ndarray of shape (k,)
         Their coefficients.
     residual : ndarray of shape (nv, m)
@@ -192,6 +194,7 @@ class Profile:
     """
 
     left: np.ndarray
+    power: np.ndarray
     coef: np.ndarray
     residual: np.ndarray
 
@@ -400,7 +403,7 @@ class BlockRegression:
         """
         C = _weighted_product(self.precision, self.Z, F)
         left = F - self.Z @ linalg.cho_solve(self._factors[-1], C)
-        return self._profile(left, self.y - self.Z @ self.theta)
+        return self._profile(F, left, self.y - self.Z @ self.theta)
 
     def profile_of(self, place):
         """Return the `Profile` of columns that the model has already, a slice."""
@@ -411,14 +414,19 @@ class BlockRegression:
         penalty = self.ridge * self._unit * np.eye(Z.shape[2])
         factor = linalg.cho_factor(G[np.ix_(~own, ~own)] + penalty)
         left = F - Z @ linalg.cho_solve(factor, G[np.ix_(~own, own)])
-        return self._profile(left, self.y - Z @ linalg.cho_solve(factor, g[~own]))
+        return self._profile(F, left, self.y - Z @ linalg.cho_solve(factor, g[~own]))
 
-    def _profile(self, left, residual):
+    def _profile(self, F, left, residual):
         """Regress residuals (nv, m) on what is left of columns (nv, m, k)."""
         S = _weighted_product(self.precision, left, left)
         right = _weighted_product(self.precision, left, residual[:, :, None])[:, 0]
         coef = np.linalg.pinv(S, hermitian=True) @ right
-        return Profile(left=left, coef=coef, residual=residual - left @ coef)
+        return Profile(
+            left=left,
+            power=(F**2).sum(axis=(0, 1)),
+            coef=coef,
+            residual=residual - left @ coef,
+        )
 
     def left_gram(self, F):
         """Gram matrix (k, k) of what the model leaves of columns F (nv, m, k)."""

@@ -21,6 +21,7 @@ from sklearn_vbjfa.diagnosis.search._exchange import backwards, exchange
 from sklearn_vbjfa.diagnosis.search._left_out import can_be_left_out, left_out
 from sklearn_vbjfa.diagnosis.search._members import alike
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
+from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE
 from sklearn_vbjfa.diagnosis.search._shapes import (
     absorbing,
     linearised,
@@ -754,7 +755,9 @@ class EffectSearch:
             if trend or late:
                 early = blocks.label < border
                 own = base.columns_of(tuned_before(effect, base, early))
-            squares = judge.forward(joints, own, blocks, border)
+            # What little the bodies leave of a value in the model a ridge would take.
+            ridge = LEAST_RIDGE if effect.in_model else None
+            squares = judge.forward(joints, own, blocks, border, ridge)
             if effect.slow:
                 # Where it has faded it cannot be tried: all it does there is to leave
                 # other parameters alone.

@@ -16,6 +16,11 @@ from scipy import special
 from sklearn_vbjfa._core._sandwich import block_variance
 from sklearn_vbjfa.robot._joint_moments import Numbering
 
+# Standard deviations that part 5 % of chance on either side.
+_SEEN = 1.645
+# Share of a column's power that is the rounding of nothing, ridge included.
+_NOTHING = 1e-8
+
 
 def blocks_of_time(view):
     """Yield the rows of each block of a view, a slice, and its place (recording, k)."""
@@ -46,6 +51,19 @@ def p_of_value(model, effect):
     return float(special.fdtrc(k, freedom - k + 1, ratio))
 
 
+def shows(model, effect):
+    """Whether a model tells an effect's largest plausible values from the idle one.
+
+    Of at least one of its values, at the 5 % level.
+    """
+    covariance = value_and_spread(model, effect)[1]
+    deviation = np.sqrt(np.diagonal(covariance))
+    low, high = effect.bounds()
+    # Columns of which nothing is left have no deviation.
+    known = np.isfinite(deviation) & (deviation > 0)
+    return bool((known & (_SEEN * deviation <= 0.5 * (high - low))).any())
+
+
 def value_and_spread(model, effect):
     """Estimate (k,) of an effect's value, its covariance (k, k) and their freedom.
 
@@ -65,6 +83,8 @@ def value_and_spread(model, effect):
         power = np.sqrt(np.mean(whole**2, axis=(0, 1)))
         scale = view.size / np.where(power > 0, power, 1.0)
         found = fitted.profile(whole * scale)
+    hidden = (found.left**2).sum(axis=(0, 1)) <= _NOTHING * found.power
+    found.left[:, :, hidden] = 0.0
     count, squares = view.rows, (found.residual**2).sum(axis=1)
     used = (fitted.precision > 0) & (squares > 0)
     weight = np.where(used, fitted.precision, 0.0)

@@ -547,10 +547,11 @@ def _hidden(outcome, verdict):
     for reason, title, because in (
         ("excitation", "This recording cannot show", ""),
         ("signal", "Not looked for:", "; {}"),
-        ("span", "No motion can show", ", which the declared parameters cover"),
+        ("span", "No motion can show", ": what is fitted anyway does the same"),
     ):
         own = [h for h in rest if h.reason == reason]
-        if not own:
+        of_model = _unseen.model_parts(outcome, reason) if reason == "span" else []
+        if not (own or of_model):
             continue
         by_effect = {}
         for h in own:
@@ -560,6 +561,7 @@ def _hidden(outcome, verdict):
             f"({words.joint_list(outcome.joint_names, joints)})"
             for name, joints in by_effect.items()
         ]
+        parts = [*of_model, *parts]
         because = because.format(words.join(sorted({h.remedy for h in own}), 2))
         sentences.append(f"{title} {words.join(parts, len(parts))}{because}.")
     sentences += _unseen.together_sentences(outcome, rest)

@@ -21,10 +21,13 @@ def is_of_model(outcome, hidden):
 
 
 def model_sentences(outcome):
-    """Say which effects of the robot model could not be seen, a tuple of sentences."""
+    """Say which effects of the robot model could not be seen, a tuple of sentences.
+
+    Those that no motion can show are told with others: `model_parts`.
+    """
     groups = {}
     for one in outcome.hidden:
-        if is_of_model(outcome, one):
+        if is_of_model(outcome, one) and one.reason != "span":
             # Partners are several, one for each joint.
             why = "" if one.reason == "together" else one.remedy
             groups.setdefault((one.reason, one.name, why), []).append(one)
@@ -34,13 +37,18 @@ def model_sentences(outcome):
     )
 
 
+def model_parts(outcome, reason):
+    """Name the effects of the robot model that are hidden for a reason, a list."""
+    groups = {}
+    for one in outcome.hidden:
+        if is_of_model(outcome, one) and one.reason == reason:
+            groups.setdefault(one.name, []).append(one)
+    return [_what(outcome, name, own) for name, own in groups.items()]
+
+
 def _sentence(outcome, reason, name, why, own):
     """Say why one effect could not be seen on some joints."""
     what = words.capital(_what(outcome, name, own))
-    if reason == "span":
-        return (
-            f"{what} cannot be seen in any motion: what is fitted anyway does the same."
-        )
     if reason == "signal":
         return f"{what} could not be looked for: {why}."
     if reason == "together":

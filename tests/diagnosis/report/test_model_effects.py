@@ -287,7 +287,7 @@ def hidden(name, joints, reason, remedy=""):
     [
         (
             hidden("joint_zero", (0, 5), "span"),
-            "The zeros of joints 1 and 6 cannot be seen in any motion: what is "
+            "No motion can show the zeros of joints 1 and 6: what is "
             "fitted anyway does the same.",
         ),
         (

@@ -80,11 +80,15 @@ class ModelEffect(Effect):
     ----------
     idle : tuple of float
         Values that correct nothing.
+    subject : tuple of str
+        What it is about in a sentence, with a place for the joint and one for several;
+        empty: its label.
     """
 
     in_model = True
     needs = ("load",)
     idle = ()
+    subject = ()
 
     @property
     def values(self):
@@ -185,7 +189,7 @@ class BaseTilt(ModelEffect):
     >>> from sklearn_vbjfa.effects import BaseTilt
     >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
     >>> model = recording.robot_model().copy()
-    >>> model.gravity.linear = [0.0, 0.0, -9.81]
+    >>> model.gravity.linear = np.array([0.0, 0.0, -9.81])
     >>> robot = RobotIdentifier(model, dt=recording.dt, effects=[BaseTilt()])
     >>> robot = robot.fit(recording.q, recording.tau)
     >>> (tilt,) = robot.effects_
@@ -194,6 +198,7 @@ class BaseTilt(ModelEffect):
     """
 
     name = "base_tilt"
+    subject = ("a tilt of the base", "a tilt of the base")
     label = "tilted base"
     formula = (
         r"\frac{\partial\tau}{\partial g}"
@@ -291,6 +296,7 @@ class JointZero(ModelEffect):
     """
 
     name = "joint_zero"
+    subject = ("the zero of {}", "the zeros of {}")
     label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
     coefficients = ("zero",)
@@ -361,6 +367,7 @@ class JointAxis(ModelEffect):
     """
 
     name = "joint_axis"
+    subject = ("the axis of {}", "the axes of {}")
     label = "turned joint axis"
     formula = (
         r"\frac{\partial\tau}{\partial w_j}\left(\mathrm{about\_x}\,e_1"
@@ -443,6 +450,7 @@ class TorqueGain(ModelEffect):
     """
 
     name = "torque_gain"
+    subject = ("the gain of {}", "the gains of {}")
     label = "wrong gain of the torque channel"
     formula = r"(\mathrm{gain} - 1)\,\tau"
     coefficients = ("gain",)

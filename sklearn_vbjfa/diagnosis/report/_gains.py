@@ -3,6 +3,7 @@
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.robot._known_masses import PAYLOAD
 
 _PAYLOAD = (
     "; a known payload that is picked up or put down in the recording, or between two "
@@ -72,7 +73,7 @@ def _unit(outcome, gains):
 
 
 def _called(known):
-    return "the payload" if known.name == "payload" else f"the mass of {known.name}"
+    return "the payload" if known.name == PAYLOAD else f"the mass of {known.name}"
 
 
 def _hidden(outcome, gains):
@@ -112,7 +113,7 @@ def _unused(gains, known):
             f"{what} cannot fix the gain of channels that share no body with it: "
             "identify the branches of the robot one by one."
         )
-    if known.name == "payload" and np.isnan(known.found):
+    if known.name == PAYLOAD and np.isnan(known.found):
         return (
             f"{what} cannot fix the common gain: no change of payload was found. "
             "Record motion against gravity with and without it."

@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 
 # One of a SI unit in the unit that is read off an instrument.
 _UNITS = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
@@ -61,23 +62,23 @@ def statement(outcome, effect):
     """Say what was found of the robot model, in a sentence without a full stop."""
     values = plain_values(effect)
     joint = words.joint_label(outcome.joint_names, effect.joint)
-    if effect.name == "base_tilt":
+    if effect.name == BaseTilt.name:
         roll, pitch = (_text(values[key]) for key in ("roll", "pitch"))
         return (
             f"the base is not level: gravity is turned by roll {roll} and pitch "
             f"{pitch} degrees"
         )
-    if effect.name == "joint_zero":
+    if effect.name == JointZero.name:
         off = values["zero"]
         return f"{joint}: the encoder's zero is off by {_text(off)} {off.unit}"
-    if effect.name == "joint_axis":
+    if effect.name == JointAxis.name:
         turns = [_text(values[key]) for key in ("about_x", "about_y")]
         first, second = _about(outcome, effect)
         return (
             f"{joint}: the axis is turned by {turns[0]} degrees about the {first} and "
             f"{turns[1]} degrees about the {second} of its frame"
         )
-    if effect.name == "torque_gain":
+    if effect.name == TorqueGain.name:
         return f"{joint}: the torque channel reads {_too_much(values['gain'])}"
     # One of a user's own.
     label = words.effect_label(outcome, effect.name, effect.parameters)
@@ -147,12 +148,12 @@ def remedies(outcome):
     """
     found = outcome.corrections
     told = [
-        Remedy(name="base_tilt", joint=0, text=_level(t)) for t in [found.tilt] if t
+        Remedy(name=BaseTilt.name, joint=0, text=_level(t)) for t in [found.tilt] if t
     ]
     for name, own, text in (
-        ("joint_zero", found.zeros, _subtract),
-        ("joint_axis", found.axes, _turn),
-        ("torque_gain", found.gains, _divide),
+        (JointZero.name, found.zeros, _subtract),
+        (JointAxis.name, found.axes, _turn),
+        (TorqueGain.name, found.gains, _divide),
     ):
         for one in own:
             joint = words.joint_label(outcome.joint_names, one.joint)

@@ -2,17 +2,6 @@
 
 from sklearn_vbjfa.diagnosis.report import _words as words
 
-# What effects of the model are about: for one joint, and for several.
-_NOUNS = {
-    "base_tilt": ("a tilt of the base",) * 2,
-    "joint_zero": ("the zero of {}", "the zeros of {}"),
-    "joint_axis": (
-        "the axis of {}",
-        "the axes of {}",
-    ),
-    "torque_gain": ("the gain of {}", "the gains of {}"),
-}
-
 
 def is_of_model(outcome, hidden):
     """Whether what is hidden is an effect of the robot model."""
@@ -67,8 +56,9 @@ def _what(outcome, name, own):
     """Name an effect on some joints as the subject of a sentence."""
     joints = [one.joint for one in own]
     where = words.joint_list(outcome.joint_names, joints)
-    if name in _NOUNS:
-        return _NOUNS[name][len(set(joints)) > 1].format(where)
+    subject = outcome.library[name].subject
+    if subject:
+        return subject[len(set(joints)) > 1].format(where)
     label = words.effect_label(outcome, name)
     if words.place_label(outcome, name, joints[0]) == "robot":
         return label

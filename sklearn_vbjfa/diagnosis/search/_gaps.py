@@ -158,6 +158,8 @@ class _Unseen:
         Effects that the joint has, with what they contain.
     missing : tuple of Effect
         Those of the library that it lacks.
+    level : float
+        Of significance, in the last round of the search.
     bases : dict
         Fits with the plainer effects of some names, as far as they were made.
     """
@@ -165,6 +167,7 @@ class _Unseen:
     model: SearchModel
     present: set
     missing: tuple
+    level: float
     bases: dict = field(default_factory=dict)
 
     @classmethod
@@ -177,7 +180,7 @@ class _Unseen:
         )
         own = candidates_of(joint, library, model)
         missing = tuple(e for e in own if e.name not in present)
-        return cls(model=model, present=present, missing=missing)
+        return cls(model=model, present=present, missing=missing, level=found.threshold)
 
     def hides(self, effect):
         """Whether no shape of an effect shows beside the plainer ones it contains."""
@@ -185,7 +188,7 @@ class _Unseen:
             if _BARE not in self.bases:
                 own = self.model.effects
                 self.bases[_BARE] = self.model.beside(own, LEAST_RIDGE)
-            return not shows(self.bases[_BARE], effect)
+            return not shows(self.bases[_BARE], effect, self.level)
         plain = [e for e in self.missing if e.name in effect.contains]
         names = tuple(e.name for e in plain)
         if names not in self.bases:

@@ -16,8 +16,8 @@ from scipy import special
 from sklearn_vbjfa._core._sandwich import block_variance
 from sklearn_vbjfa.robot._joint_moments import Numbering
 
-# Standard deviations that part 5 % of chance on either side.
-_SEEN = 1.645
+# Standard deviations beyond the level of a test from which four in five pass it.
+_POWER = 0.84
 # Share of a column's power that is the rounding of nothing, ridge included.
 _NOTHING = 1e-8
 
@@ -51,17 +51,20 @@ def p_of_value(model, effect):
     return float(special.fdtrc(k, freedom - k + 1, ratio))
 
 
-def shows(model, effect):
-    """Whether a model tells an effect's largest plausible values from the idle one.
+def shows(model, effect, level):
+    """Whether an effect in the model would be named if it were there.
 
-    Of at least one of its values, at the 5 % level.
+    Whether a plausible one of its values is so far from the idle one that a test at a
+    level finds it in four of five recordings such as this.
     """
-    covariance = value_and_spread(model, effect)[1]
+    _, covariance, freedom = value_and_spread(model, effect)
     deviation = np.sqrt(np.diagonal(covariance))
     low, high = effect.bounds()
+    away = np.maximum(high - effect.idle, effect.idle - low)
+    needed = special.stdtrit(max(freedom, 1.0), 1 - level / 2) + _POWER
     # Columns of which nothing is left have no deviation.
     known = np.isfinite(deviation) & (deviation > 0)
-    return bool((known & (_SEEN * deviation <= 0.5 * (high - low))).any())
+    return bool((known & (needed * deviation <= away)).any())
 
 
 def value_and_spread(model, effect):

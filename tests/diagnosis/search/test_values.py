@@ -131,14 +131,14 @@ def test_an_accepted_value_is_judged_with_the_robot_corrected():
 @pytest.mark.parametrize("effect", [JointZero(0), JointZero(2)])
 def test_what_is_hidden_does_not_show(effect):
     model = model_of(())
-    assert not shows(model, effect)
+    assert not shows(model, effect, 0.05)
     assert p_of_value(model, effect) > 0.01
 
 
 def test_what_is_large_beside_its_deviation_shows():
     model = model_of(())
     for effect in (BaseTilt(), JointZero(1), TorqueGain(1)):
-        assert shows(model, effect)
+        assert shows(model, effect, 1e-3)
 
 
 def test_blocks_cover_all_rows_once(leaning):
@@ -147,3 +147,15 @@ def test_blocks_cover_all_rows_once(leaning):
     np.testing.assert_array_equal(np.concatenate(rows), np.arange(view.index.size))
     places = [tuple(np.ravel(place)) for _, place in blocks_of_time(view)]
     assert len(set(places)) == len(places)
+
+
+def test_what_no_test_would_find_does_not_show():
+    """At a level so low that the largest plausible value is not far enough."""
+    model = model_of(())
+    effect = JointZero(1)
+    _, covariance, freedom = value_and_spread(model, effect)
+    _, high = effect.bounds()
+    t = high[0] / np.sqrt(covariance[0, 0]) - 0.84
+    level = 2 * stats.t.sf(t, freedom)
+    assert shows(model, effect, 2 * level)
+    assert not shows(model, effect, 0.5 * level)

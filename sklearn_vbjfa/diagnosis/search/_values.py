@@ -61,7 +61,7 @@ def shows(model, effect, level):
     deviation = np.sqrt(np.diagonal(covariance))
     low, high = effect.bounds()
     away = np.maximum(high - effect.idle, effect.idle - low)
-    needed = special.stdtrit(max(freedom, 1.0), 1 - level / 2) + _POWER
+    needed = _POWER - special.stdtrit(max(freedom, 1.0), level / 2)
     # Columns of which nothing is left have no deviation.
     known = np.isfinite(deviation) & (deviation > 0)
     return bool((known & (needed * deviation <= away)).any())

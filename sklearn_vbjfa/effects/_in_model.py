@@ -19,6 +19,8 @@ from sklearn_vbjfa.effects._channels import model_torque
 # robot [rad]; of a prismatic joint, in m.
 _LEANS, _TURNS = np.deg2rad(15.0), np.deg2rad(10.0)
 _NONE = ("1", "1")
+# Size of a column beside the largest of its effect below which it is rounding.
+_ROUNDING = 1e-9
 
 
 def cross_axes(direction):
@@ -60,6 +62,16 @@ def turned_by(vector, change):
     # (a - sin(a)) / a^3
     third = (angle - np.sin(angle)) / angle**3 if angle > 1e-3 else 1.0 / 6.0
     return change - second * cross @ change + third * cross @ (cross @ change)
+
+
+def without_rounding(columns):
+    """Columns (n, nv, k) in which one of no size beside the others is zero.
+
+    About an axis along a joint before it a turn does nothing: its derivative is the
+    rounding of zero, which a regression in scaled columns would take for information.
+    """
+    size = np.sqrt((columns**2).sum(axis=(0, 1)))
+    return np.where(size > _ROUNDING * size.max(initial=0.0), columns, 0.0)
 
 
 class ModelEffect(Effect):
@@ -251,7 +263,7 @@ class BaseTilt(ModelEffect):
             pitch @ np.cross(first, roll @ gravity),
             np.cross(second, pitch @ roll @ gravity),
         ]
-        return motion.derivatives.by_gravity() @ np.transpose(changes)
+        return without_rounding(motion.derivatives.by_gravity() @ np.transpose(changes))
 
 
 def _nearest(direction):
@@ -406,7 +418,7 @@ class JointAxis(ModelEffect):
         behind = made.nominal_rotation(self.joint) @ rotation(vector)
         behind = behind.T @ made.rotation(self.joint)
         turns = [behind.T @ turned_by(vector, axis) for axis in axes]
-        return made.by_turn(self.joint) @ np.transpose(turns)
+        return without_rounding(made.by_turn(self.joint) @ np.transpose(turns))
 
 
 class TorqueGain(ModelEffect):

@@ -39,13 +39,16 @@ def p_of_value(model, effect):
     It is one of the `SearchModel`, or comes beside it. 1 where nothing shows it.
     """
     estimate, covariance, freedom = value_and_spread(model, effect)
-    k = estimate.size
-    if not np.isfinite(covariance).all() or not freedom > k:
+    # A value that the columns do not show at all has no deviation.
+    variance = np.diagonal(covariance)
+    shown = np.isfinite(variance) & (variance > 0)
+    k = np.count_nonzero(shown)
+    if k == 0 or not freedom > k:
         return 1.0
-    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = np.linalg.eigh(covariance[np.ix_(shown, shown)])
     if values[0] <= 1e-12 * values[-1]:
         return 1.0
-    away = vectors.T @ (estimate - effect.idle)
+    away = vectors.T @ (estimate - effect.idle)[shown]
     # Hotelling's T squared.
     ratio = (away**2 / values).sum() * (freedom - k + 1) / (freedom * k)
     return float(special.fdtrc(k, freedom - k + 1, ratio))

@@ -16,6 +16,7 @@ from sklearn_vbjfa.diagnosis.search._values import (
     value_and_spread,
 )
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
+from sklearn_vbjfa.effects._in_model import without_rounding
 from tests.diagnosis._faulty import with_faults
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import search
@@ -159,3 +160,28 @@ def test_what_no_test_would_find_does_not_show():
     level = 2 * stats.t.sf(t, freedom)
     assert shows(model, effect, 2 * level)
     assert not shows(model, effect, 0.5 * level)
+
+
+class OneTurn(JointAxis):
+    """A turned axis of which one turn does nothing, as about the axis before it."""
+
+    def columns(self, motion):
+        return super().columns(motion) * [1.0, 0.0]
+
+
+def test_of_two_values_one_may_be_hidden():
+    model = model_of([JointAxis(1, about_x=0.05)])
+    estimate, covariance, _ = value_and_spread(model, OneTurn(1))
+    assert estimate[1] == 0.0 and covariance[1, 1] == 0.0
+    assert p_of_value(model, OneTurn(1)) < 1e-8
+    assert abs(estimate[0] - 0.05) < 0.01
+    assert shows(model, OneTurn(1), 1e-3)
+
+
+def test_the_rounding_of_zero_is_no_column():
+    rng = np.random.default_rng(0)
+    columns = rng.normal(size=(20, 3, 2)) * [1.0, 1e-15]
+    found = without_rounding(columns)
+    np.testing.assert_array_equal(found[..., 0], columns[..., 0])
+    assert not found[..., 1].any()
+    np.testing.assert_array_equal(without_rounding(0 * columns), 0 * columns)

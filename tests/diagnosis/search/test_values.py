@@ -172,7 +172,8 @@ class OneTurn(JointAxis):
 def test_of_two_values_one_may_be_hidden():
     model = model_of([JointAxis(1, about_x=0.05)])
     estimate, covariance, _ = value_and_spread(model, OneTurn(1))
-    assert estimate[1] == 0.0 and covariance[1, 1] == 0.0
+    assert estimate[1] == 0.0
+    assert covariance[1, 1] == 0.0
     assert p_of_value(model, OneTurn(1)) < 1e-8
     assert abs(estimate[0] - 0.05) < 0.01
     assert shows(model, OneTurn(1), 1e-3)

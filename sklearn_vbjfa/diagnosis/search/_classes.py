@@ -5,12 +5,13 @@ zero of a joint is a turn of what it carries, and so is the axis of its neighbou
 Where columns are equal the effects are one class, named by its simplest member.
 """
 
+import itertools
+
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.search._evidence import no_worse
-from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE
-from sklearn_vbjfa.diagnosis.search._shapes import linearised
+from sklearn_vbjfa.diagnosis.search._shapes import settled
 
 # Columns are equal if this share of what the model does not explain of them, or less,
 # is outside the other's.
@@ -57,8 +58,7 @@ def one_of_class(model, candidates):
 
 def _settled(model, effect):
     """Errors of blocks (n_blocks,) with an effect whose value has settled."""
-    effects = [*model.effects, effect]
-    trial = linearised(SearchModel.of(model.view, effects, model), effect.joint)
+    trial = settled(effect, model.effects, model)
     return trial.squares @ model.precision
 
 
@@ -78,16 +78,11 @@ def inseparable(model, effects):
         Nothing is left of the columns of the first beside those of the other, which
         comes before it in precedence or in the list.
     """
-    columns, places, at = [], [], 0
-    for effect in effects:
-        own = model.columns_of(effect)
-        whole = np.zeros((model.view.nv, *own.shape[1:]))
-        whole[model.view.joints_of(effect)] = own
-        columns.append(whole)
-        places.append(slice(at, at + own.shape[2]))
-        at += own.shape[2]
     if len(effects) < 2:
         return
+    columns = [model.columns_on_all(effect) for effect in effects]
+    edges = np.cumsum([0, *(own.shape[2] for own in columns)])
+    places = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
     left = model.fitted.left_gram(np.concatenate(columns, axis=2))
     order = sorted(range(len(effects)), key=lambda i: (effects[i].precedence, i))
     for k, i in enumerate(order):

@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.search._evidence import (
     no_worse,
 )
 from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
-from sklearn_vbjfa.diagnosis.search._shapes import linearised, retuned, tuned
+from sklearn_vbjfa.diagnosis.search._shapes import retuned, settled, tuned
 
 # Effects of a joint that a second one is tried beside, the best ones alone.
 _FIRST = 3
@@ -102,8 +102,7 @@ def _of_class(search):
                     offers.append((_rank(other), own, candidate.effect))
         offers = [one for one in offers if one[1] < _NEAR * error.sum()]
         for _, _, other in sorted(offers, key=lambda one: one[:2])[:_FIRST]:
-            effects = [*base.effects, other]
-            trial = linearised(SearchModel.of(model.view, effects, model), other.joint)
+            trial = settled(other, base.effects, model)
             found = trial.squares @ model.precision
             if not no_worse(error, found):
                 continue

@@ -156,6 +156,13 @@ class SearchModel:
         """Columns of an effect, (nj, m, k)."""
         return self.view.columns_of(effect, self.motion)
 
+    def columns_on_all(self, effect):
+        """Columns of an effect in all joints' equations, (nv, m, k)."""
+        own = self.columns_of(effect)
+        columns = np.zeros((self.view.nv, *own.shape[1:]))
+        columns[self.view.joints_of(effect)] = own
+        return columns
+
     def relevant(self, effect, *squares):
         """Squared errors of an effect's joint, or of the robot in units of noise."""
         if effect.everywhere:

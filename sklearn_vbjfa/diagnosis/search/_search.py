@@ -24,9 +24,9 @@ from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
 from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE
 from sklearn_vbjfa.diagnosis.search._shapes import (
     absorbing,
-    linearised,
     plainest,
     retuned,
+    settled,
     tuned,
     tuned_before,
     tuned_family,
@@ -358,15 +358,14 @@ class EffectSearch:
         it or None.
         """
         model = self.model
-        trial = SearchModel.of(self.view, [*model.effects, effect], model)
-        trial = linearised(trial, effect.joint)
-        (settled,) = (e for e in trial.effects if e.key() == effect.key())
+        trial = settled(effect, model.effects, model)
+        own = trial.effects[-1]
         case = compare(*model.relevant(effect, model.squares, trial.squares))
-        if not settled.natural(trial.coefficients(settled)):
-            return settled, case, Rule(name=UNNATURAL)
+        if not own.natural(trial.coefficients(own)):
+            return own, case, Rule(name=UNNATURAL)
         if case.gain < SMALLEST_GAIN:
-            return settled, case, Rule(name=UNSETTLED)
-        return settled, case, None
+            return own, case, Rule(name=UNSETTLED)
+        return own, case, None
 
     def _best_offer(self, number):
         """Best candidate that may be added, its rivals and all that beat chance.
@@ -916,10 +915,7 @@ class EffectSearch:
                 self._refuse(successor, later, rivals, others, refusal)
                 continue
             if successor.in_model:
-                trial = SearchModel.of(
-                    self.view, [*base.effects, successor], self.model
-                )
-                trial = linearised(trial, joint)
+                trial = settled(successor, base.effects, self.model)
                 now, then = (
                     base.relevant(successor, m.squares)[0] for m in (self.model, trial)
                 )

@@ -357,6 +357,12 @@ def linearised(model, joint):
     return model
 
 
+def settled(effect, others, model):
+    """Fit an effect behind others, linearised until it stays, from a model to start."""
+    trial = SearchModel.of(model.view, [*others, effect], model)
+    return linearised(trial, effect.joint)
+
+
 def _moves(effect, model, i):
     """Whether an effect is to be linearised once more, after i times."""
     if not effect.in_model:

@@ -83,12 +83,10 @@ def value_and_spread(model, effect):
         scale = next(s for e, s in zip(model.effects, model.scales) if e is effect)
         found = fitted.profile_of(place)
     else:
-        columns = model.columns_of(effect)
-        whole = np.zeros((view.nv, *columns.shape[1:]))
-        whole[view.joints_of(effect)] = columns
-        power = np.sqrt(np.mean(whole**2, axis=(0, 1)))
+        columns = model.columns_on_all(effect)
+        power = np.sqrt(np.mean(columns**2, axis=(0, 1)))
         scale = view.size / np.where(power > 0, power, 1.0)
-        found = fitted.profile(whole * scale)
+        found = fitted.profile(columns * scale)
     hidden = (found.left**2).sum(axis=(0, 1)) <= _NOTHING * found.power
     found.left[:, :, hidden] = 0.0
     count, squares = view.rows, (found.residual**2).sum(axis=1)

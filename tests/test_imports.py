@@ -96,6 +96,7 @@ ROOMS = (
     "regression",
     "model",
     "recording",
+    "simulation",
     "robot",
     "inspection",
     "diagnosis",
@@ -111,6 +112,7 @@ APART = {
     "regression": {"_core"},
     "model": {"physical"},
     "recording": {"model"},
+    "simulation": {"_core", "effects", "physical", "model"},
     "datasets": {"physical", "model", "recording"},
 }
 # scikit-learn's private parts, in one file that is no estimator.

@@ -275,7 +275,7 @@ class Integrator:
         return q, v, 0.5 * h * (p + slope[1]), slope, error
 
     def _most(self, limit):
-        """Dry friction (nv,) that holds joints; without limit if they stop too often."""
+        """Dry friction (nv,) that holds joints; no limit where they stop too often."""
         return np.where(self._stops > _MOST_STOPS, np.inf, (1 + _HOLDS) * limit)
 
     def _event(self, v, slope, h):

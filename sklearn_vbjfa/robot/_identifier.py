@@ -1,6 +1,7 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
 import copy
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -9,8 +10,8 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.model._description_text import description_text
 from sklearn_vbjfa.model._loading import joint_names
-from sklearn_vbjfa.model._urdf import write_identified
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,
@@ -23,7 +24,7 @@ from sklearn_vbjfa.recording._recording import (
 )
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
-from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
+from sklearn_vbjfa.robot import _model_file
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
@@ -39,13 +40,12 @@ from sklearn_vbjfa.robot._gains import (
     check_gains,
     declared_gains,
     gain_places,
-    note_of_gains,
     relative_gains,
     with_gains,
 )
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._known import note_of_masses
+from sklearn_vbjfa.robot._known import known_parameters
 from sklearn_vbjfa.robot._known_masses import (
     check_masses,
     common_gain,
@@ -95,6 +95,7 @@ from sklearn_vbjfa.robot._torque_noise import (
     rows_looked_at,
     seen,
 )
+from sklearn_vbjfa.robot._written import write_robot
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -1014,28 +1015,64 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             are not physically consistent.
         """
         check_is_fitted(self)
-        write_identified(
-            self.model,
-            path,
-            self.features_.model_,
-            self._bodies(),
-            self.features_.friction_,
-            self.min_eigenvalues_,
-            "\n".join(
-                filter(
-                    None,
-                    [
-                        note_of_gains(self.gains_),
-                        *note_of_corrections(self),
-                        note_of_masses(self),
-                    ],
-                )
-            ),
-            turned_joints(self),
-        )
+        write_robot(self, self.model, path)
+
+    def save(self, path):
+        """Write the identified robot to a file that predicts without the data.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write, JSON with the robot description inside; see
+            ``docs/saved_model.rst``. References to meshes are kept as they are, the
+            meshes are not in it.
+
+        Raises
+        ------
+        FileNotFoundError
+            If its folder does not exist, or the URDF of `model` no longer does.
+        ValueError
+            If that URDF describes another robot by now, `model` is a
+            `pinocchio.Model` with a joint that URDF has no name for, or an effect of
+            one's own has a parameter that JSON cannot hold.
+
+        See Also
+        --------
+        load_identified : Reads it, to predict and for control loops.
+
+        Examples
+        --------
+        >>> from sklearn_vbjfa import RobotIdentifier, load_identified
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording().select(0)
+        >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt)
+        >>> robot.fit(recording.q, recording.tau).save("arm.json")
+        >>> load_identified("arm.json")
+        <IdentifiedRobot: 6 joints, effects: none>
+        """
+        check_is_fitted(self)
+        _model_file.write(path, saved_of(self))
 
 
 # -- used by other rooms --------------------------------------------------------------
+
+
+def saved_of(identifier):
+    """Return what a file holds of a fitted identifier, `SavedRobot`."""
+    from sklearn_vbjfa import __version__
+
+    nominal = identifier.features_.nominal_
+    return _model_file.SavedRobot(
+        predictor=predictor_of(identifier),
+        urdf=description_text(identifier.model, nominal),
+        from_file=isinstance(identifier.model, (str, os.PathLike)),
+        theta_std=identifier.theta_std_,
+        identifiable=identifier.identifiable_,
+        known=known_parameters(identifier),
+        noise_floor=identifier.noise_floor_,
+        gains=identifier.gains_,
+        package=f"sklearn_vbjfa {__version__}",
+    )
 
 
 def declare(identifier):

@@ -3,7 +3,7 @@
 from numbers import Real
 
 import numpy as np
-from scipy import signal
+import scipy
 from sklearn.base import clone
 
 from sklearn_vbjfa.effects._base import TIME, Effect
@@ -39,7 +39,9 @@ def low_pass(x, dt, time_constant):
     """
     left = np.exp(-dt / time_constant)
     mean = time_constant / dt * (1 - left)
-    return signal.lfilter([1 - mean, mean - left], [1, -left], x, zi=mean * x[:1])[0]
+    return scipy.signal.lfilter(
+        [1 - mean, mean - left], [1, -left], x, zi=mean * x[:1]
+    )[0]
 
 
 def smooth(x, dt, time_constant):
@@ -51,7 +53,7 @@ def smooth(x, dt, time_constant):
     reach = int(np.ceil(_TAIL * sigma))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     padded = np.pad(x, reach, mode="edge")
-    return signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
+    return scipy.signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
 
 
 class Delay(Effect):

@@ -11,7 +11,6 @@ import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
-from sklearn.ensemble import HistGradientBoostingRegressor
 
 # Folds of interleaved blocks, and most groups of recordings.
 _FOLDS = 4
@@ -240,6 +239,9 @@ class FlexibleFunction:
 
     def _grown(self, train, count):
         """Grow trees on some of the rows; None on too few for a leaf on each side."""
+        # Loads a hundred modules of scikit-learn that nothing else here needs.
+        from sklearn.ensemble import HistGradientBoostingRegressor
+
         rows = self._rows[train[self._rows]]
         trees = HistGradientBoostingRegressor(
             learning_rate=_RATE,

@@ -17,7 +17,7 @@ _CONSTANTS = (0.2, 0.6, 1.8, 5.4)
 _SAMPLES = 0.5
 # Without a low-pass, this share of the sample rate is what is let through.
 _SLOWEST = 0.1
-# A normal weight function is cut off after so many standard deviations.
+# A normal weight function is cut off after this many standard deviations.
 _TAIL = 4.0
 # Frequency at which a normal weight function of 1 s leaves half the power [Hz].
 _HALF_POWER = np.sqrt(np.log(2.0)) / (2 * np.pi)

@@ -86,7 +86,7 @@ _ZERO_GAIN = np.log(2.0)
 _GOOD_FIT = 0.1
 # Gain over all joints that each swap on the way to another order must bring.
 _CLIMB = 0.05
-# All orders of up to so many joints are tried if half of the joints have errors above
+# All orders of up to this many joints are tried if half of the joints have errors above
 # this: single swaps help little before most joints are in place.
 _MOST_ORDERS = 5
 _NO_FIT = 0.5

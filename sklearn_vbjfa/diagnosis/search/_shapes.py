@@ -16,7 +16,7 @@ from sklearn_vbjfa.diagnosis.search._view import variants
 # they stay within this share of their standard error, for independent rows.
 _TANGENTS, _MOST_TANGENTS, _STAYS = 2, 6, 0.1
 # Search of several shape parameters: it ends where the weighted squared error, in units
-# of noise, falls by less than this, or after so many trials.
+# of noise, falls by less than this, or after this many trials.
 _WORTH, _MOST_TRIALS = 0.01, 100
 # Points of the grid from which several parameters are searched: two of them may trade
 # against each other.

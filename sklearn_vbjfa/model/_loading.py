@@ -179,11 +179,9 @@ def _parse(path):
 
 
 def _check_structure(path):
-    """Refuse XML that is no robot's, before a parser makes a tree of it.
-
-    Parsers call themselves once a level: a file of some hundred kilobytes can overrun
-    the stack of the process.
-    """
+    """Refuse XML that is no robot's, before a parser makes a tree of it."""
+    # Parsers call themselves once a level: a file of some hundred kilobytes can
+    # overrun the stack of the process.
     depth, elements = 0, 0
 
     def start(name, attributes):

@@ -690,10 +690,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         )
 
     def _tell_loads(self, made):
-        """Add the ranges of the loads in the segments that were fitted.
-
-        Declared friction does not depend on the load; without effects it is not needed.
-        """
+        """Add the ranges of the loads in the segments that were fitted."""
+        # Declared friction does not depend on the load; without effects it is not
+        # needed.
         if self.effects_:
             inertial = self._inertial(self.theta_)
 
@@ -704,10 +703,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             self._tell_ranges(sum_ranges(loads))
 
     def _split(self, parameters):
-        """Split parameters (p,) into those of each effect that is in use, a list.
-
-        In the first of several passes effects of the load are missing.
-        """
+        """Split parameters (p,) into those of each effect that is in use, a list."""
+        # In the first of several passes effects of the load are missing.
         widths = [len(e.coefficients) for e in self.effects_]
         own = parameters[self.features_.n_parameters_ :]
         return np.split(own, np.cumsum(widths)[:-1]) if widths else []
@@ -976,10 +973,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return self._of_time(self._ask(X, groups, t, signals=signals))
 
     def _clock(self, t, n_samples):
-        """Return the time of each row of a query [s], stamped if effects need it.
-
-        Without stamps it begins as the fit did.
-        """
+        """Return the time of each row of a query [s], stamped if effects need it."""
+        # Without stamps it begins as the fit did.
         plan = self._plan
         if t is not None and plan.timed:
             return check_clock(t, n_samples, self.dt)
@@ -991,10 +986,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return self._smoothed(X, groups, self._smoother(X, groups))
 
     def _smoother(self, X, groups, *, in_band=False):
-        """State estimator of a query; None if X holds states.
-
-        With `in_band` it smooths to the identified band.
-        """
+        """State estimator of a query; None if X holds states."""
+        # With `in_band` it smooths to the identified band.
         if X.shape[1] == 3 * self.features_.n_joints_:
             return None
         estimator = self._plan.state_estimator

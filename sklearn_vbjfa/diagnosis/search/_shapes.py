@@ -168,11 +168,9 @@ def _along(cost, start, brackets):
 
 
 def _downhill(cost, start, brackets):
-    """Search several parameters, which may trade against each other, as `_along`.
-
-    Nelder and Mead's simplex follows a narrow valley; it may leave the neighbours of
-    the start behind, but not what the parameter can be.
-    """
+    """Search several parameters, which may trade against each other, as `_along`."""
+    # Nelder and Mead's simplex follows a narrow valley; it may leave the neighbours
+    # of the start behind, but not what the parameter can be.
     width = np.array([b.high - b.low for b in brackets])
     simplex = np.vstack([start, start + 0.25 * np.diag(width)])
     found = optimize.minimize(
@@ -198,11 +196,9 @@ def _settings(effect):
 
 
 def _starts(effects, drops):
-    """Return the shapes of a grid to search on from: its best, or its peaks.
-
-    A single parameter is searched around its best value; two may trade against each
-    other, with several peaks, none of which lies beside a better one.
-    """
+    """Return the shapes of a grid to search on from: its best, or its peaks."""
+    # A single parameter is searched around its best value; two may trade against each
+    # other, with several peaks, none of which lies beside a better one.
     order = np.argsort(drops)[::-1]
     names = effects[0].continuous
     if len(names) < 2:

@@ -223,11 +223,9 @@ class Payload(Effect):
 
 
 def _ball(c):
-    """Inertial parameters (10, 5) by mass, first moments and own inertia of a ball.
-
-    The inertia (s's 1 - s s') / m of a point is homogeneous in mass m and moments s, so
-    that its tangent at s = m c passes through zero.
-    """
+    """Inertial parameters (10, 5) by mass, first moments and own inertia of a ball."""
+    # The inertia (s's 1 - s s') / m of a point is homogeneous in mass m and moments
+    # s, so that its tangent at s = m c passes through zero.
     one = np.eye(3)
     out = np.zeros((10, 5))
     out[:4, :4] = np.eye(4)

@@ -31,9 +31,9 @@ import numpy as np
 from scipy.linalg import lapack
 
 # Error of a step, in units of a joint's velocity.
-_TOLERANCE, _STIFF_TOLERANCE = 1e-8, 1e-6
+_TOLERANCE, _STIFF_TOLERANCE = 1e-8, 1e-7
 # A joint's velocity counts as at least this [rad/s or m/s], for the tolerance.
-_SLOWEST = 1e-2
+SLOWEST = 1e-2
 # The step may shrink and grow by these factors, with some reserve.
 _SHRINK, _GROW, _RESERVE = 0.2, 4.0, 0.9
 # Steps are implicit from this product of their length and a friction's decay rate on.
@@ -88,9 +88,10 @@ class Integrator:
         self._mode = np.where(dynamics.has_dry, np.sign(v), 0.0)
         self._stuck = np.zeros(nv, dtype=bool)
         # Joints whose turns are events.
-        self._watched = dynamics.has_dry | dynamics.terms.remembers
+        terms = dynamics.terms
+        self._watched = dynamics.has_dry | terms.remembers | terms.bends
         self._way = np.sign(v)
-        self._fast = np.maximum(np.abs(v), _SLOWEST)
+        self._fast = np.maximum(np.abs(v), SLOWEST)
         self._step = np.inf
         self._stops = np.zeros(nv, dtype=int)
         dynamics.set_time(t)

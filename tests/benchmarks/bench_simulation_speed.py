@@ -1,10 +1,10 @@
 """Time of a simulation over the time that it simulates, and of one predicted state.
 
 Run as ``python tests/benchmarks/bench_simulation_speed.py``. The arm that comes with
-the package, six joints, is simulated at 1 kHz along ten seconds of motion: in windows of
-a second, started on the motion, and in one go; with viscous and Coulomb friction, and
-with five more effects; with Numba, and in a process that cannot import it. Below, `step`
-of an identified robot of seven joints that was saved and loaded.
+the package, six joints, is simulated at 1 kHz along ten seconds of motion: in windows
+of a second, started on the motion, and in one go; with viscous and Coulomb friction,
+and with five more effects; with Numba, and in a process that cannot import it. Below,
+`step` of an identified robot of seven joints that was saved and loaded.
 """
 
 import json
@@ -263,8 +263,8 @@ def report(seconds=SECONDS, rounds=ROUNDS, without=True):
     parts = [
         rst_table(rows, HEADERS, n_labels=2),
         f"Six joints at {1 / PERIOD:g} Hz, {seconds:g} s of motion, seed {SEED}, on "
-        f"one core, medians of {rounds} rounds after one that compiles. Torques are those "
-        "of the motion; the error is that of the positions at the end of a window, "
+        f"one core, medians of {rounds} rounds after one that compiles. Torques are "
+        "those of the motion; the error is that of the positions at the end of a window, "
         f"the largest. Met counts the slower of both. Commit {commit()}.",
     ]
     steps = step_rows(rounds)

@@ -8,7 +8,7 @@ Models, the search for effects included, are fitted to some recordings. On other
 a later part, each is driven by the measured torques from the measured state at the
 start of every window, and its positions are compared with the measured ones. What is
 fitted and judged, filters, masks and declared friction are those of the frozen
-protocols; the rules below were fixed before there was a simulator:
+protocols; the rules below were fixed before the first of these simulations:
 
 - start states come from the measured positions by the smoother of the declared fit, the
   same for all models; the first `MARGIN` seconds of a recording are left out, as a
@@ -225,7 +225,7 @@ def fitted_friction(declared, recording, rows, model):
 
 
 def described(model, dt, friction=None):
-    """Return the simulator of a description, `friction` (nv, 4) as of `fitted_friction`."""
+    """Return the simulator of a description, `friction` of `fitted_friction`."""
     named = None
     if friction is not None:
         names = ("viscous", "coulomb", "offset", "rotor_inertia")

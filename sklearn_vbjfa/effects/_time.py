@@ -183,6 +183,21 @@ class Payload(Effect):
         columns = motion.last_body() @ _ball(np.asarray(self.centre, dtype=float))
         return columns * after[:, None, None]
 
+    def inertial(self, coef):
+        """Return what the last body's inertial parameters change by, ndarray (10,).
+
+        Parameters
+        ----------
+        coef : array-like of shape (5,)
+            Coefficients.
+
+        Returns
+        -------
+        ndarray of shape (10,)
+            Changes of m, mc_x, ..., I_zz [kg, kg m, kg m^2].
+        """
+        return _ball(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
+
     def at(self, coef):
         """Linearise the inertia at the centre of mass that was found."""
         mass, *moments = coef[:4]

@@ -111,7 +111,8 @@ class Integrator:
     def settle(self, tau):
         """Find which joints at rest stick, and all accelerations."""
         own = self._dynamics
-        candidates = own.has_dry & (self.v == 0)
+        candidates = own.has_dry & ((self.v == 0) | self._stuck)
+        self.v[candidates] = 0.0
         self._mode[candidates] = 0.0
         self._stuck[:] = candidates
         held = self._stops > _MOST_STOPS
@@ -206,6 +207,8 @@ class Integrator:
     def _accept(self, new, tau):
         """Go to the end of a step, and through the events there."""
         self.q, self.v, work, slope, hit = new
+        # Rounding of zero would be a velocity, and not at rest.
+        self.v[self._stuck] = 0.0
         self.work += work
         self.steps += 1
         np.maximum(self._fast, np.abs(self.v), out=self._fast)

@@ -1,0 +1,174 @@
+"""One robot's recording as eight tools write it, by the names in their documentation.
+
+Sources of the names:
+
+- bagpy (rosbag to CSV), ``message_by_topic`` and ``slotvalues``: arrays of numbers get
+  a number after an underscore, the list of names stays one cell.
+  https://github.com/jmscslgroup/bagpy/blob/master/bagpy/bagreader.py
+- PlotJuggler: series of a JointState are TOPIC/JOINT/position, velocity, effort
+  (joint_states_msg.h of https://github.com/PlotJuggler/plotjuggler-ros-plugins), and
+  its CSV exporter puts ``__time`` before them in alphabetical order
+  (StatePublisherCSV of https://github.com/PlotJuggler/PlotJuggler).
+- ``rostopic echo -p``: ``%time`` in nanoseconds, then ``field.`` before each name; as
+  in https://github.com/jmscslgroup/catvehicle/issues/9 and
+  https://wiki.ros.org/rostopic
+- RTDE client library of Universal Robots, ``record.py``: blanks between the cells, and
+  the number of the joint after an underscore (rtde/csv_writer.py of
+  https://github.com/UniversalRobots/RTDE_Python_Client_Library); timestamp [s] and
+  actual_current [A] as in the RTDE guide of universal-robots.com.
+- libfranka, ``logToCSV``: time in milliseconds, state.q[0], state.tau_J[0].
+  https://github.com/frankaemika/libfranka/blob/main/src/log.cpp
+- Excel in German: semicolons and decimal commas, here with a row of units.
+"""
+
+import csv
+import gzip
+
+import numpy as np
+
+# What the channels of an UR would read for a torque [N m/A].
+GAINS = (12.5, 12.5, 12.5, 9.0, 9.0, 9.0)
+# Begin of the clocks that count from 1970 [s].
+EPOCH = 1_700_000_000.25
+
+
+def _write(path, header, rows, delimiter=","):
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, delimiter=delimiter, lineterminator="\n")
+        writer.writerow(header)
+        writer.writerows(rows)
+    return path
+
+
+def _cells(values):
+    return [f"{x:.9f}" for x in values]
+
+
+def _counted(pattern, n, first=0):
+    return [pattern.format(k) for k in range(first, first + n)]
+
+
+def _shuffled(recording):
+    """Order in which a driver publishes the joints: not that of the robot."""
+    return np.argsort([name[::-1] for name in recording.joint_names])[::-1]
+
+
+def ros_csv(recording, folder):
+    """/joint_states by bagpy."""
+    order, n = _shuffled(recording), recording.nv
+    header = ["Time", "header.seq", "header.stamp.secs", "header.stamp.nsecs"]
+    header += ["header.frame_id", "name"]
+    header += _counted("position_{}", n) + _counted("velocity_{}", n)
+    header += _counted("effort_{}", n)
+    names = str([recording.joint_names[j] for j in order])
+    rows = []
+    for k, t in enumerate(recording.t + EPOCH):
+        row = [f"{t + 2e-4:.9f}", k, int(t), round(t % 1 * 1e9), "", names]
+        row += _cells(recording.q[k, order]) + n * ["0.0"]
+        rows.append(row + _cells(recording.tau[k, order]))
+    return _write(folder / "ros.csv", header, rows)
+
+
+def plotjuggler(recording, folder):
+    """Export of all series of /joint_states."""
+    series = {"/joint_states/header/stamp": recording.t + EPOCH}
+    for j, name in enumerate(recording.joint_names):
+        series[f"/joint_states/{name}/position"] = recording.q[:, j]
+        series[f"/joint_states/{name}/effort"] = recording.tau[:, j]
+    series = dict(sorted(series.items()))
+    header = ["__time", *series]
+    table = zip(*series.values())
+    rows = ([f"{t:.6f}", *_cells(row)] for t, row in zip(recording.t + EPOCH, table))
+    return _write(folder / "plotjuggler.csv", header, rows)
+
+
+def rostopic(recording, folder):
+    """``rostopic echo -p /joint_states``."""
+    order, n = _shuffled(recording), recording.nv
+    header = ["%time", "field.header.seq", "field.header.stamp"]
+    header += ["field.header.frame_id"]
+    for pattern in ("field.name{}", "field.position{}", "field.velocity{}"):
+        header += _counted(pattern, n)
+    header += _counted("field.effort{}", n)
+    names = [recording.joint_names[j] for j in order]
+    rows = []
+    for k, t in enumerate(recording.t):
+        stamp = int(EPOCH) * 10**9 + round(t * 1e9)
+        row = [stamp + 200_000, k, stamp, "", *names, *_cells(recording.q[k, order])]
+        rows.append(row + n * ["0.0"] + _cells(recording.tau[k, order]))
+    return _write(folder / "rostopic.csv", header, rows)
+
+
+def rtde(recording, folder):
+    """``record.py``, with currents."""
+    n = recording.nv
+    header = ["timestamp", *_counted("target_q_{}", n), *_counted("actual_q_{}", n)]
+    header += _counted("actual_current_{}", n)
+    current = recording.tau / np.array(GAINS[:n])
+    rows = (
+        [f"{t:.6f}", *_cells(q), *_cells(q + 1e-3), *_cells(i)]
+        for t, q, i in zip(recording.t + 512.0, recording.q - 1e-3, current)
+    )
+    return _write(folder / "rtde.csv", header, rows, " ")
+
+
+def libfranka(recording, folder):
+    """``logToCSV``."""
+    n = recording.nv
+    header = ["time", "success_rate"]
+    for name in ("q", "q_d", "dq", "dq_d", "tau_J", "tau_ext_hat_filtered"):
+        header += _counted(f"state.{name}[{{}}]", n)
+    header += _counted("cmd.q_d[{}]", n) + _counted("cmd.tau_J_d[{}]", n)
+    header = [header[0], *(f" {name}" for name in header[1:])]
+    zeros = n * ["0"]
+    rows = []
+    for k, t in enumerate(recording.t):
+        q, tau = _cells(recording.q[k]), _cells(recording.tau[k])
+        row = [round(1e3 * t) + 20_000, 1, *q, *q, *zeros, *zeros]
+        rows.append([*row, *tau, *zeros, *q, *zeros])
+    return _write(folder / "franka.csv", header, rows)
+
+
+def german_excel(recording, folder):
+    """Semicolons, decimal commas, a row of units, degrees."""
+    n = recording.nv
+    header = ["t", *_counted("q{}", n, 1), *_counted("tau{}", n, 1)]
+    units = ["s", *n * ["deg"], *n * ["Nm"]]
+    rows = [
+        [f"{t:.6f}".replace(".", ",")]
+        + [x.replace(".", ",") for x in (*_cells(np.rad2deg(q)), *_cells(tau))]
+        for t, q, tau in zip(recording.t, recording.q, recording.tau)
+    ]
+    path = _write(folder / "excel.csv", header, [units, *rows], ";")
+    path.write_text(path.read_text("utf-8"), "utf-8-sig")
+    return path
+
+
+def plain(recording, folder):
+    """Names and units of this package."""
+    n = recording.nv
+    header = ["t", *_counted("q{}", n, 1), *_counted("tau{}", n, 1)]
+    rows = (
+        [f"{t:.6f}", *_cells(q), *_cells(tau)]
+        for t, q, tau in zip(recording.t, recording.q, recording.tau)
+    )
+    return _write(folder / "plain.csv", header, rows)
+
+
+def zipped(recording, folder):
+    """Compress the plain one."""
+    path = folder / "zipped.csv.gz"
+    path.write_bytes(gzip.compress(plain(recording, folder).read_bytes()))
+    return path
+
+
+KINDS = {
+    "plain CSV": plain,
+    "ROS joint_states as CSV (bagpy)": ros_csv,
+    "PlotJuggler": plotjuggler,
+    "rostopic echo -p": rostopic,
+    "UR RTDE record": rtde,
+    "libfranka log": libfranka,
+    "German Excel": german_excel,
+    "csv.gz": zipped,
+}

@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import shlex
 import signal
 import sys
 
@@ -55,9 +56,39 @@ def main(argv=None):
         )
         return 2
     except (ValueError, OSError, ImportError) as error:
-        print(f"sklearn-vbjfa: {one_line(error)}", file=sys.stderr)
+        line = one_line(getattr(error, "reason", error))
+        remedy = _command(argv, getattr(error, "options", None))
+        print(f"sklearn-vbjfa: {line}{remedy}", file=sys.stderr)
         return 2
     return 0
+
+
+# Options of the command line, by the arguments of `read_recording`.
+_OPTIONS = {
+    "columns": "--columns",
+    "gains": "--gain",
+    "joint_names": "--joints",
+    "preset": "--preset",
+    "time_unit": "--time-unit",
+    "topic": "--topic",
+}
+
+
+def _command(argv, options):
+    """Say which command would work, given the options to add; "" for none."""
+    if not options:
+        return ""
+    words, changed = [], {_OPTIONS[key]: value for key, value in options.items()}
+    given = iter(sys.argv[1:] if argv is None else argv)
+    for word in given:
+        option = str(word).partition("=")[0]
+        if option not in changed:
+            words.append(str(word))
+        elif "=" not in str(word):
+            next(given, None)
+    for option, value in changed.items():
+        words += [option, value]
+    return f"; this would work: python -m sklearn_vbjfa {shlex.join(words)}"
 
 
 def one_line(message):

@@ -24,26 +24,7 @@ def add_to(commands):
         "recording that were set aside. Writes report.html, report.json, "
         "parameters.csv and identified.urdf.",
     )
-    parser.add_argument(
-        "recording",
-        metavar="RECORDING",
-        help="CSV, npz or parquet file with columns q1..qn [rad or m], tau1..taun "
-        "[N m or N] and, optionally, t [s], segment, and signals such as a temperature",
-    )
-    parser.add_argument(
-        "--urdf", required=True, metavar="FILE", help="description of the robot"
-    )
-    parser.add_argument(
-        "--joints",
-        default=None,
-        metavar="NAMES",
-        help="recorded joints, separated by commas, in the order of the columns "
-        "q1..qn; other joints (gripper, wheels) are held at zero; by default all, in "
-        "the order of the description",
-    )
-    parser.add_argument(
-        "--dt", type=float, default=None, metavar="S", help="sample period [s]"
-    )
+    _input.add_options(parser)
     parser.add_argument(
         "--out",
         default=None,
@@ -62,14 +43,6 @@ def add_to(commands):
         default="all",
         metavar="NAMES",
         help="effects to look for, by default all; see the command effects",
-    )
-    parser.add_argument(
-        "--gain",
-        default=None,
-        metavar="unknown",
-        help="unknown: tau1..taun are proportional to the torques (motor currents), "
-        "each with a factor of its own; the factors are identified relative to one of "
-        "them",
     )
     parser.add_argument(
         "--known-mass",
@@ -135,7 +108,8 @@ def run(arguments):
     ):
         warnings.simplefilter("always")
         urdf, held = _input.robot(urdf, joints, Path(folder))
-        recording = _input.read(source, arguments.dt, urdf, joints)
+        recording = _input.read(arguments, urdf, joints, gains)
+        urdf, held = _input.hold_others(urdf, recording, held, Path(folder))
         _input.check_nyquist(cutoff, recording, source)
         _input.check_gains(gains, masses, urdf)
         signals = _input.signals(arguments.signals, recording, source)
@@ -149,7 +123,7 @@ def run(arguments):
                 ceiling=arguments.ceiling,
                 seed=seed,
                 torque_noise=recording.torque_noise,
-                gains=gains,
+                gains="unknown" if gains == "unknown" else None,
                 known_masses=masses,
                 signals=signals,
             )
@@ -157,9 +131,6 @@ def run(arguments):
             # The options are valid, so the recording is at fault.
             raise ValueError(f"{source}: {error}") from error
         text = [str(recording), str(loop.report_)]
-        hint = _input.gain_hint(recording.torque_units, gains)
-        if hint:
-            text.append(hint)
         if held:
             text.insert(1, f"held at zero: {', '.join(held)}")
         try:

@@ -142,13 +142,94 @@ def _parser_messages(said):
             said += dict.fromkeys(errors)
 
 
-def read(source, dt, urdf, joints):
+def add_options(parser):
+    """Add the recording, the robot, and how the one belongs to the other."""
+    parser.add_argument(
+        "recording",
+        metavar="RECORDING",
+        help="CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with "
+        "columns q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], "
+        "segment, and signals such as a temperature; a bag of ROS 1 or 2, MCAP; the "
+        "folder of a bag or of a LeRobot data set; - for standard input",
+    )
+    parser.add_argument(
+        "--urdf", required=True, metavar="FILE", help="description of the robot"
+    )
+    parser.add_argument(
+        "--joints",
+        default=None,
+        metavar="NAMES",
+        help="recorded joints, separated by commas, in the order of the columns "
+        "q1..qn; other joints (gripper, wheels) are held at zero; by default all, in "
+        "the order of the description",
+    )
+    parser.add_argument(
+        "--dt", type=float, default=None, metavar="S", help="sample period [s]"
+    )
+    parser.add_argument(
+        "--columns",
+        default=None,
+        metavar="MAPPING",
+        help="which columns are which channels, such as "
+        '"q=actual_q_{i},tau=actual_current_{i},t=timestamp"; {i} is the number of a '
+        "joint from 0 or 1, {joint} its name; a unit may follow: q=pos_{i} [deg]",
+    )
+    parser.add_argument(
+        "--preset",
+        default=None,
+        metavar="TOOL",
+        help="names as tools write them: ros, ur, franka or lerobot; by default they "
+        "are recognised",
+    )
+    parser.add_argument(
+        "--topic",
+        default=None,
+        metavar="NAME",
+        help="topic of a bag; by default the only one of joint states",
+    )
+    parser.add_argument(
+        "--time-unit",
+        default=None,
+        metavar="UNIT",
+        help="unit of time: s, ms, us or ns; by default what its name says, or s",
+    )
+    parser.add_argument(
+        "--gain",
+        default=None,
+        metavar="FACTORS",
+        help="factors by which the columns of torques become N m or N, one for each "
+        "joint, such as 8,8,5; or unknown: they are proportional to the torques (motor "
+        "currents), and the factors are identified relative to one of them",
+    )
+
+
+def read(arguments, urdf, joints, gains):
     """Read a recording that is long enough."""
     from sklearn_vbjfa.datasets import read_recording
+    from sklearn_vbjfa.recording._refusal import RecordingRefused
 
+    source = arguments.recording
     recording = read_recording(
-        source, dt=dt, urdf=str(urdf), joint_names=joints or None
+        source,
+        dt=arguments.dt,
+        urdf=str(urdf),
+        joint_names=joints or None,
+        columns=arguments.columns,
+        preset=arguments.preset,
+        topic=arguments.topic,
+        gains=gains,
+        time_unit=arguments.time_unit,
     )
+    motor = [x for x in recording.torque_units if x not in ("N m", "N")]
+    if motor and gains is None:
+        one = recording.nv == 1
+        raise RecordingRefused(
+            f"{source}: the torques are recorded in {motor[0]}; give the factors to N "
+            "m, torque constant times gear ratio, one for each of "
+            f"{', '.join(recording.joint_names)}"
+            f"{'' if one else ', or have them identified'} (--gain)",
+            {} if one else {"gains": "unknown"},
+        )
     longest = int(np.bincount(recording.groups).max())
     if longest < _MIN_SAMPLES:
         raise ValueError(
@@ -162,6 +243,19 @@ def read(source, dt, urdf, joints):
             "columns of positions."
         )
     return recording
+
+
+def hold_others(urdf, recording, held, folder):
+    """Fix the joints without columns; return the description and all held joints."""
+    from sklearn_vbjfa.model import _loading
+
+    moving = recording.joint_names
+    if set(moving) == set(_loading.movable_joints(urdf)):
+        return urdf, held
+    reduced = folder / f"held-{urdf.name}"
+    more = _loading.write_reduced(urdf, reduced, moving)
+    reduced.chmod(urdf.stat().st_mode & 0o666)
+    return reduced, (*held, *more)
 
 
 def signals(text, recording, source):
@@ -219,19 +313,25 @@ def _refuse_twice(option, found):
 
 
 def gains(text):
-    """Return "unknown" where the gains of channels are, else None."""
+    """Return factors of the channels of torque, "unknown", or None."""
     if text in (None, "unknown"):
         return text
-    raise ValueError(
-        f"--gain must be unknown, for all channels together; got {text!r}. Multiply "
-        "known factors into the columns of torques, so that these are in N m or N; "
-        "where one factor is unknown all are, as only their ratios are identified."
-    )
+    try:
+        found = tuple(float(x) for x in text.split(","))
+    except ValueError:
+        found = (0.0,)
+    if not all(math.isfinite(x) and x != 0 for x in found):
+        raise ValueError(
+            "--gain must be a factor to N m or N for each joint, such as 8,8,5, or "
+            f"unknown, for all channels together; got {text!r}. Where one factor is "
+            "unknown all are, as only their ratios are identified."
+        )
+    return found
 
 
 def known_masses(texts, gains):
     """Return masses [kg] by name from arguments NAME=KG; None for none."""
-    if texts and gains is None:
+    if texts and gains != "unknown":
         raise ValueError(
             "--known-mass fixes the common factor of channels with unknown gains: "
             "give --gain unknown as well."
@@ -258,7 +358,7 @@ def check_gains(gains, masses, urdf):
     """Refuse unknown gains of a robot that cannot show them, and unknown links."""
     from sklearn_vbjfa.model._loading import body_names, load_model
 
-    if gains is None:
+    if gains != "unknown":
         return
     model = load_model(urdf)
     if model.nv == 1:
@@ -273,17 +373,6 @@ def check_gains(gains, masses, urdf):
                 f"--known-mass does not know {name!r}; expected one of "
                 f"{', '.join(known)}."
             )
-
-
-def gain_hint(units, gains):
-    """Say what to do with channels that are recorded in no unit of torque."""
-    odd = [unit for unit in units if unit in ("A", "V", "count")]
-    if not odd or gains is not None:
-        return ""
-    return (
-        f"The torques are recorded in {odd[0]}: --gain unknown identifies what a "
-        "channel reads for a torque, relative to the other channels."
-    )
 
 
 def cutoff(text):
@@ -320,4 +409,7 @@ def seed(number):
 
 def default_folder(source):
     """Folder for the files if none is named."""
-    return Path(f"{source.stem or 'recording'}-report")
+    name = source.stem if source.name != "-" else "stdin"
+    if source.suffix in (".gz", ".bz2", ".xz"):
+        name = Path(name).stem
+    return Path(f"{name or 'recording'}-report")

@@ -119,6 +119,16 @@ def load_reduced(path, moving):
     return _from_description(import_pinocchio(), tree, path)
 
 
+def movable_joints(path):
+    """Names of the joints of a URDF that are not fixed, in its order."""
+    tree = parse_description(Path(path))
+    return tuple(
+        joint.get("name")
+        for joint in tree.getroot().findall("joint")
+        if joint.get("type") != "fixed"
+    )
+
+
 def write_reduced(path, target, moving):
     """Write a copy of a URDF in which all but some joints are fixed at zero.
 

@@ -2,17 +2,26 @@
 
 import re
 import warnings
+from dataclasses import dataclass, replace
 from os import PathLike, fspath
 
 import numpy as np
 
+from sklearn_vbjfa.recording import _layout
+from sklearn_vbjfa.recording._files import read_table
+from sklearn_vbjfa.recording._layout import Layout, MappingRefused
+from sklearn_vbjfa.recording._presets import PRESETS, currents_as_efforts
 from sklearn_vbjfa.recording._recording import Recording, _check_dt
+from sklearn_vbjfa.recording._refusal import RecordingRefused, nearest, suggestion
 from sklearn_vbjfa.recording._resample import on_grid
 from sklearn_vbjfa.recording._signals import as_numbers
-from sklearn_vbjfa.recording._table import Table, read_table
+from sklearn_vbjfa.recording._table import Table
+from sklearn_vbjfa.recording._units import TIME_UNITS, unit_of
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
+# Units of torque; a motor is recorded in others.
+_TORQUES = ("N m", "N")
 
 
 def read_recording(
@@ -22,30 +31,55 @@ def read_recording(
     urdf: str | PathLike | None = None,
     joint_names: tuple[str, ...] | None = None,
     name: str | None = None,
+    columns: str | dict[str, str] | None = None,
+    preset: str | None = None,
+    topic: str | None = None,
+    gains: str | tuple[float, ...] | None = None,
+    time_unit: str | None = None,
 ) -> Recording:
-    r"""Read a recording of your own robot from CSV, npz or parquet.
+    r"""Read a recording of your own robot: a table, a bag, arrays.
 
     Parameters
     ----------
     path : str or os.PathLike
-        File with one row per sample. Columns: positions q1 ... qn [rad or m] and
-        torques tau1 ... taun [N m or N]; optionally v1 ... vn [rad/s or m/s],
-        a1 ... an [rad/s^2 or m/s^2], t [s] and segment, the label of separate
+        One row per sample, as CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy with
+        named fields or MATLAB (to version 7.2); a bag of ROS 1 or 2 or an MCAP file
+        with JointState, with or without its folder; the folder of a LeRobot data set;
+        "-" for standard input. Columns: positions q1 ... qn [rad or m] and torques
+        tau1 ... taun [N m or N]; optionally v1 ... vn [rad/s or m/s], a1 ... an
+        [rad/s^2 or m/s^2], t [s or dates] and segment, the label of separate
         recordings (contiguous rows). Names may also be q_1 or q[1], count from 0, or
-        use the joint's name, such as q_shoulder. An npz file may hold matrices q, tau,
-        ... and a number dt. Text is separated by comma, semicolon, tab or blanks; #
-        begins a comment.
+        use the joint's name, such as q_shoulder; a unit may follow (q1 [deg], t_ms),
+        or stand in a row below the names. Names that the presets know are recognised.
+        An npz file may hold matrices q, tau, ... and a number dt. Text is separated by
+        comma, semicolon, tab or blanks; # begins a comment.
     dt : float, default=None
-        Sample period [s]; needed if there is no column t.
+        Sample period [s]; needed if there is no time.
     urdf : str or os.PathLike, default=None
         Description of the robot: gives the joints' names and order, which must agree
-        with the columns.
+        with the columns. Where columns have joints' names, its joints without any are
+        held at zero.
     joint_names : sequence of str, default=None
         Joints in the order of the columns; with `urdf` some of its joints (the others,
         such as wheels and fingers, are then held at zero). None takes all of `urdf`,
         or joint_1, ...
     name : str, default=None
         Name of the recording; None is that of the file.
+    columns : str or dict of str to str, default=None
+        Which columns are which channels, such as
+        "q=actual_q_{i},tau=actual_current_{i},t=timestamp": {i} stands for the number
+        of a joint, from 0 or 1, and {joint} for its name. A unit may follow, as in
+        "q=pos_{i} [deg]". Single joints are q1=..., tau_elbow=....
+    preset : {"ros", "ur", "franka", "lerobot"}, default=None
+        Take names as these tools write them; None recognises them.
+    topic : str, default=None
+        Topic of a bag; None takes the only one of joint states.
+    gains : sequence of float or "unknown", default=None
+        Torques are these factors [N m or N per unit] times what was recorded, for each
+        joint in the order of `joint_names` or else of `urdf`. "unknown" leaves them in
+        the unit of a motor current without a word.
+    time_unit : {"s", "ms", "us", "ns"}, default=None
+        Unit of time; None takes what the names say, or seconds.
 
     Returns
     -------
@@ -60,18 +94,22 @@ def read_recording(
     FileNotFoundError
         If the file does not exist.
     ImportError
-        If a parquet file is to be read without pyarrow, or `urdf` without Pinocchio.
+        If a package is missing that the format needs (pyarrow, rosbags,
+        python-calamine), or `urdf` without Pinocchio.
     ValueError
         If the file is damaged or not what its ending says, the number of columns is
         wrong, two columns could be meant, a value is not finite or beyond 1e12, time
         runs backwards, is not in seconds or does not reveal the period, or there is
-        neither t nor `dt`. The message names the file, what was expected and what to
-        do.
+        neither time nor `dt`. The message names the file, what was expected and what
+        to do; where other options would read the file, the attribute ``options`` of
+        the error has them.
 
     Warns
     -----
     UserWarning
-        If time stamps are irregular: where positions follow the stamps, samples are
+        If names other than those above were recognised: what was taken for what; if
+        torques are in the unit of a motor current. If time stamps are irregular: where
+        positions follow the stamps, samples are
         interpolated on a uniform grid from their neighbours; otherwise the rows are
         taken as equidistant. If up to five consecutive rows are missing: they are
         interpolated and the others kept. If more are missing: the recording is split
@@ -85,44 +123,72 @@ def read_recording(
     >>> rows = [f"{0.01 * k:.2f},{0.1 * k},{1.0}" for k in range(20)]
     >>> with tempfile.TemporaryDirectory() as folder:
     ...     file = pathlib.Path(folder) / "hinge.csv"
-    ...     _ = file.write_text("t,q1,tau1\n" + "\n".join(rows))
-    ...     read_recording(file)
+    ...     _ = file.write_text("clock,angle,torque\n" + "\n".join(rows))
+    ...     read_recording(file, columns="q=angle,tau=torque,t=clock")
     Recording 'hinge': 20 samples, 1 joint, dt = 0.01 s, 1 recording
     """
     if dt is not None:
         _check_dt(dt)
-    table = read_table(path)
-    if joint_names is None and "joint_names" in table.scalars:
-        joint_names = [str(x) for x in np.atleast_1d(table.scalars["joint_names"])]
+    mapping = {} if columns is None else _layout.parse_mapping(columns)
+    _layout.check_preset(preset)
+    gains = _checked_gains(gains)
+    if time_unit is not None and time_unit not in TIME_UNITS:
+        raise ValueError(
+            f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
+        )
     names = _strings(joint_names)
+    table = read_table(path, topic, lambda: names or _movable(urdf))
+    if joint_names is None and "joint_names" in table.scalars:
+        names = _strings([str(x) for x in np.atleast_1d(table.scalars["joint_names"])])
     model_names, prismatic = _robot(urdf, names)
-    names = names or model_names
-    channels, used = {}, {}
-    for kind in ("q", "tau", "v", "a"):
-        values, found = _channel(table, kind, names)
-        if found:
-            channels[kind], used[kind] = values, found
-    names = _check_joints(table, used, names)
-    taken = {column for found in used.values() for column in found}
+    robot = _Joints(names=names or model_names, chosen=bool(names))
+    notes = list(table.notes)
+    layout = _laid_out(table, mapping, preset, robot.names)
+    table = _without_blank_rows(table, layout, notes)
+    dt = _given_period(table, dt)
+    found, robot = _channels(table, layout, mapping, robot, dt, notes)
+    names = robot.names
+    channels, units = {}, {}
+    for kind, columns_of in found.items():
+        if columns_of:
+            channels[kind], units[kind] = _values(table, kind, columns_of)
+    names = _check_joints(table, found, names)
+    slides = _check_units(table, found, units, names, model_names, prismatic)
+    torque_units = _gained(table, channels, units["tau"], gains, names, slides)
+    taken = {role.column for roles in found.values() for role in roles}
     if model_names:
         # The order of the model, whatever that of the file.
         order = sorted(range(len(names)), key=lambda j: model_names.index(names[j]))
         names = tuple(names[j] for j in order)
+        slides = [slides[j] for j in order]
+        torque_units = [torque_units[j] for j in order]
         channels = {kind: values[:, order] for kind, values in channels.items()}
-    t, labels, special = _time_and_segments(table)
-    taken |= special
-    notes = []
-    signals, left_out = _signals(table, taken, notes)
-    dt = _given_period(table, dt, t)
+    t, time = _time(table, layout, dt, time_unit)
+    labels, segment = _segments(table, layout)
+    taken |= {segment, *(() if time is None else time.column.split("+"))}
+    signals, left_out = _signals(table, layout, taken, notes)
+    _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes)
+    maker = currents_as_efforts(names) if _is_effort(table, layout) else ""
+    if maker and gains is None:
+        notes.append(
+            f"efforts are taken as N m; drivers of {maker} publish motor currents [A] "
+            "under this name: if this one does, give gains (command line: --gain "
+            "unknown, or the factors)."
+        )
+    motor = [unit for unit in torque_units if unit not in _TORQUES]
+    if motor and gains is None:
+        notes.append(
+            f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
+            "or identify them (gains='unknown'; command line: --gain unknown)."
+        )
     fields = on_grid(table, t, labels, dt, {**channels, **signals}, notes)
     for note in notes:
         warnings.warn(f"{table.path}: {note}", UserWarning, stacklevel=2)
-    slides = [model_names and prismatic[model_names.index(x)] for x in names]
     return Recording(
-        name=name or table.path.stem,
+        name=name or _stem(table.path),
         joint_names=names,
         position_units=tuple("m" if slide else "rad" for slide in slides),
-        torque_units=tuple("N" if slide else "N m" for slide in slides),
+        torque_units=tuple(torque_units),
         urdf=None if urdf is None else fspath(urdf),
         description=f"Read from {table.path.name}.",
         left_out=left_out,
@@ -130,7 +196,30 @@ def read_recording(
     )
 
 
+def _is_effort(table, layout):
+    """Whether torques are efforts of ROS, of whatever unit the driver publishes."""
+    return bool(table.joints) or layout.what.startswith("/joint_states")
+
+
+def _stem(path):
+    """Return the name of a recording, without any of its endings."""
+    stem = path.stem
+    return (
+        stem.rpartition(".")[0] or stem
+        if path.suffix in (".gz", ".bz2", ".xz")
+        else stem
+    )
+
+
 # -- columns ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Joints:
+    """The joints that columns are looked for of, and whether the user chose them."""
+
+    names: tuple = ()
+    chosen: bool = False
 
 
 def _strings(joint_names):
@@ -158,51 +247,204 @@ def _robot(urdf, names):
     return _loading.joint_names(model), _loading.is_prismatic(model)
 
 
-def _channel(table: Table, kind: str, names):
-    """Return the columns of one kind (n_rows, nv) or None, and their names."""
+def _movable(urdf):
+    """Return the joints of a description that can move, empty without one."""
+    if urdf is None:
+        return ()
+    from sklearn_vbjfa.model import _loading
+
+    return _loading.movable_joints(urdf)
+
+
+def _laid_out(table: Table, mapping, preset, names) -> Layout:
+    """Say which columns are which channels; refuse what does not fit."""
+    if preset is not None and mapping:
+        raise ValueError("give columns or a preset, not both: a preset is a mapping.")
+    if mapping:
+        try:
+            return _layout.by_mapping(table, mapping, names)
+        except MappingRefused as error:
+            options = suggestion(table, names, ("q", "tau", "t"), {}, False)
+            raise RecordingRefused(
+                f"{table.path}: has no column {error}, which columns asks for; found "
+                f"{_listed(table.columns)}.",
+                options,
+            ) from None
+    plain = _layout.by_names(table, names)
+    if table.joints:
+        return replace(plain, certain=True)
+    if preset is None and any(_matched(plain, kind, names) for kind in ("q", "tau")):
+        return plain
+    fitted = _layout.by_preset(table, preset, names)
+    if len(fitted) > 1:
+        raise RecordingRefused(
+            f"{table.path}: could be {' or '.join(x.what for x in fitted.values())}; "
+            f"give preset={' or '.join(repr(x) for x in fitted)}.",
+            {"preset": next(iter(fitted))},
+        )
+    if fitted:
+        (layout,) = fitted.values()
+        return _named(layout)
+    if preset is not None:
+        expected = " or ".join(f"{x.q} and {x.tau}" for x in PRESETS[preset])
+        options = suggestion(table, names, ("q", "tau", "t"), {}, False)
+        raise RecordingRefused(
+            f"{table.path}: does not fit the preset {preset!r}, which expects columns "
+            f"{expected}; found {_listed(table.columns)}.",
+            options,
+        )
+    return plain
+
+
+def _named(layout: Layout) -> Layout:
+    """Put the joints' names into the names of numbered channels, where there are any.
+
+    Numbers count from 0 or 1, as elsewhere.
+    """
+    if not layout.joints:
+        return layout
+    roles = {}
+    first = 0 if "q0" in layout.roles else 1
+    for name, role in layout.roles.items():
+        match = re.fullmatch(r"(q|tau|v)(\d+)", name)
+        j = int(match[2]) - first if match else -1
+        if match and 0 <= j < len(layout.joints):
+            name = f"{match[1]}_{layout.joints[j]}"
+        roles[name] = role
+    return replace(layout, roles=roles)
+
+
+def _matched(layout: Layout, kind, names):
+    """Return the columns of a kind by joint and by number, two dicts of roles."""
     by_joint, by_number = {}, {}
-    for column in table.columns:
-        match = re.fullmatch(rf"{kind}[_.\[(]?(.*?)[\])]?", column, re.IGNORECASE)
+    for name, role in layout.roles.items():
+        match = re.fullmatch(rf"{kind}[_.\[(]?(.*?)[\])]?", name, re.IGNORECASE)
         if match is None:
             continue
         suffix = match.group(1)
         if suffix in names:
-            found, key = by_joint, names.index(suffix)
+            found, key = by_joint, suffix
         elif suffix.isdecimal() and suffix.isascii():
             # int() would choke on thousands of digits.
             found, key = by_number, suffix.lstrip("0").rjust(1, "0")
-        elif not suffix and column.lower() == kind:
+        elif not suffix and name.lower() == kind:
             found, key = by_number, "1"
         else:
             continue
-        _refuse_two(table, found.setdefault(key, column), column)
+        found.setdefault(key, []).append(role)
+    return (by_joint, by_number) if by_joint or by_number else ()
+
+
+def _channels(table: Table, layout, mapping, robot, dt, notes):
+    """Return the roles of each kind, a list in the order of the joints, and the joints.
+
+    Refuses, all at once, what is missing.
+    """
+    names = robot.names or _own_joints(layout)
+    robot = replace(robot, names=names)
+    matched = {kind: _matched(layout, kind, names) for kind in _layout.KINDS}
+    missing = [kind for kind in ("q", "tau") if not matched[kind]]
+    no_time = dt is None and not layout.times
+    if missing or no_time:
+        raise _all_missing(table, layout, mapping, names, missing, no_time)
+    by_joint = {kind: pair[0] for kind, pair in matched.items() if pair}
+    if any(by_joint.values()):
+        robot = _held(table, layout, robot, by_joint, notes)
+    return {
+        kind: _in_order(table, kind, pair, robot.names) if pair else []
+        for kind, pair in matched.items()
+    }, robot
+
+
+def _own_joints(layout: Layout):
+    """Return the joints that the columns of a recognised log are called after."""
+    found = {}
+    if layout.certain:
+        for name in layout.roles:
+            match = re.fullmatch(r"q_(.+)", name)
+            if match and not match[1].isdecimal():
+                found[match[1]] = None
+    return tuple(found)
+
+
+def _held(table, layout, robot, by_joint, notes):
+    """Leave out the robot's joints without any column, unless the user chose them."""
+    having = set().union(*by_joint.values())
+    names = tuple(x for x in robot.names if x in having)
+    if layout.certain:
+        others = [x for x in _own_joints(layout) if x not in robot.names]
+        if others:
+            notes.append(
+                f"joint(s) {_listed(others)} are none of the robot's and are left out."
+            )
+    if robot.chosen or len(names) == len(robot.names):
+        return robot
+    held = [x for x in robot.names if x not in having]
+    notes.append(f"no columns of joint(s) {_listed(held)}: held at zero.")
+    return replace(robot, names=names)
+
+
+def _in_order(table: Table, kind, pair, names):
+    """Return the roles of one kind in the order of the joints."""
+    by_joint, by_number = pair
+    for found in pair:
+        for roles in found.values():
+            for other in roles[1:]:
+                _refuse_two(table, roles[0].column, other.column)
     if by_joint and by_number:
-        j, named = next(iter(by_joint.items()))
-        numbered = by_number.get(str(j + 1), next(iter(by_number.values())))
-        _refuse_two(table, named, numbered)
+        name, (named, *_) = next(iter(by_joint.items()))
+        j = names.index(name)
+        (numbered, *_) = by_number.get(str(j + 1), next(iter(by_number.values())))
+        _refuse_two(table, named.column, numbered.column)
     found = by_joint or by_number
-    if not found:
-        return None, []
     first = 0 if by_joint or "0" in found else 1
     count = len(names if by_joint else found)
-    columns = []
+    roles = []
     for k in range(count):
-        key = k if by_joint else str(first + k)
+        key = names[k] if by_joint else str(first + k)
         if key not in found:
             missing = f"{kind}_{names[k]}" if by_joint else f"{kind}{key}"
+            beside = _listed([role.column for (role, *_) in found.values()])
             raise ValueError(
-                f"{table.path}: column {missing!r} is missing beside "
-                f"{_listed(found.values())}; every joint needs one, in order."
+                f"{table.path}: column {missing!r} is missing beside {beside}; every "
+                "joint needs one, in order."
             )
-        values = _numbers(table, found[key])
-        far = np.flatnonzero(np.abs(values) > _LARGEST)
-        if far.size:
-            raise ValueError(
-                f"{table.path}: {values[far[0]]:.3g} in {table.where(far[0])}, column "
-                f"{found[key]!r}, is beyond all robots; correct or remove that row."
-            )
-        columns.append(values)
-    return np.column_stack(columns), list(found.values())
+        roles.append(found[key][0])
+    return roles
+
+
+def _all_missing(table, layout, mapping, names, missing, no_time):
+    """Return the refusal that lists everything that is missing."""
+    parts = []
+    strangers = _own_joints(layout)
+    if missing and strangers and names:
+        parts.append(
+            f"its joints {_listed(strangers)} are none of the robot's, {_listed(names)}"
+        )
+    for kind, what in (("q", "positions"), ("tau", "torques")):
+        if kind in missing:
+            near = nearest(table, kind, names)
+            near = f" (nearest: {near})" if near else ""
+            parts.append(f"no {what}: expected columns {kind}1, {kind}2, ...{near}")
+    if no_time:
+        near = nearest(table, "t", names)
+        near = f" (nearest: {near})" if near else ""
+        parts.append(
+            f"no column t and no dt{near}; add time stamps [s] as column t, or give "
+            "the sample period dt in seconds"
+            if not missing
+            else f"no time: expected a column t, or dt{near}"
+        )
+    given = dict(mapping)
+    needed = [*missing, *(["t"] if no_time else [])]
+    options = suggestion(table, names, needed, given, not no_time)
+    found = f"; found {_listed(table.columns)}" if missing else ""
+    offer = (
+        '; rename them in the header, or give columns="q=NAME{i},tau=NAME{i},t=NAME"'
+        if missing and not options
+        else ""
+    )
+    return RecordingRefused(f"{table.path}: {'; '.join(parts)}{found}{offer}.", options)
 
 
 def _refuse_two(table, one, other):
@@ -218,6 +460,28 @@ def _listed(names):
     """Name columns, some of many."""
     names = [name if len(name) < 40 else f"{name[:37]}..." for name in names]
     return ", ".join(names if len(names) <= 20 else [*names[:19], "..."])
+
+
+def _values(table: Table, kind, roles):
+    """Return the columns of one kind (n_rows, nv) in units of this package, and those.
+
+    The second is the base of the unit of each column, None where nothing tells.
+    """
+    columns, bases = [], []
+    for role in roles:
+        unit = _layout.channel_unit(table, kind, role)
+        values = _numbers(table, role.column)
+        if unit is not None:
+            values = values * unit.factor
+        far = np.flatnonzero(np.abs(values) > _LARGEST)
+        if far.size:
+            raise ValueError(
+                f"{table.path}: {values[far[0]]:.3g} in {table.where(far[0])}, column "
+                f"{role.column!r}, is beyond all robots; correct or remove that row."
+            )
+        columns.append(values)
+        bases.append(None if unit is None else unit.base)
+    return np.column_stack(columns), bases
 
 
 def _numbers(table: Table, column: str):
@@ -240,14 +504,30 @@ def _numbers(table: Table, column: str):
     return values
 
 
-def _check_joints(table: Table, used, names):
+def _without_blank_rows(table: Table, layout, notes):
+    """Leave out rows in which no joint has a position or torque: of other topics."""
+    used = [
+        table.columns[role.column]
+        for name, role in layout.roles.items()
+        if re.fullmatch(r"(q|tau)([_.\[(]?\d.*|_.+)?", name, re.IGNORECASE)
+    ]
+    if not used or any(values.dtype.kind != "f" for values in used):
+        return table
+    blank = np.isnan(np.column_stack(used)).all(axis=1)
+    if not blank.any() or blank.all():
+        return table
+    rows = np.flatnonzero(~blank)
+    notes.append(f"{blank.sum()} row(s) without any position or torque are left out.")
+    return replace(
+        table,
+        columns={name: values[rows] for name, values in table.columns.items()},
+        where=lambda row: table.where(rows[row]),
+    )
+
+
+def _check_joints(table: Table, found, names):
     """Check the number of joints by the columns of each kind, return their names."""
-    for kind, what in (("q", "positions"), ("tau", "torques")):
-        if kind not in used:
-            raise ValueError(
-                f"{table.path}: no {what}: expected columns {kind}1, {kind}2, ..., "
-                f"found {_listed(table.columns)}; rename them in the header."
-            )
+    used = {kind: [x.column for x in roles] for kind, roles in found.items() if roles}
     nv = len(used["q"])
     for kind, columns in used.items():
         if len(columns) != nv:
@@ -273,32 +553,94 @@ def _check_joints(table: Table, used, names):
     return names
 
 
-def _time_and_segments(table: Table):
-    """Return stamps [s] or None, segment labels or None, and the columns' names."""
-    lower = {}
-    for column in table.columns:
-        name = column.lower()
-        if name in ("t", "segment"):
-            _refuse_two(table, lower.setdefault(name, column), column)
-    t = labels = None
-    if "t" in lower:
-        values = table.columns[lower["t"]]
-        if values.dtype.kind == "M" and not np.isnat(values).any():
-            t = (values - values[0]) / np.timedelta64(1, "s")
-        else:
-            t = _numbers(table, lower["t"])
-    if "segment" in lower:
-        labels = table.columns[lower["segment"]]
-        if labels.dtype.kind == "f":
-            labels = _numbers(table, lower["segment"])
-    return t, labels, set(lower.values())
+def _check_units(table: Table, found, units, names, model_names, prismatic):
+    """Return which joints slide, list of bool; refuse units that deny it."""
+    slides = []
+    for j, joint in enumerate(names):
+        slide = units["q"][j] == "m"
+        if model_names:
+            slide = bool(prismatic[model_names.index(joint)])
+        elif units["q"][j] is None:
+            slide = units["tau"][j] == "N"
+        slides.append(slide)
+        wrong = {"q": "rad", "v": "rad", "a": "rad", "tau": "N m"}
+        if not slide:
+            wrong = {"q": "m", "v": "m", "a": "m", "tau": "N"}
+        for kind, base in wrong.items():
+            if found[kind] and units[kind][j] == base:
+                role = found[kind][j]
+                raise ValueError(
+                    f"{table.path}: column {role.column!r} is in {role.unit}, but "
+                    f"{joint} {'slides' if slide else 'turns'}; expected "
+                    f"{_EXPECTED[kind][slide]}. Correct the unit, or the order of the "
+                    "joints."
+                )
+    return slides
 
 
-def _signals(table: Table, taken, notes):
+_EXPECTED = {
+    "q": ("rad or deg", "m or mm"),
+    "v": ("rad/s or deg/s", "m/s or mm/s"),
+    "a": ("rad/s^2 or deg/s^2", "m/s^2 or mm/s^2"),
+    "tau": ("N m", "N"),
+}
+
+
+def _gained(table: Table, channels, bases, gains, names, slides):
+    """Return the unit of each torque, list of str, after multiplying by the gains."""
+    own = ["N" if slide else "N m" for slide in slides]
+    if gains is None or isinstance(gains, str):
+        return [base or unit for base, unit in zip(bases, own)]
+    if len(gains) != len(names):
+        raise ValueError(
+            f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
+            f"({_listed(names)}); expected one for each, in this order."
+        )
+    channels["tau"] = channels["tau"] * np.array(gains)
+    return own
+
+
+def _checked_gains(gains):
+    """Return gains as a tuple of float, "unknown" or None."""
+    if gains is None or (isinstance(gains, str) and gains == "unknown"):
+        return gains
+    try:
+        found = tuple(float(x) for x in np.atleast_1d(gains))
+    except (TypeError, ValueError):
+        found = (0.0,)
+    if isinstance(gains, str) or not all(np.isfinite(x) and x != 0 for x in found):
+        raise ValueError(
+            f"gains must be a factor for each joint, finite and not 0, or 'unknown'; "
+            f"got {gains!r}."
+        )
+    return found
+
+
+def _segments(table: Table, layout):
+    """Return segment labels or None, and the name of their column."""
+    columns = [
+        role.column for name, role in layout.roles.items() if name.lower() == "segment"
+    ]
+    if not columns:
+        return None, ""
+    for other in columns[1:]:
+        _refuse_two(table, columns[0], other)
+    labels = table.columns[columns[0]]
+    if labels.dtype.kind == "f":
+        labels = _numbers(table, columns[0])
+    return labels, columns[0]
+
+
+def _signals(table: Table, layout, taken, notes):
     """Return the other columns, and what is wrong with those that are no numbers."""
     signals, left_out = {}, {}
+    known = {role.column: name for name, role in layout.roles.items()}
+    clocks = {role.column for role in layout.times if layout.what}
     for column, values in table.columns.items():
-        if column in taken:
+        if column in taken or column in layout.beside or column in clocks:
+            continue
+        if layout.certain and re.fullmatch(r"(q|tau|v|a)_.+", known.get(column, "")):
+            # Of joints that the robot lacks.
             continue
         numbers, reason = as_numbers(values, table.n_rows)
         if reason:
@@ -312,11 +654,78 @@ def _signals(table: Table, taken, notes):
     return signals, left_out
 
 
+def _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes):
+    """Note, in one line, what was taken for what where the names do not say it."""
+    said = []
+    converted = {
+        role.unit
+        for kind, roles in found.items()
+        for role in roles
+        if role.unit and unit_of(kind, role.unit).factor != 1
+    }
+    stamped = ""
+    if time is not None:
+        unit = time_unit or time.unit or "s"
+        stamped = f"t = {time.column} [{unit}]"
+    if layout.what:
+        for kind in ("q", "tau"):
+            columns = [role.column for role in found[kind]]
+            ends = (
+                columns[0] if len(columns) == 1 else f"{columns[0]} ... {columns[-1]}"
+            )
+            unit = found[kind][0].unit
+            said.append(f"{kind} = {ends}{f' [{unit}]' if unit else ''}")
+        said.append(stamped)
+        notes.insert(0, f"taken as {layout.what}: {', '.join(x for x in said if x)}.")
+    elif time is not None and not mapping and time.column not in ("t", "T"):
+        said.append(stamped)
+    if not layout.what and converted:
+        said.append(f"converted from {', '.join(sorted(converted))}")
+    if said and not layout.what:
+        notes.insert(0, f"{'; '.join(said)}.")
+
+
 # -- time ------------------------------------------------------------------------------
 
 
-def _given_period(table: Table, dt, t):
-    """Return the period given by the caller or the file; refuse to go without."""
+def _time(table: Table, layout, dt, time_unit):
+    """Return stamps [s] or None, and the role of their column."""
+    times = layout.times
+    own = [x for x in times if _layout.name_and_unit(table, x.column)[0].lower() == "t"]
+    if dt is not None and not (layout.certain or own):
+        # What else is called time may be anything; the period is given.
+        return None, None
+    if len(times) > 1 and not layout.what:
+        if own:
+            _refuse_two(table, times[0].column, times[1].column)
+        raise RecordingRefused(
+            f"{table.path}: columns {_listed([x.column for x in times])} could all be "
+            f"time; give columns='t={times[0].column}', or another of them.",
+            {"columns": f"t={times[0].column}"},
+        )
+    for role in times:
+        parts = role.column.split("+") if layout.what else [role.column]
+        t = _layout.seconds_of_dates(table, parts[0]) if len(parts) == 1 else None
+        if t is not None:
+            return t, replace(role, unit="s")
+        values = [_numbers(table, part) for part in parts]
+        t = values[0] - values[0][0]
+        unit = _layout.channel_unit(table, "t", role)
+        factor = 1.0 if unit is None else unit.factor
+        if time_unit is not None and len(parts) == 1:
+            factor = unit_of("t", time_unit).factor
+        t = t * factor
+        if len(parts) == 2:
+            t = t + 1e-9 * (values[1] - values[1][0])
+        if np.ptp(t) > 0 or role is times[-1]:
+            # Without a unit stamps stay as they are, for messages that quote them.
+            exact = values[0] if factor == 1.0 and len(parts) == 1 else t
+            return exact, role
+    return None, None
+
+
+def _given_period(table: Table, dt):
+    """Return the period given by the caller or the file; None for neither."""
     if dt is None and "dt" in table.scalars:
         entry = table.scalars["dt"]
         dt = entry.item() if entry.size == 1 and entry.dtype.kind in "iuf" else None
@@ -326,9 +735,4 @@ def _given_period(table: Table, dt, t):
                 "correct it in the file."
             )
         dt = float(dt)
-    if dt is None and t is None:
-        raise ValueError(
-            f"{table.path}: no column t and no dt; add time stamps [s] as column t, "
-            "or give the sample period dt in seconds."
-        )
     return dt

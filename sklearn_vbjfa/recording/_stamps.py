@@ -148,12 +148,16 @@ def _check_order(t, step, where):
 
 def _other_unit(period):
     """Say which unit stamps with this period have."""
-    units = (("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9))
-    for name, factor in units:
+    units = (
+        ("milliseconds", "ms", 1e-3),
+        ("microseconds", "us", 1e-6),
+        ("nanoseconds", "ns", 1e-9),
+    )
+    for name, unit, factor in units:
         if period * factor < 0.1:
             return (
                 f"in {name} this would be a period of {period * factor:.4g} s: "
-                f"multiply t by {factor:g}"
+                f"give the unit (--time-unit {unit}), or multiply t by {factor:g}"
             )
     return "which these are not"
 

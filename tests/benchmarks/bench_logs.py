@@ -1,9 +1,9 @@
 """Logs of eight tools and two real bags: what it takes to get them in.
 
-Run as ``python tests/benchmarks/bench_logs.py [--bags FOLDER] [--write]``. One simulated
-robot is written as each tool writes it (`tests.recording._logs` says by which names)
-and given to ``close-loop`` with nothing but its URDF. A refusal that names a command
-that would work is followed, once for each refusal; one that names none ends the attempt.
+Run as ``python tests/benchmarks/bench_logs.py [--bags FOLDER] [--write]``. One
+simulated robot is written as each tool writes it (`tests.recording._logs` says by which
+names) and given to ``close-loop`` with nothing but its URDF. A refusal that names a
+command that would work is followed; one that names none ends the attempt.
 Bags: those of the folder with SOURCE.md in ``../shared/data/unisa_bags``.
 """
 
@@ -106,7 +106,7 @@ def main():
     rows = study(given.duration, given.bags)
     headers = ["log", "", "refusals", "options to add", "seconds", "same errors"]
     text = (
-        "The command ``close-loop LOG --urdf ROBOT`` on logs as their tools write them, "
+        "The command ``close-loop LOG --urdf ROBOT`` on logs as tools write them, "
         f"a simulated robot of six joints, {given.duration:g} s at 250 Hz, and two "
         "measured bags. A refusal is followed by the command that it names. Last "
         "column: whether the errors of the report are those of the plain file, to "

@@ -304,8 +304,12 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--gain", "8,unknown"], "--gain must be unknown, for all channels together"),
-        (["--gain", "8,8"], "Multiply known factors into the columns of torques"),
+        (["--gain", "8,unknown"], "--gain must be a factor to N m or N for each joint"),
+        (["--gain", "8,0"], "such as 8,8,5, or unknown, for all channels together"),
+        (
+            ["--gain", "8,8,5"],
+            "3 gain(s) for 2 joint(s) (shoulder, elbow); expected one",
+        ),
         (["--known-mass", "lower=2"], "give --gain unknown as well"),
         (
             ["--gain", "unknown", "--known-mass", "hand=2"],
@@ -333,10 +337,13 @@ def test_one_joint_has_no_unknown_gain(tmp_path, capsys):
     assert "the gain of the only one" in line
 
 
-def test_a_recording_in_amperes_suggests_the_option():
-    assert "--gain unknown" in _input.gain_hint(("N m", "A"), None)
-    assert _input.gain_hint(("A", "A"), "unknown") == ""
-    assert _input.gain_hint(("N m", "N"), None) == ""
+def test_a_recording_in_amperes_needs_gains(tmp_path, recording, urdf, capsys):
+    source = write_csv(tmp_path / "amperes.csv", recording)
+    text = source.read_text().replace("tau1,tau2", "tau1 [A],tau2 [A]", 1)
+    source.write_text(text)
+    line = refusal(capsys, source, "--urdf", urdf)
+    assert "the torques are recorded in A; give the factors to N m" in line
+    assert line.endswith(f"--urdf {urdf} --gain unknown")
 
 
 # -- joints ----------------------------------------------------------------------------
@@ -539,7 +546,7 @@ def test_missing_files(good, urdf, capsys):
     assert "none.csv: no such file" in refusal(capsys, "none.csv", "--urdf", urdf)
     line = refusal(capsys, good, "--urdf", "none.urdf")
     assert "none.urdf: no such robot description; give --urdf FILE." in line
-    assert ". is a folder; give a CSV" in refusal(capsys, ".", "--urdf", urdf)
+    assert "is a folder; give a file" in refusal(capsys, ".", "--urdf", urdf)
 
 
 FAULTS = {
@@ -593,7 +600,8 @@ def test_faults_of_a_recording(fault, urdf, recording, tmp_path, monkeypatch, ca
 def test_no_positions(good, urdf, capsys):
     good.write_text(good.read_text().replace("q1,q2", "angle1,angle2", 1))
     line = refusal(capsys, good, "--urdf", urdf)
-    assert "expected columns q1, q2, ..., found t, angle1, angle2, tau1, tau2" in line
+    assert "expected columns q1, q2, ... (nearest: angle{i}); found t, angle1" in line
+    assert line.endswith(f"--urdf {urdf} --columns 'q=angle{{i}}'")
 
 
 def test_text_that_is_no_utf8(good, urdf, capsys):

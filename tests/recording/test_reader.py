@@ -231,7 +231,7 @@ def test_a_name_that_comes_twice_is_refused_in_parquet(tmp_path):
 
 
 def test_a_folder_is_no_recording(tmp_path):
-    assert "is a folder; give a CSV, npz or parquet file" in refused(tmp_path)
+    assert "is a folder; give a file, or the folder of a bag" in refused(tmp_path)
 
 
 def test_cells_in_quotes_are_numbers(tmp_path):
@@ -414,7 +414,7 @@ def test_files_that_are_none(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"none\.csv: no such file"):
         read_recording(tmp_path / "none.csv")
     for name, content, message in (
-        ("arm.xlsx", b"", "unknown ending '.xlsx'"),
+        ("arm.log", b"", "unknown ending '.log'"),
         ("arm.npz", b"no archive", "is no whole npz file"),
         ("arm.csv", b"\xff\xfeq", "is no UTF-8 text"),
     ):

@@ -1,0 +1,250 @@
+"""Joint states out of bags of ROS 1 and ROS 2, and MCAP files, without ROS.
+
+A message names its joints, in any order and not always the same ones: drivers of an arm
+and of a gripper may publish on one topic. The joints are taken that give most samples,
+from all messages that have them.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_vbjfa.recording._refusal import RecordingRefused
+from sklearn_vbjfa.recording._table import LARGEST, Source, Table
+
+ENDINGS = (".bag", ".db3", ".mcap")
+_TYPE = "sensor_msgs/msg/JointState"
+# What mends a bag that was cut, by its ending.
+_MEND = {
+    ".bag": "rosbag reindex {}",
+    ".db3": "ros2 bag reindex FOLDER, or sqlite3 {} .recover",
+    ".mcap": "mcap recover {} -o whole.mcap",
+}
+
+
+@dataclass
+class _Kind:
+    """Messages that name the same joints: when they came, and what they hold."""
+
+    order: list = field(default_factory=list)
+    stamps: list = field(default_factory=list)
+    received: list = field(default_factory=list)
+    q: list = field(default_factory=list)
+    v: list = field(default_factory=list)
+    tau: list = field(default_factory=list)
+
+
+def read_bag(paths: Sequence[Source], shown: Path, topic, wanted) -> Table:
+    """Read the joint states of a bag, which may be split over several files.
+
+    topic : name of the topic, None for the only one of joint states; wanted : names of
+    the robot's joints, empty for all.
+    """
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise ImportError(
+            f"{shown}: bags need rosbags, which is not installed: "
+            'pip install "sklearn-vbjfa[bags]"'
+        ) from error
+    files = [path.file for path in paths]
+    try:
+        with AnyReader(
+            files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
+        ) as bag:
+            return _joint_states(bag, shown, topic, wanted)
+    except (_Refused, MemoryError):
+        raise
+    except Exception as error:
+        # The parsers of three formats fail on damage in many ways of their own.
+        raise _broken(shown, files[0].suffix.lower(), error) from error
+
+
+class _Refused(RecordingRefused):
+    """A refusal of what a bag holds, not of damage."""
+
+
+def _broken(shown, ending, error):
+    reason = " ".join(str(error).split())[:120].rstrip(".") or type(error).__name__
+    if re.search("compress|zstd|lz4|bz2", reason, re.IGNORECASE):
+        remedy = "convert it without compression (ros2 bag convert, rosbag decompress)"
+    else:
+        remedy = f"it may be cut in the middle: {_MEND[ending].format(shown)}"
+    return ValueError(f"{shown}: is no whole bag ({reason}); {remedy}.")
+
+
+def _joint_states(bag, shown, topic, wanted):
+    connections = _connections(bag, shown, topic, wanted)
+    count = sum(x.msgcount for x in connections)
+    if 200 * count > LARGEST:
+        raise _Refused(
+            f"{shown}: has {count} messages, too many to be read at once; cut the bag "
+            "into shorter ones."
+        )
+    kinds, bare = _kinds(bag, connections)
+    name = connections[0].topic
+    if not kinds:
+        raise _Refused(
+            f"{shown}: none of the {bare} messages of {name} has positions and efforts "
+            "of its joints; record a topic whose effort is filled in."
+        )
+    return _table(kinds, bare, shown, name, wanted)
+
+
+def _connections(bag, shown, topic, wanted):
+    """Return the connections of the topic that was asked for, or of the only one."""
+    states = [x for x in bag.connections if x.msgtype == _TYPE and x.msgcount]
+    topics = sorted({x.topic for x in states})
+    if topic is not None:
+        chosen = [x for x in bag.connections if x.topic == topic]
+        if not chosen:
+            chosen = [x for x in bag.connections if x.topic == f"/{topic}"]
+        if not chosen:
+            raise _Refused(
+                f"{shown}: has no topic {topic}; {_contents(bag)}.",
+                {"topic": topics[0]} if len(topics) == 1 else {},
+            )
+        if chosen[0].msgtype != _TYPE:
+            raise _Refused(
+                f"{shown}: topic {topic} holds {chosen[0].msgtype}, expected {_TYPE}; "
+                f"{_contents(bag)}.",
+                {"topic": topics[0]} if len(topics) == 1 else {},
+            )
+        return chosen
+    if not topics:
+        raise _Refused(
+            f"{shown}: holds no joint states: expected a topic of {_TYPE} with "
+            f"positions and efforts, {_contents(bag)}; record /joint_states."
+        )
+    if len(topics) > 1:
+        able = [x for x in topics if _has_joints(bag, states, x, wanted)]
+        if len(able) != 1:
+            raise _Refused(
+                f"{shown}: holds {len(topics)} topics of joint states: "
+                f"{', '.join(topics[:12])}; give --topic with one of them (in Python: "
+                "topic=...).",
+                {"topic": (able or topics)[0]},
+            )
+        topics = able
+    return [x for x in states if x.topic == topics[0]]
+
+
+def _has_joints(bag, states, topic, wanted):
+    """Whether the first message of a topic has efforts of joints of the robot."""
+    own = [x for x in states if x.topic == topic]
+    for connection, _, raw in bag.messages(connections=own):
+        message = bag.deserialize(raw, connection.msgtype)
+        known = not wanted or set(message.name) & set(wanted)
+        return bool(known) and len(message.effort) > 0
+    return False
+
+
+def _contents(bag):
+    """Say which topics a bag has."""
+    topics = sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections})
+    if not topics:
+        return "it holds no topics"
+    more = ", ..." if len(topics) > 8 else ""
+    return f"it holds {', '.join(topics[:8])}{more}"
+
+
+def _kinds(bag, connections):
+    """Sort messages by the joints that they name; also count those without values."""
+    kinds, bare, order = {}, 0, 0
+    for connection, received, raw in bag.messages(connections=connections):
+        message = bag.deserialize(raw, connection.msgtype)
+        names = tuple(message.name)
+        n = len(message.position)
+        # Without names the numbers of the joints must do.
+        names = names or tuple(str(k + 1) for k in range(n))
+        if not n or len(names) != n or len(message.effort) != n:
+            bare += 1
+            continue
+        kind = kinds.setdefault(names, _Kind())
+        stamp = message.header.stamp
+        kind.order.append(order)
+        kind.stamps.append(stamp.sec * 10**9 + stamp.nanosec)
+        kind.received.append(received)
+        kind.q.append(message.position)
+        kind.v.append(message.velocity if len(message.velocity) == n else None)
+        kind.tau.append(message.effort)
+        order += 1
+    return kinds, bare
+
+
+def _table(kinds, bare, shown, topic, wanted):
+    """Make a table of the joints that give most samples."""
+    joints, own = _most(kinds, wanted)
+    rows = np.concatenate([kinds[names].order for names in own])
+    order = np.argsort(rows)
+    matrices = {
+        key: np.concatenate([_values(kinds[x], key, x, joints) for x in own])[order]
+        for key in ("q", "tau")
+    }
+    if all(x is not None for names in own for x in kinds[names].v):
+        matrices["v"] = np.concatenate(
+            [_values(kinds[x], "v", x, joints) for x in own]
+        )[order]
+    stamps, notes = _stamps([kinds[x] for x in own], order)
+    columns = {"t": stamps}
+    numbered = all(name.isdecimal() for name in joints)
+    for key, matrix in matrices.items():
+        mark = "" if numbered else "_"
+        columns |= {f"{key}{mark}{name}": x for name, x in zip(joints, matrix.T)}
+    total = sum(len(kind.order) for kind in kinds.values()) + bare
+    others = sorted({name for names in kinds for name in names} - set(joints))
+    if others:
+        why = "the robot has none of that name, or they come in other messages"
+        notes.append(f"joint(s) {', '.join(others[:12])} of {topic} left out: {why}.")
+    if total > rows.size:
+        notes.append(
+            f"{total - rows.size} of {total} messages of {topic} lack some of the "
+            "joints taken, or their efforts, and are left out."
+        )
+    notes.insert(
+        0,
+        f"read from {topic}: position [rad or m] as q and effort [N m or N] as tau of "
+        f"{', '.join(joints)}.",
+    )
+    sorted_rows = rows[order]
+    return Table(
+        path=shown,
+        columns=columns,
+        where=lambda row: f"message {sorted_rows[row] + 1}",
+        joints=() if numbered else tuple(joints),
+        notes=tuple(notes),
+    )
+
+
+def _most(kinds, wanted):
+    """Return the joints that give most samples, and the kinds that have them all."""
+    known = {names: tuple(x for x in names if x in wanted) for names in kinds}
+    if not any(known.values()):
+        known = {names: names for names in kinds}
+
+    def samples(joints):
+        having = [x for x in kinds if set(joints) <= set(x)]
+        return len(joints) * sum(len(kinds[x].order) for x in having)
+
+    joints = max(known.values(), key=samples)
+    return joints, [x for x in kinds if set(joints) <= set(x)]
+
+
+def _values(kind, key, names, joints):
+    """Return values (n_messages, n_joints) in the order of `joints`."""
+    return np.array(getattr(kind, key))[:, [names.index(x) for x in joints]]
+
+
+def _stamps(kinds, order):
+    """Return times from the first [s]: of the headers, unless they stand still."""
+    stamps = np.concatenate([kind.stamps for kind in kinds])[order]
+    if np.ptp(stamps) > 0:
+        return (stamps - stamps[0]) / 1e9, []
+    received = np.concatenate([kind.received for kind in kinds])[order]
+    return (received - received[0]) / 1e9, [
+        "the stamps in the headers stand still; times are those of the recorder."
+    ]

@@ -1,0 +1,447 @@
+"""Which columns of a file are which channels: by their names, a mapping or a preset.
+
+A mapping renames: ``q=actual_q_{i}`` says that the column actual_q_3 is what this
+package calls q3. Presets are mappings with names that tools give. What is renamed is
+looked at like a file that has these names.
+"""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.recording._presets import PRESETS, KnownLog
+from sklearn_vbjfa.recording._table import Table
+from sklearn_vbjfa.recording._units import (
+    Unit,
+    split_last_part,
+    split_unit,
+    unit_of,
+)
+
+KINDS = ("q", "tau", "v", "a")
+_KEY = re.compile(r"(q|tau|v|a)(\d+|[_.\[(].+)?|t|segment", re.IGNORECASE)
+# Columns that can only be time, where none is called t.
+TIME_NAMES = (
+    "t",
+    "time",
+    "timestamp",
+    "time_stamp",
+    "timestamps",
+    "stamp",
+    "zeit",
+    "__time",
+    "ts",
+) + ("%time", "time_s", "seconds", "secs", "datetime", "zeitstempel", "elapsed")
+_LABELS = ("segment",)
+_EVERY = re.compile(r"\\\{(i|joint)\\\}|\\\*")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Role:
+    """What a column of a file is.
+
+    Attributes
+    ----------
+    column : str
+        Name in the file.
+    unit : str
+        Unit that it is in, empty if nothing tells.
+    """
+
+    column: str
+    unit: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Layout:
+    """What the columns of a file are.
+
+    Attributes
+    ----------
+    roles : dict of str to Role
+        Columns by the names that this package would give them.
+    beside : frozenset of str
+        Columns that are known not to be conditions of the robot.
+    times : tuple of Role
+        Columns of time, the best first.
+    joints : tuple of str
+        Names of the numbered joints, in the order of the numbers, if the file has any.
+    what : str
+        The log as which the file was recognised, or whose names were given.
+    certain : bool
+        Whether what has a channel's name is one: a mapping or a preset says so.
+    """
+
+    roles: dict
+    beside: frozenset = frozenset()
+    times: tuple = ()
+    joints: tuple = ()
+    what: str = ""
+    certain: bool = False
+
+
+class MappingRefused(ValueError):
+    """A mapping or preset does not fit; `missing` says what it asks for in vain."""
+
+
+def parse_mapping(text) -> dict[str, str]:
+    """Return patterns by names of channels, out of "q=actual_q_{i},t=timestamp".
+
+    A mapping or pairs in a text; refuses what is no channel or comes twice.
+    """
+    if isinstance(text, Mapping):
+        pairs = [(str(key), str(value)) for key, value in text.items()]
+    else:
+        pairs = []
+        for part in str(text).split(","):
+            key, equals, value = part.partition("=")
+            if not equals or not key.strip() or not value.strip():
+                raise ValueError(
+                    f"columns has {part.strip()!r}; expected pairs CHANNEL=NAME with "
+                    'commas between them, such as "q=position_{i},tau=effort_{i},'
+                    't=time".'
+                )
+            pairs.append((key.strip(), value.strip()))
+    found = {}
+    for key, value in pairs:
+        if _KEY.fullmatch(key) is None:
+            raise ValueError(
+                f"columns does not know the channel {key!r}; expected q, tau, v, a, t "
+                "or segment (or one joint's: q1, tau_elbow), then = and a name in the "
+                "file, in which {i} stands for the joint's number and {joint} for its "
+                "name."
+            )
+        if key in found:
+            raise ValueError(
+                f"columns has the channel {key!r} twice ({found[key]!r} and "
+                f"{value!r}); keep one."
+            )
+        found[key] = value
+    if not found:
+        raise ValueError('columns is empty; expected e.g. "q=position_{i},t=time".')
+    return found
+
+
+@dataclass(frozen=True)
+class Match:
+    """A column that fits a pattern: what stands for * and {i} or {joint}, its unit."""
+
+    prefix: str
+    key: str
+    column: str
+    unit: str
+
+
+def name_and_unit(table: Table, column: str) -> tuple[str, str]:
+    """Return a column's name without the unit that stands with it, and that unit."""
+    bare, unit = split_unit(column)
+    return (bare, unit) if unit else (column, table.units.get(column, ""))
+
+
+def matches(pattern: str, table: Table) -> list[Match]:
+    """Return the columns that fit a pattern.
+
+    {i} is a number, {joint} and * are anything. A unit behind the name counts with it
+    or without.
+    """
+    bare, unit = split_unit(pattern)
+    expression, without = _expression(pattern), _expression(bare)
+    found = []
+    for name in table.columns:
+        match = expression.fullmatch(name)
+        stripped, own = name_and_unit(table, name)
+        if match is None:
+            match = without.fullmatch(stripped)
+        if match is None or (own and unit and own != unit):
+            continue
+        groups = match.groupdict()
+        key = groups.get("i", groups.get("joint", ""))
+        if "i" in groups:
+            key = key.lstrip("0").rjust(1, "0")
+        found.append(Match(groups.get("any", ""), key, name, own or unit))
+    return found
+
+
+def _expression(pattern):
+    """Turn a pattern into a regular expression."""
+    seen = set()
+
+    def stand_in(match):
+        name = match[1] or "any"
+        if name in seen:
+            return f"(?P={name})"
+        seen.add(name)
+        anything = {"i": r"\d+", "joint": ".+?", "any": ".*"}
+        return f"(?P<{name}>{anything[name]})"
+
+    return re.compile(_EVERY.sub(stand_in, re.escape(pattern)))
+
+
+# -- layouts ---------------------------------------------------------------------------
+
+
+def by_mapping(table: Table, mapping: dict, joints=()) -> Layout:
+    """Lay out the columns by a mapping, and the rest by their own names."""
+    roles, taken, missing = {}, {}, []
+    for key, pattern in mapping.items():
+        found = matches(pattern, table)
+        if not found:
+            missing.append(pattern)
+        for match in found:
+            role = _role(key, match.key)
+            if match.column in taken:
+                raise ValueError(
+                    f"{table.path}: columns names {match.column!r} twice, for "
+                    f"{taken[match.column]} and {key}; each column is one channel."
+                )
+            if role in roles:
+                raise ValueError(
+                    f"{table.path}: columns {roles[role].column!r} and "
+                    f"{match.column!r} both fit {key}={pattern}; say which one."
+                )
+            taken[match.column] = key
+            roles[role] = Role(column=match.column, unit=match.unit)
+    if missing:
+        raise MappingRefused(", ".join(missing))
+    kinds = {_kind(key) for key in mapping}
+    plain = by_names(table, joints)
+    for role, own in plain.roles.items():
+        if own.column not in taken:
+            kept = role if _kind(role) not in kinds else own.column
+            roles.setdefault(kept, own)
+    times = tuple(x for x in plain.times if x.column not in taken)
+    if "t" in kinds:
+        # What else might be time is a column like others.
+        roles |= {x.column: x for x in times}
+        times = tuple(roles.pop(x) for x in ("t", "T") if x in roles and x in mapping)
+    return Layout(roles=roles, times=times, certain=True)
+
+
+def _role(key, suffix):
+    """Name a channel of one joint as this package does."""
+    if not suffix:
+        return key
+    return f"{key}{suffix}" if suffix.isdecimal() else f"{key}_{suffix}"
+
+
+def _kind(role):
+    """Return q, tau, v, a, t or segment of a channel's name."""
+    match = re.match(r"tau|segment|q|v|a|t", role, re.IGNORECASE)
+    return match[0].lower() if match else ""
+
+
+def by_names(table: Table, joints=()) -> Layout:
+    """Lay out columns by their own names, units in them taken off."""
+    roles, times = {}, []
+    for name in table.columns:
+        bare, unit = name_and_unit(table, name)
+        if bare.lower() in TIME_NAMES:
+            times.append(Role(column=name, unit=unit))
+            continue
+        stem, last = split_last_part(bare, "t")
+        if last and not unit and stem.lower() in TIME_NAMES:
+            times.append(Role(column=name, unit=last))
+            continue
+        if unit and unit not in joints and _is_channel(bare, unit):
+            roles.setdefault(bare, Role(column=name, unit=unit))
+            continue
+        kind = _kind(name)
+        stem, last = split_last_part(name, kind) if kind in KINDS else (name, "")
+        if last and last not in joints and _is_channel(stem, last, joints):
+            roles.setdefault(stem, Role(column=name, unit=last))
+            continue
+        roles.setdefault(name, Role(column=name))
+    exact = [x for x in times if name_and_unit(table, x.column)[0].lower() == "t"]
+    if exact:
+        roles |= {x.column: x for x in times if x not in exact}
+    return Layout(roles=roles, times=tuple(exact or times))
+
+
+def _is_channel(bare, unit, joints=None):
+    """Whether a name is that of a channel, so that what follows it is meant as a unit.
+
+    With `joints`, it must be followed by a number or one of them.
+    """
+    kind = _kind(bare)
+    if kind not in KINDS:
+        return False
+    rest = bare[len(kind) :]
+    if not rest:
+        return unit_of(kind, unit) is not None
+    suffix = rest.strip("_.[]()")
+    if suffix.isdecimal():
+        return True
+    return rest[0] in "_.[(" and (joints is None or suffix in joints)
+
+
+def by_preset(table: Table, name: str | None, joints=()):
+    """Return the layouts of known logs that the columns fit, one for each preset.
+
+    `name` is a preset or None for any; `joints` are those of the robot, if it is known.
+    """
+    found = {}
+    for preset, logs in PRESETS.items():
+        if name in (None, preset):
+            for log in logs:
+                layout = _fitted(table, log, joints)
+                if layout is not None:
+                    found[preset] = layout
+                    break
+    return found
+
+
+def check_preset(name):
+    """Refuse a preset that does not exist."""
+    if name is not None and name not in PRESETS:
+        raise ValueError(
+            f"preset must be one of {', '.join(PRESETS)}; got {name!r}. For other "
+            'names give columns, such as "q=position_{i},tau=effort_{i},t=time".'
+        )
+
+
+def _fitted(table, log: KnownLog, joints):
+    """Lay out columns as in a known log; None if they are not those."""
+    channels = {
+        kind: matches(getattr(log, kind), table)
+        for kind in ("q", "tau", "v")
+        if getattr(log, kind)
+    }
+    pairs = {
+        kind: {(x.prefix, x.key) for x in found} for kind, found in channels.items()
+    }
+    shared = pairs["q"] & pairs["tau"]
+    prefixes = {prefix for prefix, _ in shared}
+    if len(prefixes) != 1:
+        return None
+    (prefix,) = prefixes
+    if "{joint}" in log.q and joints and not any((prefix, x) in shared for x in joints):
+        return None
+    roles = {}
+    for kind, found in channels.items():
+        for match in found:
+            if match.prefix == prefix and (kind != "v" or pairs["v"] >= shared):
+                unit = match.unit or (log.torque_unit if kind == "tau" else "")
+                roles[_role(kind, match.key)] = Role(column=match.column, unit=unit)
+    times = _times(table, log, prefix)
+    if not times:
+        return None
+    beside = {
+        name
+        for name in table.columns
+        if any(re.fullmatch(pattern, name) for pattern in log.beside)
+    }
+    used = {role.column for role in roles.values()}
+    used |= {part for time in times for part in time.column.split("+")}
+    for name in table.columns:
+        if name not in beside and name not in used:
+            roles.setdefault(name, Role(column=name))
+    if log.segment in table.columns:
+        roles.pop(log.segment, None)
+        roles["segment"] = Role(column=log.segment)
+    return Layout(
+        roles=roles,
+        beside=frozenset(beside - used - {log.segment}),
+        times=tuple(times),
+        joints=_names_in(table, log),
+        what=log.what,
+        certain=True,
+    )
+
+
+def _times(table, log, prefix):
+    """Return the columns of time that a known log has here."""
+    found = []
+    for name in log.times:
+        parts = [part.replace("*", prefix) for part in name.split("+")]
+        if all(part in table.columns for part in parts):
+            unit = "s" if len(parts) == 2 else log.time_unit
+            found.append(Role(column="+".join(parts), unit=unit))
+    return found
+
+
+def _names_in(table, log):
+    """Return the names of the joints that stand in the rows, in order."""
+    if not log.joints:
+        return ()
+    found = matches(log.joints, table)
+    found = sorted((int(x.key or 0), x.column) for x in matches(log.joints, table))
+    cells = [table.columns[column] for _, column in found]
+    if not cells:
+        return ()
+    first = [str(values[0]) for values in cells]
+    changing = any((values != values[0]).any() for values in cells)
+    if "{i}" in log.joints:
+        names = tuple(first)
+    else:
+        # A list in one cell, as Python writes it.
+        names = tuple(re.findall(r"[^\s\[\](),'\"]+", first[0]))
+    if changing:
+        raise ValueError(
+            f"{table.path}: the names of the joints change from row to row, so that a "
+            "column is not one joint; read the bag itself, or write one column for "
+            "each joint."
+        )
+    return names
+
+
+# -- units and times -------------------------------------------------------------------
+
+
+def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
+    """Return the unit of a channel, None if nothing tells; refuse one not known."""
+    if not role.unit:
+        return None
+    unit = unit_of(kind, role.unit)
+    if unit is None:
+        expected = {
+            "q": "rad, deg, m or mm",
+            "v": "rad/s, deg/s, m/s or mm/s",
+            "a": "rad/s^2, deg/s^2 or m/s^2",
+            "tau": "Nm, N, A, V or %",
+            "t": "s, ms, us or ns",
+        }[kind]
+        raise ValueError(
+            f"{table.path}: column {role.column!r} is in {role.unit!r}, which is no "
+            f"known unit of {kind}; expected {expected}. Convert it, or correct the "
+            "name."
+        )
+    return unit
+
+
+_STAMP = re.compile(
+    r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d)(:\d\d)?([.,]\d+)?\s*(Z|[+-]\d\d:?\d\d)?"
+)
+
+
+def seconds_of_dates(table: Table, column: str):
+    """Return dates with times of day as seconds from the first, None for others."""
+    values = table.columns[column]
+    if values.dtype.kind == "M" and not np.isnat(values).any():
+        return (values - values[0]) / np.timedelta64(1, "s")
+    if values.dtype.kind != "U" or not _STAMP.fullmatch(values[0]):
+        return None
+    stamps, zones = [], set()
+    for row, text in enumerate(values):
+        match = _STAMP.fullmatch(text)
+        if match is None:
+            raise ValueError(
+                f"{table.path}: {text[:40]!r} in {table.where(row)}, column "
+                f"{column!r}, is no date and time like the others; correct or remove "
+                "that row."
+            )
+        day, minute, second, fraction, zone = match.groups()
+        zones.add(zone or "")
+        fraction = (fraction or "").replace(",", ".")
+        stamps.append(f"{day}T{minute}{second or ':00'}{fraction[:10]}")
+    if len(zones) > 1:
+        raise ValueError(
+            f"{table.path}: column {column!r} has times of several zones "
+            f"({', '.join(sorted(zones))}); write all in one."
+        )
+    try:
+        stamps = np.array(stamps, dtype="datetime64[ns]")
+    except ValueError as error:
+        raise ValueError(f"{table.path}: column {column!r}: {error}.") from None
+    return (stamps - stamps[0]) / np.timedelta64(1, "s")

@@ -1,0 +1,149 @@
+"""Parquet files, and LeRobot data sets, which are parquet files with a folder meta."""
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_vbjfa.recording._table import LARGEST, Source, Table, row_in_words
+
+# Columns of several numbers per row, as LeRobot calls those of a robot's state.
+_INFO = Path("meta") / "info.json"
+
+
+def read_parquet(path: Source) -> Table:
+    """Read a parquet file with pyarrow; lists become columns with numbers."""
+    columns = _columns(path)
+    info = _lerobot_info(path.file)
+    if info is not None:
+        columns = _with_names(columns, info)
+    return Table(path=path.shown, columns=_flat(columns), where=row_in_words)
+
+
+def is_lerobot(folder: Path) -> bool:
+    """Whether a folder is a LeRobot data set."""
+    return (folder / _INFO).is_file()
+
+
+def read_lerobot(path: Source) -> Table:
+    """Read all episodes of a LeRobot data set."""
+    files = sorted((path.file / "data").rglob("*.parquet"))
+    if not files:
+        raise ValueError(
+            f"{path}: is a LeRobot data set without parquet files in its folder data; "
+            "expected data/chunk-000/*.parquet (is it downloaded completely?)."
+        )
+    size = sum(file.stat().st_size for file in files)
+    if size > LARGEST:
+        raise ValueError(
+            f"{path}: has {size / (1 << 30):.1f} GiB of parquet files, too large to be "
+            f"read at once; give one of them, such as {files[0]}."
+        )
+    info = _lerobot_info(files[0]) or {}
+    parts = [
+        _flat(
+            _with_names(
+                _columns(Source(file, path.shown / file.relative_to(path.file))), info
+            )
+        )
+        for file in files
+    ]
+    shared = [x for x in parts[0] if all(x in part for part in parts)]
+    columns = {x: np.concatenate([part[x] for part in parts]) for x in shared}
+    return Table(path=path.shown, columns=columns, where=row_in_words)
+
+
+def _columns(path):
+    """Return the columns of a parquet file."""
+    try:
+        from pyarrow import ArrowException, parquet
+    except ImportError as error:
+        raise ImportError(
+            f"{path}: parquet files need pyarrow, which is not installed: "
+            'pip install "sklearn-vbjfa[parquet]"'
+        ) from error
+    try:
+        with parquet.ParquetFile(path.file) as file:
+            groups = (file.metadata.row_group(k) for k in range(file.num_row_groups))
+            size = sum(group.total_byte_size for group in groups)
+            if size > LARGEST:
+                raise ValueError(
+                    f"{path}: has {size / (1 << 30):.1f} GiB unpacked, too large to be "
+                    "read at once; save a shorter recording."
+                )
+            read = file.read()
+        arrays = [column.to_numpy() for column in read.columns]
+    except (ArrowException, OSError, UnicodeDecodeError) as error:
+        reason = str(error).splitlines()[0].rstrip(".")
+        raise ValueError(
+            f"{path}: is no whole parquet file of plain columns ({reason}); write it "
+            "anew."
+        ) from error
+    twice = [name for name, count in Counter(read.column_names).items() if count > 1]
+    if twice:
+        raise ValueError(
+            f"{path}: has column {twice[0]!r} twice; each column needs its own name."
+        )
+    return dict(zip(read.column_names, arrays))
+
+
+def _lerobot_info(file):
+    """Return what the folder meta above a parquet file says of its columns, or None."""
+    for folder in list(file.resolve().parents)[:4]:
+        if (folder / _INFO).is_file():
+            try:
+                info = json.loads((folder / _INFO).read_text(encoding="utf-8"))
+            except (ValueError, OSError, RecursionError) as error:
+                raise ValueError(
+                    f"{folder / _INFO}: is no whole JSON file ({error}); download the "
+                    "data set anew."
+                ) from error
+            return info if isinstance(info, dict) else {}
+    return None
+
+
+def _with_names(columns, info):
+    """Spread lists of one number per motor over columns with the motors' names."""
+    features = info.get("features")
+    features = features if isinstance(features, dict) else {}
+    spread = {}
+    for name, values in columns.items():
+        feature = features.get(name)
+        names = feature.get("names") if isinstance(feature, dict) else None
+        if isinstance(names, dict):
+            names = next(iter(names.values()), None)
+        matrix = _matrix(values)
+        if (
+            matrix is None
+            or not isinstance(names, list)
+            or len(names) != matrix.shape[1]
+        ):
+            spread[name] = values
+            continue
+        for motor, column in zip(names, matrix.T):
+            spread[f"{name}.{str(motor).removesuffix('.pos')}"] = column
+    return spread
+
+
+def _flat(columns):
+    """Spread what is left of lists over columns with numbers from 0."""
+    spread = {}
+    for name, values in columns.items():
+        matrix = _matrix(values)
+        if matrix is None:
+            spread[name] = values
+        else:
+            spread |= {f"{name}.{k}": x for k, x in enumerate(matrix.T)}
+    return spread
+
+
+def _matrix(values):
+    """Return a column of equally long lists of numbers as a matrix, else None."""
+    if values.dtype.kind != "O" or not values.size:
+        return None
+    if not all(isinstance(x, np.ndarray) and x.ndim == 1 for x in values):
+        return None
+    if len({x.size for x in values}) > 1 or values[0].dtype.kind not in "biuf":
+        return None
+    return np.stack(list(values)) if values[0].size else None

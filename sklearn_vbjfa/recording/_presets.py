@@ -1,0 +1,189 @@
+"""Names of columns that tools for robots give to the channels that they log.
+
+Each preset is a tool or a maker, each of its logs one way to write its channels:
+patterns in which ``{i}`` stands for the number of a joint and ``{joint}`` for its name.
+"""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownLog:
+    """Names of the channels in one kind of log.
+
+    Attributes
+    ----------
+    what : str
+        The log, in words.
+    source : str
+        Where its names come from.
+    q, tau : str
+        Patterns of positions and torques; ``*`` is anything, the same in all.
+    v : str, default=""
+        Pattern of velocities.
+    times : tuple of str
+        Columns of time, the best first; two with a plus between them are seconds and
+        nanoseconds.
+    time_unit, torque_unit : str
+        Units of time and torque.
+    joints : str, default=""
+        Column with all joints' names, or pattern of those with one of them each.
+    segment : str, default=""
+        Column that tells recordings apart.
+    beside : tuple of str, default=()
+        Regular expressions of other columns of the tool that are no conditions of the
+        robot: counters, references, commands, frames, what follows from the rest.
+    """
+
+    what: str
+    source: str
+    q: str
+    tau: str
+    v: str = ""
+    times: tuple[str, ...]
+    time_unit: str = "s"
+    torque_unit: str = "N m"
+    joints: str = ""
+    segment: str = ""
+    beside: tuple[str, ...] = ()
+
+
+_PLOTJUGGLER = (
+    "series of the parser of JointState (github.com/PlotJuggler/"
+    "plotjuggler-ros-plugins), in a file of its CSV exporter"
+)
+_RTDE = (
+    "outputs of the RTDE guide of universal-robots.com; numbers as in csv_writer.py of "
+    "github.com/UniversalRobots/RTDE_Python_Client_Library"
+)
+_RTDE_BESIDE = (
+    r"(target|actual|output|input|standard|tool|ft|runtime|joint|safety|robot|speed|"
+    r"safety|script|elbow|payload|wrench|collision)_.*",
+)
+_LIBFRANKA = "logToCSV, src/log.cpp of github.com/frankaemika/libfranka"
+
+# Joints whose driver publishes motor currents [A] as efforts unless told otherwise:
+# joint_state_broadcaster of github.com/UniversalRobots/Universal_Robots_ROS2_Driver.
+CURRENTS_AS_EFFORTS = {
+    "Universal Robots": (
+        ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
+        + ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
+    ),
+}
+
+
+def currents_as_efforts(joints):
+    """Name the maker whose driver publishes currents of such joints, "" for none."""
+    for maker, names in CURRENTS_AS_EFFORTS.items():
+        if all(any(x.endswith(name) for x in joints) for name in names):
+            return maker
+    return ""
+
+
+# sensor_msgs/JointState has positions in rad or m and efforts in N m or N
+# (docs.ros.org, message definition).
+PRESETS: dict[str, tuple[KnownLog, ...]] = {
+    "ros": (
+        KnownLog(
+            what="/joint_states, written by rostopic echo -p",
+            source="wiki.ros.org/rostopic; github.com/jmscslgroup/catvehicle/issues/9",
+            q="field.position{i}",
+            v="field.velocity{i}",
+            tau="field.effort{i}",
+            times=("field.header.stamp", "%time"),
+            time_unit="ns",
+            joints="field.name{i}",
+            beside=(r"%time", r"field\.(header|name).*"),
+        ),
+        KnownLog(
+            what="/joint_states, converted from a bag",
+            source="bagreader.py of github.com/jmscslgroup/bagpy",
+            q="position_{i}",
+            v="velocity_{i}",
+            tau="effort_{i}",
+            times=("header.stamp.secs+header.stamp.nsecs", "Time"),
+            joints="name",
+            beside=(r"Time", r"header\..*", r"name"),
+        ),
+        KnownLog(
+            what="/joint_states, exported from PlotJuggler",
+            source=_PLOTJUGGLER,
+            q="*/{joint}/position",
+            v="*/{joint}/velocity",
+            tau="*/{joint}/effort",
+            times=("*/header/stamp", "__time"),
+            beside=(r"__time", r".*/header/.*"),
+        ),
+        KnownLog(
+            what="/joint_states without names, exported from PlotJuggler",
+            source=_PLOTJUGGLER,
+            q="*/position[{i}]",
+            v="*/velocity[{i}]",
+            tau="*/effort[{i}]",
+            times=("*/header/stamp", "__time"),
+            beside=(r"__time", r".*/header/.*"),
+        ),
+    ),
+    "ur": (
+        KnownLog(
+            what="RTDE of a Universal Robots controller, its torques",
+            source=f"{_RTDE}; actual_current_as_torque since PolyScope 5.23",
+            q="actual_q_{i}",
+            v="actual_qd_{i}",
+            tau="actual_current_as_torque_{i}",
+            times=("timestamp",),
+            beside=_RTDE_BESIDE,
+        ),
+        KnownLog(
+            what="RTDE of a Universal Robots controller, its motor currents",
+            source=_RTDE,
+            q="actual_q_{i}",
+            v="actual_qd_{i}",
+            tau="actual_current_{i}",
+            times=("timestamp",),
+            torque_unit="A",
+            beside=_RTDE_BESIDE,
+        ),
+    ),
+    "franka": (
+        KnownLog(
+            what="the log of libfranka",
+            source=_LIBFRANKA,
+            q="state.q[{i}]",
+            v="state.dq[{i}]",
+            tau="state.tau_J[{i}]",
+            times=("time",),
+            time_unit="ms",
+            beside=(r"success_rate", r"(state|cmd)\..*"),
+        ),
+        KnownLog(
+            what="franka_states, written by rostopic echo -p",
+            source="franka_msgs/FrankaState of github.com/frankaemika/franka_ros",
+            q="field.q{i}",
+            v="field.dq{i}",
+            tau="field.tau_J{i}",
+            times=("field.header.stamp", "%time"),
+            time_unit="ns",
+            beside=(r"%time", r"field\..*"),
+        ),
+    ),
+    "lerobot": tuple(
+        KnownLog(
+            what="a LeRobot data set",
+            source="meta/info.json of LeRobotDataset 2 and 3, "
+            "huggingface.co/docs/lerobot; columns as in trossen and ALOHA sets",
+            q=f"observation.state.{key}",
+            v=f"observation.velocity.{key}",
+            tau=f"observation.effort.{key}",
+            times=("timestamp",),
+            segment="episode_index",
+            beside=(
+                r"(frame_|task_)?index",
+                r"next\..*",
+                r"action.*",
+                r"observation\..*",
+            ),
+        )
+        for key in ("{joint}", "{i}")
+    ),
+}

@@ -1,0 +1,114 @@
+"""Tables out of spreadsheets: Excel and OpenDocument, read by calamine."""
+
+import datetime
+import zipfile
+
+import numpy as np
+
+from sklearn_vbjfa.recording._table import LARGEST, Source, Table
+from sklearn_vbjfa.recording._text import row_of_units
+
+ENDINGS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+
+
+def read_sheet(path: Source) -> Table:
+    """Read the first sheet that is not empty; its first row has the names."""
+    try:
+        from python_calamine import CalamineError, CalamineWorkbook
+    except ImportError as error:
+        raise ImportError(
+            f"{path}: spreadsheets need python-calamine, which is not installed: "
+            'pip install "sklearn-vbjfa[excel]"'
+        ) from error
+    broken = f"{path}: is no whole spreadsheet"
+    try:
+        _check_size(path)
+        with CalamineWorkbook.from_path(path.file) as book:
+            names = book.sheet_names
+            rows, used = [], ""
+            for used in names:
+                rows = book.get_sheet_by_name(used).to_python(skip_empty_area=False)
+                if rows:
+                    break
+    except (CalamineError, OSError, zipfile.BadZipFile) as error:
+        raise ValueError(f"{broken} ({error}); save it anew, or as CSV.") from error
+    filled = [k for k, row in enumerate(rows) if any(x != "" for x in row)]
+    if len(filled) < 2:
+        raise ValueError(
+            f"{path}: no rows of data; expected one row per sample below the names of "
+            "the columns."
+        )
+    header = _header(path, rows[filled[0]], filled[0])
+    keep = [k for k, name in enumerate(header) if name]
+    header = [header[k] for k in keep]
+    lines = filled[1:]
+    cells = [[rows[k][j] if j < len(rows[k]) else "" for j in keep] for k in lines]
+    units = row_of_units([str(x) for x in cells[0]], header)
+    if units:
+        cells, lines = cells[1:], lines[1:]
+        if not cells:
+            raise ValueError(f"{path}: only a header and no rows of data.")
+
+    def where(row):
+        return f"line {lines[row] + 1} of sheet {used!r}"
+
+    columns = {
+        name: _column(path, name, [row[k] for row in cells], where)
+        for k, name in enumerate(header)
+    }
+    notes = ()
+    if len(names) > 1:
+        notes = (f"sheet {used!r} of {len(names)} was read.",)
+    return Table(
+        path=path.shown, columns=columns, where=where, units=units, notes=notes
+    )
+
+
+def _check_size(path):
+    """Refuse what is packed small and fills the memory."""
+    size = path.file.stat().st_size
+    if zipfile.is_zipfile(path.file):
+        with zipfile.ZipFile(path.file) as archive:
+            size = max(size, sum(x.file_size for x in archive.infolist()))
+    if size > LARGEST:
+        raise ValueError(
+            f"{path}: has {size / (1 << 30):.1f} GiB unpacked, too large to be read at "
+            "once; save a shorter recording, or CSV."
+        )
+
+
+def _header(path, row, line):
+    names = [str(x).strip() for x in row]
+    for name in names:
+        if name and names.count(name) > 1:
+            raise ValueError(
+                f"{path}: line {line + 1} names column {name!r} twice; each column "
+                "needs its own name."
+            )
+    numbers = [x for x in row if isinstance(x, (int, float))]
+    if len(numbers) == sum(x != "" for x in row):
+        raise ValueError(
+            f"{path}: line {line + 1} holds numbers where the header should be; put "
+            "column names such as t,q1,q2,tau1,tau2 in the first line."
+        )
+    return names
+
+
+def _column(path, name, cells, where):
+    """Return cells as numbers, dates or text; a column is what its first cell is."""
+    first = next((x for x in cells if x != ""), "")
+    if isinstance(first, (datetime.datetime, datetime.date)):
+        stamps = [str(x).replace(" ", "T") for x in cells]
+        try:
+            return np.array(stamps, dtype="datetime64[ns]")
+        except ValueError:
+            return np.array([str(x) for x in cells])
+    if isinstance(first, (bool, int, float)):
+        for row, x in enumerate(cells):
+            if x != "" and not isinstance(x, (bool, int, float)):
+                raise ValueError(
+                    f"{path}: {str(x)[:40]!r} in {where(row)}, column {name!r} is no "
+                    "number; correct or remove that line."
+                )
+        return np.array([np.nan if x == "" else float(x) for x in cells])
+    return np.array([str(x) for x in cells])

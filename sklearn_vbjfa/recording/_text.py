@@ -1,0 +1,252 @@
+"""Tables out of text: separators guessed, numbers with points or commas.
+
+Text goes through numpy, or line by line where a cell is not a plain number, so that a
+refusal names the line and the column. A reader of data frames would be no shorter: it
+takes most damaged tables for good ones (short rows, names that come twice, decimal
+commas between commas) and does not know the line that a row came from.
+"""
+
+import array
+import csv
+import re
+
+import numpy as np
+
+from sklearn_vbjfa.recording._table import Source, Table
+from sklearn_vbjfa.recording._units import is_unit
+
+# Separators that are guessed, and others that a header in one piece may have.
+_MARKS = (";", "\t", ",")
+_OTHER_MARKS = ("|", ":", "/")
+# A longer line is not a row of a table.
+_LONGEST_LINE = 1 << 25
+# float() takes more (1_000, digits of other scripts), which no logger writes.
+_NUMBER = re.compile(
+    r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
+)
+# A cell of a spreadsheet, not the beginning of a comment.
+_SHEET_ERROR = re.compile(r"#(N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
+
+
+class _Lines:
+    """Lines of data of a text file, without blank ones and comments.
+
+    Iterating reads the file anew, line by line.
+    """
+
+    def __init__(self, path, header=-1):
+        self.path = path
+        self.header = header
+        self.numbers = array.array("q")
+
+    def __iter__(self):
+        self.numbers = array.array("q")
+        for k, line in _raw_lines(self.path):
+            if k <= self.header:
+                continue
+            error = _SHEET_ERROR.search(line) if "#" in line else None
+            if error:
+                raise ValueError(
+                    f"{self.path}: {error.group()!r} in line {k + 1} is no number; "
+                    "correct or remove that line."
+                )
+            content = line.split("#", 1)[0] if "#" in line else line
+            if content.strip():
+                self.numbers.append(k)
+                yield content
+
+    def where(self, row):
+        """Line of a row in words."""
+        return f"line {self.numbers[row] + 1}"
+
+
+def _raw_lines(path):
+    """Yield the number (from 0) and the text of every line."""
+    try:
+        with path.file.open(encoding="utf-8-sig") as file:
+            k = 0
+            while line := file.readline(_LONGEST_LINE):
+                if "\0" in line:
+                    raise ValueError(
+                        f"{path}: is no text but binary; save it as CSV in UTF-8."
+                    )
+                if len(line) == _LONGEST_LINE:
+                    raise ValueError(
+                        f"{path}: line {k + 1} has more than {_LONGEST_LINE} "
+                        "characters; expected one row per sample."
+                    )
+                yield k, line.rstrip("\n")
+                k += 1
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"{path}: is no UTF-8 text ({error.reason} at byte {error.start}); save it "
+            "as CSV in UTF-8."
+        ) from error
+
+
+def read_text(path: Source) -> Table:
+    """Read text with a header line; blank lines and comments (#) are skipped."""
+    try:
+        return _read(path)
+    except csv.Error as error:
+        raise ValueError(
+            f"{path}: is no table of numbers ({error}); save it as CSV in UTF-8."
+        ) from error
+
+
+def _read(path):
+    header, names, separator = _header(path)
+    lines = _Lines(path, header)
+    columns = None
+    first = next(iter(lines), None)
+    if first is None:
+        raise ValueError(f"{path}: only a header and no rows of data.")
+    units = row_of_units(_split(first, separator), names)
+    if units:
+        lines = _Lines(path, lines.numbers[0])
+        if next(iter(lines), None) is None:
+            raise ValueError(f"{path}: only a header and no rows of data.")
+    try:
+        values = np.loadtxt(
+            lines, delimiter=separator, comments=None, quotechar='"', ndmin=2
+        )
+    except UnicodeDecodeError:
+        raise
+    except ValueError as error:
+        if str(error).startswith(f"{path}: "):
+            raise
+        values = None
+    # In quotes a line may end where the row does not.
+    if values is not None and values.shape == (len(lines.numbers), len(names)):
+        columns = dict(zip(names, values.T))
+    else:
+        # Text, empty cells, decimal commas; or to say where the trouble is.
+        columns = _cells(lines, names, separator)
+    return Table(path=path.shown, columns=columns, where=lines.where, units=units)
+
+
+def row_of_units(cells, names):
+    """Return units by column if the cells below the header are units, else {}."""
+    cells = [cell.strip().strip("[]()").strip() for cell in cells]
+    filled = [cell for cell in cells if cell not in ("", "-", "1")]
+    if len(cells) != len(names) or any(_is_number(cell) for cell in filled):
+        return {}
+    if not any(is_unit(cell) for cell in filled) or max(map(len, filled)) > 12:
+        return {}
+    return {name: cell for name, cell in zip(names, cells) if cell not in ("", "-")}
+
+
+def _header(path):
+    """Return the header's line number, the column names and the separator."""
+    before = first = None
+    for k, line in _raw_lines(path):
+        if line.split("#", 1)[0].strip():
+            first = k, line
+            break
+        if line.strip():
+            before = k, line
+    if first is None:
+        raise ValueError(f"{path}: no rows of data; expected one row per sample.")
+    header, text = first
+    if all(_is_number(cell) for cell in _split(text, _separator(text))):
+        # Numbers at once: the header may be the last comment before them.
+        if before is None:
+            raise ValueError(
+                f"{path}: line {header + 1} holds numbers where the header should be; "
+                "put column names such as t,q1,q2,tau1,tau2 in the first line."
+            )
+        header, text = before
+    text = text.strip().lstrip("#").split("#")[0]
+    separator = _separator(text)
+    names = [cell.strip("\"' ") for cell in _split(text, separator)]
+    marks = [mark for mark in _OTHER_MARKS if mark in text]
+    if len(names) == 1 and marks:
+        raise ValueError(
+            f"{path}: line {header + 1} is one cell, with {marks[0]!r} in it; separate "
+            "the columns by comma, semicolon, tab or blanks."
+        )
+    while names and not names[-1]:
+        names.pop()
+    seen = set()
+    for k, name in enumerate(names):
+        if not name:
+            raise ValueError(
+                f"{path}: column {k + 1} has no name in line {header + 1}; name it "
+                "(t, q1, tau1, ...) or remove it."
+            )
+        if name in seen:
+            raise ValueError(
+                f"{path}: line {header + 1} names column {_short(name)} twice; each "
+                "column needs its own name."
+            )
+        seen.add(name)
+    return header, names, separator
+
+
+def _short(text):
+    """Quote a text, its beginning if it is long."""
+    return repr(text if len(text) < 60 else f"{text[:57]}...")
+
+
+def _separator(line: str) -> str | None:
+    """Guess the separator; None is white space."""
+    for mark in _MARKS:
+        if mark in line:
+            return mark
+    return None
+
+
+def _split(line, separator):
+    """Return the cells of a line; in quotes a separator is none."""
+    line = line.split("#")[0].strip(" \r\n")
+    if separator is None:
+        cells = line.split()
+    else:
+        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    return [cell.strip("\"' ") for cell in cells]
+
+
+def _is_number(cell: str) -> bool:
+    return _NUMBER.fullmatch(cell) is not None
+
+
+def _cells(lines, names, separator):
+    """Split every line by hand; a column is text if its first filled cell is."""
+    columns = [array.array("d") for _ in names]
+    known = [False] * len(names)
+    for line in lines:
+        cells = _split(line, separator)
+        while len(cells) > len(names) and not cells[-1]:
+            cells.pop()
+        if len(cells) != len(names):
+            raise ValueError(
+                f"{lines.path}: {lines.where(-1)} has {len(cells)} cells, the header "
+                f"names {len(names)} columns; "
+                f"{_remedy(line, cells, names, separator)}."
+            )
+        for k, cell in enumerate(cells):
+            if separator != ",":
+                cell = cell.replace(",", ".", 1)
+            if cell and not known[k]:
+                known[k] = True
+                if not _is_number(cell):
+                    columns[k] = [""] * len(columns[k])
+            if isinstance(columns[k], list):
+                columns[k].append(cell)
+            elif not cell or _is_number(cell):
+                columns[k].append(float(cell or "nan"))
+            else:
+                raise ValueError(
+                    f"{lines.path}: {_short(cell)} in {lines.where(-1)}, column "
+                    f"{_short(names[k])} is no number; correct or remove that line."
+                )
+    return {name: np.array(column) for name, column in zip(names, columns)}
+
+
+def _remedy(line, cells, names, separator):
+    """Say what to do about a line with more or fewer cells than the header."""
+    if len(cells) == 1 and _separator(line) != separator:
+        return "separate the columns as the header does"
+    if separator == "," and len(cells) > len(names):
+        return "numbers with decimal commas need ; as separator"
+    return "correct or remove that line"

@@ -1,0 +1,464 @@
+"""Logs of other tools: names, presets, mappings, units, and what is missing of them."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.datasets import make_robot_recording, read_recording
+from sklearn_vbjfa.recording._presets import PRESETS
+from sklearn_vbjfa.recording._refusal import RecordingRefused
+from tests.recording._logs import EPOCH, GAINS, KINDS, plain
+from tests.recording.test_reader import table, write
+
+
+@pytest.fixture(scope="module")
+def made():
+    return make_robot_recording(duration=2.0, dt=0.004, random_state=0)
+
+
+def read(path, **options):
+    """Return a recording and what was said."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_recording(path, **options)
+    return recording, [str(x.message) for x in caught]
+
+
+def renamed(names, columns=None):
+    """Return columns with other names."""
+    columns = table() if columns is None else columns
+    return {names.get(name, name): x for name, x in columns.items()}
+
+
+# -- logs of tools ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_logs_of_tools_are_recognised(made, tmp_path, kind):
+    recording, said = read(KINDS[kind](made, tmp_path), urdf=made.urdf)
+    np.testing.assert_allclose(recording.q, made.q, atol=2e-9)
+    gains = np.array(GAINS) if recording.torque_units[0] == "A" else 1.0
+    np.testing.assert_allclose(gains * recording.tau, made.tau, atol=1e-7)
+    assert recording.dt == pytest.approx(made.dt, rel=1e-5)
+    assert recording.joint_names == made.joint_names
+    # What the tool writes beside the motion is no condition of the robot.
+    assert not recording.signals
+    about = [x for x in said if "taken as" in x or "converted" in x]
+    assert len(about) == (kind not in ("plain CSV", "csv.gz"))
+    assert all("\n" not in x for x in said)
+
+
+@pytest.mark.parametrize("kind", ["ROS joint_states as CSV (bagpy)", "PlotJuggler"])
+def test_joints_are_called_as_in_the_log_without_a_robot(made, tmp_path, kind):
+    recording, _ = read(KINDS[kind](made, tmp_path))
+    assert set(recording.joint_names) == set(made.joint_names)
+    order = [recording.joint_names.index(x) for x in made.joint_names]
+    np.testing.assert_allclose(recording.q[:, order], made.q, atol=2e-9)
+
+
+def test_what_was_taken_is_said_in_one_line(made, tmp_path):
+    _, said = read(KINDS["libfranka log"](made, tmp_path), urdf=made.urdf)
+    assert said[0].endswith(
+        "taken as the log of libfranka: q = state.q[0] ... state.q[5], tau = "
+        "state.tau_J[0] ... state.tau_J[5] [N m], t = time [ms]."
+    )
+
+
+def test_stamps_of_the_message_count_not_those_of_the_recorder(made, tmp_path):
+    """The recorder's are late, and here stand still."""
+    path = KINDS["rostopic echo -p"](made, tmp_path)
+    late = re.sub(r"(?m)^\d+(?=,)", str(int(EPOCH * 1e9)), path.read_text())
+    path.write_text(late)
+    recording, _ = read(path, urdf=made.urdf)
+    assert recording.dt == pytest.approx(made.dt, rel=1e-5)
+
+
+def test_currents_ask_for_gains(made, tmp_path):
+    path = KINDS["UR RTDE record"](made, tmp_path)
+    recording, said = read(path, urdf=made.urdf)
+    assert recording.torque_units == 6 * ("A",)
+    assert "the torques are recorded in A: give the gains" in said[-1]
+    _, said = read(path, urdf=made.urdf, gains="unknown")
+    assert not any("recorded in A" in x for x in said)
+    recording, said = read(path, urdf=made.urdf, gains=GAINS)
+    assert recording.torque_units == 6 * ("N m",)
+    np.testing.assert_allclose(recording.tau, made.tau, atol=1e-7)
+    with pytest.raises(ValueError, match=r"2 gain\(s\) for 6 joint\(s\) \(joint_1"):
+        read_recording(path, urdf=made.urdf, gains=(8, 8))
+
+
+def test_torques_are_preferred_to_currents(made, tmp_path):
+    path = KINDS["UR RTDE record"](made, tmp_path)
+    header, rows = path.read_text().split("\n", 1)
+    names = " ".join(f"actual_current_as_torque_{k}" for k in range(6))
+    more = [f"{row} 1 2 3 4 5 6" for row in rows.strip().split("\n")]
+    path.write_text("\n".join([f"{header} {names}", *more]))
+    recording, _ = read(path, urdf=made.urdf)
+    assert recording.torque_units == 6 * ("N m",)
+    np.testing.assert_array_equal(recording.tau[0], np.arange(1, 7))
+
+
+def test_efforts_of_a_robot_whose_driver_publishes_currents(made, tmp_path):
+    path = KINDS["PlotJuggler"](made, tmp_path)
+    text = path.read_text()
+    names = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
+    for k, name in enumerate(names):
+        text = text.replace(f"joint_{k + 1}/", f"{name}_joint/")
+    path.write_text(text)
+    _, said = read(path)
+    assert "drivers of Universal Robots publish motor currents [A]" in said[-1]
+
+
+def test_joints_that_were_not_recorded_are_held(made, tmp_path):
+    path = KINDS["PlotJuggler"](made, tmp_path)
+    path.write_text(path.read_text().replace("joint_5/", "sensor/"))
+    recording, said = read(path, urdf=made.urdf)
+    assert recording.joint_names == tuple(f"joint_{k}" for k in (1, 2, 3, 4, 6))
+    np.testing.assert_allclose(recording.q, made.q[:, [0, 1, 2, 3, 5]], atol=2e-9)
+    text = " ".join(said)
+    assert "joint(s) sensor are none of the robot's and are left out" in text
+    assert "no columns of joint(s) joint_5: held at zero" in text
+    assert recording.robot_model().nv == 5
+    with pytest.raises(ValueError, match="column 'q_joint_5' is missing"):
+        read(path, urdf=made.urdf, joint_names=["joint_4", "joint_5"])
+
+
+def test_names_that_change_are_refused(made, tmp_path):
+    path = KINDS["rostopic echo -p"](made, tmp_path)
+    head, tail = path.read_text().rsplit("joint_6,joint_5", 1)
+    path.write_text(f"{head}joint_5,joint_6{tail}")
+    with pytest.raises(ValueError, match="names of the joints change from row to row"):
+        read_recording(path, urdf=made.urdf)
+
+
+def test_rows_of_other_topics_are_left_out(made, tmp_path):
+    path = KINDS["PlotJuggler"](made, tmp_path)
+    lines = path.read_text().split("\n")
+    lines[0] += ",/temperature/data"
+    lines[1:-1] = [f"{line}," for line in lines[1:-1]]
+    blank = "," * 14
+    lines[5:5] = [f"{EPOCH:.6f}{blank}21.5", f"{EPOCH + 1:.6f}{blank}22"]
+    path.write_text("\n".join(lines))
+    recording, said = read(path, urdf=made.urdf)
+    np.testing.assert_allclose(recording.q, made.q, atol=2e-9)
+    assert any("2 row(s) without any position or torque" in x for x in said)
+
+
+# -- presets ---------------------------------------------------------------------------
+
+
+def test_every_preset_says_where_its_names_are_from():
+    for logs in PRESETS.values():
+        for log in logs:
+            assert re.search(r"\.(org|com|co)\b", log.source), log
+            assert {"q", "tau"} <= set(log.__dataclass_fields__)
+
+
+def test_a_preset_that_does_not_fit(made, tmp_path):
+    path = KINDS["libfranka log"](made, tmp_path)
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(path, urdf=made.urdf, preset="ur")
+    text = str(caught.value)
+    assert (
+        "does not fit the preset 'ur', which expects columns actual_q_{i} and" in text
+    )
+    assert "found time, success_rate, state.q[0]" in text
+    recording, _ = read(path, urdf=made.urdf, preset="franka")
+    np.testing.assert_allclose(recording.q, made.q, atol=2e-9)
+    with pytest.raises(ValueError, match="preset must be one of ros, ur, franka"):
+        read_recording(path, preset="kuka")
+    with pytest.raises(ValueError, match="columns or a preset, not both"):
+        read_recording(path, preset="ros", columns="q=state.q[{i}]")
+
+
+def test_a_log_of_two_tools_asks_which(tmp_path):
+    names = {"t": "timestamp"}
+    for j in (1, 2):
+        names |= {f"q{j}": f"actual_q_{j}", f"tau{j}": f"actual_current_{j}"}
+    columns = renamed(names)
+    columns |= {f"position_{j}": columns["v1"] for j in (1, 2)}
+    columns |= {f"effort_{j}": columns["v2"] for j in (1, 2)}
+    columns["Time"] = columns["timestamp"]
+    path = write(tmp_path / "both.csv", columns)
+    with pytest.raises(RecordingRefused, match=r"give preset='ros' or 'ur'") as caught:
+        read_recording(path)
+    read(path, **caught.value.options)
+    recording, _ = read(path, preset="ur")
+    np.testing.assert_allclose(recording.q[:, 0], table()["q1"], atol=1e-9)
+
+
+# -- mappings --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_mapping_counts_from_0_or_1(tmp_path, first):
+    columns = table()
+    names = {"t": "clock"}
+    for j in (1, 2):
+        names |= {f"q{j}": f"ang-{j - 1 + first}", f"tau{j}": f"M{j - 1 + first}x"}
+    path = write(tmp_path / "arm.csv", renamed(names))
+    recording, _ = read(path, columns="q=ang-{i},tau=M{i}x,t=clock")
+    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
+    np.testing.assert_allclose(recording.tau[:, 1], columns["tau2"], atol=1e-9)
+    assert recording.dt == pytest.approx(0.01)
+    mapping = {"q": "ang-{i}", "tau": "M{i}x", "t": "clock"}
+    again, _ = read(path, columns=mapping)
+    np.testing.assert_array_equal(again.q, recording.q)
+
+
+def test_a_mapping_by_joints_in_any_order(tmp_path):
+    columns = table()
+    path = write(
+        tmp_path / "arm.csv",
+        {
+            "knee.pos": columns["q2"],
+            "hip.pos": columns["q1"],
+            "hip.load": columns["tau1"],
+            "knee.load": columns["tau2"],
+            "foot.pos": columns["v1"],
+            "t": columns["t"],
+        },
+    )
+    options = {"joint_names": ["hip", "knee"]}
+    recording, said = read(path, columns="q={joint}.pos,tau={joint}.load", **options)
+    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)
+    np.testing.assert_allclose(recording.tau[:, 1], columns["tau2"], atol=1e-9)
+    assert any("joint(s) foot are none of the robot's" in x for x in said)
+    single = "q_hip=hip.pos,q2=knee.pos,tau=hip.load"
+    with pytest.raises(ValueError, match="could both be meant"):
+        read(path, columns=single, **options)
+
+
+def test_single_joints_are_mapped(tmp_path):
+    columns = table()
+    names = {"q1": "base", "q2": "elbow", "tau1": "mb", "tau2": "me"}
+    path = write(tmp_path / "arm.csv", renamed(names))
+    recording, _ = read(path, columns="q1=base,q2=elbow,tau1=mb,tau2=me")
+    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "message"),
+    [
+        ("q=q{i},tau=q{i}", r"columns names 'q1' twice, for q and tau; each column"),
+        (
+            "q=q{i},q=v{i}",
+            r"columns has the channel 'q' twice \('q\{i\}' and 'v\{i\}'\)",
+        ),
+        (
+            "torque=tau{i}",
+            "columns does not know the channel 'torque'; expected q, tau",
+        ),
+        ("q", "columns has 'q'; expected pairs CHANNEL=NAME"),
+        ("", "expected pairs CHANNEL=NAME"),
+        ("q=,t=t", "columns has 'q='"),
+        (
+            "q=angle{i}",
+            r"has no column angle\{i\}, which columns asks for; found t, q1",
+        ),
+        ("q1=q1,q2=q1", "columns names 'q1' twice, for q1 and q2"),
+        ({}, "columns is empty"),
+    ],
+)
+def test_mappings_that_cannot_be(tmp_path, mapping, message):
+    path = write(tmp_path / "arm.csv", table())
+    with pytest.raises(ValueError, match=message) as caught:
+        read_recording(path, columns=mapping)
+    assert "\n" not in str(caught.value)
+
+
+# -- what is missing -------------------------------------------------------------------
+
+STRANGE = [
+    {"t": "ts_ms", "q": "joint_pos_{}", "tau": "motorTorque{}"},
+    {"t": "time", "q": "axis{}.position", "tau": "axis{}.current"},
+    {"t": "Zeit", "q": "Winkel {}", "tau": "Drehmoment {}"},
+    {"t": "t", "q": "meas_angle[{}]", "tau": "meas_effort[{}]"},
+]
+
+
+@pytest.mark.parametrize("names", STRANGE)
+def test_the_refusal_names_options_that_work(tmp_path, names):
+    columns = table()
+    scale = 1e3 if names["t"].endswith("ms") else 1.0
+    new = {names["t"]: scale * columns["t"], "cmd_pos_1": columns["v1"]}
+    for j in (1, 2):
+        new[names["q"].format(j)] = columns[f"q{j}"]
+        new[names["tau"].format(j)] = columns[f"tau{j}"]
+    path = write(tmp_path / "arm.csv", new, separator=";")
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(path)
+    text = str(caught.value)
+    assert "no positions: expected" in text
+    assert "no torques: expected" in text
+    assert f"nearest: {names['q'].format('{i}')}" in text
+    assert "try columns=" in text
+    assert "\n" not in text
+    recording, _ = read(path, **caught.value.options)
+    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
+    np.testing.assert_allclose(recording.tau[:, 0], columns["tau1"], atol=1e-9)
+    assert recording.dt == pytest.approx(0.01)
+
+
+def test_all_that_is_missing_is_said_at_once(tmp_path):
+    columns = table()
+    names = {"t": "clock", "q1": "A", "q2": "B", "tau1": "C", "tau2": "D"}
+    path = write(tmp_path / "arm.csv", renamed(names, columns))
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(path)
+    text = str(caught.value)
+    for part in ("no positions", "no torques", "no time", "found clock, A, v1, C, B"):
+        assert part in text
+    assert 'give columns="q=NAME{i},tau=NAME{i},t=NAME"' in text
+    assert caught.value.options == {}
+
+
+def test_joints_under_other_names_are_put_beside_the_robots(made, tmp_path):
+    path = KINDS["PlotJuggler"](made, tmp_path)
+    path.write_text(path.read_text().replace("/joint_", "/fer_joint"))
+    path.write_text(path.read_text().replace("/fer_jointstates", "/joint_states"))
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(path, urdf=made.urdf)
+    recording, _ = read(path, urdf=made.urdf, **caught.value.options)
+    np.testing.assert_allclose(recording.q, made.q, atol=2e-9)
+
+
+# -- units -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "pattern", ["{} [{}]", "{} ({})", "{}[{}]", "{}_{}", "{} / {}"]
+)
+def test_units_in_names(tmp_path, pattern):
+    columns = table()
+    new = {pattern.format("t", "ms"): 1e3 * columns["t"]}
+    for j in (1, 2):
+        new[pattern.format(f"q{j}", "deg")] = np.rad2deg(columns[f"q{j}"])
+        new[pattern.format(f"v{j}", "rpm")] = columns[f"v{j}"] * 30 / np.pi
+        new[pattern.format(f"tau{j}", "mNm")] = 1e3 * columns[f"tau{j}"]
+    recording, said = read(write(tmp_path / "arm.csv", new, separator=";"))
+    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-8)
+    np.testing.assert_allclose(recording.v[:, 0], columns["v1"], atol=1e-8)
+    np.testing.assert_allclose(recording.tau[:, 1], columns["tau2"], atol=1e-8)
+    assert recording.dt == pytest.approx(0.01)
+    assert any("converted from deg, mNm, rpm" in x for x in said)
+
+
+def test_units_of_a_slide(tmp_path):
+    columns = table(1)
+    new = {"t_us": 1e6 * columns["t"], "q1 [mm]": 1e3 * columns["q1"]}
+    new["tau1 [kN]"] = 1e-3 * columns["tau1"]
+    recording, _ = read(write(tmp_path / "slide.csv", new))
+    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-8)
+    np.testing.assert_allclose(recording.tau[:, 0], columns["tau1"], atol=1e-8)
+    assert recording.position_units == ("m",)
+    assert recording.torque_units == ("N",)
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("q1 [furlong]", r"column 'q1 \[furlong\]' is in 'furlong', which is no known"),
+        ("q1 [mm]", r"column 'q1 \[mm\]' is in mm, but joint_1 turns; expected rad"),
+        (
+            "tau1 [kN]",
+            r"column 'tau1 \[kN\]' is in kN, but joint_1 turns; expected N m",
+        ),
+        ("t [weeks]", "no known unit of t; expected s, ms, us or ns"),
+    ],
+)
+def test_units_that_cannot_be(made, tmp_path, name, message):
+    path = plain(made, tmp_path)
+    bare = name.partition(" ")[0]
+    text = path.read_text()
+    pattern = rf"(^|,){bare},"
+    path.write_text(re.sub(pattern, lambda m: f"{m[1]}{name},", text, count=1))
+    with pytest.raises(ValueError, match=message):
+        read_recording(path, urdf=made.urdf)
+
+
+def test_a_unit_in_a_mapping(tmp_path):
+    columns = table()
+    names = {f"q{j}": f"pos{j}" for j in (1, 2)}
+    new = renamed(names)
+    for j in (1, 2):
+        new[f"pos{j}"] = np.rad2deg(new[f"pos{j}"])
+    path = write(tmp_path / "arm.csv", new)
+    recording, _ = read(path, columns="q=pos{i} [deg]")
+    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-8)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_the_unit_of_time_is_given(tmp_path, unit, factor):
+    columns = table()
+    columns["t"] = factor * columns["t"]
+    path = write(tmp_path / "arm.csv", columns)
+    with pytest.raises(ValueError, match=f"--time-unit {unit}"):
+        read_recording(path)
+    recording, _ = read(path, time_unit=unit)
+    assert recording.dt == pytest.approx(0.01)
+    with pytest.raises(ValueError, match="time_unit must be one of s, ms, us, ns"):
+        read_recording(path, time_unit="h")
+
+
+def test_a_row_of_units(tmp_path):
+    columns = table(1)
+    new = {"t": 1e3 * columns["t"], "q1": np.rad2deg(columns["q1"])}
+    new |= {"tau1": columns["tau1"], "temp": 20 + columns["t"]}
+    path = write(tmp_path / "arm.csv", new, separator=";")
+    header, rows = path.read_text().split("\n", 1)
+    path.write_text(f"{header}\n[ms];[°];[Nm];[°C]\n{rows}".replace(".", ","))
+    recording, _ = read(path)
+    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-8)
+    assert recording.dt == pytest.approx(0.01)
+    assert set(recording.signals) == {"temp"}
+    path.write_text(f"{header}\n[ms];[°];[Nm];[°C]\n")
+    with pytest.raises(ValueError, match="only a header and no rows of data"):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
+@pytest.mark.parametrize("mark", ["T", " "])
+def test_iso_time_stamps(tmp_path, mark, zone):
+    columns = table()
+    # Over midnight.
+    stamps = np.datetime64("2026-11-22T23:59:59.9", "ns") + np.round(
+        1e9 * columns["t"]
+    ).astype("m8[ns]")
+    text = [f"{x}".replace("T", mark)[:26] + zone for x in stamps]
+    path = write(tmp_path / "arm.csv", {**columns, "t": text})
+    recording, _ = read(path)
+    assert recording.dt == pytest.approx(0.01)
+    text[7] = "later"
+    path = write(tmp_path / "arm.csv", {**columns, "t": text})
+    with pytest.raises(ValueError, match=r"'later' in line 9, column 't', is no date"):
+        read_recording(path)
+
+
+def test_several_columns_of_time_ask_which(tmp_path):
+    columns = table()
+    new = {"time": columns["t"], "timestamp": 5 * columns["t"]}
+    new |= {name: x for name, x in columns.items() if name != "t"}
+    path = write(tmp_path / "arm.csv", new)
+    with pytest.raises(RecordingRefused, match="could all be time") as caught:
+        read_recording(path)
+    recording, _ = read(path, **caught.value.options)
+    assert recording.dt == pytest.approx(0.01)
+    # With a period nothing else is asked of them.
+    recording, _ = read(path, dt=0.01)
+    assert set(recording.signals) == {"time", "timestamp"}
+
+
+def test_joints_named_like_units(tmp_path):
+    columns = table()
+    new = {"t": columns["t"]}
+    for j, name in ((1, "m"), (2, "deg")):
+        new |= {f"q_{name}": columns[f"q{j}"], f"tau[{name}]": columns[f"tau{j}"]}
+    path = write(tmp_path / "arm.csv", new)
+    recording, _ = read(path, joint_names=["m", "deg"])
+    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
+    np.testing.assert_allclose(recording.tau[:, 0], columns["tau1"], atol=1e-9)

@@ -53,6 +53,7 @@ def read_bag(paths: Sequence[Source], shown: Path, topic, wanted) -> Table:
         ) from error
     files = [path.file for path in paths]
     try:
+        # Reading such a bag without its description gives packed bytes.
         with AnyReader(
             files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
         ) as bag:
@@ -73,7 +74,8 @@ def _broken(shown, ending, error):
     if re.search("compress|zstd|lz4|bz2", reason, re.IGNORECASE):
         remedy = "convert it without compression (ros2 bag convert, rosbag decompress)"
     else:
-        remedy = f"it may be cut in the middle: {_MEND[ending].format(shown)}"
+        mend = _MEND.get(ending, "ros2 bag reindex {}").format(shown)
+        remedy = f"it may be cut in the middle: {mend}"
     return ValueError(f"{shown}: is no whole bag ({reason}); {remedy}.")
 
 

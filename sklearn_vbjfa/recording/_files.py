@@ -7,6 +7,7 @@ import bz2
 import contextlib
 import gzip
 import lzma
+import re
 import shlex
 import sys
 import tempfile
@@ -18,6 +19,24 @@ from sklearn_vbjfa.recording._table import LARGEST, Source, Table
 
 # Endings that are read as text with separators.
 _TEXT = (".csv", ".tsv", ".txt", ".dat")
+
+
+def _zstandard(source):
+    """Return the module of Zstandard, which Python has from 3.14 on."""
+    try:
+        from compression import zstd
+    except ImportError:
+        try:
+            from backports import zstd
+        except ImportError as error:
+            raise ImportError(
+                f"{source}: Zstandard comes with Python 3.14 or the extra bags: "
+                'pip install "sklearn-vbjfa[bags]"; or unpack it first: zstd -d '
+                f"{shlex.quote(str(source))}"
+            ) from error
+    return zstd
+
+
 _OPEN = {
     ".gz": gzip.open,
     ".bz2": bz2.open,
@@ -25,8 +44,6 @@ _OPEN = {
     ".lzma": lzma.open,
 }
 _OTHER_PACKERS = {
-    ".zst": "zstd -d",
-    ".zstd": "zstd -d",
     ".lz4": "lz4 -d",
     ".zip": "unzip",
     ".7z": "7z x",
@@ -45,8 +62,9 @@ _READERS = {
 }
 _KNOWN = (
     ".csv, .xlsx, .npz, .npy, .mat, .parquet, .bag, .db3 or .mcap (text also with .gz, "
-    ".bz2 or .xz behind)"
+    ".bz2, .xz or .zst behind)"
 )
+_ZSTANDARD = (".zst", ".zstd")
 # How files begin, and the ending that they would have.
 _MAGIC = (
     (b"\x1f\x8b", ".gz"),
@@ -73,7 +91,7 @@ def read_table(path, topic=None, wanted=lambda: ()) -> Table:
     path = Path(path).expanduser()
     with contextlib.ExitStack() as stack:
         if path.is_dir():
-            table = _read_folder(path, topic, wanted)
+            table = _read_folder(stack, path, topic, wanted)
         else:
             table = _read_file(stack, path, topic, wanted)
     if not table.columns or table.n_rows == 0:
@@ -81,23 +99,34 @@ def read_table(path, topic=None, wanted=lambda: ()) -> Table:
     return table
 
 
-def _read_folder(path, topic, wanted):
+def _read_folder(stack, path, topic, wanted):
     """Read the folder of a bag or of a LeRobot data set."""
     if _parquet.is_lerobot(path):
         _refuse_topic(path, topic)
         return _parquet.read_lerobot(Source(path, path))
+    if _packs_messages(path):
+        return _bags.read_bag([Source(path, path)], path, topic, wanted())
     for ending in _bags.ENDINGS:
         files = sorted(path.glob(f"*{ending}"))
-        if files:
-            sources = [Source(file, path) for file in files]
+        sources = [Source(file, path) for file in files]
+        for packed in sorted(path.glob(f"*{ending}.zst*")):
+            sources.append(_unpacked(stack, Source(packed, path), packed.suffix))
+        if sources:
             return _bags.read_bag(sources, path, topic, wanted())
-    packed = sorted([*path.glob("*.zstd"), *path.glob("*.zst")])
-    if packed:
-        raise _packed(packed[0], packed[0].suffix)
     raise ValueError(
         f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "
         "a LeRobot data set (meta/info.json)."
     )
+
+
+def _packs_messages(folder):
+    """Whether the description of a bag says that each message is packed."""
+    try:
+        text = (folder / "metadata.yaml").read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    mode = re.search(r"compression_mode:\s*[\"']?(\w+)", text)
+    return mode is not None and mode[1].lower() == "message"
 
 
 def _read_file(stack, path, topic, wanted):
@@ -109,17 +138,19 @@ def _read_file(stack, path, topic, wanted):
             f"{path}: no such file; expected a recording: {_KNOWN}."
         )
     ending = source.file.suffix.lower()
-    if ending in _OPEN:
+    if ending in _OPEN or ending in _ZSTANDARD:
         source = _unpacked(stack, source, ending)
         ending = source.file.suffix.lower()
     if ending in _OTHER_PACKERS:
-        raise _packed(path, ending)
+        raise _packed(source, ending)
     if ending in _bags.ENDINGS:
-        return _bags.read_bag([source], path, topic, wanted())
-    _refuse_topic(path, topic)
+        if _packs_messages(path.parent):
+            source = Source(path.parent, path)
+        return _bags.read_bag([source], source.shown, topic, wanted())
+    _refuse_topic(source, topic)
     if ending not in _READERS:
         raise ValueError(
-            f"{path}: unknown ending {ending!r}; save the recording as {_KNOWN}."
+            f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}."
         )
     return _READERS[ending](source)
 
@@ -172,10 +203,16 @@ def _unpacked(stack, source, ending):
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
     inner = Path(source.file.name).with_suffix("")
     file = folder / (inner.name or "recording")
+    broken = (OSError, EOFError, lzma.LZMAError, zlib.error)
+    if ending in _ZSTANDARD:
+        module = _zstandard(source)
+        opened, broken = module.open, (*broken, module.ZstdError)
+    else:
+        opened = _OPEN[ending]
     try:
-        with _OPEN[ending](source.file, "rb") as stream:
+        with opened(source.file, "rb") as stream:
             _copy(stream, file, source.shown)
-    except (OSError, EOFError, lzma.LZMAError, zlib.error) as error:
+    except broken as error:
         raise ValueError(
             f"{source}: is no whole {ending[1:]} file ({error}); pack it anew."
         ) from error

@@ -14,6 +14,7 @@ PACKAGE = "sklearn_vbjfa"
 ROOT = Path(sklearn_vbjfa.__file__).parent
 MODULES = sorted(ROOT.rglob("*.py"))
 OPTIONAL = {"pinocchio", "matplotlib", "dask", "distributed"}
+OPTIONAL |= {"pyarrow", "rosbags", "python_calamine"}
 
 
 def name_of(path):

@@ -347,6 +347,8 @@ def _channels(table: Table, layout, mapping, robot, dt, notes):
     no_time = dt is None and not layout.times
     if missing or no_time:
         raise _all_missing(table, layout, mapping, names, missing, no_time)
+    for pair in filter(None, matched.values()):
+        _refuse_both(table, *pair, names)
     by_joint = {kind: pair[0] for kind, pair in matched.items() if pair}
     if any(by_joint.values()):
         robot = _held(table, layout, robot, by_joint, notes)
@@ -384,10 +386,9 @@ def _held(table, layout, robot, by_joint, notes):
     return replace(robot, names=names)
 
 
-def _in_order(table: Table, kind, pair, names):
-    """Return the roles of one kind in the order of the joints."""
-    by_joint, by_number = pair
-    for found in pair:
+def _refuse_both(table, by_joint, by_number, names):
+    """Refuse several columns for one channel, and numbers beside names."""
+    for found in (by_joint, by_number):
         for roles in found.values():
             for other in roles[1:]:
                 _refuse_two(table, roles[0].column, other.column)
@@ -396,6 +397,11 @@ def _in_order(table: Table, kind, pair, names):
         j = names.index(name)
         (numbered, *_) = by_number.get(str(j + 1), next(iter(by_number.values())))
         _refuse_two(table, named.column, numbered.column)
+
+
+def _in_order(table: Table, kind, pair, names):
+    """Return the roles of one kind in the order of the joints."""
+    by_joint, by_number = pair
     found = by_joint or by_number
     first = 0 if by_joint or "0" in found else 1
     count = len(names if by_joint else found)

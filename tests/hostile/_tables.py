@@ -201,9 +201,9 @@ def cases():
     text("blank at every end", every("  "), "same")
     text("header twice", _lines(lambda x, rng: x.insert(500, x[0])), "refused", "501")
     text("header at the end", _lines(lambda x, rng: x.append(x[0])), "refused")
-    text(
-        "row of units", _lines(lambda x, rng: x.insert(1, "s,rad,rad,Nm,Nm")), "refused"
-    )
+    text("row of units", _lines(lambda x, rng: x.insert(1, "s,rad,rad,Nm,Nm")), "same")
+    strange = "s,rad,parsec,Nm,Nm"
+    text("row of strange units", _lines(lambda x, rng: x.insert(1, strange)), "refused")
     text("end of log", _lines(lambda x, rng: x.append("end of log")), "refused")
     text("header missing", _lines(lambda x, rng: x.pop(0)), "refused", "line 1")
     text("two logs", lambda rng: plain + plain, "refused")
@@ -249,7 +249,9 @@ def cases():
         _renamed(t="T", q1="Q1", q2="Q2", tau1="TAU1", tau2="Tau2"),
         "same",
     )
-    table("units in names", _renamed(t="t [s]", q1="q1 [rad]"), "refused")
+    table("units in names", _renamed(t="t [s]", q1="q1 [rad]"), "same")
+    table("strange unit", _renamed(q1="q1 [ell]"), "refused", "in 'ell', which is no")
+    table("wrong unit", _renamed(q1="q1 [mm]"), "refused", "shoulder turns; expected")
     table("other names", _renamed(q1="pos_1", q2="pos_2"), "refused", "no positions")
     table("no torques", lambda x, rng: {k: x[k] for k in ("t", "q1", "q2")}, "refused")
     table("no positions", lambda x, rng: {k: x[k] for k in ("t", "tau1")}, "refused")

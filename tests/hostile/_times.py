@@ -234,7 +234,7 @@ def _stamp_cases():
     add(
         "dates",
         lambda x, rng: x | {"t": [f"2024-01-01T00:00:{v:09.6f}" for v in x["t"]]},
-        "refused",
+        "same",
     )
     return found
 

@@ -13,13 +13,24 @@ if sys.platform != "linux":
     pytest.skip("processes with limits are Linux's here", allow_module_level=True)
 pytest.importorskip("pinocchio")
 
-from tests.hostile import _archives, _descriptions, _motions, _tables, _times
+pytest.importorskip("rosbags")
+pytest.importorskip("openpyxl")
+pytest.importorskip("python_calamine")
+
+from tests.hostile import (
+    _archives,
+    _descriptions,
+    _formats,
+    _motions,
+    _tables,
+    _times,
+)
 from tests.hostile._case import URDF, argv, clean_text
 from tests.hostile._runner import MEMORY, SECONDS, Runner
 
 CASES = [
     case
-    for family in (_tables, _archives, _descriptions, _motions, _times)
+    for family in (_tables, _archives, _formats, _descriptions, _motions, _times)
     for case in family.cases()
 ]
 FILES = {"identified.urdf", "parameters.csv", "report.html", "report.json"}

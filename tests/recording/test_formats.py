@@ -1,0 +1,379 @@
+"""Formats beside CSV, npz and parquet: packed text, sheets, MATLAB, npy, LeRobot."""
+
+import bz2
+import datetime
+import gzip
+import json
+import lzma
+import os
+import re
+import sys
+import threading
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.recording import _arrays, _files, _sheets
+from tests.recording.test_reader import DT, N, assert_same, table, write
+
+PACK = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
+
+
+def refused(path, **options):
+    """Return the message: one line that names the file."""
+    with pytest.raises(ValueError, match=re.escape(str(path))) as caught:
+        read_recording(path, **options)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def damaged(content, seed=0, count=60):
+    """Yield the bytes with some of them changed, or cut."""
+    rng = np.random.default_rng(seed)
+    for k in range(count):
+        if k % 3:
+            changed = bytearray(content)
+            for at in rng.integers(len(content), size=8):
+                changed[at] = rng.integers(256)
+            yield bytes(changed)
+        else:
+            yield content[: rng.integers(len(content))]
+
+
+def check_damage(path):
+    """Whatever is damaged ends in a recording or in one line."""
+    messages = []
+    for content in damaged(path.read_bytes()):
+        path.write_bytes(content)
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                read_recording(path, dt=DT)
+        except ValueError as error:
+            messages.append(str(error))
+    assert len(messages) > 20
+    for message in messages:
+        assert str(path) in message
+        assert "\n" not in message
+
+
+# -- packed ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", PACK)
+def test_packed_text(tmp_path, ending):
+    columns = table()
+    plain = write(tmp_path / "arm.csv", columns)
+    path = tmp_path / f"arm.csv{ending}"
+    path.write_bytes(PACK[ending](plain.read_bytes()))
+    recording = read_recording(path)
+    assert_same(recording, columns)
+    assert recording.name == "arm"
+    # Lines are those of the text.
+    text = plain.read_text().replace("\n0.01,", "\noff,", 1)
+    path.write_bytes(PACK[ending](text.encode()))
+    assert "'off' in line 3, column 't' is no number" in refused(path)
+
+
+@pytest.mark.parametrize("ending", PACK)
+def test_damage_of_packed_text(tmp_path, ending):
+    path = tmp_path / f"arm.csv{ending}"
+    plain = write(tmp_path / "arm.csv", table())
+    path.write_bytes(PACK[ending](plain.read_bytes()))
+    check_damage(path)
+
+
+def test_packed_without_an_inner_ending(tmp_path):
+    columns = table()
+    path = tmp_path / "arm.gz"
+    path.write_bytes(gzip.compress(write(tmp_path / "arm.csv", columns).read_bytes()))
+    assert_same(read_recording(path), columns)
+
+
+def test_a_packed_bomb_is_refused_early(tmp_path, monkeypatch):
+    monkeypatch.setattr(_files, "LARGEST", 1 << 20)
+    path = tmp_path / "arm.csv.gz"
+    path.write_bytes(gzip.compress(bytes(3 << 20)))
+    assert "too large to be read at once; give a shorter recording" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("ending", "command"),
+    [(".zip", "unzip"), (".7z", "7z x"), (".lz4", "lz4 -d"), (".tgz", "tar xf")],
+)
+def test_other_packers_are_named_with_their_command(tmp_path, ending, command):
+    path = tmp_path / f"my arm.csv{ending}"
+    path.write_bytes(b"anything")
+    message = refused(path)
+    assert f"is packed as {ending[1:]}, expected .csv" in message
+    assert message.endswith(f"unpack it first: {command} '{path}'")
+
+
+# -- pipes -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("ending", [".csv", ".csv.gz", ".npz", ".mat"])
+def test_standard_input(tmp_path, monkeypatch, ending):
+    columns = table()
+    path = tmp_path / f"arm{ending}"
+    if ending == ".npz":
+        np.savez(path, **columns)
+    elif ending == ".mat":
+        pytest.importorskip("scipy").io.savemat(path, columns)
+    else:
+        content = write(tmp_path / "plain.csv", columns).read_bytes()
+        path.write_bytes(gzip.compress(content) if "gz" in ending else content)
+    with path.open("rb") as stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        recording = read_recording("-")
+    assert_same(recording, columns)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX's")
+def test_a_named_pipe(tmp_path):
+    columns = table()
+    content = write(tmp_path / "arm.csv", columns).read_bytes()
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=pipe.write_bytes, args=(content,))
+    writer.start()
+    assert_same(read_recording(pipe), columns)
+    writer.join()
+
+
+def test_an_endless_pipe_is_refused(monkeypatch):
+    monkeypatch.setattr(_files, "LARGEST", 3 << 20)
+    if not os.path.exists("/dev/zero"):
+        pytest.skip("there is no endless file")
+    assert "too large" in refused("/dev/zero")
+    assert "is empty" in refused("/dev/null")
+
+
+# -- spreadsheets ----------------------------------------------------------------------
+
+
+@pytest.fixture
+def sheet(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    pytest.importorskip("python_calamine")
+
+    def save(rows, *others, name="arm.xlsx"):
+        book = openpyxl.Workbook()
+        for row in rows:
+            book.active.append(list(row))
+        for other in others:
+            extra = book.create_sheet()
+            for row in other:
+                extra.append(list(row))
+        book.save(tmp_path / name)
+        return tmp_path / name
+
+    return save
+
+
+def rows_of(columns):
+    return [list(columns), *(list(map(float, row)) for row in zip(*columns.values()))]
+
+
+def test_a_sheet(sheet):
+    columns = table()
+    assert_same(read_recording(sheet(rows_of(columns))), columns)
+
+
+def test_a_sheet_with_a_row_of_units_text_and_dates(sheet):
+    columns = table(1)
+    begin = datetime.datetime(2026, 11, 22, 12)
+    times = [begin + datetime.timedelta(milliseconds=10 * k) for k in range(N)]
+    degrees = np.rad2deg(columns["q1"])
+    rows = zip(times, degrees, columns["tau1"], N * ["run"])
+    head = [[], ["t", "q1", "tau1", "mode"], ["", "°", "Nm", ""]]
+    path = sheet([*head, *([x, float(q), float(u), m] for x, q, u, m in rows)])
+    with pytest.warns(UserWarning, match="mode hold no finite numbers"):
+        recording = read_recording(path)
+    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)
+    assert recording.dt == pytest.approx(DT)
+
+
+def test_cells_and_names_of_a_sheet_are_refused_by_their_line(sheet):
+    rows = rows_of(table(1))
+    rows[7][1] = "off"
+    assert "'off' in line 8 of sheet 'Sheet', column 'q1' is no" in refused(sheet(rows))
+    rows = rows_of(table(1))
+    rows[7][1] = None
+    assert "nan or nothing in line 8 of sheet" in refused(sheet(rows))
+    rows[0][1] = "t"
+    assert "line 1 names column 't' twice" in refused(sheet(rows))
+    assert "line 1 holds numbers where the header" in refused(sheet(rows[1:]))
+    assert "no rows of data" in refused(sheet([]))
+    assert "only a header" in refused(sheet([["t", "q1"], ["s", "rad"]]))
+
+
+def test_the_first_sheet_with_something_in_it(sheet):
+    columns = table()
+    path = sheet([], rows_of(columns))
+    with pytest.warns(UserWarning, match="sheet 'Sheet1' of 2 was read"):
+        assert_same(read_recording(path), columns)
+
+
+def test_damaged_sheets(sheet):
+    check_damage(sheet(rows_of(table())))
+
+
+def test_a_large_sheet_is_refused_early(sheet, monkeypatch):
+    monkeypatch.setattr(_sheets, "LARGEST", 1000)
+    assert "too large to be read at once" in refused(sheet(rows_of(table())))
+
+
+def test_sheets_without_calamine_name_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "python_calamine", None)
+    path = tmp_path / "arm.xlsx"
+    path.write_bytes(b"PK")
+    with pytest.raises(ImportError, match=r'pip install "sklearn-vbjfa\[excel\]"'):
+        read_recording(path)
+
+
+# -- MATLAB ----------------------------------------------------------------------------
+
+
+def matrices():
+    columns = table()
+    return columns, {
+        "t": columns["t"],
+        "q": np.column_stack([columns["q1"], columns["q2"]]),
+        "tau": np.column_stack([columns["tau1"], columns["tau2"]]),
+    }
+
+
+@pytest.mark.parametrize("turned", [False, True])
+@pytest.mark.parametrize("inside", [False, True])
+@pytest.mark.parametrize("compressed", [False, True])
+def test_matlab(tmp_path, turned, inside, compressed):
+    from scipy.io import savemat
+
+    columns, arrays = matrices()
+    if turned:
+        arrays = {name: x.T for name, x in arrays.items()}
+    path = tmp_path / "arm.mat"
+    content = {"log": arrays} if inside else arrays
+    savemat(path, content, do_compression=compressed)
+    assert_same(read_recording(path), columns)
+
+
+def test_matlab_of_the_wrong_version_or_damaged(tmp_path, monkeypatch):
+    from scipy.io import savemat
+
+    path = tmp_path / "arm.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(900))
+    message = refused(path)
+    assert "version 7.3 (HDF5), expected version 5 to 7.2" in message
+    assert "save(FILE, 't', 'q', 'tau', '-v7')" in message
+    savemat(path, matrices()[1], do_compression=True)
+    content = path.read_bytes()
+    check_damage(path)
+    path.write_bytes(content)
+    monkeypatch.setattr(_arrays, "LARGEST", 1000)
+    assert "too large to be read at once" in refused(path)
+
+
+def test_matlab_without_channels(tmp_path):
+    from scipy.io import savemat
+
+    path = tmp_path / "arm.mat"
+    savemat(path, {"x": np.arange(5.0), "names": ["a", "b"]})
+    assert "holds x, names; expected arrays q and tau" in refused(path)
+
+
+# -- npy -------------------------------------------------------------------------------
+
+
+def test_npy_with_named_fields(tmp_path):
+    columns, arrays = matrices()
+    kinds = [("t", float), ("q", float, 2), ("tau", float, 2)]
+    record = np.zeros(N, kinds)
+    for name, x in arrays.items():
+        record[name] = x
+    np.save(tmp_path / "arm.npy", record)
+    assert_same(read_recording(tmp_path / "arm.npy"), columns)
+
+
+def test_npy_of_something_else(tmp_path):
+    path = tmp_path / "arm.npy"
+    np.save(path, np.zeros((N, 5)))
+    message = refused(path)
+    assert "array of shape (60, 5) without names" in message
+    assert "numpy.savez(FILE, t=t, q=q, tau=tau)" in message
+    np.save(path, {"q": np.zeros(3)}, allow_pickle=True)
+    assert "holds Python objects and not numbers, which are not loaded" in refused(path)
+    path.write_bytes(path.read_bytes()[:20])
+    assert "is no whole npy file" in refused(path)
+
+
+# -- LeRobot ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def lerobot(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    def save(names=("hip.pos", "knee.pos"), effort=True, nested=False, parts=2):
+        folder = tmp_path / "set"
+        (folder / "meta").mkdir(parents=True)
+        named = None if names is None else list(names)
+        feature = {"dtype": "float32", "shape": [2]}
+        feature["names"] = {"motors": named} if nested else named
+        keys = ["observation.state", "action", *["observation.effort"] * effort]
+        info = {"codebase_version": "v2.1", "fps": 100}
+        info["features"] = {key: feature for key in keys}
+        (folder / "meta" / "info.json").write_text(json.dumps(info))
+        _, arrays = matrices()
+        values = {"observation.state": arrays["q"], "action": arrays["q"] + 0.1}
+        if effort:
+            values["observation.effort"] = arrays["tau"]
+        rows = np.array_split(np.arange(N), parts)
+        for k, own in enumerate(rows):
+            file = folder / "data" / "chunk-000" / f"episode_{k:06d}.parquet"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            columns = {key: list(x[own]) for key, x in values.items()}
+            columns["timestamp"] = (DT * np.arange(own.size)).astype("f4")
+            columns |= {"frame_index": np.arange(own.size), "index": own}
+            columns["episode_index"] = np.full(own.size, k)
+            parquet.write_table(pyarrow.table(columns), file)
+        return folder
+
+    return save
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_a_lerobot_data_set(lerobot, nested):
+    folder = lerobot(nested=nested)
+    with pytest.warns(UserWarning, match="taken as a LeRobot data set"):
+        recording = read_recording(folder)
+    assert_same(recording, table())
+    assert recording.joint_names == ("hip", "knee")
+    assert recording.group_names == ("0", "1")
+    assert not recording.signals
+    one = folder / "data" / "chunk-000" / "episode_000001.parquet"
+    with pytest.warns(UserWarning, match="taken as a LeRobot data set"):
+        recording = read_recording(one)
+    np.testing.assert_allclose(recording.q[:, 0], table()["q1"][N // 2 :], atol=1e-9)
+
+
+def test_a_lerobot_data_set_without_names(lerobot):
+    with pytest.warns(UserWarning, match="LeRobot"):
+        recording = read_recording(lerobot(names=None))
+    assert_same(recording, table())
+
+
+def test_lerobot_data_sets_that_lack_something(lerobot):
+    folder = lerobot(effort=False)
+    message = refused(folder)
+    assert "no torques: expected columns tau1, tau2" in message
+    (folder / "meta" / "info.json").write_text("{")
+    with pytest.raises(ValueError, match="is no whole JSON file"):
+        read_recording(folder)
+    for file in (folder / "data").rglob("*.parquet"):
+        file.unlink()
+    assert "LeRobot data set without parquet files in its folder" in refused(folder)

@@ -57,6 +57,7 @@ from sklearn_vbjfa.robot._model_values import (
     tell_unsettled,
 )
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
+from sklearn_vbjfa.robot._output_error import refine
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
     Plan,
@@ -324,6 +325,9 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         forgetting=1.0,
         gains=None,
         known_masses=None,
+        criterion="torque",
+        window="auto",
+        controller=None,
     ):
         self.model = model
         self.dt = dt
@@ -343,8 +347,20 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.forgetting = forgetting
         self.gains = gains
         self.known_masses = known_masses
+        self.criterion = criterion
+        self.window = window
+        self.controller = controller
 
-    def fit(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
+    def fit(
+        self,
+        X,
+        y,
+        groups=None,
+        sample_weight=None,
+        t=None,
+        signals=None,
+        reference=None,
+    ):
         """Identify the robot.
 
         Parameters
@@ -415,7 +431,34 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             known = clock, recording.signals
             facts = noise_of(self, X, recording.tau, recording.segments, *known)
             tell_noise(self, facts)
+        if self.criterion == "simulation":
+            self._refine(recording, states, reference)
         return self
+
+    def _refine(self, recording, states, reference):
+        """Refine the parameters of the torque fit by simulation; set `criteria_`."""
+        predictor = self._predictor()
+
+        def estimate_from(states):
+            known = {"theta": self._load}
+            made = segments(recording, states, self._plan, self.features_, **known)
+            return self._estimate(made)
+
+        found, identifiable = estimate_from(states), self.identifiable_
+        # Values of effects in the model have no columns there.
+        found = replace(found, std=self.theta_std_)
+        if self.controller is None:
+            refined = refine(predictor, found, recording, states, self)
+        self._set(
+            replace(
+                found,
+                theta=refined.theta,
+                theta_unconstrained=refined.unconstrained,
+                std=refined.std,
+            )
+        )
+        self.identifiable_ = identifiable
+        self.criteria_ = refined.criteria
 
     def _known_torque(self, effects):
         """Parameters that a fit with some effects gives the load of the next."""

@@ -3,16 +3,16 @@ r"""Output error: parameters whose simulated motion is the measured one.
 A recording is divided into windows. In each, the robot is simulated from the measured
 state of its first row, driven by the measured torques, and its positions are compared
 with the measured ones. The errors of a window are integrals of one another, so that a
-window counts as one observation of each joint; with the means over the N rows of
-window w, the criterion is
+window counts as one observation of each joint, of unknown variance. With the mean
+square e_j of the errors of joint j over all rows of W windows, minus twice the
+logarithm of the likelihood is, but for a constant,
 
 .. math::
 
-    J(\theta, z) = \sum_w \Big( \sum_j \frac{1}{N \sigma_j^2}
-    \sum_i \big(q_{wij}(\theta, z_w) - q^m_{wij}\big)^2 + z_w^\top z_w \Big),
+    J(\theta, z) = W \sum_j \log(e_j(\theta, z) + \epsilon_j^2) + \sum_w z_w^\top z_w,
 
-where sigma_j is the root mean square of the errors of joint j before the refinement,
-and z_w what the start state is moved by, in units of its measurement noise. Starts are
+where epsilon_j is the noise of the encoder, below which no error matters, and z_w what
+the start state of a window is moved by, in units of its measurement noise. Starts are
 eliminated in every step of Gauss and Newton, as each belongs to one window alone.
 """
 
@@ -33,11 +33,13 @@ _FORGETS = 5.0
 # There are at least so many windows, the blocks of time of the covariance.
 _LEAST_WINDOWS = 8
 _LEAST_ROWS = 20
-# Steps end when the criterion falls by less than this share.
+# Steps end when the mean squared error falls by less than this share.
 TOLERANCE = 1e-4
 _MOST_STEPS = 30
 # Damping in units of the largest information of the simulation over the torque fit's.
 _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-8, 1e6
+# Errors below this share of a joint's range are rounding.
+_ROUNDING = 1e-9
 # Memory of the sensitivities that are held together.
 _BYTES = 128 << 20
 # Student's t has a deviation from three degrees of freedom on.
@@ -56,7 +58,8 @@ class SimulationCriteria:
         measured states; after, from the estimated ones.
     torque_before, torque_after : ndarray of shape (nv,)
         Root mean square of the torque residuals of the fit, behind its low-pass
-        [N m or N]. The torque fit minimises them, so that after they are larger.
+        [N m or N]. The torque fit minimises them, so that after they are larger. With
+        a controller: of its simulated minus the measured torques.
     n_windows : int
         Number of windows; of recordings with a controller.
     window : float
@@ -123,6 +126,11 @@ class Windows:
     def count(self):
         """Number of windows."""
         return self.measured.shape[0]
+
+    @property
+    def observations(self):
+        """Number of windows in which each joint has positions, (nv,)."""
+        return (self.weight > 0).any(axis=1).sum(axis=0)
 
     @classmethod
     def of(cls, predictor, recording, states, rows):
@@ -199,7 +207,7 @@ def window_rows(window, predictor, recording, states):
     dt, lengths = recording.dt, [s.stop - s.start for s in recording.segments]
     longest = max(lengths)
     if not isinstance(window, str):
-        rows = int(round(float(window) / dt)) + 1
+        rows = round(float(window) / dt) + 1
         if rows > longest:
             raise ValueError(
                 f"window={window:g} s is longer than the longest recording "
@@ -232,7 +240,29 @@ def _slowest(predictor, recording, states):
     return float(times.max()) if times.size else 0.0
 
 
-def check_window(window):
+def check_criterion(settings):
+    """Refuse settings of an identifier that simulation cannot follow."""
+    if settings.criterion not in ("torque", "simulation"):
+        raise ValueError(
+            f"criterion must be 'torque' or 'simulation'; got {settings.criterion!r}."
+        )
+    if settings.criterion == "torque":
+        if settings.controller is not None:
+            raise ValueError("controller is given: it needs criterion='simulation'.")
+        return
+    _check_window(settings.window)
+    if settings.dt is None:
+        raise ValueError(
+            "criterion='simulation' needs the sample period: give dt in seconds."
+        )
+    if settings.period is not None:
+        raise ValueError(
+            "criterion='simulation' simulates recordings as they are, and cannot take "
+            "the mean of their periods: set period to None."
+        )
+
+
+def _check_window(window):
     """Refuse a window that is neither "auto" nor a positive time."""
     if isinstance(window, str):
         good = window == "auto"
@@ -307,15 +337,20 @@ class Fit:
 
     def position_errors(self, windows):
         """Root mean square of the errors of each joint, (nv,)."""
-        mean = (windows.weight * self.errors**2).sum(axis=1)
-        seen = np.maximum((windows.weight > 0).any(axis=1).sum(axis=0), 1)
-        return np.sqrt(mean.sum(axis=0) / seen)
+        squares = (windows.weight * self.errors**2).sum(axis=(0, 1))
+        return np.sqrt(squares / np.maximum(windows.observations, 1))
 
-    def criterion(self, windows, scale):
-        """Value of the criterion, with errors in units of scale (nv,)."""
-        return float((windows.weight * (self.errors / scale) ** 2).sum()) + float(
-            (self.z**2).sum()
-        )
+    def scale(self, windows):
+        """Units of the errors (nv,): their present size, with the encoders' noise."""
+        nv = self.errors.shape[2]
+        span = np.ptp(windows.measured, axis=(0, 1))
+        least = np.maximum(windows.noise[:nv], _ROUNDING * np.where(span > 0, span, 1))
+        return np.hypot(self.position_errors(windows), least)
+
+    def criterion(self, windows):
+        """Value of the criterion."""
+        size = 2.0 * np.log(self.scale(windows))
+        return float(windows.observations @ size + (self.z**2).sum())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -340,8 +375,9 @@ class Normal:
     step: np.ndarray
 
     @classmethod
-    def of(cls, fit, windows, scale):
+    def of(cls, fit, windows):
         """Differentiate the criterion at simulated windows."""
+        scale = fit.scale(windows)
         W, L, nv = windows.measured.shape
         p = fit.predictor.theta.size
         H, g = np.zeros((p, p)), np.empty((W, p))
@@ -399,11 +435,10 @@ def _refine(predictor, found, windows, projector):
     nv = predictor.features.n_joints_
     fit = Fit.of(predictor, windows, np.zeros((windows.count, 2 * nv)))
     before = fit.position_errors(windows)
-    scale = _scale(before, windows)
-    value = fit.criterion(windows, scale)
+    value, count = fit.criterion(windows), windows.observations.sum()
     held = held_parameters(predictor)
     metric = np.where(np.outer(~held, ~held), found.metric, 0.0)
-    normal = Normal.of(fit, windows, scale)
+    normal = Normal.of(fit, windows)
     largest = _largest(normal.H, metric)
     damping, unconstrained = _FIRST_DAMPING, found.theta_unconstrained
     taken, converged = 0, False
@@ -414,7 +449,7 @@ def _refine(predictor, found, windows, projector):
         own = normal.H + damping * largest * metric
         raw, theta = _step(fit.predictor, found, normal, own, held, projector)
         trial = _try(fit, normal, theta, windows)
-        after = np.inf if trial is None else trial.criterion(windows, scale)
+        after = np.inf if trial is None else trial.criterion(windows)
         if not after < value:
             damping *= 10.0
             continue
@@ -422,8 +457,8 @@ def _refine(predictor, found, windows, projector):
         fit, value, unconstrained = trial, after, raw
         taken += 1
         damping = max(0.1 * damping, _LEAST_DAMPING)
-        normal = Normal.of(fit, windows, scale)
-        if fell < TOLERANCE * value:
+        normal = Normal.of(fit, windows)
+        if fell < TOLERANCE * count:
             converged = True
             break
     theta = fit.predictor.theta
@@ -445,14 +480,6 @@ def _refine(predictor, found, windows, projector):
         std=np.where(held, found.std, std),
         criteria=criteria,
     )
-
-
-def _scale(before, windows):
-    """Units of the errors (nv,): those before, not less than the encoders' noise."""
-    nv = before.size
-    span = np.ptp(windows.measured, axis=(0, 1))
-    least = np.maximum(windows.noise[:nv], 1e-9 * np.where(span > 0, span, 1.0))
-    return np.maximum(before, least)
 
 
 def _largest(H, metric):
@@ -488,12 +515,14 @@ def _torque_errors(moments, theta):
     """Root mean square of the torque residuals of each joint, (nv,)."""
     squares = moments.residual_squares(theta)
     return np.sqrt(
-        np.divide(squares, moments.n, out=np.full(squares.size, np.nan), where=moments.n > 0)
+        np.divide(
+            squares, moments.n, out=np.full(squares.size, np.nan), where=moments.n > 0
+        )
     )
 
 
 def deviations(normal, metric, damping, before):
-    r"""Standard deviations (p,) of refined parameters.
+    r"""Find the standard deviations (p,) of refined parameters.
 
     With H the Gauss-Newton matrix, G the metric of the torque fit and a small damping
     mu, the covariance is

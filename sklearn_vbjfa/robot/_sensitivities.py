@@ -96,7 +96,7 @@ def held_parameters(predictor):
 
 
 def _of_bodies(predictor, states):
-    """Derivatives of the rigid bodies' torques, three arrays (n, nv, nv)."""
+    """Differentiate the rigid bodies' torques, three arrays (n, nv, nv)."""
     pin = import_pinocchio()
     model = with_bodies(predictor.features.model_, predictor.inertial())
     data, nv = model.createData(), model.nv
@@ -127,7 +127,7 @@ def _beside_bodies(predictor, recording, states):
 
 
 def _moving_effects(predictor):
-    """Effects whose torque depends on the state alone, with their coefficients."""
+    """Return effects whose torque depends on the state alone, and coefficients."""
     out = (*CHANNELS, *LEFT_OUT)
     return [
         (effect, coef)
@@ -161,9 +161,7 @@ def _differences(predictor, recording, states):
             both = np.full(n, step), np.full(n, -step)
             jump[:, k] = (torque(column, both[0]) - torque(column, both[1]))[:, k]
     stiffness, damping, mass = found
-    return Slopes(
-        mass=mass, damping=damping, stiffness=stiffness, jump=jump, Phi=None
-    )
+    return Slopes(mass=mass, damping=damping, stiffness=stiffness, jump=jump, Phi=None)
 
 
 def propagate(found, states, dt):
@@ -199,7 +197,9 @@ def propagate(found, states, dt):
         return middle(np.where(free, values.reshape(shape), 0.0))
 
     M, D, K = middle(found.mass), moved(found.damping), moved(found.stiffness)
-    turns = v[:, :-1] * v[:, 1:] < 0
+    # One that turns round in a row moves the new way there.
+    way = np.where(v != 0, np.sign(v), np.sign(a))
+    turns = way[:, :-1] * way[:, 1:] < 0
     if turns.any():
         mean = 0.5 * np.abs(a[:, :-1] + a[:, 1:])
         jump = middle(found.jump[..., None])[..., 0]

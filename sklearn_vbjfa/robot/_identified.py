@@ -80,14 +80,16 @@ class IdentifiedRobot(PredictsTorques):
 
     Examples
     --------
+    >>> import tempfile
     >>> import numpy as np
     >>> from sklearn_vbjfa import RobotIdentifier, load_identified
     >>> from sklearn_vbjfa.datasets import load_demo_recording
     >>> recording = load_demo_recording().select(0)
     >>> fitted = RobotIdentifier(recording.urdf, dt=recording.dt)
     >>> fitted = fitted.fit(recording.q, recording.tau)
-    >>> fitted.save("arm.json")
-    >>> robot = load_identified("arm.json")
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     fitted.save(f"{folder}/arm.json")
+    ...     robot = load_identified(f"{folder}/arm.json")
     >>> torque = robot.predict(recording.q)
     >>> bool(np.array_equal(torque, fitted.predict(recording.q)))
     True
@@ -230,12 +232,16 @@ def load_identified(path, effects=()):
 
     Examples
     --------
+    >>> import tempfile
     >>> from sklearn_vbjfa import RobotIdentifier, load_identified
     >>> from sklearn_vbjfa.datasets import load_demo_recording
     >>> recording = load_demo_recording().select(0)
     >>> fitted = RobotIdentifier(recording.urdf, dt=recording.dt)
-    >>> fitted.fit(recording.q, recording.tau).save("arm.json")
-    >>> load_identified("arm.json").joint_names_[:2]
+    >>> fitted = fitted.fit(recording.q, recording.tau)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     fitted.save(f"{folder}/arm.json")
+    ...     robot = load_identified(f"{folder}/arm.json")
+    >>> robot.joint_names_[:2]
     ('joint_1', 'joint_2')
     """
     return IdentifiedRobot(_model_file.read(path, effects))

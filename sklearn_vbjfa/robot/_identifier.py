@@ -1042,12 +1042,15 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
         Examples
         --------
+        >>> import tempfile
         >>> from sklearn_vbjfa import RobotIdentifier, load_identified
         >>> from sklearn_vbjfa.datasets import load_demo_recording
         >>> recording = load_demo_recording().select(0)
         >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt)
-        >>> robot.fit(recording.q, recording.tau).save("arm.json")
-        >>> load_identified("arm.json")
+        >>> robot = robot.fit(recording.q, recording.tau)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     robot.save(f"{folder}/arm.json")
+        ...     load_identified(f"{folder}/arm.json")
         <IdentifiedRobot: 6 joints, effects: none>
         """
         check_is_fitted(self)

@@ -674,10 +674,9 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         )
 
     def _tell_loads(self, made):
-        """Add the ranges of the loads in the segments that were fitted.
-
-        Declared friction does not depend on the load; without effects it is not needed.
-        """
+        """Add the ranges of the loads in the segments that were fitted."""
+        # Declared friction does not depend on the load; without effects it is not
+        # needed.
         if self.effects_:
             inertial = self._inertial(self.theta_)
 

@@ -27,6 +27,7 @@ from sklearn_vbjfa.robot._ranges import outside_text, signals_outside_text
 from sklearn_vbjfa.robot._recording_checks import check_widths
 from sklearn_vbjfa.robot._states import fit_states, smooth_to
 from sklearn_vbjfa.robot._time_effects import beyond_text, effect_of_time
+from sklearn_vbjfa.simulation._simulate import simulate
 from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
 
 
@@ -265,6 +266,78 @@ class PredictsTorques:
     def _predictor(self):
         """Return the robot's `TorquePredictor`."""
         raise NotImplementedError(f"{type(self).__name__} must define _predictor().")
+
+    def simulate(self, tau, q0, v0=None, t=None, *, signals=None):
+        """Simulate the identified robot, driven by measured torques.
+
+        Parameters
+        ----------
+        tau : array-like of shape (n_samples, nv)
+            Torques that the channels measured [N m or N], one row per sample. Between
+            rows they go straight.
+        q0 : array-like of shape (nv,)
+            Positions in the first row [rad or m].
+        v0 : array-like of shape (nv,), default=None
+            Velocities in the first row [rad/s or m/s]; None is at rest.
+        t : array-like of shape (n_samples,), default=None
+            Times of the rows [s], on the clock of the fit, at the sample period of the
+            fit. None counts from the beginning of the fit.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, for effects that vary with them.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3 * nv)
+            States [q | v | a]; the first row is the start.
+
+        Raises
+        ------
+        ValueError
+            If torques, times or the start do not suit the robot (the message says what
+            and where), the start lies outside the joint limits, or the robot has no
+            positive inertia.
+        SimulationError
+            A ValueError; if the motion diverges, or its energy exceeds what was put in
+            by more than 1 %, as with identified friction that drives a joint.
+
+        Warns
+        -----
+        UserWarning
+            If a joint leaves its limits, at which there are no stops; and of effects
+            that have no forward dynamics (`effects.Elastic`, `effects.Jerk`).
+
+        Notes
+        -----
+        Friction and all other effects are those of `predict`. Dry friction holds a
+        joint at rest up to its size; the times at which joints stop, turn round and
+        break loose are found, and steps of Runge's and Kutta's fourth order between
+        them are as long as their error estimate allows. Where smooth friction or a
+        stiffness is steep the steps are implicit (a Rosenbrock method). Delays and
+        filters of a torque channel, and its gain, are taken back from `tau` first.
+
+        Without feedback errors add up: two motions under the same torques part within
+        seconds wherever gravity or a neighbour drives them apart. Compare with a
+        recording over windows of about a second, each from a measured state.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording().select(0)
+        >>> robot = RobotIdentifier(
+        ...     recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")
+        ... )
+        >>> robot = robot.fit(recording.q, recording.tau)
+        >>> states = robot.state_estimator_.transform(recording.q)
+        >>> rows = slice(1000, 1050)  # half a second
+        >>> q0, v0 = states[1000, :6], states[1000, 6:12]
+        >>> simulated = robot.simulate(recording.tau[rows], q0, v0)
+        >>> simulated.shape
+        (50, 18)
+        """
+        model = self._predictor().torque_model()
+        return simulate(model, tau, q0, v0, t, signals=signals)
 
 
 def predictor_of(robot):

@@ -251,7 +251,7 @@ def _presliding(effect, rest):
 
 
 def _backlash(effect, rest):
-    """The play operator."""
+    """Follow the position at half the width (play operator)."""
     j, half = effect.joint, 0.5 * effect.width
     last = p = None
 

@@ -46,7 +46,7 @@ def why_left_out(effect):
 
 
 def causal(model):
-    """Return a `TorqueModel` of effects that states one by one can have, and the others.
+    """Return a `TorqueModel` without what states one by one cannot have, and that.
 
     Parameters
     ----------
@@ -198,10 +198,11 @@ class Stepper:
         row.q, row.v, row.a = q.tolist(), v.tolist(), a.tolist()
         if not math.isfinite(sum(row.q) + sum(row.v) + sum(row.a)):
             self._check_finite(q, v, a)
-        if self._timed:
-            self._tell_time(t)
         if self._signals:
             row.signals = self._read(signals)
+        # Last of the checks: a state that was refused leaves no trace.
+        if self._timed:
+            self._tell_time(t)
         if self._with_signs:
             row.signs = [
                 sign(*speeds) for sign, *speeds in zip(self._signs, row.v, row.a)
@@ -279,7 +280,7 @@ class Stepper:
 
 
 def _of_load(model):
-    """Coefficients of each effect in the torque of the load; empty where it has none."""
+    """Coefficients of each effect in the torque of the load; empty without."""
     if model.load is None:
         return [np.empty(0) for _ in model.effects]
     return [np.asarray(own, dtype=float) for own in model.load.coefficients]

@@ -209,7 +209,7 @@ class IdentifiedRobot(PredictsTorques):
 
         Notes
         -----
-        A state takes some 20 microseconds for seven joints with friction, and as long
+        A state takes some 10 microseconds for seven joints with friction, and as long
         after an hour as at first. One robot object is for one loop; copy it
         (`copy.deepcopy`) for another. Nothing is said of motion outside what was
         fitted: ask `predict` for that before.

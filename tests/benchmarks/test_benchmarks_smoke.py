@@ -53,6 +53,7 @@ def residuals(scale, index, tau):
         "single_effects",
         "speed",
         "states",
+        "step",
         "synthetic",
         "whole_robots",
     ],

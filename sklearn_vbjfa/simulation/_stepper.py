@@ -114,6 +114,10 @@ class Stepper:
             if not effect.in_model
         ]
         own = [effect for effect, *_ in pairs]
+        if model.rest is not None and model.rest.noise.any():
+            raise ValueError("rest of the model has noise; states are taken as exact.")
+        for effect in own:
+            _check_applies(model, effect)
         self._timed = any("time" in effect.needs for effect in own)
         self._signals = {name for effect in own for name in effect.recorded}
         self._payloads = [one for one in pairs if type(one[0]) is Payload]
@@ -127,8 +131,6 @@ class Stepper:
         self._rigid = _Rigid(model, model.bodies, self._payloads)
         self._load_friction = self._load_rigid = self._load_whole = None
         if self._needs_load:
-            if model.load is None:
-                raise ValueError("load of the model is missing, which effects need.")
             load = model.load
             self._load_friction = _JointFriction(model.friction_names, load.friction)
             self._load_rigid = _Rigid(model, load.bodies)
@@ -277,6 +279,28 @@ class Stepper:
                 "vary with."
             )
         return {name: float(signals[name]) for name in self._signals}
+
+
+def _check_applies(model, effect):
+    """Refuse an effect that does not suit the robot, as a prediction would."""
+    nothing = np.zeros((1, model.n_joints))
+    motion = Motion(
+        q=nothing,
+        v=nothing,
+        a=nothing,
+        t=np.zeros(1),
+        load=None if model.load is None else nothing,
+        torque=None if model.load is None else nothing,
+        prismatic=is_prismatic(model.model),
+        rigid=None if model.load is None else lambda q, v, a: nothing,
+        last_body=lambda: np.zeros((1, model.n_joints, 10)),
+        rest=model.rest,
+        since=model.since,
+        signals={name: np.zeros(1) for name in effect.recorded},
+    )
+    reason = effect.applies(motion)
+    if reason:
+        raise ValueError(f"{effect.name} on joint {effect.joint}: {reason}.")
 
 
 def _of_load(model):
@@ -430,11 +454,6 @@ class _ByMotion:
             since=self._model.since,
             signals={name: np.array([x]) for name, x in row.signals.items()},
         )
-        reason = self._effect.applies(motion)
-        if reason:
-            raise ValueError(
-                f"{self._effect.name} on joint {self._effect.joint}: {reason}."
-            )
         columns = self._columns(motion)[0]
         return columns if self._effect.whole_robot else columns.tolist()
 

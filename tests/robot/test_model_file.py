@@ -422,6 +422,20 @@ BAD = {
         ),
         r"'effects\[0\]\.shape' does not suit 'ripple'",
     ),
+    "partner": (
+        assign(
+            "effects",
+            value=[
+                {
+                    "name": "coupling",
+                    "of_library": True,
+                    "joint": "joint_2",
+                    "shape": {"other": -2},
+                }
+            ],
+        ),
+        r"'effects\[0\]\.shape\.other' must be another joint",
+    ),
     "joint of an effect": (
         assign(
             "effects",

@@ -277,6 +277,24 @@ def test_bad_states_are_named(stepper):
     stepper.step([1e308, 1e308], fine, fine, signals=warm)
 
 
+def test_effects_that_do_not_suit_the_robot():
+    predictor = random_predictor(np.random.default_rng(0), 3, ["payload"])
+    predictor.effects[0].set_params(joint=1)
+    with pytest.raises(ValueError, match="only the last body carries a payload"):
+        Stepper(predictor.torque_model())
+    loaded = random_predictor(np.random.default_rng(0), 3, ["load_friction"])
+    model = replace(loaded.torque_model(), load=None)
+    with pytest.raises(ValueError, match=r"load_friction on joint .: needs the load"):
+        Stepper(model)
+
+
+def test_velocities_with_noise_are_not_for_it():
+    model = random_predictor(np.random.default_rng(0), 2, []).torque_model()
+    noisy = replace(model.rest, noise=np.array([0.0, 0.1]))
+    with pytest.raises(ValueError, match="noise"):
+        Stepper(replace(model, rest=noisy))
+
+
 def test_time_goes_on(stepper):
     fine, warm = np.zeros(2), {"warmth": 0.0}
     stepper.step(fine, fine, fine, 1.0, warm)

@@ -6,7 +6,6 @@ from pathlib import Path
 from sklearn_vbjfa.robot import _model_file
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._prediction import PredictsTorques, predictor_of
-from sklearn_vbjfa.robot._ranges import warn_outside
 from sklearn_vbjfa.robot._written import write_robot
 from sklearn_vbjfa.simulation._stepper import Stepper, causal
 
@@ -172,11 +171,7 @@ class IdentifiedRobot(PredictsTorques):
             If the motion leaves what effects were fitted on; see
             `RobotIdentifier.predict`.
         """
-        predictor = self._predictor()
-        X, signals = predictor.checked(X, signals)
-        asked = predictor.ask(X, groups, t, signals=signals)
-        warn_outside(predictor.said_outside(asked), stacklevel=2)
-        return predictor.torques(asked)
+        return self._predictor().predict(X, groups, t, signals)
 
     def step(self, q, v, a, t=None, signals=None):
         """Predict the torques of the next state of a running robot.

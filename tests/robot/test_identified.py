@@ -175,3 +175,9 @@ def test_what_a_robot_is_called(read):
     assert repr(read) == (
         "<IdentifiedRobot: 6 joints, effects: load_friction, presliding, jerk>"
     )
+
+
+def test_warnings_point_to_who_asked(read, new_motion):
+    with pytest.warns(UserWarning, match="outside") as caught:
+        read.predict(2.0 * new_motion.states)
+    assert caught[0].filename == __file__

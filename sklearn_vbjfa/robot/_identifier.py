@@ -11,7 +11,6 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects._ranges import outside
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
-from sklearn_vbjfa.model._urdf import write_identified
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,
@@ -38,6 +37,7 @@ from sklearn_vbjfa.robot._equations import (
     unexcited_entries,
 )
 from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
+from sklearn_vbjfa.robot._exports import ColumnPowers, to_mjcf, to_urdf
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import (
     channel_gains,
@@ -45,6 +45,7 @@ from sklearn_vbjfa.robot._gains import (
     declared_gains,
     gain_places,
     note_of_gains,
+    note_of_units,
     relative_gains,
     with_gains,
 )
@@ -101,6 +102,7 @@ from sklearn_vbjfa.robot._torque_noise import (
     rows_looked_at,
     seen,
 )
+from sklearn_vbjfa.simulation._torque_model import TorqueModel
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -464,6 +466,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             common, covariance = self._common_gain(relative, found)
             if common.factor is not None:
                 self._scale(recording, states, common.factor)
+        self._powers = self._powers.with_tangents(self._tangent_powers, self.effects_)
         values = found.values_of(self.effects_)
         self.theta_[found.places] = values
         self.theta_unconstrained_[found.places] = values
@@ -519,6 +522,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             plan = replace(self._plan, tangents=True)
             made = segments(recording, states, plan, self.features_, theta=self._load)
             moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
+            self._tangent_powers = self._powers_of(moments)
             zeros = unexcited_entries(moments, self.features_.n_parameters_)
             if relative is not None:
                 zeros[:, places[relative.held]] = True
@@ -677,10 +681,21 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
+        self._powers = self._powers_of(found.moments)
         self._motion_ranges = found.moments.ranges
         self._tell_ranges()
         self._spreads = tuple(
             Spread.of_deviations(deviations) for deviations in self._split(found.std)
+        )
+
+    def _powers_of(self, moments):
+        """Sizes of the columns of friction and effects in the moments of a fit."""
+        return ColumnPowers.of_moments(
+            moments,
+            self.features_.n_parameters_,
+            len(self.features_.friction_),
+            self.effects_,
+            self.features_.gains_,
         )
 
     def _tell_ranges(self, load=None):
@@ -1100,43 +1115,148 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.
 
+        Damping and friction of a joint are the sums of what was declared and found.
         Axes of joints that a `JointAxis` has turned are corrected, too. A tilt of the
         base, zeros of encoders and gains of torque channels are no property of the
         robot that a description could hold: a comment at the top says what is to be
         changed, as plainly as that four degrees are to be subtracted. It also names
-        bodies whose masses the recording does not determine. Torques of the written
-        robot are the true ones, at true positions.
+        bodies whose masses the recording does not determine, and lists what the file
+        does not have. Torques of the written robot are the true ones, at true
+        positions.
 
         Parameters
         ----------
         path : str or os.PathLike
             File to write.
 
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have: springs, armature, offsets, effects of the
+            load, of time, of the channels, and coefficients that are negative. Each has
+            `name`, `joint`, `joint_name`, `size` (root mean square of its torque over
+            the fitted recording [N m or N]; nan if unknown), `unit` and `reason`.
+
         Raises
         ------
         ValueError
             If `model` is a `pinocchio.Model`, which keeps no URDF, or the parameters
             are not physically consistent.
+
+        See Also
+        --------
+        to_mjcf : The same for MuJoCo, with armature, springs and couplings.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording()
+        >>> friction = ("viscous", "coulomb", "offset")
+        >>> robot = RobotIdentifier(
+        ...     recording.urdf, dt=recording.dt, friction=friction
+        ... )
+        >>> robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     left_out = robot.to_urdf(Path(folder, "identified.urdf"))
+        >>> {one.name for one in left_out}
+        {'offset'}
         """
         check_is_fitted(self)
-        write_identified(
-            self.model,
+        return to_urdf(
             path,
-            self.features_.model_,
-            self._bodies(),
-            self.features_.friction_,
+            self.model,
+            self._torque_model(),
             self.min_eigenvalues_,
-            "\n".join(
-                filter(
-                    None,
-                    [
-                        note_of_gains(self.gains_),
-                        *note_of_corrections(self),
-                        note_of_masses(self),
-                    ],
-                )
-            ),
+            self._powers,
+            [
+                note_of_gains(self.gains_),
+                *note_of_corrections(self),
+                note_of_masses(self),
+            ],
             turned_joints(self),
+        )
+
+    def to_mjcf(self, path):
+        """Write the identified robot as MJCF, the description of MuJoCo.
+
+        Bodies and joints come from the robot model, as its effects correct it: a
+        `pinocchio.Model` will do, and no meshes are written. Viscous friction is
+        ``damping``, Coulomb friction ``frictionloss``, rotor inertia ``armature``, a
+        spring ``stiffness`` and ``springref``; a tilted base is in the direction of
+        gravity, an encoder's zero in ``ref``. Couplings that two joints have of each
+        other are fixed tendons with the same attributes. Each joint has a motor of its
+        name, whose control is what the torque channel reads; constant torques are its
+        bias.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write. MuJoCo 3.2 and newer read it.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have, in its comment as well: effects of the load, of
+            time, of the channels, what is no linear function of position or speed, and
+            coefficients that are negative; see `to_urdf`.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent, or a joint is helical.
+
+        See Also
+        --------
+        to_urdf : The same as URDF.
+
+        Notes
+        -----
+        Dry friction of MuJoCo is a soft constraint: with the time step h of the file it
+        is full where abs(v) > h (abs(a) + 1e-4 Fc / M), for a joint of inertia M, and
+        grows in proportion to the speed below. Joint limits are those of the
+        description, shifted by an encoder's zero; limits of torque and speed are not
+        written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording()
+        >>> friction = ("viscous", "coulomb", "offset")
+        >>> robot = RobotIdentifier(
+        ...     recording.robot_model(), dt=recording.dt, friction=friction
+        ... )
+        >>> robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     robot.to_mjcf(Path(folder, "identified.xml"))
+        ()
+        """
+        check_is_fitted(self)
+        return to_mjcf(
+            path,
+            self._torque_model(),
+            self.min_eigenvalues_,
+            self._powers,
+            [note_of_units(self.gains_), note_of_masses(self)],
+        )
+
+    def _torque_model(self):
+        """Return what is written into files, a `TorqueModel`."""
+        bodies = self._bodies()
+        return TorqueModel(
+            model=self.features_.model_,
+            bodies=bodies[:, :10],
+            friction_names=self.features_.friction_,
+            friction=bodies[:, 10:],
+            effects=self.effects_,
+            coefficients=tuple(self._split(self.theta_)),
+            gains=self.features_.gains_,
+            dt=self.dt,
         )
 
 

@@ -192,7 +192,7 @@ def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=()):
     level = CorrectedModel(robot.model)
     for j in np.flatnonzero(dynamics.ref):
         # The file says by `ref` what the corrected model has in its placements.
-        level.move_zero(j, -dynamics.ref[j])
+        level.move_zero(int(j), -float(dynamics.ref[j]))
     told = [*_notes_of_mjcf(robot, dynamics), *filter(None, notes)]
     write_mjcf(
         path,
@@ -476,20 +476,20 @@ def _mjcf_dynamics(account):
             account.leave_effect(effect, coef, reason)
     stable = spring > 0
     springref = np.where(stable, -constant / np.where(stable, spring, 1.0), 0.0)
-    coupled = _coupled(couplings, damping, armature)
-    for effect, rest in coupled.left:
+    joined = as_tendons(couplings, damping, armature, in_line(robot.model))
+    for effect, rest in joined.left:
         account.leave_effect(effect, rest, _one_sided(effect, rest))
     return JointDynamics(
-        damping=coupled.damping,
+        damping=joined.damping,
         frictionloss=frictionloss,
-        armature=coupled.armature,
+        armature=joined.armature,
         stiffness=np.where(stable, spring, 0.0),
         springref=springref,
         ref=ref,
         constant=np.where(stable, 0.0, constant),
         slope=np.where(stable, 0.0, spring),
         gain=robot.gains,
-        tendons=coupled.tendons,
+        tendons=joined.tendons,
     )
 
 
@@ -510,7 +510,8 @@ def _one_sided(effect, rest):
     )
     return (
         f"{what} of it: what joint {effect.other + 1} does to this one without the "
-        "reverse, or in excess of what a passive tendon can"
+        "reverse, or in excess of what a passive tendon can (one with inertia only "
+        "between joints of which one carries the other)"
     )
 
 
@@ -532,21 +533,36 @@ class _Coupled:
 _OWN_SHARE = {"other": 0.0, "sum": 1.0, "difference": -1.0}
 
 
-def _coupled(couplings, damping, armature):
+def in_line(model):
+    """Which joints carry each other, ndarray (nv, nv) of bool."""
+    carries = np.eye(model.nv, dtype=bool)
+    for j, parent in enumerate(list(model.parents)[1:]):
+        if parent > 0:
+            carries[:, j] |= carries[:, int(parent) - 1]
+    return carries | carries.T
+
+
+def as_tendons(couplings, damping, armature, lined):
     """Turn couplings into tendons, as far as both joints feel each other.
 
     couplings : pairs of `Coupling` and coefficients (Fvm, Fcm, Iam); damping, armature
-    : of the joints (nv,). Returns `_Coupled`.
+    : of the joints (nv,); lined : see `in_line`. Returns `_Coupled`.
 
     A tendon with the coefficients (1, s) and the damping d puts d (v_j + s v_k) on
     joint j and s times that on k: the matrix of dampings is symmetric, as that of
     whatever rubs between two joints. What one joint feels and the other does not is
-    left out, and so is what would ask for a negative damping of a joint.
+    left out, and so is what would ask for a negative damping of a joint. The same holds
+    for inertias, and those between joints of two branches are left out: MuJoCo has no
+    place for them in its sparse inertia matrix, and takes no notice of them.
     """
     taken = [np.zeros(3) for _ in couplings]
     parts = {}
     for at, available in ((0, damping), (2, armature)):
-        links = _mutual([(e, c[at]) for e, c in couplings], lambda effect: effect.other)
+        own = [
+            (e, c[at] if at == 0 or lined[e.joint, e.other] else 0.0)
+            for e, c in couplings
+        ]
+        links = _mutual(own, lambda effect: effect.other)
         shares = _affordable(links, available)
         for link, share in zip(links, shares):
             pair = (link.low, link.high, 1 if link.value > 0 else -1)
@@ -631,7 +647,7 @@ def _mutual(couplings, how):
         value = np.sign(sums[0]) * min(map(abs, sums))
         parts, need = [], []
         for own, total in zip((first, second), sums):
-            mine = [(number, one * value / total) for number, one in own]
+            mine = [(number, one * (value / total)) for number, one in own]
             given = sum(
                 _OWN_SHARE[couplings[number][0].of] * part for number, part in mine
             )

@@ -155,3 +155,25 @@ def test_refuses_what_cannot_be_written(tmp_path):
     with pytest.raises(FileNotFoundError):
         write_mjcf(tmp_path / "none" / "robot.xml", swing(), body, none)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_joint_sticks_under_less_load_than_its_friction(tmp_path):
+    """Forward dynamics hold it, and let it go with what exceeds the friction."""
+    mujoco = pytest.importorskip("mujoco")
+    model, path = swing(), tmp_path / "swing.xml"
+    body = np.array([model.inertias[1].toDynamicParameters()])
+    dynamics = replace(JointDynamics.none(1), frictionloss=np.array([3.0]))
+    write_mjcf(path, model, body, dynamics, dt=0.01)
+    read = mujoco.MjModel.from_xml_path(str(path))
+    # The load at q = 0 is m g c_x about y.
+    weight = -2.0 * 9.81 * 0.1
+    for push, moves in ((2.9, False), (-2.9, False), (3.4, True)):
+        data = mujoco.MjData(read)
+        data.ctrl[0] = push + weight
+        for _ in range(200):
+            mujoco.mj_step(read, data)
+        if moves:
+            # Half of a t^2 with (3.4 - 3) / I, as long as gravity changes little.
+            assert data.qpos[0] > 0.003
+        else:
+            assert abs(data.qpos[0]) < 1e-5

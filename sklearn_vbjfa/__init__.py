@@ -10,6 +10,7 @@ from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
 from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._identified import IdentifiedRobot, load_identified
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._states import StateEstimator
@@ -17,6 +18,7 @@ from sklearn_vbjfa.robot._states import StateEstimator
 __version__ = "0.2.0.dev0"
 __all__ = [
     "EffectDiscovery",
+    "IdentifiedRobot",
     "InstrumentalVariables",
     "JFARegressor",
     "JointTorqueRegressor",
@@ -29,5 +31,6 @@ __all__ = [
     "StepwiseRegressor",
     "TotalLeastSquares",
     "VBJFARegressor",
+    "load_identified",
     "replicate_noise",
 ]

@@ -115,9 +115,9 @@ APART = {
     "simulation": {"_core", "effects", "physical", "model"},
     "datasets": {"physical", "model", "recording"},
 }
-# scikit-learn's private parts, in one file that is no estimator.
-# Simulation works on the models themselves.
+# The simulators of `datasets` work on the models themselves.
 DOORS_TO_PINOCCHIO = {"model", "datasets"}
+# scikit-learn's private parts, in one file that is no estimator.
 COMPAT = "sklearn_vbjfa.regression._sklearn_compat"
 
 

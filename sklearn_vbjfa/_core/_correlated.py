@@ -721,11 +721,9 @@ def _has_digits(moments):
 
 
 def _highest_of_two(problem, up, max_iter, *, fast):
-    """Ascend from the exact fit or the ridge solution, whichever gets higher.
-
-    Fewer samples than inputs can be fitted exactly or explained as noise entirely;
-    often both are maxima, with a long flat ridge between them.
-    """
+    """Ascend from the exact fit or the ridge solution, whichever gets higher."""
+    # Fewer samples than inputs can be fitted exactly or explained as noise entirely;
+    # often both are maxima, with a long flat ridge between them.
     glance = min(_GLANCE, max_iter)
     exact = up(problem.start_from_least_squares(fast=fast), glance)
     noisy = up(problem.start(fast=fast), glance)

@@ -139,13 +139,11 @@ def mixed_tls(columns, target, exact):
 
 
 def _classical_tls(columns, target, floor):
-    """Minimum-norm total least squares; singular values below `floor` are zero.
-
-    With X = U S V', the singular value decomposition of [X y] is that of the small
-    matrix [[S, c], [0, rho]], c = U'y and rho the norm of y outside the span of X. With
-    sigma_k(X) = sigma_{k+1}([X y]) there is no finite solution, or many: then,
-    following Van Huffel & Vandewalle (1991), the last direction of V is dropped.
-    """
+    """Minimum-norm total least squares; singular values below `floor` are zero."""
+    # With X = U S V', the singular value decomposition of [X y] is that of the small
+    # matrix [[S, c], [0, rho]], c = U'y and rho the norm of y outside the span of X.
+    # With sigma_k(X) = sigma_{k+1}([X y]) there is no finite solution, or many: then,
+    # following Van Huffel & Vandewalle (1991), the last direction of V is dropped.
     U, s, Vt = np.linalg.svd(columns, full_matrices=False)
     rank = int(np.sum(s > floor))
     along = U.T @ target

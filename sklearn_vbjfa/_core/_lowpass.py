@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy import signal
+import scipy
 
 _ATTENUATION = 60.0  # dB
 # A filtered row counts when at least this share of the filter's neighbourhood counts.
@@ -68,12 +68,12 @@ class Lowpass:
         flat = x.reshape(n, -1)
         if self.half == 0:
             return flat[:: self.step].reshape(count, *x.shape[1:])
-        filtered = signal.upfirdn(self.taps, flat, up=1, down=self.step, axis=0)
+        filtered = scipy.signal.upfirdn(self.taps, flat, up=1, down=self.step, axis=0)
         # upfirdn starts at the first sample; the first full overlap is 2 * half later
         first = -(-2 * self.half // self.step)
         if 2 * self.half % self.step:
             lead = first * self.step - 2 * self.half
-            filtered = signal.upfirdn(
+            filtered = scipy.signal.upfirdn(
                 np.r_[np.zeros(lead), self.taps], flat, up=1, down=self.step, axis=0
             )
         return filtered[first : first + count].reshape(count, *x.shape[1:])
@@ -101,7 +101,7 @@ def design(dt, cutoff, step=None):
     if not np.isfinite(cutoff) or cutoff >= 0.5 / dt:
         return Lowpass(taps=np.ones(1), step=step or 1)
     relative = cutoff * dt  # cycles per sample
-    length, beta = signal.kaiserord(_ATTENUATION, 2 * relative)
+    length, beta = scipy.signal.kaiserord(_ATTENUATION, 2 * relative)
     half = int(np.ceil(length / 2))
     k = np.arange(-half, half + 1)
     taps = 2 * relative * np.sinc(2 * relative * k) * np.kaiser(k.size, beta)

@@ -178,10 +178,8 @@ def _with_weight(X, y, weight):
 
 
 def _blocks(X, y, weight, origin):
-    """Yield rows [X y] less `origin` (d + 1,), and their weights, in one buffer.
-
-    The buffer is reused for each block: allocating one costs as much as filling it.
-    """
+    """Yield rows [X y] less `origin` (d + 1,), and their weights, in one buffer."""
+    # The buffer is reused for each block: allocating one costs as much as filling it.
     n, d = X.shape
     step = min(rows_per_block(d), n)
     buffer = np.empty((step, d + 1))
@@ -470,12 +468,10 @@ def scatter_rounding(moments):
 
 
 def _judge(second, rounding):
-    """Whether rounding is significant, and the directions (d, k) lost in it.
-
-    It is significant if it changes the predictions by more than their standard error,
-    sqrt(s2 / n) per direction, or the output noise s2 by more than its standard error,
-    s2 sqrt(2 / n).
-    """
+    """Whether rounding is significant, and the directions (d, k) lost in it."""
+    # It is significant if it changes the predictions by more than their standard
+    # error, sqrt(s2 / n) per direction, or the output noise s2 by more than its
+    # standard error, s2 sqrt(2 / n).
     n, r = second.n, second.xy / second.n
     eigen = scaled_eigen(second.S / n, rounding, scale=1.0, relative=False)
     values, vectors = eigen.known_values, eigen.known_vectors
@@ -490,11 +486,9 @@ def _judge(second, rounding):
 
 
 def _is_exact(moments, data, directions, X, y, weight):
-    """Whether the rows vanish along the directions, up to their own rounding.
-
-    Each entry is rounded by eps of its value, offset included; the rounding of all
-    columns adds up in each product.
-    """
+    """Whether the rows vanish along the directions, up to their own rounding."""
+    # Each entry is rounded by eps of its value, offset included; the rounding of all
+    # columns adds up in each product.
     # Inactive columns and y do not enter.
     scaled = np.zeros((data.active.size + 1, directions.shape[1]))
     scaled[:-1][data.active] = directions / data.x_scale[:, None]

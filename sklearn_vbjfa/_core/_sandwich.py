@@ -96,10 +96,8 @@ def _pooled(K, s, noise):
 
 
 def _neighbours(K, s, place, noise):
-    """Correlation of the scores (n_blocks, r) of adjacent blocks.
-
-    For independent blocks, the fit makes their expected product -K_b K_c.
-    """
+    """Correlation of the scores (n_blocks, r) of adjacent blocks."""
+    # For independent blocks, the fit makes their expected product -K_b K_c.
     step = np.diff(place, axis=0)
     follows = (step[:, 0] == 0) & (step[:, 1] == 1)
     squares = (s**2).sum() + noise * np.vdot(K, K)

@@ -40,10 +40,8 @@ _POLYNOMIALS = _pieces()
 
 @lru_cache(maxsize=256)
 def _basis(step, first, last, order):
-    """Values (order 0) or derivatives of the six functions at x = k / step.
-
-    For k from `first` to `last`; outside [0, 1] the polynomials go on.
-    """
+    """Values (order 0) or derivatives of the six functions at x = k / step."""
+    # For k from `first` to `last`; outside [0, 1] the polynomials go on.
     x = np.arange(first, last + 1) / step
     columns = []
     for c in _POLYNOMIALS.T:
@@ -154,12 +152,10 @@ def fit(x, dt, cutoff, *, every=1, shift=0):
 
 
 def _slope(x, coef, step, lam):
-    """Minus half the gradient of |x - B c|^2 + lam |D c|^2 at c, shape of c.
-
-    The penalty is up to 1e12 times the rest, and the sum of both matrices has lost the
-    digits of what it does to slow motions. Each part by itself has them: differences of
-    neighbours are exact where a motion is slow.
-    """
+    """Minus half the gradient of |x - B c|^2 + lam |D c|^2 at c, shape of c."""
+    # The penalty is up to 1e12 times the rest, and the sum of both matrices has lost
+    # the digits of what it does to slow motions. Each part by itself has them:
+    # differences of neighbours are exact where a motion is slow.
     n, n_intervals = x.size, coef.size - _DEGREE
     basis = _basis(step, 0, step - 1, 0)
     # One interval more, of which the first sample may be on the last knot: the last of

@@ -3,7 +3,7 @@
 from numbers import Real
 
 import numpy as np
-from scipy import signal
+import scipy
 from sklearn.base import clone
 
 from sklearn_vbjfa.effects._base import TIME, Effect
@@ -17,7 +17,7 @@ _CONSTANTS = (0.2, 0.6, 1.8, 5.4)
 _SAMPLES = 0.5
 # Without a low-pass, this share of the sample rate is what is let through.
 _SLOWEST = 0.1
-# A normal weight function is cut off after so many standard deviations.
+# A normal weight function is cut off after this many standard deviations.
 _TAIL = 4.0
 # Frequency at which a normal weight function of 1 s leaves half the power [Hz].
 _HALF_POWER = np.sqrt(np.log(2.0)) / (2 * np.pi)
@@ -39,7 +39,9 @@ def low_pass(x, dt, time_constant):
     """
     left = np.exp(-dt / time_constant)
     mean = time_constant / dt * (1 - left)
-    return signal.lfilter([1 - mean, mean - left], [1, -left], x, zi=mean * x[:1])[0]
+    return scipy.signal.lfilter(
+        [1 - mean, mean - left], [1, -left], x, zi=mean * x[:1]
+    )[0]
 
 
 def smooth(x, dt, time_constant):
@@ -51,7 +53,7 @@ def smooth(x, dt, time_constant):
     reach = int(np.ceil(_TAIL * sigma))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
     padded = np.pad(x, reach, mode="edge")
-    return signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
+    return scipy.signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
 
 
 class Delay(Effect):

@@ -121,7 +121,7 @@ class Counterbalance(Effect):
         Two harmonics, or the geometry of a linkage.
     ratio : float, default=0.5
         Shorter distance from the axis over the longer one, for a linkage. Which of the
-        two points is the nearer one cannot be told.
+        two points is the nearer one does not show in the torque.
     angle : float, default=0.0
         Position [rad] in which the two points are nearest, for a linkage.
 

@@ -183,6 +183,21 @@ class Payload(Effect):
         columns = motion.last_body() @ _ball(np.asarray(self.centre, dtype=float))
         return columns * after[:, None, None]
 
+    def inertial(self, coef):
+        """Return what the last body's inertial parameters change by, ndarray (10,).
+
+        Parameters
+        ----------
+        coef : array-like of shape (5,)
+            Coefficients.
+
+        Returns
+        -------
+        ndarray of shape (10,)
+            Changes of m, mc_x, ..., I_zz [kg, kg m, kg m^2].
+        """
+        return _ball(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
+
     def at(self, coef):
         """Linearise the inertia at the centre of mass that was found."""
         mass, *moments = coef[:4]
@@ -208,11 +223,9 @@ class Payload(Effect):
 
 
 def _ball(c):
-    """Inertial parameters (10, 5) by mass, first moments and own inertia of a ball.
-
-    The inertia (s's 1 - s s') / m of a point is homogeneous in mass m and moments s, so
-    that its tangent at s = m c passes through zero.
-    """
+    """Inertial parameters (10, 5) by mass, first moments and own inertia of a ball."""
+    # The inertia (s's 1 - s s') / m of a point is homogeneous in mass m and moments
+    # s, so that its tangent at s = m c passes through zero.
     one = np.eye(3)
     out = np.zeros((10, 5))
     out[:4, :4] = np.eye(4)

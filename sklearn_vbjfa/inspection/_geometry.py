@@ -86,7 +86,7 @@ _ZERO_GAIN = np.log(2.0)
 _GOOD_FIT = 0.1
 # Gain over all joints that each swap on the way to another order must bring.
 _CLIMB = 0.05
-# All orders of up to so many joints are tried if half of the joints have errors above
+# All orders of up to this many joints are tried if half of the joints have errors above
 # this: single swaps help little before most joints are in place.
 _MOST_ORDERS = 5
 _NO_FIT = 0.5
@@ -246,12 +246,11 @@ def _torque_order(nv, equations, signals, joints):
 
 
 def _likely(equations, signals, joints):
-    """Pairs of joints whose torques, or positions, may be exchanged.
-
-    All pairs if there are few; else those in which the torque of each joint follows
-    the motion of the other best, compared with how it follows its own: of all torques
-    in the equation of each joint, which has to be factorised only once for them.
-    """
+    """Pairs of joints whose torques, or positions, may be exchanged."""
+    # All pairs if there are few; else those in which the torque of each joint follows
+    # the motion of the other best, compared with how it follows its own: of all
+    # torques in the equation of each joint, which has to be factorised only once for
+    # them.
     pairs = list(combinations(joints, 2))
     most = _PAIRS_PER_JOINT * len(joints)
     if len(pairs) <= most:
@@ -269,11 +268,9 @@ def _likely(equations, signals, joints):
 
 
 def _worst(fits):
-    """Pairs of joints both of which fit poorly, all pairs if there are few.
-
-    A joint that stands in the wrong place fits worse than what it is read for: an
-    exchange can lower the squared errors of both only as far as they are large.
-    """
+    """Pairs of joints both of which fit poorly, all pairs if there are few."""
+    # A joint that stands in the wrong place fits worse than what it is read for: an
+    # exchange can lower the squared errors of both only as far as they are large.
     pairs = list(combinations(fits, 2))
     cost = [-min(fits[a].error[0], fits[b].error[0]) for a, b in pairs]
     most = _PAIRS_PER_JOINT * len(fits)

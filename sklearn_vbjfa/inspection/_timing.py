@@ -23,7 +23,7 @@ _SPEED_SAMPLES = 5
 _TOO_SLOW = 0.01
 # ... and motions are seldom sampled at that period [s]; 5 kHz read as ms are 0.2.
 _LONG_PERIOD = 0.15
-# The inertia of a joint, with its rotor, is less than so many times the nominal one.
+# The inertia of a joint, with its rotor, is less than this many times the nominal one.
 _LARGEST_INERTIA = 400.0
 # Rows with which other sample periods are tried, and the factors.
 _FEW_ROWS = 900

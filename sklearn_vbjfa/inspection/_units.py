@@ -26,7 +26,7 @@ _UNIT_GAIN = np.log(2.0)
 # Encoder counts are whole numbers that span at least this range.
 _FEWEST_COUNTS = 25.0
 # Integrated velocities stay within this multiple of a joint's range; where the model
-# has no limits, the range is taken to be so many radians or metres.
+# has no limits, the range is taken to be this many radians or metres.
 _RANGE_MARGIN = 1.25
 _RANGE_TURN, _RANGE_SLIDE = 4 * np.pi, 5.0
 # ... and have means of at most this share of their standard deviation.

@@ -96,11 +96,9 @@ def _nearest(x):
 
 @_compiled
 def _cosine_sine(angle):
-    """Return cosine and sine of an angle, to 3e-16.
-
-    Those of half the angle less half turns, by the polynomials of the Cephes library
-    on [-pi / 4, pi / 4], and then of twice that.
-    """
+    """Return cosine and sine of an angle, to 3e-16."""
+    # Those of half the angle less half turns, by the polynomials of the Cephes
+    # library on [-pi / 4, pi / 4], and then of twice that.
     turns = _nearest((1 / math.pi) * angle)
     rest = ((angle - _PI_1 * turns) - _PI_2 * turns) - _PI_3 * turns
     x = 0.5 * rest

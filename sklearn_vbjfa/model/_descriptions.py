@@ -131,11 +131,9 @@ def _xl330(pin) -> "pin.Model":
 
 
 def _double_pendulum(pin) -> "pin.Model":
-    """Two links on parallel horizontal axes, hanging straight at zero.
-
-    Parameters of the file model_parameters_A.0_model_2.0.yml of the
-    publishers; their inertias are about the joint.
-    """
+    """Two links on parallel horizontal axes, hanging straight at zero."""
+    # Parameters of the file model_parameters_A.0_model_2.0.yml of the publishers;
+    # their inertias are about the joint.
     links = [
         # mass [kg], lever of the centre of mass [m], inertia about the joint
         (0.5593806151425046, 0.3, 0.053470810264216295),

@@ -88,7 +88,7 @@ def load_model(model):
     pin = import_pinocchio()
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
-        return _from_description(pin, _parse(path), path)
+        return _from_description(pin, parse_description(path), path)
     if isinstance(model, pin.Model):
         return _check_joints(model.copy())
     raise TypeError(
@@ -114,7 +114,7 @@ def load_reduced(path, moving):
         As from `load_model`.
     """
     path = Path(path)
-    tree = _parse(path)
+    tree = parse_description(path)
     _hold_others(tree, path, moving)
     return _from_description(import_pinocchio(), tree, path)
 
@@ -134,7 +134,7 @@ def write_reduced(path, target, moving):
     tuple of str
         Names of the joints that were fixed.
     """
-    tree = _parse(Path(path))
+    tree = parse_description(Path(path))
     held = _hold_others(tree, Path(path), moving)
     tree.write(target, encoding="utf-8", xml_declaration=True)
     return held
@@ -163,14 +163,43 @@ def _check_joints(loaded):
     return loaded
 
 
-def _parse(path):
+def load_text(text, path):
+    """Return the model of a URDF that was read before.
+
+    What of it does not enter the model was said then.
+
+    Parameters
+    ----------
+    text : str
+        XML without declaration.
+    path : str or os.PathLike
+        File that messages name.
+
+    Returns
+    -------
+    pinocchio.Model
+        As from `load_model`.
+    """
+    pin, path = import_pinocchio(), Path(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return _from_description(pin, _parsed(text.encode(), path), path)
+
+
+def parse_description(path):
+    """Read the XML of a robot description, `ElementTree`; refuse what is none."""
     if not path.is_file():
         raise FileNotFoundError(
             f"No robot description at {str(path)!r}; expected the path of a URDF file."
         )
+    return _parsed(path.read_bytes(), path)
+
+
+def _parsed(content, path):
+    """Parse the bytes of a description; path : what messages name."""
     try:
-        _check_structure(path)
-        return ElementTree.parse(path)
+        _check_structure(content)
+        return ElementTree.ElementTree(ElementTree.fromstring(content))
     except (ElementTree.ParseError, ExpatError, LookupError, ValueError) as error:
         raise ValueError(
             f"{str(path)!r} is not readable as URDF (XML): {error}. "
@@ -178,7 +207,7 @@ def _parse(path):
         ) from error
 
 
-def _check_structure(path):
+def _check_structure(content):
     """Refuse XML that is no robot's, before a parser makes a tree of it.
 
     Parsers call themselves once a level: a file of some hundred kilobytes can overrun
@@ -209,8 +238,7 @@ def _check_structure(path):
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     parser.EntityDeclHandler = entity
-    with path.open("rb") as file:
-        parser.ParseFile(file)
+    parser.Parse(content, True)
 
 
 def _hold_others(tree, path, moving):

@@ -156,10 +156,7 @@ def _time_step(dt):
 
 
 class _Tree:
-    """Elements of the bodies, tendons and motors of a robot.
-
-    model : pinocchio.Model; bodies : (nv, 10); dynamics : `JointDynamics`.
-    """
+    """Elements of the bodies, tendons and motors of a robot."""
 
     def __init__(self, model, bodies, dynamics):
         self._model, self._bodies, self._dynamics = model, bodies, dynamics

@@ -160,7 +160,7 @@ class TreeRegressor:
                 carried[:, i] |= carried[:, parent]
         # Pinocchio's recursion in body frames leaves exact zeros where the torque does
         # not depend on a parameter; in world axes they are the rounding of
-        # differences, which have no scale to be told by.
+        # differences, which have no scale to be judged by.
         states = np.random.default_rng(0).normal(size=(_N_PROBES, 3 * self.nv))
         one = self.one_by_one()
         probes = np.array([one(*np.split(row, 3)) for row in states])

@@ -231,10 +231,8 @@ def raised(matrices, floor):
 
 
 def _null_space(root):
-    """Orthonormal basis (n_features, n_hidden) of what a metric does not see.
-
-    Up to the rounding of the metric, which is the square of its root.
-    """
+    """Orthonormal basis (n_features, n_hidden) of what a metric does not see."""
+    # Up to the rounding of the metric, which is the square of its root.
     _, values, rows = np.linalg.svd(root)
     limit = np.sqrt(values.size * np.finfo(float).eps) * values.max(initial=0.0)
     return rows[values <= limit].T

@@ -276,11 +276,9 @@ def _resolve_scales(found, mass_scale, length_scale):
 
 
 def _default_metric(rows, layout, mass_scale, length_scale):
-    """Metric that counts each parameter in its own unit.
-
-    The ten of a body in units of its mass and length scale; a column outside the
-    bodies in units of its root mean square over the rows (1 for a column of zeros).
-    """
+    """Metric that counts each parameter in its own unit."""
+    # The ten of a body in units of its mass and length scale; a column outside the
+    # bodies in units of its root mean square over the rows (1 for a column of zeros).
     units = np.sqrt(np.mean(rows**2, axis=0))
     units[units == 0] = 1.0
     units[layout.body_columns] = parameter_units(mass_scale, length_scale)
@@ -465,11 +463,9 @@ class Projection:
         return units, root / size if size > 0 else root
 
     def _settle(self, vector, units, programme):
-        """Make a vector consistent to the last bit in the user's own units.
-
-        Division by the units rounds, so an eigenvalue may come out a few rounding
-        errors below the margin; the least lift that restores it is added.
-        """
+        """Make a vector consistent to the last bit in the user's own units."""
+        # Division by the units rounds, so an eigenvalue may come out a few rounding
+        # errors below the margin; the least lift that restores it is added.
         bodies, kept = self.layout.body_columns, self.layout.nonnegative
         vector[kept] = np.maximum(vector[kept], 0.0)
         excess = np.finfo(float).eps

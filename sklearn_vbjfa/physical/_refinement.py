@@ -119,11 +119,9 @@ def refine(programme, start, *, max_steps):
 
 
 def _inside(programme, start):
-    """Move a solution from the boundary, where no step leads on, to near the path.
-
-    At a solution the products of slack and multipliers are zero.  Here they become `m`
-    to ``2 m``: by a lift of ``m / |Z|``, and by multipliers of ``m / S`` added.
-    """
+    """Move a solution from the boundary, where no step leads on, to near the path."""
+    # At a solution the products of slack and multipliers are zero. Here they become
+    # `m` to ``2 m``: by a lift of ``m / |Z|``, and by multipliers of ``m / S`` added.
     kept = programme.nonnegative
     duals, multipliers = raised(start.duals, 0.0), np.maximum(start.multipliers, 0.0)
     tiny = np.finfo(float).tiny

@@ -148,10 +148,8 @@ def _strings(joint_names):
 
 
 def _robot(urdf, names):
-    """Return joint names and which are prismatic, empty without a description.
-
-    Of the description's joints only those with `names` count, if there are any.
-    """
+    """Return joint names and which are prismatic, empty without a description."""
+    # Of the description's joints only those with `names` count, if there are any.
     if urdf is None:
         return (), ()
     from sklearn_vbjfa.model import _loading

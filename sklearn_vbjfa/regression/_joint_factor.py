@@ -431,12 +431,10 @@ def fit_independent(data, prior, initial_noise, *, max_iter, tol, accelerate=Tru
 
 
 def _coefficient_covariance(moments, s, precision):
-    """Covariance (d, d) of the noisy-query coefficients c, of prior precision (d,).
-
-    With z and t integrated out, y | x ~ N(c'x, s), so that c has the precision
-    S_xx / s plus that of its prior. The variational variances, conditional on the
-    private z of each input, would be far too small.
-    """
+    """Covariance (d, d) of the noisy-query coefficients c, of prior precision (d,)."""
+    # With z and t integrated out, y | x ~ N(c'x, s), so that c has the precision
+    # S_xx / s plus that of its prior. The variational variances, conditional on the
+    # private z of each input, would be far too small.
     if moments.S is None:
         # Woodbury with n < d; inputs without a prior have no finite variance.
         if not np.all(precision > 0):

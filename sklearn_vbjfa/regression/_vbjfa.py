@@ -493,13 +493,11 @@ def _in_common(m, psi, solution, solve):
 
 
 def _uncertainty(m, psi, coef, in_common, dof=np.inf):
-    """Second moment (d, d) about `coef` of the posterior with one precision in common.
-
-    A posterior under automatic relevance determination takes the precisions for known:
-    of a coefficient that it has switched off, or nearly, it says that it is zero. One
-    precision, known from all coefficients together, does not. What both disagree in
-    belongs to what is not known.
-    """
+    """Second moment (d, d) about `coef` of the posterior with one common precision."""
+    # A posterior under automatic relevance determination takes the precisions for
+    # known: of a coefficient that it has switched off, or nearly, it says that it is
+    # zero. One precision, known from all coefficients together, does not. What both
+    # disagree in belongs to what is not known.
     cov = posterior_covariance(m.n, psi, in_common, dof)
     return cov + _square(in_common.state.beta_mean - coef)
 
@@ -526,23 +524,19 @@ def _square(x):
 
 
 def _fraction_covariance(solution, largest):
-    """Covariance (d, d) of the coefficients over a fraction uniform on [0, largest].
-
-    The slope in f follows from [C19]; the variance of f is largest^2 / 12.
-    """
+    """Covariance (d, d) of the coefficients over a fraction uniform on [0, largest]."""
+    # The slope in f follows from [C19]; the variance of f is largest^2 / 12.
     beta = solution.state.beta_mean
     slope = scaled_eigen(solution.latent.Sigma_t).solve(beta)  # [C19]
     return _square(slope) * largest**2 / 12
 
 
 def _average(m, solution, solve):
-    """Answer to noisy queries: the mean of two regressions on the inputs as they are.
-
-    One gives each input a precision of its own, which suits few relevant inputs; the
-    other one precision to all, which suits many. Nothing tells beforehand which suits;
-    their mean is nearly as good as the better one, and half of what they differ in is
-    not known.
-    """
+    """Answer to noisy queries: the mean of two regressions on the noisy inputs."""
+    # One gives each input a precision of its own, which suits few relevant inputs;
+    # the other one precision to all, which suits many. Nothing tells beforehand which
+    # suits; their mean is nearly as good as the better one, and half of what they
+    # differ in is not known.
     exact = np.zeros_like(m.S)
     other = _in_common(m, exact, solution, solve)
     both = [one.state for one in (solution, other)]
@@ -582,11 +576,9 @@ def _warn_excess(R, psi, data, labels):
 
 
 def _relevant_inputs(m, basis, as_they_are, solve):
-    """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations.
-
-    Asked of the noisy inputs on purpose: an input that has nothing to do with y has a
-    zero coefficient there too, and the test has not lost power to the correction.
-    """
+    """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations."""
+    # Asked of the noisy inputs on purpose: an input that has nothing to do with y has
+    # a zero coefficient there too, and the test has not lost power to the correction.
     state = as_they_are.state
     if basis.size < m.xx.size:
         exact = np.zeros((basis.size, basis.size))
@@ -599,11 +591,9 @@ def _relevant_inputs(m, basis, as_they_are, solve):
 
 
 def _spread(R, at, copies):
-    """Matrix (d, k) that gives the columns `at` and their exact copies their shares.
-
-    Nothing tells copies apart: in standardised columns each takes the same part, with
-    the sign of its correlation.
-    """
+    """Matrix (d, k) that gives the columns `at` and their exact copies their shares."""
+    # Nothing tells copies apart: in standardised columns each takes the same part,
+    # with the sign of its correlation.
     spread = np.zeros((R.shape[0], at.size))
     for k, (j, group) in enumerate(zip(at, copies)):
         sign = np.ones(1) if group.size == 1 else np.sign(R[j, group])

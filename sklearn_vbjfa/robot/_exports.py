@@ -5,7 +5,7 @@ identified robot is none of these is left out of a file, and is listed in it and
 is returned, with the size of its torque: nothing is dropped or clipped in silence.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -101,68 +101,6 @@ class LeftOut:
         """One line."""
         size = f"{self.size:.3g} {self.unit}" if self.size == self.size else "unknown"
         return f"{self.name} on {self.joint_name} ({size}): {self.reason}"
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ColumnPowers:
-    """Mean products of the columns of friction and effects in a fitted recording.
-
-    The square of the root mean square of an effect's torque is coef' (products) coef.
-
-    Attributes
-    ----------
-    friction : ndarray of shape (nv, n_friction)
-        Mean squares of the declared columns.
-    effects : tuple of ndarray of shape (nv, k, k)
-        Mean products of each effect's columns in the equations of every joint; nan
-        where they are not known.
-    """
-
-    friction: np.ndarray
-    effects: tuple = ()
-
-    @classmethod
-    def of_moments(cls, moments, n_rigid, n_friction, effects, gains):
-        """Take them from the moments of a fit.
-
-        Parameters
-        ----------
-        moments : JointMoments
-            Of equations whose columns are the parameters.
-        n_rigid, n_friction : int
-            Number of parameters of bodies and friction, and of friction columns.
-        effects : sequence of Effect
-            Effects that come behind them; in the first of several passes fewer.
-        gains : ndarray of shape (nv,)
-            What the rows of each joint are multiplied by.
-        """
-        nv = moments.n.size
-        with np.errstate(divide="ignore", invalid="ignore"):
-            mean = moments.G / (np.asarray(gains) ** 2 * moments.n)[:, None, None]
-        own = mean[:, :n_rigid, :n_rigid].diagonal(axis1=1, axis2=2)
-        width = n_rigid // nv
-        own = own.reshape(nv, nv, width)[np.arange(nv), np.arange(nv)]
-        found, at = [], n_rigid
-        for effect in effects:
-            stop = at + len(effect.coefficients)
-            block = mean[:, at:stop, at:stop].copy()
-            if isinstance(effect, TorqueGain):
-                # Its column is the true torque already.
-                block *= (np.asarray(gains) ** 2)[:, None, None]
-            # Values in the model have columns only where they are corrected.
-            if effect.in_model and not block.any():
-                block[:] = np.nan
-            found.append(block)
-            at = stop
-        return cls(friction=own[:, width - n_friction :].copy(), effects=tuple(found))
-
-    def with_tangents(self, other, effects):
-        """Return them with the products of effects in the model from others."""
-        taken = [
-            theirs if effect.in_model else ours
-            for effect, ours, theirs in zip(effects, self.effects, other.effects)
-        ]
-        return replace(self, effects=tuple(taken))
 
 
 def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=()):
@@ -288,10 +226,7 @@ def _notes_of_mjcf(robot, dynamics):
 
 
 class _Account:
-    """What of a robot has found its place, and what is left out.
-
-    robot : `TorqueModel`; powers : `ColumnPowers` or None.
-    """
+    """What of a robot, a `TorqueModel`, has found its place, and what is left out."""
 
     def __init__(self, robot, powers):
         self.robot, self.left = robot, []
@@ -516,11 +451,17 @@ def _one_sided(effect, rest):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Coupled:
+class Coupled:
     """Couplings as tendons.
 
-    damping, armature : of the joints, (nv,), compensated; tendons : of `Tendon`; left :
-    pairs of effect and the coefficients that are left out.
+    Attributes
+    ----------
+    damping, armature : ndarray of shape (nv,)
+        Of the joints, without what the tendons do to a joint by itself.
+    tendons : tuple of Tendon
+        Tendons.
+    left : list of (Coupling, ndarray of shape (3,))
+        What is left of each coupling's coefficients.
     """
 
     damping: np.ndarray
@@ -545,9 +486,22 @@ def in_line(model):
 def as_tendons(couplings, damping, armature, lined):
     """Turn couplings into tendons, as far as both joints feel each other.
 
-    couplings : pairs of `Coupling` and coefficients (Fvm, Fcm, Iam); damping, armature
-    : of the joints (nv,); lined : see `in_line`. Returns `_Coupled`.
+    Parameters
+    ----------
+    couplings : list of (Coupling, ndarray of shape (3,))
+        Effects with their coefficients Fvm, Fcm, Iam.
+    damping, armature : ndarray of shape (nv,)
+        Of the joints, not negative.
+    lined : ndarray of shape (nv, nv), bool
+        Which joints carry each other; see `in_line`.
 
+    Returns
+    -------
+    Coupled
+        What the joints keep, the tendons, and what is left.
+
+    Notes
+    -----
     A tendon with the coefficients (1, s) and the damping d puts d (v_j + s v_k) on
     joint j and s times that on k: the matrix of dampings is symmetric, as that of
     whatever rubs between two joints. What one joint feels and the other does not is
@@ -599,7 +553,7 @@ def as_tendons(couplings, damping, armature, lined):
                     armature=float(own[2]),
                 )
             )
-    return _Coupled(
+    return Coupled(
         # Rounding of what adds up to zero.
         damping=np.maximum(damping, 0.0),
         armature=np.maximum(armature, 0.0),
@@ -610,12 +564,11 @@ def as_tendons(couplings, damping, armature, lined):
 
 @dataclass(frozen=True, kw_only=True)
 class _Link:
-    """A coefficient that two joints have of each other.
+    """A coefficient that two joints have of each other."""
 
-    low, high : joints; value : coefficient; of : shape, where it matters; parts : pairs
-    of a coupling's number and what of its coefficient is in the link; need : damping
-    that the tendon asks of joint low and of joint high beside what the couplings give.
-    """
+    # Joints; coefficient; shape, where it matters; pairs of a coupling's number and
+    # what of its coefficient is in the link; damping that the tendon asks of the two
+    # joints beside what the couplings give.
 
     low: int
     high: int
@@ -626,11 +579,9 @@ class _Link:
 
 
 def _mutual(couplings, how):
-    """Pair couplings whose coefficients have the same sign, a list of `_Link`.
-
-    couplings : pairs of `Coupling` and a coefficient; how : of a coupling, the other
-    joint, alone or with the shape that must be the same.
-    """
+    """Pair couplings whose coefficients have the same sign, a list of `_Link`."""
+    # couplings : pairs of `Coupling` and a coefficient; how : of a coupling, the other
+    # joint, alone or with the shape that must be the same.
     totals = {}
     for number, (effect, value) in enumerate(couplings):
         key = how(effect)
@@ -667,10 +618,8 @@ def _mutual(couplings, how):
 
 
 def _affordable(links, available):
-    """Share of each link that leaves no joint less than nothing, a list of float.
-
-    A joint that has too little gives to all its links the same share of what they ask.
-    """
+    """Share of each link that leaves no joint less than nothing, a list of float."""
+    # A joint that has too little gives to all its links the same share of what they ask.
     asked = np.zeros(available.size)
     for link in links:
         for j, need in zip((link.low, link.high), link.need):

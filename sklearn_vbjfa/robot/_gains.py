@@ -175,11 +175,9 @@ class _Likelihood:
 
 
 def _most_likely(moments, used):
-    """Return the most likely logarithms of gains (nv,), and the `_Likelihood` there.
-
-    Those that are not seen are as the others are, by a prior that is weak beside
-    anything that is seen.
-    """
+    """Return the most likely logarithms of gains (nv,), and the `_Likelihood` there."""
+    # Those that are not seen are as the others are, by a prior that is weak beside
+    # anything that is seen.
     logs, k = np.zeros(moments.n.size), used.size
     prior = (np.eye(k) - 1.0 / max(k, 1)) / np.log(LIMIT) ** 2
     now = _Likelihood.at(moments, logs, used)
@@ -215,13 +213,11 @@ def _spread(found):
 
 
 def _grouped(spread, strength, references):
-    """Find each joint's reference (nv,) from the variances of ratios (nv, nv).
-
-    Joints belong together whose ratio is known better than that it is plausible. Of
-    them the one is the reference from which the others are known best, whatever their
-    order; of two, which know each other equally well, the one with more torque over
-    noise (`strength`).
-    """
+    """Find each joint's reference (nv,) from the variances of ratios (nv, nv)."""
+    # Joints belong together whose ratio is known better than that it is plausible. Of
+    # them the one is the reference from which the others are known best, whatever
+    # their order; of two, which know each other equally well, the one with more
+    # torque over noise (`strength`).
     nv = strength.size
     with np.errstate(invalid="ignore"):
         sees = HALF_WIDTH * np.sqrt(spread) < np.log(LIMIT)

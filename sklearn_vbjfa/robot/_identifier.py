@@ -1,6 +1,7 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
 import copy
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -9,49 +10,43 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects._ranges import outside
-from sklearn_vbjfa.model._loading import is_prismatic, joint_names
+from sklearn_vbjfa.model._description_text import description_text
+from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,
     torques_in_order,
 )
 from sklearn_vbjfa.recording._recording import (
-    check_clock,
     check_cutoff,
     check_dt,
     contiguous_groups,
-    take_arrays,
 )
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
-from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
+from sklearn_vbjfa.robot import _model_file
+from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
     joined,
-    motion_of,
     plain_coefficients,
-    regressor_rows,
     segments,
     unexcited_entries,
 )
 from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
-from sklearn_vbjfa.robot._exports import ColumnPowers, to_mjcf, to_urdf
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import (
     channel_gains,
     check_gains,
     declared_gains,
     gain_places,
-    note_of_gains,
-    note_of_units,
     relative_gains,
     with_gains,
 )
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._known import note_of_masses
+from sklearn_vbjfa.robot._known import known_parameters
 from sklearn_vbjfa.robot._known_masses import (
     check_masses,
     common_gain,
@@ -73,15 +68,14 @@ from sklearn_vbjfa.robot._plan import (
     resolve_standstill,
     takes_moments,
 )
-from sklearn_vbjfa.robot._query import Query
-from sklearn_vbjfa.robot._ranges import (
-    effect_ranges,
-    ends,
-    outside_text,
-    signals_outside_text,
-    sum_ranges,
-    warn_outside,
+from sklearn_vbjfa.robot._prediction import (
+    PredictsTorques,
+    TorquePredictor,
+    predictor_of,
+    recording_of,
+    split_effects,
 )
+from sklearn_vbjfa.robot._ranges import effect_ranges, ends, sum_ranges, warn_outside
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_count,
@@ -93,8 +87,8 @@ from sklearn_vbjfa.robot._recording_checks import (
     warn_of_disorder,
 )
 from sklearn_vbjfa.robot._residuals import collect_residuals
-from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
-from sklearn_vbjfa.robot._time_effects import Spread, beyond_text, effect_of_time
+from sklearn_vbjfa.robot._states import RecordingStates, fit_states
+from sklearn_vbjfa.robot._time_effects import Spread
 from sklearn_vbjfa.robot._torque_noise import (
     filtered_noise,
     given_noise,
@@ -102,7 +96,7 @@ from sklearn_vbjfa.robot._torque_noise import (
     rows_looked_at,
     seen,
 )
-from sklearn_vbjfa.simulation._torque_model import TorqueModel
+from sklearn_vbjfa.robot._written import mjcf_of, urdf_of
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -144,7 +138,7 @@ class RecordingRegressorMixin(RegressorMixin):
         return r2_score(y, predicted, sample_weight=sample_weight)
 
 
-class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
+class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     """Identify a robot: joint positions and torques in, rigid-body model out.
 
     The whole chain: state estimation, regressor matrices, parallel low-pass filtering
@@ -585,19 +579,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
     def _recording(self, X, y=None, groups=None, weight=None, t=None, signals=None):
         """Make a `Recording` of checked arrays; zero torques where none are given."""
-        nv = self.features_.n_joints_
-        positions = X.shape[1] == nv
-        dt = check_dt(self.dt) if positions or self.dt is not None else None
-        return take_arrays(
-            X,
-            np.zeros((X.shape[0], nv)) if y is None else y,
-            groups,
-            weight,
-            t,
-            dt=dt,
-            joint_names=self.joint_names_,
-            signals=signals,
-        )
+        names = self.joint_names_
+        return recording_of(names, self.dt, X, y, groups, weight, t, signals)
 
     def _prepare(self, recording, periods):
         """Return the plan of the fit, the recording to fit, and its states."""
@@ -705,10 +688,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         )
 
     def _tell_loads(self, made):
-        """Add the ranges of the loads in the segments that were fitted.
-
-        Declared friction does not depend on the load; without effects it is not needed.
-        """
+        """Add the ranges of the loads in the segments that were fitted."""
+        # Declared friction does not depend on the load; without effects it is not
+        # needed.
         if self.effects_:
             inertial = self._inertial(self.theta_)
 
@@ -723,9 +705,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
 
         In the first of several passes effects of the load are missing.
         """
-        widths = [len(e.coefficients) for e in self.effects_]
         own = parameters[self.features_.n_parameters_ :]
-        return np.split(own, np.cumsum(widths)[:-1]) if widths else []
+        return split_effects(self.effects_, own)
 
     def _inertial(self, theta):
         """Inertial parameters (nv, 10) among parameters theta."""
@@ -878,69 +859,25 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         on, towards what remains when warm, and a payload stays; before the first time
         both are as they were then.
         """
+        predictor = self._predictor()
+        X, signals = predictor.checked(X, signals)
+        asked = predictor.ask(X, groups, t, signals=signals)
+        warn_outside(predictor.said_outside(asked), stacklevel=2)
+        return predictor.torques(asked)
+
+    def _predictor(self):
+        """Return the `TorquePredictor` of the fit, or say that there was none."""
         check_is_fitted(self)
-        X, signals = self._validate_query(X, signals)
-        asked = self._ask(X, groups, t, signals=signals)
-        warn_outside(self._said_outside(asked), stacklevel=2)
-        return self._torques(asked)
-
-    def _ask(self, X, groups=None, t=None, weight=None, signals=None):
-        """Make the `Query` of the rows of a recording."""
-        smoother = self._smoother(X, groups, in_band=True)
-        states, rest = self._smoothed(X, groups, smoother)
-        clock = self._clock(t, X.shape[0])
-        return Query(
-            recording=self._recording(X, None, groups, weight, clock, signals),
-            states=states,
-            rest=rest,
-            smoother=smoother,
-        )
-
-    def _torques(self, asked):
-        """Torques (n, nv) that are predicted for a `Query`."""
-        recording = asked.recording
-        own = [asked.states[rows] for rows in recording.segments]
-        rows = regressor_rows(
-            recording,
-            own,
-            self._plan,
-            self.features_,
-            theta=self._load,
-            rest=asked.rest,
-        )
-        return np.concatenate([one.predict(self.theta_) for one in rows])
-
-    def _outside(self, asked):
-        """Find where a `Query` leaves what was fitted, tuple of `OutsideRange`."""
-        inertial = None
-        if any("load" in one.depends for one in self.effect_ranges_):
-            inertial = self._inertial(self.theta_)
-        signals = asked.signals(self.features_, inertial)
-        return outside(self.effect_ranges_, signals, asked.counts(self.standstill_))
-
-    def _said_outside(self, asked):
-        """Say where a `Query` leaves what was fitted, a list of str."""
-        found = self._outside(asked)
-        joints = self.joint_names_, is_prismatic(self.features_.model_)
-        said = [outside_text(found, *joints)] if found else []
-        said += signals_outside_text(self._signal_ends, asked.recording.signals)
-        timed = self._of_time(asked)
-        return said + (beyond_text(timed, self._plan.time, *joints) if timed else [])
-
-    def _of_time(self, asked):
-        """Share of each effect of time in a `Query`, tuple of `EffectOfTime`."""
-        slow = [effect.slow for effect in self.effects_]
-        if not any(slow):
-            return ()
-        known = {"theta": self._load, "rest": asked.rest}
-        motion = motion_of(
-            asked.recording, asked.states, self._plan, self.features_, **known
-        )
-        coefs = self._split(self.theta_)
-        return tuple(
-            effect_of_time(effect, coef, spread, motion, self._plan.time)
-            for effect, coef, spread in zip(self.effects_, coefs, self._spreads)
-            if effect.slow
+        return TorquePredictor(
+            features=self.features_,
+            plan=self._plan,
+            theta=self.theta_,
+            load=self._load,
+            ranges=self.effect_ranges_,
+            signal_ends=self._signal_ends,
+            spreads=self._spreads,
+            state_cutoff=self.state_cutoff,
+            powers=self._powers,
         )
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):
@@ -986,51 +923,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         >>> bool((found.std[:, 0] > 0).all())
         True
         """
-        check_is_fitted(self)
-        X, signals = self._validate_query(X, signals)
-        return self._of_time(self._ask(X, groups, t, signals=signals))
-
-    def _clock(self, t, n_samples):
-        """Return the time of each row of a query [s], stamped if effects need it.
-
-        Without stamps it begins as the fit did.
-        """
-        plan = self._plan
-        if t is not None and plan.timed:
-            return check_clock(t, n_samples, self.dt)
-        clock = check_clock(None, n_samples, self.dt)
-        return clock if plan.time is None or clock is None else clock + plan.time[0]
-
-    def _query(self, X, groups):
-        """States (n, 3 nv) of a query, and the `Rest` with their velocity signs."""
-        return self._smoothed(X, groups, self._smoother(X, groups))
-
-    def _smoother(self, X, groups, *, in_band=False):
-        """State estimator of a query; None if X holds states.
-
-        With `in_band` it smooths to the identified band.
-        """
-        if X.shape[1] == 3 * self.features_.n_joints_:
-            return None
-        estimator = self._plan.state_estimator
-        if estimator is None:
-            estimator = fit_states(check_dt(self.dt), self.state_cutoff, X, groups)
-        return smooth_to(estimator, self.cutoff_) if in_band else estimator
-
-    def _smoothed(self, X, groups, estimator):
-        """States (n, 3 nv) by an estimator, and the `Rest` of their velocities."""
-        if estimator is None:
-            return X, self._plan.rest(np.zeros(self.features_.n_joints_))
-        states = estimator.transform(X, groups=groups)
-        return states, self._plan.rest(estimator.velocity_noise())
-
-    def _validate_query(self, X, signals):
-        """Return positions or states, and the signals that effects vary with."""
-        beside = columns_beside(X, self.joint_names_)
-        # Positions and states are both accepted, whichever were fitted.
-        X = check_array(positions_in_order(X, self.joint_names_), dtype=np.float64)
-        check_widths(self.joint_names_, X)
-        return X, signals_for(self.effects_, signals, beside, X.shape[0])
+        predictor = self._predictor()
+        X, signals = predictor.checked(X, signals)
+        return predictor.of_time(predictor.ask(X, groups, t, signals=signals))
 
     def residuals(
         self,
@@ -1076,8 +971,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         Rows with weight are predicted with the columns of the fit. Where a joint is at
         rest (zero weight), dry friction has its mean, as in `predict`.
         """
-        check_is_fitted(self)
-        X, signals = self._validate_query(X, signals)
+        predictor = self._predictor()
+        X, signals = predictor.checked(X, signals)
         y = torques_in_order(y, self.joint_names_)
         y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
@@ -1090,9 +985,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             cutoff = check_cutoff(cutoff, check_dt(self.dt), "cutoff")
         lowpass = _lowpass.design(self.dt or 1.0, cutoff)
         check_length(contiguous_groups(groups, X.shape[0]), lowpass, cutoff)
-        clock = self._clock(t, X.shape[0])
+        clock = predictor.clock(t, X.shape[0])
         recording = self._recording(X, y, groups, weight, clock, signals)
-        states, rest = self._query(X, groups)
+        states, rest = predictor.query(X, groups)
         states = RecordingStates.of_rows(recording.segments, states)
 
         def compared(rest):
@@ -1165,19 +1060,43 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         {'offset'}
         """
         check_is_fitted(self)
-        return to_urdf(
-            path,
-            self.model,
-            self._torque_model(),
-            self.min_eigenvalues_,
-            self._powers,
-            [
-                note_of_gains(self.gains_),
-                *note_of_corrections(self),
-                note_of_masses(self),
-            ],
-            turned_joints(self),
-        )
+        return urdf_of(self, self.model, path)
+
+    def save(self, path):
+        """Write the identified robot to a file that predicts without the data.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write, JSON with the robot description inside; see
+            ``docs/saved_model.rst``. References to meshes are kept as they are, the
+            meshes are not in it.
+
+        Raises
+        ------
+        FileNotFoundError
+            If its folder does not exist, or the URDF of `model` no longer does.
+        ValueError
+            If that URDF describes another robot by now, `model` is a
+            `pinocchio.Model` with a joint that URDF has no name for, or an effect of
+            one's own has a parameter that JSON cannot hold.
+
+        See Also
+        --------
+        load_identified : Reads it, to predict and for control loops.
+
+        Examples
+        --------
+        >>> from sklearn_vbjfa import RobotIdentifier, load_identified
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording().select(0)
+        >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt)
+        >>> robot.fit(recording.q, recording.tau).save("arm.json")
+        >>> load_identified("arm.json")
+        <IdentifiedRobot: 6 joints, effects: none>
+        """
+        check_is_fitted(self)
+        _model_file.write(path, saved_of(self))
 
     def to_mjcf(self, path):
         """Write the identified robot as MJCF, the description of MuJoCo.
@@ -1237,30 +1156,28 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         ()
         """
         check_is_fitted(self)
-        return to_mjcf(
-            path,
-            self._torque_model(),
-            self.min_eigenvalues_,
-            self._powers,
-            [note_of_units(self.gains_), note_of_masses(self)],
-        )
-
-    def _torque_model(self):
-        """Return what is written into files, a `TorqueModel`."""
-        bodies = self._bodies()
-        return TorqueModel(
-            model=self.features_.model_,
-            bodies=bodies[:, :10],
-            friction_names=self.features_.friction_,
-            friction=bodies[:, 10:],
-            effects=self.effects_,
-            coefficients=tuple(self._split(self.theta_)),
-            gains=self.features_.gains_,
-            dt=self.dt,
-        )
+        return mjcf_of(self, path)
 
 
 # -- used by other rooms --------------------------------------------------------------
+
+
+def saved_of(identifier):
+    """Return what a file holds of a fitted identifier, `SavedRobot`."""
+    from sklearn_vbjfa import __version__
+
+    nominal = identifier.features_.nominal_
+    return _model_file.SavedRobot(
+        predictor=predictor_of(identifier),
+        urdf=description_text(identifier.model, nominal),
+        from_file=isinstance(identifier.model, (str, os.PathLike)),
+        theta_std=identifier.theta_std_,
+        identifiable=identifier.identifiable_,
+        known=known_parameters(identifier),
+        noise_floor=identifier.noise_floor_,
+        gains=identifier.gains_,
+        package=f"sklearn_vbjfa {__version__}",
+    )
 
 
 def declare(identifier):
@@ -1298,12 +1215,12 @@ def noise_of(identifier, X, y, segments, clock=None, signals=None):
     """
     if not seen(identifier.dt, identifier.cutoff_):
         return []
-    found = []
+    found, predictor = [], predictor_of(identifier)
     for rows in map(rows_looked_at, segments):
         t = None if clock is None else clock[rows]
         own = {name: values[rows] for name, values in (signals or {}).items()}
-        asked = identifier._ask(X[rows], t=t, signals=own).noiseless(identifier._plan)
-        residual = y[rows] - identifier._torques(asked)
+        asked = predictor.ask(X[rows], t=t, signals=own).noiseless(predictor.plan)
+        residual = y[rows] - predictor.torques(asked)
         band = identifier.dt, identifier.cutoff_
         found.append(noise_facts(residual, y[rows], asked.states, *band))
     return found
@@ -1322,7 +1239,7 @@ def tell_noise(identifier, facts):
 
 def states_of(identifier, X, groups=None):
     """States (n, 3 nv) of a recording, smoothed as a fitted identifier does."""
-    return identifier._query(X, groups)[0]
+    return predictor_of(identifier).query(X, groups)[0]
 
 
 def equations_of(
@@ -1367,8 +1284,8 @@ def outside_of(identifier, recording):
     """
     t = recording.clock(stamped=True)
     known = t, recording.weight, recording.signals
-    asked = identifier._ask(recording.inputs, recording.groups, *known)
-    return identifier._outside(asked)
+    predictor = predictor_of(identifier)
+    return predictor.outside(predictor.ask(recording.inputs, recording.groups, *known))
 
 
 def pieces_of(identifier, X, y, groups, *, halves=None):

@@ -319,10 +319,8 @@ def _part_moments(Phi, tau, root, starts):
 
 
 def _used(rows):
-    """Range from the first to the last nonzero column of rows (n, p), a slice.
-
-    A joint's torque depends only on the bodies it moves.
-    """
+    """Range from the first to the last nonzero column of rows (n, p), a slice."""
+    # A joint's torque depends only on the bodies it moves.
     # A few rows usually suffice; checking the rest is faster than column by column.
     columns = np.flatnonzero(rows[:: len(rows) // 8 + 1].any(axis=0))
     if (

@@ -42,7 +42,7 @@ class ForwardingMixin:
         return router
 
     def _forwarded(self, regressor, values):
-        """Return the metadata requested by a regressor's `fit`, as keyword arguments.
+        """Return what a regressor's `fit` requests of the named values, as keywords.
 
         values : groups and weights (n_equations,) of the equations, by name.
         """

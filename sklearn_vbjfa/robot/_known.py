@@ -44,8 +44,8 @@ def known_parameters(robot):
 
     Parameters
     ----------
-    robot : RobotIdentifier
-        Fitted.
+    robot : RobotIdentifier or IdentifiedRobot
+        Fitted; a robot from a file says itself what was known.
 
     Returns
     -------
@@ -56,6 +56,8 @@ def known_parameters(robot):
         torque depends on it, or it is a mass whose deviation, with what the projection
         moved it by, is over half its value.
     """
+    if hasattr(robot, "known_"):
+        return robot.known_
     # Values of effects in the model have no columns of their own.
     seen = (np.diagonal(robot.estimator_.metric_) > 0) | robot.identifiable_
     known = np.where(robot.identifiable_, "yes", "in combination").astype(object)

@@ -215,10 +215,8 @@ def common_gain(masses, places, theta, estimate):
 
 
 def _determined(eigen, at):
-    """Find sums of parameters at k places that the data determine, (k, number).
-
-    Those whose direction has nothing in the null space of the Gram matrix.
-    """
+    """Find sums of parameters at k places that the data determine, (k, number)."""
+    # Those whose direction has nothing in the null space of the Gram matrix.
     outside = eigen.null_space[at]
     values, vectors = linalg.eigh(outside @ outside.T)
     return vectors[:, values <= LOST] * eigen.scale[at][:, None]

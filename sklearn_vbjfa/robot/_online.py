@@ -114,10 +114,8 @@ class OnlineMoments:
             blas.dsyr(share, row[k], lower=1, a=triangle, overwrite_a=1)
 
     def _regressor(self, x):
-        """Regressor matrix (nv, p) of one row, in a reused buffer.
-
-        Uses Pinocchio itself: for one row a call of the compiled loop is no faster.
-        """
+        """Regressor matrix (nv, p) of one row, in a reused buffer."""
+        # Uses Pinocchio itself: for one row a call of the compiled loop is no faster.
         nv = self._n.size
         q, v, a = x[:nv], x[nv : 2 * nv], x[2 * nv :]
         self._bodies[:] = self._one(q, v, a)

@@ -40,8 +40,8 @@ _UNLIKE = 0.05
 # in which it may, as shares of the joint's range.
 _TURNING = 0.1
 _DISPLACEMENTS = (0.003, 0.03)
-# A deviation is told if its logarithm is known this well; from above alone, where white
-# noise is as likely as any but for this cost, the second will do.
+# A deviation is reported if its logarithm is known this well; from above alone, where
+# white noise is as likely as any but for this cost, the second will do.
 _KNOWN, _KNOWN_ABOVE, _WHITE = 0.15, 0.25, 4.0
 # The residual in the gap is on the curve of the noise above if the mean squared
 # deviation from it is at most the first, and a spectrum above the band like one of the
@@ -217,7 +217,7 @@ def filtered_noise(facts, dt, cutoff):
     Returns
     -------
     ndarray of shape (nv,)
-        Standard deviations [N m or N]; nan where they cannot be told: without a
+        Standard deviations [N m or N]; nan where they cannot be found: without a
         low-pass, with one too close to the Nyquist frequency, or where the spectrum
         rises towards the band and what is left there is not its continuation.
     """

@@ -3,3 +3,8 @@
 Everything here takes a `TorqueModel`, which is what an identification leaves when data
 and estimator are put away.
 """
+
+from sklearn_vbjfa.simulation._simulate import SimulationError
+from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
+
+__all__ = ["Load", "SimulationError", "TorqueModel"]

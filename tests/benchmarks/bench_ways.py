@@ -77,8 +77,9 @@ def ways():
     def command_line():
         from sklearn_vbjfa.__main__ import main
 
+        files = ["--urdf", str(recording.urdf), "--out", str(folder / "report")]
         with contextlib.redirect_stdout(io.StringIO()):
-            main(["close-loop", str(path), "--urdf", str(recording.urdf)])
+            main(["close-loop", str(path), *files])
 
     own, other = str(Path(sklearn_vbjfa.__file__).parent), Path(sklearn.__file__).parent
     found = {

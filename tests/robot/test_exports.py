@@ -2,14 +2,13 @@
 
 import dataclasses
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier, effects  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier, effects, load_identified  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.effects import (  # noqa: E402
     AsymmetricFriction,
@@ -32,13 +31,12 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     ViscousQuadratic,
 )
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
+from sklearn_vbjfa.robot._column_powers import ColumnPowers  # noqa: E402
 from sklearn_vbjfa.robot._exports import (  # noqa: E402
-    ColumnPowers,
     LeftOut,
     as_tendons,
     in_line,
     to_mjcf,
-    to_urdf,
 )
 from sklearn_vbjfa.simulation._torque_model import TorqueModel  # noqa: E402
 from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
@@ -494,26 +492,24 @@ def test_sizes_are_those_of_the_fitted_rows(recording, tmp_path):
     assert reasons["cubic"] == "an effect of the user's own"
 
 
-def test_the_text_of_a_description_will_do(robot, recording, tmp_path):
-    """A robot read from a model file has its URDF as text."""
-    first, second = tmp_path / "first.urdf", tmp_path / "second.urdf"
-    robot.to_urdf(first)
-    own = robot.features_
-    bodies = robot.theta_[: own.n_parameters_].reshape(6, -1)
-    model = TorqueModel(
-        model=own.model_,
-        bodies=bodies[:, :10],
-        friction_names=own.friction_,
-        friction=bodies[:, 10:],
-        gains=own.gains_,
-    )
-    text = Path(recording.urdf).read_text(encoding="utf-8")
-    to_urdf(second, text, model, robot.min_eigenvalues_)
-    damping = [
-        [joint.get("damping") for joint in ElementTree.parse(path).iter("dynamics")]
-        for path in (first, second)
-    ]
-    assert damping[0] == damping[1]
+def test_a_robot_from_a_file_writes_the_same(robot, tmp_path):
+    """Sizes of what is left out are in the file."""
+    saved = tmp_path / "robot.json"
+    robot.save(saved)
+    other = load_identified(saved)
+    for kind in ("urdf", "mjcf"):
+        paths = [tmp_path / f"{name}.{kind}" for name in ("first", "second")]
+        left = [
+            getattr(one, f"to_{kind}")(path) for one, path in zip((robot, other), paths)
+        ]
+        assert left[0] == left[1]
+        assert not any(np.isnan(one.size) for one in left[0])
+        first, second = (path.read_text() for path in paths)
+        # The comments of the first description are not in the model's file.
+        assert first == second or kind == "urdf"
+    again = tmp_path / "again.json"
+    other.save(again)
+    assert again.read_text() == saved.read_text()
 
 
 def test_impossible_bodies_are_not_written(recording, tmp_path):

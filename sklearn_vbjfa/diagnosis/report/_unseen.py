@@ -12,7 +12,7 @@ def is_of_model(outcome, hidden):
 def model_sentences(outcome):
     """Say which effects of the robot model could not be seen, a tuple of sentences.
 
-    Those that no motion can show are told with others: `model_parts`.
+    Those that no motion can show are reported elsewhere: `model_parts`.
     """
     groups = {}
     for one in outcome.hidden:

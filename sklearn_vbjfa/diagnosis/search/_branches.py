@@ -15,7 +15,7 @@ from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.diagnosis.search._search import Found
 from sklearn_vbjfa.model._loading import import_pinocchio
 
-# A robot of up to so many joints is searched as a whole, in which an effect may join
+# A robot of up to this many joints is searched as a whole, in which an effect may join
 # two branches, such as a coupling through a common drive: so are arms, and most hands.
 _TOGETHER = 7
 # Parameters of an identifier that may have a value for each joint.

@@ -2,11 +2,11 @@
 
 A greedy search from a poor model goes where that model leads it: a Coulomb friction
 smoothed over the whole range of speeds stands for the viscous one that is missing, and
-load friction is told from chance only beside the right inertia. Viscous and Coulomb
-friction, a constant and the rotor's inertia are what every robot is asked for first;
-they are one column each, linear, and cost little. So the search begins with all of them
-on every joint, declared or not, and what was not declared has to earn its place at the
-end, beside the effects that were found.
+load friction can be distinguished from chance only beside the right inertia. Viscous
+and Coulomb friction, a constant and the rotor's inertia are what every robot is asked
+for first; they are one column each, linear, and cost little. So the search begins with
+all of them on every joint, declared or not, and what was not declared has to earn its
+place at the end, beside the effects that were found.
 """
 
 import numpy as np

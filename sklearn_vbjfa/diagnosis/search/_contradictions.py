@@ -205,10 +205,8 @@ def _culprit(parts, victims):
 
 
 def _cause(parts, suspects, joints, victims):
-    """Return what accounts for most of the difference, the simplest, or None.
-
-    It is looked for in the suspected recordings and on some of the joints.
-    """
+    """Return what accounts for most of the difference, the simplest, or None."""
+    # It is looked for in the suspected recordings and on some of the joints.
     judged = [one.recording for one in victims]
     whole = sum(one.saved for one in victims)
     tried = []

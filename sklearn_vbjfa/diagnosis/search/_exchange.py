@@ -83,9 +83,9 @@ def exchange(search):
 def _of_class(search):
     """Put a simpler effect of the geometry in the place of another, of any joint.
 
-    What was found first had to stand for those that came later as well. Returns whether
-    that was done.
+    Returns whether that was done.
     """
+    # What was found first had to stand for those that came later as well.
     model = search.model
     for effect in [e for e in model.effects if e.in_model and e.whole_robot]:
         base = model.beside(model.without(effect), None)

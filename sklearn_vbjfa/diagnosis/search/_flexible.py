@@ -11,7 +11,6 @@ import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
-from sklearn.ensemble import HistGradientBoostingRegressor
 
 # Folds of interleaved blocks, and most groups of recordings.
 _FOLDS = 4
@@ -184,10 +183,7 @@ class FlexibleFunction:
         return out
 
     def _reached(self, train):
-        """Rows that count and lie between the smallest and largest fitted, (m,) bool.
-
-        Of the signals that the range is taken from.
-        """
+        """Rows that count, with all signals in the range that was fitted, (m,) bool."""
         fitted = self.span[self._rows[train[self._rows]]]
         inside = (self.span >= fitted.min(axis=0)) & (self.span <= fitted.max(axis=0))
         return inside.all(axis=1) & (self.weight > 0)
@@ -209,10 +205,8 @@ class FlexibleFunction:
 
     @functools.cached_property
     def _ranks(self):
-        """Signals as ranks in steps, so that no unit matters; -1 where unknown.
-
-        All functions share the steps, which the trees would look for each time.
-        """
+        """Signals as ranks in steps, so that no unit matters; -1 where unknown."""
+        # All functions share the steps, which the trees would look for each time.
         out = np.full(self.signals.shape, -1.0)
         for signal, ranks in zip(self.signals.T, out.T):
             known = np.isfinite(signal)
@@ -240,6 +234,9 @@ class FlexibleFunction:
 
     def _grown(self, train, count):
         """Grow trees on some of the rows; None on too few for a leaf on each side."""
+        # Loads a hundred modules of scikit-learn that nothing else here needs.
+        from sklearn.ensemble import HistGradientBoostingRegressor
+
         rows = self._rows[train[self._rows]]
         trees = HistGradientBoostingRegressor(
             learning_rate=_RATE,

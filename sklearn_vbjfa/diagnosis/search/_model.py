@@ -59,10 +59,8 @@ class SearchModel:
 
     @classmethod
     def _fit(cls, view, effects, motion, precision, ridge):
-        """Fit with given weights, load and ridge; None chooses the ridge.
-
-        The view is that of the robot as the effects correct it.
-        """
+        """Fit with given weights, load and ridge; None chooses the ridge."""
+        # The view is that of the robot as the effects correct it.
         view = view.corrected(effects)
         Z, scales = view.stacked(effects, motion)
         fitted = BlockRegression(

@@ -134,11 +134,10 @@ def _distance(metric, theta, other):
 
 
 def _concerned(robot):
-    """Joints of the branch that most of the price stems from, list of int.
-
-    The branches of a robot share no parameter: what is constrained or measured on one
-    cannot be most of the price unless the branch is. All joints if there is but one.
-    """
+    """Joints of the branch that most of the price stems from, list of int."""
+    # The branches of a robot share no parameter: what is constrained or measured on
+    # one cannot be most of the price unless the branch is. All joints if there is but
+    # one.
     projector, theta = robot.projector_, robot.theta_unconstrained_
     covered = projector.n_features_in_
     root = root_joints(robot.features_.model_)
@@ -231,10 +230,10 @@ def _moved(robot, joint, kind, share):
 def _channel(robot):
     """Joint without whose torques most of the constraints are not needed, and how much.
 
-    The fit is repeated without the torques of each joint in turn. (None, nan) if no
-    joint stands out: its share has to be most of the price, and what is left without
-    it less than half of what is left without any other.
+    (None, nan) if no joint stands out: its share has to be most of the price, and
+    what is left without it less than half of what is left without any other.
     """
+    # The fit is repeated without the torques of each joint in turn.
     moments = robot.estimator_.statistics_
     weights = robot.estimator_.joint_weights_
     others = [j for j in _concerned(robot) if weights[j] > 0]

@@ -66,11 +66,9 @@ class FoldMoments:
         self._last = None
 
     def _weighted(self, precision):
-        """Sum over the joints; the sums for the last weights are kept.
-
-        Models beside each other, with other effects, have the same weights, and the
-        sum over many joints takes longer than what the effects add to it.
-        """
+        """Sum over the joints; the sums for the last weights are kept."""
+        # Models beside each other, with other effects, have the same weights, and the
+        # sum over many joints takes longer than what the effects add to it.
         last = self._last
         if last is None or not np.array_equal(last[0], precision):
             G = np.einsum("j,fjab->fab", precision, self._G)

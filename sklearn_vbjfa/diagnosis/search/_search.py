@@ -353,10 +353,10 @@ class EffectSearch:
     def _settled(self, effect):
         """Linearise an effect in the model beside the others until its value stays.
 
-        What its columns promise need not hold for the corrected robot. Returns the
-        effect with its value, Evidence for the model with it, and the Rule that refuses
-        it or None.
+        Returns the effect with its value, Evidence for the model with it, and
+        the Rule that refuses it or None.
         """
+        # What its columns promise need not hold for the corrected robot.
         model = self.model
         trial = settled(effect, model.effects, model)
         own = trial.effects[-1]
@@ -370,16 +370,13 @@ class EffectSearch:
     def _best_offer(self, number):
         """Best candidate that may be added, its rivals and all that beat chance.
 
-        None if there is none. What one joint gains changes little on the others, so
-        that only the joint of the best candidate is tried again beside the model as it
-        is [1]_; all of them are before it is said that there is nothing.
-
-        References
-        ----------
-        .. [1] M. Minoux, "Accelerated greedy algorithms for maximizing submodular set
-           functions", Optimization Techniques, Springer, 1978.
-           :doi:`10.1007/BFb0006528`
+        None if there is none.
         """
+        # What one joint gains changes little on the others, so that only the joint of
+        # the best candidate is tried again beside the model as it is; all of them are
+        # before it is said that there is nothing. M. Minoux, "Accelerated greedy
+        # algorithms for maximizing submodular set functions", Optimization Techniques,
+        # Springer, 1978, doi 10.1007/BFb0006528.
         model = self.model
         quiet = self.at_floor(model.squares) | (model.precision == 0)
         joints = np.flatnonzero(model.precision > 0).tolist()
@@ -417,9 +414,10 @@ class EffectSearch:
     def _one_class(self, offer, joints):
         """Let all effects of the robot's geometry compete with the one on offer.
 
-        They act on all joints, so that one may stand for another of any joint. Returns
-        the simplest of the best, with those that compare with it as rivals.
+        Returns the simplest of the best, with those that compare with it as
+        rivals.
         """
+        # They act on all joints, so that one may stand for another of any joint.
         model, (chosen, rivals, others) = self.model, offer
         for joint in joints:
             if joint not in self.tried or self.tried[joint][0] is not model:
@@ -626,9 +624,9 @@ class EffectSearch:
     def _judged_anew(self, chosen, rivals, others):
         """Judge the best candidates of a joint with its other shapes tuned beside them.
 
-        A shape that was tuned to what the joint lacked may hide what is right. Returns
-        the chosen candidate, and its rivals.
+        Returns the chosen candidate, and its rivals.
         """
+        # A shape that was tuned to what the joint lacked may hide what is right.
         joint, model = chosen.effect.joint, self.model
         shaped = any(e.joint == joint and e.continuous for e in model.effects)
         if not shaped or chosen.effect.everywhere:
@@ -651,13 +649,11 @@ class EffectSearch:
     # -- levels ---------------------------------------------------------------------
 
     def _set_threshold(self, tried):
-        """Set the level of this round, after Benjamini and Hochberg.
-
-        On a robot that lacks nothing it is Bonferroni's: one false alarm in 1 / alpha
-        recordings. On one that lacks much, a short recording could not reach that
-        level for any effect. Only the best effect is added, so that a level that many
-        true ones have raised falls again before a false one is the best.
-        """
+        """Set the level of this round, after Benjamini and Hochberg."""
+        # On a robot that lacks nothing it is Bonferroni's: one false alarm in 1 /
+        # alpha recordings. On one that lacks much, a short recording could not reach
+        # that level for any effect. Only the best effect is added, so that a level
+        # that many true ones have raised falls again before a false one is the best.
         p_values = [c.evidence.p_value for t in tried.values() for c in t.values()]
         if p_values:
             self.n_tests = len(p_values)
@@ -675,12 +671,10 @@ class EffectSearch:
     # -- evidence -------------------------------------------------------------------
 
     def _evidence(self, effect, squares, white, model=None):
-        """Evidence for a change on an effect's joint, p-value from whitened rows.
-
-        That of an effect in the robot model is of its value, in the model given or
-        beside it, see `p_of_value`. Each time that the effect was refused before
-        doubles it.
-        """
+        """Evidence for a change on an effect's joint, p-value from whitened rows."""
+        # That of an effect in the robot model is of its value, in the model given or
+        # beside it, see `p_of_value`. Each time that the effect was refused before
+        # doubles it.
         if effect.everywhere:
             white = [s.sum(axis=1) for s in white]
         else:
@@ -874,11 +868,9 @@ class EffectSearch:
             self.prune()
 
     def _doubtful(self):
-        """Effects that other motion may speak against.
-
-        Plain friction that takes most of a joint's error off block by block does so in
-        other motion as well; it is a straight line or a step in the velocity.
-        """
+        """Effects that other motion may speak against."""
+        # Plain friction that takes most of a joint's error off block by block does so
+        # in other motion as well; it is a straight line or a step in the velocity.
         cases = self.all_evidence()
         return [
             effect

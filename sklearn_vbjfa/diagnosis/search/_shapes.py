@@ -16,7 +16,7 @@ from sklearn_vbjfa.diagnosis.search._view import variants
 # they stay within this share of their standard error, for independent rows.
 _TANGENTS, _MOST_TANGENTS, _STAYS = 2, 6, 0.1
 # Search of several shape parameters: it ends where the weighted squared error, in units
-# of noise, falls by less than this, or after so many trials.
+# of noise, falls by less than this, or after this many trials.
 _WORTH, _MOST_TRIALS = 0.01, 100
 # Points of the grid from which several parameters are searched: two of them may trade
 # against each other.
@@ -168,11 +168,9 @@ def _along(cost, start, brackets):
 
 
 def _downhill(cost, start, brackets):
-    """Search several parameters, which may trade against each other, as `_along`.
-
-    Nelder and Mead's simplex follows a narrow valley; it may leave the neighbours of
-    the start behind, but not what the parameter can be.
-    """
+    """Search several parameters, which may trade against each other, as `_along`."""
+    # Nelder and Mead's simplex follows a narrow valley; it may leave the neighbours
+    # of the start behind, but not what the parameter can be.
     width = np.array([b.high - b.low for b in brackets])
     simplex = np.vstack([start, start + 0.25 * np.diag(width)])
     found = optimize.minimize(
@@ -198,11 +196,9 @@ def _settings(effect):
 
 
 def _starts(effects, drops):
-    """Return the shapes of a grid to search on from: its best, or its peaks.
-
-    A single parameter is searched around its best value; two may trade against each
-    other, with several peaks, none of which lies beside a better one.
-    """
+    """Return the shapes of a grid to search on from: its best, or its peaks."""
+    # A single parameter is searched around its best value; two may trade against each
+    # other, with several peaks, none of which lies beside a better one.
     order = np.argsort(drops)[::-1]
     names = effects[0].continuous
     if len(names) < 2:

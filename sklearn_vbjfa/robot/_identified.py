@@ -1,0 +1,262 @@
+"""Identified robots without data and estimator: from a fit to a file, and back."""
+
+from sklearn_vbjfa.robot import _model_file
+from sklearn_vbjfa.robot._estimate import min_eigenvalues
+from sklearn_vbjfa.robot._prediction import PredictsTorques, predictor_of
+from sklearn_vbjfa.robot._ranges import warn_outside
+from sklearn_vbjfa.robot._written import mjcf_of, urdf_of
+
+
+def torque_model(robot):
+    """Return the `TorqueModel` of an identified robot, for simulation and control.
+
+    Parameters
+    ----------
+    robot : RobotIdentifier or IdentifiedRobot
+        Fitted.
+
+    Returns
+    -------
+    TorqueModel
+        The robot as `predict` knows it for states: the model that the effects
+        correct, and velocity signs as without noise.
+    """
+    return predictor_of(robot).torque_model()
+
+
+class IdentifiedRobot(PredictsTorques):
+    """An identified robot without its data: predicts, and drives control loops.
+
+    `load_identified` reads it from the file that `RobotIdentifier.save` wrote.
+
+    Parameters
+    ----------
+    saved : SavedRobot
+        What a file holds.
+
+    Attributes
+    ----------
+    joint_names_ : tuple of str
+        Joints, in the order of all columns.
+    theta_, theta_std_ : ndarray of shape (p,)
+        Parameters and their standard deviations, as in `RobotIdentifier`.
+    parameter_names_, parameter_units_ : tuple of str
+        Names ("joint_1:m") and units of the parameters.
+    identifiable_ : ndarray of shape (p,), bool
+        Parameters that the data determined individually.
+    known_ : tuple of str
+        "yes", "in combination" or "no": whether the recording tells a parameter by
+        itself, together with others, or not at all.
+    effects_ : tuple of Effect
+        Effects in use.
+    effect_ranges_ : tuple of EffectRange
+        What each effect was fitted on.
+    gains_ : ChannelGains or None
+        Gains of the torque channels, if they were unknown.
+    features_ : RigidBodyFeatures
+        The robot, corrected by its effects in ``model_``, and as described in
+        ``nominal_``.
+    min_eigenvalues_ : ndarray of shape (nv,)
+        Smallest pseudo-inertia eigenvalue of each body, positive if it is physically
+        consistent.
+    noise_floor_ : ndarray of shape (nv,)
+        Torque residuals expected from noise alone [N m or N].
+    standstill_ : ndarray of shape (nv,)
+        Speeds at or below which a joint may be standing [rad/s or m/s].
+    cutoff_ : float
+        Highest frequency that was identified [Hz].
+    dt : float or None
+        Sample period of the fit [s].
+    description_ : str
+        Robot description (URDF), not corrected.
+
+    See Also
+    --------
+    load_identified : Reads it from a file.
+    RobotIdentifier : Identifies robots.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from sklearn_vbjfa import RobotIdentifier, load_identified
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> recording = load_demo_recording().select(0)
+    >>> fitted = RobotIdentifier(recording.urdf, dt=recording.dt)
+    >>> fitted = fitted.fit(recording.q, recording.tau)
+    >>> fitted.save("arm.json")
+    >>> robot = load_identified("arm.json")
+    >>> torque = robot.predict(recording.q)
+    >>> bool(np.array_equal(torque, fitted.predict(recording.q)))
+    True
+    """
+
+    def __init__(self, saved):
+        self._saved = saved
+        predictor = saved.predictor
+        plan = predictor.plan
+        self.joint_names_ = predictor.joint_names
+        self.theta_, self.theta_std_ = predictor.theta, saved.theta_std
+        self.parameter_names_, self.parameter_units_ = saved.names, saved.units
+        self.identifiable_, self.known_ = saved.identifiable, saved.known
+        self.effects_, self.effect_ranges_ = predictor.effects, predictor.ranges
+        self.gains_, self.features_ = saved.gains, predictor.features
+        self.min_eigenvalues_ = min_eigenvalues(predictor.bodies(predictor.theta))
+        self.noise_floor_ = saved.noise_floor
+        self.standstill_, self.cutoff_, self.dt = plan.standstill, plan.cutoff, plan.dt
+        self.description_ = saved.urdf
+
+    def __repr__(self):
+        """Tell the size of the robot and its effects."""
+        effects = ", ".join(effect.name for effect in self.effects_)
+        return (
+            f"<IdentifiedRobot: {len(self.joint_names_)} joints, effects: "
+            f"{effects or 'none'}>"
+        )
+
+    def _predictor(self):
+        """Return the `TorquePredictor` of the file."""
+        return self._saved.predictor
+
+    def predict(self, X, groups=None, t=None, signals=None):
+        """Predict the joint torques, as `RobotIdentifier.predict` does.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+            Joint positions [rad or m], sampled with `dt` and smoothed as in the fit;
+            or states [q | v | a], taken as noiseless.
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        t : array-like of shape (n_samples,), default=None
+            Time [s] on the clock of the fit, for effects that vary with time. None: the
+            motion begins when the first recording of the fit began.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, for effects that vary with them.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, nv)
+            Joint torques [N m] or forces [N], friction included; those of the
+            `RobotIdentifier` that was saved.
+
+        Raises
+        ------
+        ValueError
+            If X does not suit the robot, or a signal is missing.
+
+        Warns
+        -----
+        UserWarning
+            If the motion leaves what effects were fitted on; see
+            `RobotIdentifier.predict`.
+        """
+        predictor = self._predictor()
+        X, signals = predictor.checked(X, signals)
+        asked = predictor.ask(X, groups, t, signals=signals)
+        warn_outside(predictor.said_outside(asked), stacklevel=2)
+        return predictor.torques(asked)
+
+    def save(self, path):
+        """Write the robot to a file again, the same one that it was read from.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write.
+
+        Raises
+        ------
+        FileNotFoundError
+            If its folder does not exist.
+        """
+        _model_file.write(path, self._saved)
+
+    def to_urdf(self, path):
+        """Write the robot description with the identified inertias and friction.
+
+        The file is that of `RobotIdentifier.to_urdf`. For a robot that was identified
+        from a `pinocchio.Model`, it has one link a joint, without shapes.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have; see `RobotIdentifier.to_urdf`.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent.
+        """
+        return urdf_of(self, self._saved.urdf, path)
+
+    def to_mjcf(self, path):
+        """Write the identified robot as MJCF, the description of MuJoCo.
+
+        The file is that of `RobotIdentifier.to_mjcf`.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have; see `RobotIdentifier.to_mjcf`.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent.
+        """
+        return mjcf_of(self, path)
+
+
+def load_identified(path, effects=()):
+    """Read an identified robot from a file that `RobotIdentifier.save` wrote.
+
+    Nothing in the file is executed: it is JSON, and effects are taken from the library
+    by name.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File.
+    effects : iterable of type, default=()
+        Classes of effects that are not in the library, if the robot has any.
+
+    Returns
+    -------
+    IdentifiedRobot
+        The robot; it predicts what the fitted identifier did.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not JSON, holds no identified robot or one of a newer version, or
+        something in it is missing or wrong; the message names the key.
+    ImportError
+        If Pinocchio is not installed.
+
+    See Also
+    --------
+    RobotIdentifier.save : Writes the file.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa import RobotIdentifier, load_identified
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> recording = load_demo_recording().select(0)
+    >>> fitted = RobotIdentifier(recording.urdf, dt=recording.dt)
+    >>> fitted.fit(recording.q, recording.tau).save("arm.json")
+    >>> load_identified("arm.json").joint_names_[:2]
+    ('joint_1', 'joint_2')
+    """
+    return IdentifiedRobot(_model_file.read(path, effects))

@@ -1,0 +1,653 @@
+"""Identified robots as files: readable JSON with the robot description inside.
+
+``docs/saved_model.rst`` describes the format. Nothing in a file is executed: effects
+are taken by name from the library, or from the classes that the reader was given.
+"""
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa._core._whole_files import write_whole
+from sklearn_vbjfa.effects import EffectRange, resolve
+from sklearn_vbjfa.effects._base import SPEED, Effect
+from sklearn_vbjfa.effects._library import available
+from sklearn_vbjfa.model._description_text import in_order
+from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_text
+from sklearn_vbjfa.robot._column_powers import ColumnPowers
+from sklearn_vbjfa.robot._equations import is_plain
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._gains import ChannelGains
+from sklearn_vbjfa.robot._known_masses import CommonGain, KnownMass
+from sklearn_vbjfa.robot._places import read_place, readable, spelled, spelled_all
+from sklearn_vbjfa.robot._plan import Plan, effect_names
+from sklearn_vbjfa.robot._prediction import TorquePredictor
+from sklearn_vbjfa.robot._states import StateEstimator
+from sklearn_vbjfa.robot._time_effects import Spread
+
+FORMAT = "sklearn_vbjfa identified robot"
+VERSION = 1
+_URDF_IS = ("that of the robot", "written from a model")
+_KNOWN = ("yes", "in combination", "no")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SavedRobot:
+    """What a file holds of an identified robot.
+
+    Attributes
+    ----------
+    predictor : TorquePredictor
+        What predicts the torques.
+    urdf : str
+        Robot description, XML without declaration.
+    from_file : bool
+        Whether that is the description which the robot came from; else it was written
+        from the tree of a `pinocchio.Model`.
+    theta_std : ndarray of shape (p,)
+        Standard deviations of the parameters.
+    identifiable : ndarray of shape (p,), bool
+        Parameters that the data determine individually.
+    known : tuple of str
+        What the recording says of each parameter; see `known_parameters`.
+    noise_floor : ndarray of shape (nv,)
+        Torque residuals expected from noise alone [N m or N].
+    gains : ChannelGains or None
+        Unknown gains of the torque channels.
+    package : str
+        Package and version that the robot was saved with at first.
+    """
+
+    predictor: TorquePredictor
+    urdf: str
+    from_file: bool
+    theta_std: np.ndarray
+    identifiable: np.ndarray
+    known: tuple
+    noise_floor: np.ndarray
+    gains: ChannelGains | None
+    package: str
+
+    @property
+    def names(self):
+        """Names of the parameters, tuple of str."""
+        return self._of_parameters()[0]
+
+    @property
+    def units(self):
+        """Units of the parameters, tuple of str."""
+        return self._of_parameters()[1]
+
+    def _of_parameters(self):
+        features = self.predictor.features
+        names, units = effect_names(self.predictor.effects, features.model_)
+        return features.parameter_names_ + names, features.parameter_units_ + units
+
+
+# -- writing ---------------------------------------------------------------------------
+
+
+def write(path, saved):
+    """Write a `SavedRobot` as JSON."""
+    write_whole(path, f"{readable(_content(saved))}\n")
+
+
+def _content(saved):
+    """Return what a file holds, dicts and lists of plain values."""
+    predictor = saved.predictor
+    features, plan = predictor.features, predictor.plan
+    nominal = features.nominal_
+    kinds = is_prismatic(nominal)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "saved_with": saved.package,
+        "joints": [
+            {
+                "name": name,
+                "kind": "prismatic" if prismatic else "revolute",
+                "standstill": spelled(plan.standstill[j]),
+                "standstill_unit": SPEED[int(prismatic)],
+                "noise_floor": spelled(saved.noise_floor[j]),
+                "noise_floor_unit": "N" if prismatic else "N m",
+                "channel_gain": spelled(features.gains_[j]),
+            }
+            for j, (name, prismatic) in enumerate(zip(joint_names(nominal), kinds))
+        ],
+        "gravity": {
+            "linear": spelled_all(nominal.gravity.linear),
+            "linear_unit": "m/s^2",
+            "angular": spelled_all(nominal.gravity.angular),
+            "angular_unit": "rad/s^2",
+        },
+        "friction": list(features.friction_),
+        "parameters": _parameters(saved, slice(0, features.n_parameters_)),
+        "effects": _effects(saved),
+        "unknown_gains": None if saved.gains is None else _gains(saved.gains),
+        "fit": _fit(predictor),
+        "ranges": [_range(one, joint_names(nominal)) for one in predictor.ranges],
+        "signals": {
+            name: {"lowest": spelled(low), "highest": spelled(high)}
+            for name, (low, high) in predictor.signal_ends.items()
+        },
+        "column_powers": _powers(predictor),
+        "urdf_is": _URDF_IS[0 if saved.from_file else 1],
+        "urdf": saved.urdf.split("\n"),
+    }
+
+
+def _parameters(saved, rows):
+    """Return a slice of the parameters, a list of dict."""
+    theta, load = saved.predictor.theta, _load_of_all(saved.predictor)
+    return [
+        {
+            "name": saved.names[k],
+            "value": spelled(theta[k]),
+            "unit": saved.units[k],
+            "std": spelled(saved.theta_std[k]),
+            "identifiable": bool(saved.identifiable[k]),
+            "known": saved.known[k],
+            "in_load": None if load[k] is None else spelled(load[k]),
+        }
+        for k in range(theta.size)[rows]
+    ]
+
+
+def _load_of_all(predictor):
+    """Value of each parameter in the load of the effects; None where it has none."""
+    n = predictor.theta.size
+    if predictor.load is None:
+        return n * [None]
+    part_of = np.ones(n, dtype=bool)
+    at = predictor.features.n_parameters_
+    for effect in predictor.effects:
+        part_of[at : at + len(effect.coefficients)] = is_plain(effect)
+        at += len(effect.coefficients)
+    values = iter(predictor.load)
+    return [next(values) if own else None for own in part_of]
+
+
+def _effects(saved):
+    """Return the effects, a list of dict."""
+    predictor = saved.predictor
+    names, kinds = predictor.joint_names, is_prismatic(predictor.features.model_)
+    at, found = predictor.features.n_parameters_, []
+    spreads = predictor.spreads
+    for effect, spread in zip(predictor.effects, spreads):
+        rows = slice(at, at + len(effect.coefficients))
+        at = rows.stop
+        settings = _settings(effect)
+        units = effect.parameter_units(kinds[effect.joint])
+        found.append(
+            {
+                "name": effect.name,
+                "of_library": of_library(effect),
+                "joint": names[effect.joint],
+                "shape": settings,
+                "shape_units": {key: units[key] for key in settings if key in units},
+                "parameters": _parameters(saved, rows),
+                "spread": {
+                    "of": list(spread.shape),
+                    "covariance": spelled_all(spread.covariance),
+                },
+            }
+        )
+    return found
+
+
+def of_library(effect):
+    """Whether an effect is one that the library has under its name."""
+    return effect.name in available() and type(effect) is type(_of_name(effect.name))
+
+
+def _of_name(name):
+    (found,) = resolve([name])
+    return found
+
+
+def _settings(effect):
+    """Return what an effect is set to, beside its joint, as plain values."""
+    settings = effect.get_params(deep=False)
+    settings.pop("joint")
+    found = {}
+    for key, value in settings.items():
+        plain = _plain(value)
+        if plain is _NOT_PLAIN:
+            raise ValueError(
+                f"{key} of the effect {effect.name!r} is {value!r}, and only numbers, "
+                "texts, true, false, None and tuples of these can be saved: give it "
+                "such a parameter."
+            )
+        found[key] = plain
+    return found
+
+
+_NOT_PLAIN = object()
+
+
+def _plain(value):
+    """Return a value as JSON has it, or `_NOT_PLAIN`.
+
+    Texts stay texts, so that numbers that JSON lacks are objects.
+    """
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, str)):
+        return value
+    if isinstance(value, float):
+        told = spelled(value)
+        return {"number": told} if isinstance(told, str) else told
+    if isinstance(value, (tuple, list)):
+        plain = [_plain(one) for one in value]
+        return _NOT_PLAIN if any(one is _NOT_PLAIN for one in plain) else plain
+    return _NOT_PLAIN
+
+
+def _gains(gains):
+    common = gains.common
+    return {
+        "gain": spelled_all(gains.gain),
+        "std": spelled_all(gains.std),
+        "relative_to": [gains.joint_names[j] for j in gains.reference],
+        "common": {
+            "factor": None if common.factor is None else spelled(common.factor),
+            "std": spelled(common.std),
+            "p_value": spelled(common.p_value),
+            "masses": [
+                {
+                    "name": mass.name,
+                    "mass": spelled(mass.mass),
+                    "mass_unit": "kg",
+                    "found": spelled(mass.found),
+                    "std": spelled(mass.std),
+                    "shown": bool(mass.shown),
+                    "used": bool(mass.used),
+                }
+                for mass in common.masses
+            ],
+        },
+    }
+
+
+def _fit(predictor):
+    """Return how the fit smoothed and filtered, a dict."""
+    plan, states = predictor.plan, predictor.plan.state_estimator
+    period, cutoff = plan.fastest_period, predictor.state_cutoff
+    return {
+        "dt": None if plan.dt is None else spelled(plan.dt),
+        "dt_unit": "s",
+        "cutoff": spelled(plan.cutoff),
+        "cutoff_unit": "Hz",
+        "time": None if plan.time is None else spelled_all(plan.time),
+        "time_unit": "s",
+        "fastest_period": None if period is None else spelled_all(period),
+        "fastest_period_unit": "s",
+        "state_cutoff": _state_cutoff(cutoff),
+        "state_cutoff_unit": "Hz",
+        "states": None
+        if states is None
+        else {
+            "cutoff": spelled_all(states.cutoff_),
+            "cutoff_unit": "Hz",
+            "noise_variance": spelled_all(states.noise_variance_),
+            "noise_variance_unit": "rad^2 or m^2",
+            "bandwidth": spelled_all(states.bandwidth_),
+            "bandwidth_unit": "Hz",
+        },
+    }
+
+
+def _state_cutoff(cutoff):
+    if cutoff is None or isinstance(cutoff, str):
+        return cutoff
+    return [
+        None if one is None else spelled(one)
+        for one in np.ravel(np.asarray(cutoff, dtype=object))
+    ]
+
+
+def _range(one, names):
+    found = {
+        field.name: getattr(one, field.name)
+        for field in fields(one)
+        if field.name not in {"joint", "depends"}
+    }
+    found = {
+        key: spelled_all(value) if isinstance(value, tuple) else value
+        for key, value in found.items()
+    }
+    return {
+        "name": found.pop("name"),
+        "joint": names[one.joint],
+        "depends": list(one.depends),
+    } | found
+
+
+def _powers(predictor):
+    """Return how large columns were in the fit; None where that is not known."""
+    powers, names = predictor.powers, predictor.joint_names
+    if powers is None:
+        return None
+    return {
+        "friction": spelled_all(powers.friction),
+        "effects": [
+            [
+                {"joint": name, "products": spelled_all(own)}
+                for name, own in zip(names, block)
+                if not (own == 0).all()
+            ]
+            for block in powers.effects
+        ],
+    }
+
+
+# -- reading ---------------------------------------------------------------------------
+
+
+def read(path, effects=()):
+    """Read a `SavedRobot`.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File.
+    effects : iterable of type
+        Classes of effects that are not in the library.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not JSON, not of this format, of a newer version, or something in it is
+        missing or wrong.
+    """
+    file = read_place(path)
+    if not isinstance(file.value, dict) or file.value.get("format") != FORMAT:
+        raise ValueError(
+            f"{file.path!r} holds no identified robot: its key 'format' is not "
+            f"{FORMAT!r}. Files of that format are written by RobotIdentifier.save."
+        )
+    version = file["version"].value
+    if isinstance(version, bool) or not isinstance(version, int) or version < 1:
+        raise file["version"].wrong("must be a whole number from 1 on")
+    if version > VERSION:
+        raise file["version"].wrong(
+            f"is {version}, and this release reads versions up to {VERSION}: install a "
+            "newer sklearn-vbjfa"
+        )
+    return _saved(file, _classes(effects))
+
+
+def _classes(effects):
+    """Return classes of effects by their names."""
+    if isinstance(effects, (type, Effect)):
+        effects = (effects,)
+    found = {}
+    for one in effects:
+        kind = one if isinstance(one, type) else type(one)
+        if not issubclass(kind, Effect):
+            raise ValueError(
+                f"effects must hold classes of effects, such as MyEffect; got {one!r}."
+            )
+        found[kind.name] = kind
+    return found
+
+
+def _saved(file, classes):
+    model = _nominal(file)
+    names = joint_names(model)
+    effects, parameters, spreads = _read_effects(file["effects"], names, classes)
+    friction = file["friction"]
+    try:
+        features = RigidBodyFeatures(model, friction.texts()).load()
+    except ValueError as error:
+        raise friction.wrong(f"is of no use: {error}") from error
+    features = features.corrected(effects)
+    rows = file["parameters"].items() + parameters
+    predictor = TorquePredictor(
+        features=features,
+        plan=_plan(file, effects),
+        theta=np.array([row["value"].number() for row in rows]),
+        load=_load(rows),
+        ranges=tuple(_read_range(one, names) for one in file["ranges"].items()),
+        signal_ends={
+            name: (
+                file["signals"][name]["lowest"].number(),
+                file["signals"][name]["highest"].number(),
+            )
+            for name in file["signals"].keys()
+        },
+        spreads=spreads,
+        state_cutoff=_read_state_cutoff(file["fit"]["state_cutoff"]),
+        powers=_read_powers(file["column_powers"], names, features, effects),
+    )
+    saved = SavedRobot(
+        predictor=predictor,
+        urdf="\n".join(file["urdf"].texts()),
+        from_file=file["urdf_is"].one_of(_URDF_IS) == _URDF_IS[0],
+        theta_std=np.array([row["std"].number() for row in rows]),
+        identifiable=np.array([row["identifiable"].truth() for row in rows], bool),
+        known=tuple(row["known"].one_of(_KNOWN) for row in rows),
+        noise_floor=np.array(
+            [j["noise_floor"].number() for j in file["joints"].items()]
+        ),
+        gains=_read_gains(file["unknown_gains"], names),
+        package=file["saved_with"].text(),
+    )
+    _check_names(file, rows, saved)
+    return saved
+
+
+def _of_joints(file, key):
+    """Return a number of each joint, (nv,)."""
+    return np.array([joint[key].number() for joint in file["joints"].items()])
+
+
+def _nominal(file):
+    """Build the model of the description, with its joints in the order of the file."""
+    urdf = "\n".join(file["urdf"].texts())
+    names = tuple(joint["name"].text() for joint in file["joints"].items())
+    try:
+        model = in_order(load_text(urdf, file.path), names)
+    except ValueError as error:
+        raise file["urdf"].wrong(f"holds no such robot: {error}") from error
+    for joint, prismatic in zip(file["joints"].items(), is_prismatic(model)):
+        kind = ("revolute", "prismatic")[int(prismatic)]
+        if joint["kind"].text() != kind:
+            raise joint["kind"].wrong(f"is not that of the description, {kind}")
+    gravity = model.gravity.copy()
+    gravity.linear = file["gravity"]["linear"].numbers(3, finite=True)
+    gravity.angular = file["gravity"]["angular"].numbers(3, finite=True)
+    model.gravity = gravity
+    return model
+
+
+def _read_effects(place, names, classes):
+    """Return effects, the places of their parameters, and their spreads."""
+    effects, rows, spreads = [], [], []
+    for one in place.items():
+        effect = _read_effect(one, names, classes)
+        own = one["parameters"].items(len(effect.coefficients))
+        shape = one["spread"]["of"].texts()
+        size = len(own) + len(shape)
+        covariance = [
+            row.numbers(size) for row in one["spread"]["covariance"].items(size)
+        ]
+        effects.append(effect)
+        rows += own
+        spreads.append(
+            Spread(shape=shape, covariance=np.array(covariance).reshape(size, size))
+        )
+    return tuple(effects), rows, tuple(spreads)
+
+
+def _read_effect(place, names, classes):
+    name = place["name"].text()
+    if place["of_library"].truth():
+        if name not in available():
+            raise place["name"].wrong(
+                f"is {name!r}, which the library of this release does not have"
+            )
+        kind = type(_of_name(name))
+    elif name in classes:
+        kind = classes[name]
+    else:
+        raise place["name"].wrong(
+            f"is {name!r}, an effect that is not in the library: give its class, "
+            "load_identified(path, effects=[...])"
+        )
+    joint = names.index(place["joint"].one_of(names))
+    shape = {key: _value(place["shape"][key]) for key in place["shape"].keys()}
+    try:
+        effect = kind(joint=joint, **shape)
+        effect.check()
+    except (TypeError, ValueError) as error:
+        raise place["shape"].wrong(f"does not suit {name!r}: {error}") from error
+    return effect
+
+
+def _value(place):
+    """Return a parameter of an effect, lists as tuples."""
+    if isinstance(place.value, list):
+        return tuple(_value(one) for one in place.items())
+    if isinstance(place.value, dict):
+        return place["number"].number()
+    return place.value
+
+
+def _load(rows):
+    """Return the parameters in the load of the effects; None without."""
+    told = [row["in_load"] for row in rows]
+    values = [one.number() for one in told if not one.absent]
+    return np.array(values) if values else None
+
+
+def _plan(file, effects):
+    fit = file["fit"]
+    dt = None if fit["dt"].absent else fit["dt"].number(finite=True)
+    if dt is not None and not dt > 0:
+        raise fit["dt"].wrong("must be greater than zero")
+    cutoff = fit["cutoff"].number()
+    try:
+        lowpass = _lowpass.design(dt or 1.0, cutoff)
+    except (ValueError, ZeroDivisionError) as error:
+        raise fit["cutoff"].wrong(f"is of no use: {error}") from error
+    nv = len(file["joints"].items())
+    period, time = fit["fastest_period"], fit["time"]
+    return Plan(
+        dt=dt,
+        state_estimator=None
+        if fit["states"].absent
+        else _states(fit["states"], dt, nv),
+        cutoff=cutoff,
+        lowpass=lowpass,
+        standstill=_of_joints(file, "standstill"),
+        effects=effects,
+        fastest_period=None if period.absent else period.numbers(nv),
+        time=None if time.absent else tuple(map(float, time.numbers(2))),
+    )
+
+
+def _states(place, dt, nv):
+    """Return the fitted `StateEstimator` of positions."""
+    if dt is None:
+        raise place.wrong("needs fit.dt")
+    cutoffs = place["cutoff"].numbers(nv)
+    given = [c if np.isfinite(c) else None for c in cutoffs]
+    estimator = StateEstimator(dt, cutoff=given)
+    estimator.n_features_in_ = nv
+    estimator.cutoff_ = cutoffs
+    estimator.noise_variance_ = place["noise_variance"].numbers(nv)
+    estimator.bandwidth_ = place["bandwidth"].numbers(nv)
+    return estimator
+
+
+def _read_state_cutoff(place):
+    if place.absent or isinstance(place.value, str):
+        return place.value
+    found = [None if one.absent else one.number() for one in place.items()]
+    return found[0] if len(found) == 1 else found
+
+
+def _read_range(place, names):
+    ends = {
+        key: tuple(map(float, place[key].numbers(2)))
+        for key in ("position", "speed", "load", "direction")
+    }
+    return EffectRange(
+        name=place["name"].text(),
+        joint=names.index(place["joint"].one_of(names)),
+        depends=tuple(
+            one.one_of(("position", "speed", "load", "direction"))
+            for one in place["depends"].items()
+        ),
+        curved=place["curved"].truth(),
+        **ends,
+    )
+
+
+def _read_powers(place, names, features, effects):
+    if place.absent:
+        return None
+    nv, k = len(names), len(features.friction_)
+    friction = [row.numbers(k) for row in place["friction"].items(nv)]
+    found = []
+    for effect, told in zip(effects, place["effects"].items(len(effects))):
+        size = len(effect.coefficients)
+        block = np.zeros((nv, size, size))
+        for one in told.items():
+            rows = [row.numbers(size) for row in one["products"].items(size)]
+            block[names.index(one["joint"].one_of(names))] = rows
+        found.append(block)
+    return ColumnPowers(
+        friction=np.array(friction).reshape(nv, k), effects=tuple(found)
+    )
+
+
+def _read_gains(place, names):
+    if place.absent:
+        return None
+    common, nv = place["common"], len(names)
+    return ChannelGains(
+        joint_names=names,
+        gain=place["gain"].numbers(nv),
+        std=place["std"].numbers(nv),
+        reference=np.array(
+            [names.index(one.one_of(names)) for one in place["relative_to"].items(nv)]
+        ),
+        common=CommonGain(
+            factor=None if common["factor"].absent else common["factor"].number(),
+            std=common["std"].number(),
+            p_value=common["p_value"].number(),
+            masses=tuple(
+                KnownMass(
+                    name=one["name"].text(),
+                    mass=one["mass"].number(),
+                    found=one["found"].number(),
+                    std=one["std"].number(),
+                    shown=one["shown"].truth(),
+                    used=one["used"].truth(),
+                )
+                for one in common["masses"].items()
+            ),
+        ),
+    )
+
+
+def _check_names(file, rows, saved):
+    """Refuse parameters that are not those of the joints, friction and effects."""
+    n = saved.predictor.features.n_parameters_
+    file["parameters"].items(n)
+    for row, name in zip(rows, saved.names):
+        if row["name"].text() != name:
+            raise row["name"].wrong(
+                f"is {row['name'].value!r} where {name!r} is expected, of joints, "
+                "friction and effects in their order"
+            )
+    theta = saved.predictor.theta
+    if not np.isfinite(theta).all():
+        raise rows[int(np.argmin(np.isfinite(theta)))]["value"].wrong(
+            "must hold a finite number"
+        )

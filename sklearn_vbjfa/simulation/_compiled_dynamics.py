@@ -1,0 +1,182 @@
+"""Friction and accelerations at one state, compiled by Numba.
+
+Numba is optional; `sklearn_vbjfa.simulation._dynamics` does the same in NumPy. The laws
+of friction are those of `sklearn_vbjfa.simulation._terms` themselves.
+"""
+
+import numba
+import numpy as np
+
+from sklearn_vbjfa.simulation import _steps, _terms
+
+# The machine code is kept on disk: only the first use after an installation takes the
+# seconds of the compilation.
+_compiled = numba.njit(nogil=True, cache=True, error_model="numpy")
+_add_terms = _compiled(_terms.add_terms)
+remember = _compiled(_terms.remember)
+runge_kutta = _compiled(_steps.runge_kutta)
+forward = _compiled(_steps.forward)
+step_error = _compiled(_steps.step_error)
+is_stiff = _compiled(_steps.is_stiff)
+events = _compiled(_steps.events)
+# Times that the signs of loads are found anew, for friction in proportion to them.
+_MOST_SIGNS = 8
+
+
+@_compiled
+def _eliminate(A, b):
+    """Solve A x = b in place by elimination with row exchanges; x is in b."""
+    n = b.size
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[best, k]):
+                best = i
+        if best != k:
+            for c in range(n):
+                A[k, c], A[best, c] = A[best, c], A[k, c]
+            b[k], b[best] = b[best], b[k]
+        inverse = 1.0 / A[k, k]
+        for i in range(k + 1, n):
+            factor = A[i, k] * inverse
+            if factor != 0.0:
+                for c in range(k + 1, n):
+                    A[i, c] -= factor * A[k, c]
+                b[i] -= factor * b[k]
+    for k in range(n - 1, -1, -1):
+        for c in range(k + 1, n):
+            b[k] -= A[k, c] * b[c]
+        b[k] /= A[k, k]
+
+
+@_compiled
+def _hold(A, b, stuck):
+    """Replace the equations of joints that stick by that of no acceleration."""
+    n = b.size
+    for j in range(n):
+        if stuck[j]:
+            for c in range(n):
+                A[j, c] = 0.0
+            A[j, j] = 1.0
+            b[j] = 0.0
+
+
+@_compiled
+def accelerate(
+    M,
+    h,
+    ML,
+    hL,
+    of_load,
+    tau,
+    q,
+    v,
+    mode,
+    stuck,
+    lines,
+    inertia,
+    coupling,
+    kinds,
+    joints,
+    numbers,
+    memory,
+    before,
+    out,
+):
+    """Accelerations at one state, see `ForwardDynamics.accelerate`.
+
+    Parameters
+    ----------
+    M, h, ML, hL : ndarray
+        Inertia matrix and nonlinear effects of the robot, and of what loads joints.
+    of_load : bool
+        Whether friction depends on the load.
+    tau, q, v, mode, stuck : ndarray of shape (nv,)
+        True torques, state, signs of dry friction, joints that stick.
+    lines : ndarray of shape (5, nv)
+        Viscous friction, constant torque, stiffness, dry friction, that over the load.
+    inertia, coupling : ndarray of shape (nv, nv)
+        Torque by acceleration and velocity, see `Terms`.
+    kinds, joints, numbers, memory : ndarray
+        Table of terms.
+    before : ndarray of shape (nv,)
+        Accelerations found before.
+    out : ndarray of shape (5, nv)
+        Where to write accelerations, needed dry friction, its limit, derivatives by
+        position and velocity.
+
+    Returns
+    -------
+    float
+        Power of torques that do not dissipate [W].
+    """
+    nv = q.size
+    placed, smooth = lines[1] + lines[2] * q, lines[0] * v
+    dry, load_smooth = lines[3].copy(), np.zeros(nv)
+    by_position, by_velocity = lines[2].copy(), lines[0].copy()
+    for i in range(nv):
+        for j in range(nv):
+            placed[i] += coupling[i, j] * v[j]
+        by_velocity[i] += coupling[i, i]
+    _add_terms(
+        kinds,
+        joints,
+        numbers,
+        memory,
+        q,
+        v,
+        placed,
+        smooth,
+        dry,
+        load_smooth,
+        by_position,
+        by_velocity,
+    )
+    A, rhs = np.empty((nv, nv)), np.empty(nv)
+    for i in range(nv):
+        rhs[i] = tau[i] - h[i] - placed[i] - smooth[i] - dry[i] * mode[i]
+        for j in range(nv):
+            A[i, j] = M[i, j] + inertia[i, j]
+    a = rhs.copy()
+    limit = dry
+    if of_load:
+        L, sign, size = hL.copy(), np.empty(nv), np.empty(nv)
+        for i in range(nv):
+            for j in range(nv):
+                L[i] += ML[i, j] * before[j]
+            size[i] = lines[4, i] * mode[i] + load_smooth[i]
+        for _ in range(_MOST_SIGNS):
+            sign = np.sign(L)
+            B = A.copy()
+            for i in range(nv):
+                way = size[i] * sign[i]
+                for j in range(nv):
+                    B[i, j] += way * ML[i, j]
+                a[i] = rhs[i] - way * hL[i]
+            _hold(B, a, stuck)
+            _eliminate(B, a)
+            again = False
+            for i in range(nv):
+                L[i] = hL[i]
+                for j in range(nv):
+                    L[i] += ML[i, j] * a[j]
+                again = again or sign[i] * L[i] < 0
+            if not again:
+                break
+        for i in range(nv):
+            rhs[i] -= size[i] * abs(L[i])
+            limit[i] += lines[4, i] * abs(L[i])
+    else:
+        B = A.copy()
+        _hold(B, a, stuck)
+        _eliminate(B, a)
+    power = 0.0
+    for i in range(nv):
+        needed, moved = rhs[i], tau[i] - placed[i]
+        for j in range(nv):
+            needed -= A[i, j] * a[j]
+            moved -= inertia[i, j] * a[j]
+        out[0, i], out[1, i], out[2, i] = a[i], needed, limit[i]
+        out[3, i], out[4, i] = by_position[i], by_velocity[i]
+        power += moved * v[i]
+    return power

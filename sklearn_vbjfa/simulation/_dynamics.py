@@ -1,0 +1,294 @@
+"""Accelerations of an identified robot under given torques."""
+
+import functools
+
+import numpy as np
+from scipy.linalg import lapack
+
+from sklearn_vbjfa.model._loading import import_pinocchio
+from sklearn_vbjfa.simulation import _steps
+from sklearn_vbjfa.simulation._terms import Terms, add_terms, remember
+
+# Times that the signs of loads are found anew, for friction in proportion to them.
+_MOST_SIGNS = 8
+
+
+@functools.cache
+def compiled():
+    """Return the module of compiled functions; None without Numba."""
+    try:
+        from sklearn_vbjfa.simulation import _compiled_dynamics
+    except ImportError as error:
+        if error.name != "numba":
+            raise
+        return None
+    return _compiled_dynamics
+
+
+def with_bodies(model, bodies, armature=None):
+    """Return a copy of a model with other bodies (nv, 10) and rotor inertias (nv,)."""
+    pin = import_pinocchio()
+    out = model.copy()
+    for j, body in enumerate(bodies):
+        if not body[0] > 0:
+            raise ValueError(
+                f"The body of {model.names[j + 1]} has the mass {body[0]:.6g} kg: only "
+                "physically consistent parameters can be simulated. Identify with "
+                'projector="default".'
+            )
+        out.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
+    out.armature = np.zeros(model.nv) if armature is None else np.asarray(armature)
+    return out
+
+
+class ForwardDynamics:
+    """Accelerations of a `TorqueModel`, with its friction, one state at a time.
+
+    Dry friction acts by modes: -1 or 1 for a joint that slides that way, 0 for one that
+    sticks, whose acceleration is zero, or that has none.
+
+    Parameters
+    ----------
+    robot : TorqueModel
+        Robot.
+    signals : callable, default=None
+        (name, t) -> value of what was recorded beside the motion.
+
+    Attributes
+    ----------
+    power : float
+        Power of all torques that need not dissipate [W]: of the drives, of springs.
+    mass : ndarray of shape (nv, nv)
+        Inertia matrix, rotors included.
+    has_dry : ndarray of shape (nv,), bool
+        Joints that can stick.
+    steps : module
+        Arithmetic of a step, compiled where Numba is installed.
+    """
+
+    def __init__(self, robot, signals=None):
+        pin = import_pinocchio()
+        self._pin, self._signals = pin, signals
+        self.terms = terms = Terms.of(robot)
+        self.n_joints = robot.n_joints
+        self._loaded = [
+            (-np.inf, with_bodies(robot.model, robot.bodies, terms.armature))
+        ]
+        bodies = robot.bodies.copy()
+        for instant, change in terms.payloads:
+            bodies[-1] = bodies[-1] + change
+            loaded = with_bodies(robot.model, bodies, terms.armature)
+            self._loaded.append((instant, loaded))
+        self.model = self._loaded[0][1]
+        self._data = self.model.createData()
+        self._load_model = None
+        if terms.of_load or terms.others is not None:
+            own = robot.bodies if robot.load is None else robot.load.bodies
+            self._load_model = with_bodies(robot.model, own)
+            self._load_data = self._load_model.createData()
+        self._fast = compiled()
+        self.steps = _steps if self._fast is None else self._fast
+        self._found = np.zeros((5, self.n_joints))
+        self.power, self.mass, self._time = 0.0, None, 0.0
+        self._of_load = terms.of_load
+        self._remembers = bool(terms.remembers.any())
+        self._asymmetric = bool(terms.inertia.any())
+        self._numbers = terms.numbers.copy()
+        self._memory = np.zeros((terms.kinds.size, 2))
+        self._plain = not (terms.kinds.size or terms.coupling.any())
+        self.has_dry = (terms.dry != 0) | (terms.load_dry != 0)
+        self.has_dry[terms.joints[terms.dry_terms()]] = True
+        self._set_table()
+
+    def _set_table(self):
+        """Put the table into lists, which plain Python reads faster than arrays."""
+        terms = self.terms
+        self._kinds, self._joints = terms.kinds.tolist(), terms.joints.tolist()
+        self._rows = self._numbers.tolist()
+
+    # -- what changes with time and with what was done before --------------------------
+
+    @property
+    def changes(self):
+        """Whether anything of it changes with time."""
+        return self.terms.is_timed or len(self._loaded) > 1
+
+    def start(self, q):
+        """Begin a motion at positions q (nv,), with the memory of a joint at rest."""
+        self._memory = self.terms.memory(q)
+        if self._fast is None:
+            self._memory = self._memory.tolist()
+
+    def set_time(self, t):
+        """Set what changes with time to what it is at t [s]."""
+        self._time = t
+        if self.terms.is_timed:
+            self.terms.set_levels(self._numbers, t, self._signals)
+            self._set_table()
+        for instant, model in self._loaded[::-1]:
+            if t >= instant:
+                if model is not self.model:
+                    self.model, self._data = model, model.createData()
+                break
+
+    def remember(self, q):
+        """Move memory on to positions q (nv,), to which no joint turned round."""
+        if not self._remembers:
+            return
+        if self._fast is not None:
+            own = self.terms.kinds, self.terms.joints, self._numbers, self._memory
+            self._fast.remember(*own, q)
+        else:
+            own = self._kinds, self._joints, self._rows, self._memory
+            remember(*own, q.tolist())
+
+    def copied_memory(self):
+        """Return the memory, to go back to with `restore`."""
+        if isinstance(self._memory, list):
+            return [row.copy() for row in self._memory]
+        return self._memory.copy()
+
+    def restore(self, memory):
+        """Go back to the memory of `copied_memory`."""
+        self._memory = memory
+
+    # -- what was found last -----------------------------------------------------------
+
+    @property
+    def a(self):
+        """Accelerations, ndarray (nv,)."""
+        return self._found[0]
+
+    @property
+    def needed(self):
+        """Dry friction that would hold a joint that sticks, ndarray (nv,)."""
+        return self._found[1]
+
+    @property
+    def limit(self):
+        """Largest dry friction, ndarray (nv,)."""
+        return self._found[2]
+
+    @property
+    def by_position(self):
+        """Derivatives of the smooth torques by the joint's own position, (nv,)."""
+        return self._found[3]
+
+    @property
+    def by_velocity(self):
+        """Derivatives of the smooth torques by the joint's own velocity, (nv,)."""
+        return self._found[4]
+
+    def potential_energy(self, q):
+        """Potential energy of the bodies at positions q (nv,) [J]."""
+        return self._pin.computePotentialEnergy(self.model, self._data, q)
+
+    def kinetic_energy(self, v):
+        """Kinetic energy by the inertia matrix found last [J]."""
+        return 0.5 * float(v @ self.mass @ v)
+
+    # -- accelerations -----------------------------------------------------------------
+
+    def accelerate(self, q, v, tau, mode, stuck):
+        """Find the accelerations (nv,) under true torques tau, by modes of friction.
+
+        mode (nv,) : signs of dry friction; stuck (nv,), bool : joints that stick.
+        """
+        pin, data = self._pin, self._data
+        self.mass = M = pin.crba(self.model, data, q)
+        h = pin.nonLinearEffects(self.model, data, q, v)
+        ML, hL = M, h
+        if self._load_model is not None:
+            ML = pin.crba(self._load_model, self._load_data, q)
+            hL = pin.nonLinearEffects(self._load_model, self._load_data, q, v)
+        others = None
+        if self.terms.others is not None:
+            known = {} if self._signals is None else self._signals.at(self._time)
+            load = ML @ self.a + hL
+            others, slopes = self.terms.others.at(q, v, self._time, load, known)
+            M = M if slopes is None else M + slopes
+            h = h + others
+        if self._fast is not None:
+            terms, out = self.terms, np.empty((5, q.size))
+            self.power = self._fast.accelerate(
+                M,
+                h,
+                ML,
+                hL,
+                self._of_load,
+                tau,
+                q,
+                v,
+                mode,
+                stuck,
+                terms.lines,
+                terms.inertia,
+                terms.coupling,
+                terms.kinds,
+                terms.joints,
+                self._numbers,
+                self._memory,
+                self._found[0],
+                out,
+            )
+            self._found = out
+        else:
+            self._found, self.power = self._accelerate_plain(
+                q, v, tau, mode, stuck, M, h, ML, hL
+            )
+        if others is not None:
+            self.power -= float(others @ v)
+        return self._found[0]
+
+    def _accelerate_plain(self, q, v, tau, mode, stuck, M, h, ML, hL):
+        terms = self.terms
+        placed = terms.stiffness * q + terms.constant
+        smooth = terms.viscous * v
+        dry, load_smooth = terms.dry, None
+        by_position, by_velocity = terms.stiffness, terms.viscous
+        if not self._plain:
+            # A coupling need not take energy: its work is counted with the drives'.
+            placed += terms.coupling @ v
+            by_velocity = by_velocity + terms.coupling.diagonal()
+            lists = [placed, smooth, dry, 0.0 * dry, by_position, by_velocity]
+            lists = [values.tolist() for values in lists]
+            table = self._kinds, self._joints, self._rows, self._memory
+            add_terms(*table, q.tolist(), v.tolist(), *lists)
+            placed, smooth, dry, load_smooth, by_position, by_velocity = map(
+                np.array, lists
+            )
+        A = M + terms.inertia if self._asymmetric else M
+        rhs = tau - h - placed - smooth - dry * mode
+        limit = dry
+        if self._of_load:
+            size = terms.load_dry * mode
+            if load_smooth is not None:
+                size = size + load_smooth
+            sign = np.sign(ML @ self.a + hL)
+            for _ in range(_MOST_SIGNS):
+                way = size * sign
+                a = _solve(A + way[:, None] * ML, rhs - way * hL, stuck)
+                L = ML @ a + hL
+                if (sign * L >= 0).all():
+                    break
+                sign = np.sign(L)
+            rhs = rhs - size * np.abs(L)
+            limit = dry + terms.load_dry * np.abs(L)
+        else:
+            a = _solve(A, rhs, stuck)
+        moved = tau - placed
+        if self._asymmetric:
+            moved = moved - terms.inertia @ a
+        found = a, rhs - A @ a, limit, by_position, by_velocity
+        return found, float(moved @ v)
+
+
+def _solve(A, rhs, stuck):
+    """Accelerations of joints that do not stick, zero for the others."""
+    if not stuck.any():
+        return lapack.dgesv(A, rhs)[2]
+    a = np.zeros(rhs.size)
+    free = np.flatnonzero(~stuck)
+    if free.size:
+        a[free] = lapack.dgesv(A[np.ix_(free, free)], rhs[free])[2]
+    return a

@@ -1,0 +1,317 @@
+r"""Motion of a robot from its accelerations, through the events of dry friction.
+
+Between events, at which a joint stops, turns round or breaks loose, the accelerations
+are smooth, and classical Runge-Kutta steps of order four follow them. The slope at the
+end of a step, which begins the next one, replaces the last of its four slopes in a
+formula of order three; the difference is the error estimate that the length of the next
+step is chosen by. A step in which a joint's velocity changes its sign is done again up
+to the time when it is zero, by the cubic through its values and slopes at both ends.
+There the joint sticks if dry friction can hold it, and slides on otherwise.
+
+Where smooth friction or a stiffness is so steep that those steps would be short for
+stability alone, steps are implicit: the Rosenbrock method of order two that stays of
+order two with any Jacobian matrix [1]_, here that of friction and springs,
+
+.. math::
+
+    (1 - \gamma h A)\,k_1 = f(t, y) + \gamma h f_t, \quad
+    (1 - \gamma h A)\,k_2 = f(t + h, y + h k_1) - 2 k_1 - \gamma h f_t, \quad
+    y(t + h) = y + \tfrac{3}{2} h k_1 + \tfrac{1}{2} h k_2,
+
+with gamma = 1 - 1 / sqrt(2), with which it is L-stable.
+
+References
+----------
+.. [1] J. G. Verwer, E. J. Spee, J. G. Blom, W. Hundsdorfer, "A second-order Rosenbrock
+   method applied to photochemical dispersion problems", SIAM J. Sci. Comput. 20(4),
+   1999. :doi:`10.1137/S1064827597326651`
+"""
+
+import numpy as np
+from scipy.linalg import lapack
+
+# Error of a step, in units of a joint's velocity.
+_TOLERANCE, _STIFF_TOLERANCE = 1e-8, 1e-6
+# A joint's velocity counts as at least this [rad/s or m/s], for the tolerance.
+_SLOWEST = 1e-2
+# The step may shrink and grow by these factors, with some reserve.
+_SHRINK, _GROW, _RESERVE = 0.2, 4.0, 0.9
+# Steps are implicit from this product of their length and a friction's decay rate on.
+_STIFF = 1.0
+_GAMMA = 1.0 - np.sqrt(0.5)
+# Shortest step, as a share of the sample period, and most steps in it.
+_SHORTEST, _MOST_STEPS = 1e-12, 20_000
+# So many times a joint may stop within a sample period; then it sticks until its end.
+_MOST_STOPS = 20
+# Beyond what holds a joint by this share it breaks loose; looked at this share of a
+# step later than friction is found to have reached its limit.
+_HOLDS, _LATER = 1e-9, 0.01
+
+
+class Diverged(ArithmeticError):
+    """The motion cannot be followed; `time` [s] after the last sample, `joint`."""
+
+    def __init__(self, time, joint):
+        super().__init__("the motion diverges")
+        self.time, self.joint = time, joint
+
+
+class Integrator:
+    """A robot in motion.
+
+    Parameters
+    ----------
+    dynamics : ForwardDynamics
+        Robot.
+    q, v : ndarray of shape (nv,)
+        Start [rad or m, and per s].
+    tau : ndarray of shape (nv,)
+        True torques at the start [N m or N].
+    t : float
+        Time of the start [s].
+
+    Attributes
+    ----------
+    q, v : ndarray of shape (nv,)
+        Present state.
+    work : float
+        Work of all torques that do not dissipate, since the start [J].
+    steps : int
+        Number of steps taken.
+    """
+
+    def __init__(self, dynamics, q, v, tau, t):
+        self._dynamics = dynamics
+        nv = q.size
+        self.q, self.v = q.copy(), v.copy()
+        self.work, self.steps = 0.0, 0
+        self._mode = np.where(dynamics.has_dry, np.sign(v), 0.0)
+        self._stuck = np.zeros(nv, dtype=bool)
+        # Joints whose turns are events.
+        self._watched = dynamics.has_dry | dynamics.terms.remembers
+        self._way = np.sign(v)
+        self._fast = np.maximum(np.abs(v), _SLOWEST)
+        self._step = np.inf
+        self._stops = np.zeros(nv, dtype=int)
+        dynamics.set_time(t)
+        dynamics.start(self.q)
+        self.settle(tau)
+
+    @property
+    def a(self):
+        """Present accelerations, ndarray (nv,)."""
+        return self._slope[0]
+
+    def _evaluate(self, q, v, tau):
+        """Accelerations and power at a state."""
+        own = self._dynamics
+        return own.accelerate(q, v, tau, self._mode, self._stuck), own.power
+
+    def settle(self, tau):
+        """Find which joints at rest stick, and all accelerations."""
+        own = self._dynamics
+        candidates = own.has_dry & (self.v == 0)
+        self._mode[candidates] = 0.0
+        self._stuck[:] = candidates
+        held = self._stops > _MOST_STOPS
+        slope = self._evaluate(self.q, self.v, tau)
+        while (self._stuck & ~held).any():
+            excess = np.abs(own.needed) - self._most(own.limit)
+            excess[~self._stuck | held] = -np.inf
+            j = int(np.argmax(excess))
+            if not excess[j] > 0:
+                break
+            self._stuck[j], self._mode[j] = False, np.sign(own.needed[j])
+            slope = self._evaluate(self.q, self.v, tau)
+            if slope[0][j] * self._mode[j] < 0:
+                # Others that were let go before move it the other way.
+                self._stuck[j], self._mode[j], held[j] = True, 0.0, True
+                slope = self._evaluate(self.q, self.v, tau)
+        self._arrive(slope)
+
+    def _arrive(self, slope):
+        """Keep what the next step begins with."""
+        self._slope = slope
+        self._held = self._dynamics.needed, self._dynamics.limit
+        self._way = np.where(self.v != 0, np.sign(self.v), np.sign(slope[0]))
+
+    def refresh(self, tau):
+        """Find the accelerations anew, after something else has changed."""
+        if self._stuck.any():
+            self.settle(tau)
+        else:
+            self._arrive(self._evaluate(self.q, self.v, tau))
+
+    def advance(self, tau, after, dt):
+        """Go on for a sample period, in which torques go from `tau` to `after`.
+
+        Raises
+        ------
+        Diverged
+            If the numbers do not stay finite, or steps become ever shorter.
+        """
+        rate = (after - tau) / dt
+        if self._stops.any():
+            barred = (self._stops > _MOST_STOPS).any()
+            self._stops[:] = 0
+            if barred:
+                self.settle(tau)
+        done, shortest = 0.0, _SHORTEST * dt
+        for _ in range(_MOST_STEPS):
+            left = dt - done
+            if not left > shortest:
+                return
+            h = left if self._step >= left else min(self._step, 0.5 * left)
+            taken, new = self._attempt(tau + done * rate, rate, max(h, shortest))
+            if new is not None:
+                done += taken
+                self._accept(new, tau + done * rate)
+            elif h <= shortest:
+                break
+        raise Diverged(done, int(np.argmax(np.abs(self.v))))
+
+    # -- one step ----------------------------------------------------------------------
+
+    def _attempt(self, tau, rate, h):
+        """Try a step of length h, or up to its first event; (length, result or None).
+
+        There is no result where the error is too large: the next step is shorter.
+        """
+        asked, hit = h, None
+        for _ in range(3):
+            own = self._dynamics
+            slopes = own.by_position, own.by_velocity
+            stiff = own.steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
+            method = self._implicit if stiff else self._explicit
+            q, v, work, slope, error = method(tau, rate, h)
+            grown = _RESERVE * max(error, 1e-12) ** (-0.5 if stiff else -0.25)
+            if not error <= 1:
+                self._step = h * (max(grown, _SHRINK) if grown < 1 else _SHRINK)
+                return 0.0, None
+            event = self._event(v, slope, h)
+            if event is None:
+                break
+            share, hit = event
+            if not share < 1.0 - 1e-9:
+                break
+            h *= share
+        next_step = h * min(grown, _GROW)
+        if h < asked or self._step > asked:
+            # It was short for an event, or for the end of the sample period.
+            next_step = max(next_step, self._step)
+        self._step = next_step
+        return h, (q, v, work, slope, hit)
+
+    def _accept(self, new, tau):
+        """Go to the end of a step, and through the events there."""
+        self.q, self.v, work, slope, hit = new
+        self.work += work
+        self.steps += 1
+        np.maximum(self._fast, np.abs(self.v), out=self._fast)
+        self._dynamics.remember(self.q)
+        if hit is None:
+            self._slope = slope
+            self._held = self._dynamics.needed, self._dynamics.limit
+            return
+        turned = hit & ~self._stuck
+        self.v = np.where(turned, 0.0, self.v)
+        self._stops += turned
+        self.settle(tau)
+
+    def _explicit(self, tau, rate, h):
+        """Runge-Kutta step of order four, its error by one of order three."""
+        steps, evaluate = self._dynamics.steps, self._evaluate
+        mid, end = tau + (0.5 * h) * rate, tau + h * rate
+        y, (a1, p1) = np.array([self.q, self.v]), self._slope
+        k1 = np.array([self.v, a1])
+        y2 = steps.forward(y, 0.5 * h, k1)
+        a2, p2 = evaluate(*y2, mid)
+        k2 = np.array([y2[1], a2])
+        y3 = steps.forward(y, 0.5 * h, k2)
+        a3, p3 = evaluate(*y3, mid)
+        k3 = np.array([y3[1], a3])
+        y4 = steps.forward(y, h, k3)
+        a4, p4 = evaluate(*y4, end)
+        q, v = steps.runge_kutta(y, h, k1, k2, k3, np.array([y4[1], a4]))
+        work = (p1 + 2.0 * (p2 + p3) + p4) * h / 6.0
+        slope = evaluate(q, v, end)
+        error = steps.step_error(h, a1, a4, slope[0], self._fast, _TOLERANCE)
+        return q, v, work, slope, float(error)
+
+    def _implicit(self, tau, rate, h):
+        """Rosenbrock step of order two, its error by the one of order one."""
+        own, stuck = self._dynamics, self._stuck
+        q, v, (a, p) = self.q, self.v, self._slope
+        # The Jacobian matrix and the masses are those of the beginning.
+        self._evaluate(q, v, tau)
+        M, D, K = own.mass.copy(), own.by_velocity.copy(), own.by_position.copy()
+        g = _GAMMA * h
+        W = M + np.diag(g * D + g * g * K)
+        free = np.flatnonzero(~stuck)
+        lu, pivots, _ = lapack.dgetrf(W[np.ix_(free, free)])
+
+        def solve(fq, fv):
+            rhs = M @ fv - g * K * fq
+            kv = np.zeros(q.size)
+            if free.size:
+                kv[free] = lapack.dgetrs(lu, pivots, rhs[free])[0]
+            return fq + g * kv, kv
+
+        pushed = np.zeros(q.size)
+        if free.size:
+            inner = M[np.ix_(free, free)]
+            pushed[free] = lapack.dgesv(inner, rate[free])[2]
+        end = tau + h * rate
+        k1q, k1v = solve(v, a + g * pushed)
+        a2, _ = self._evaluate(q + h * k1q, v + h * k1v, end)
+        k2q, k2v = solve(v + h * k1v - 2 * k1q, a2 - 2 * k1v - g * pushed)
+        k1v[stuck] = k2v[stuck] = 0.0
+        error_q, error_v = 0.5 * h * (k1q + k2q), 0.5 * h * (k1v + k2v)
+        q = q + h * k1q + error_q
+        v = v + h * k1v + error_v
+        slope = self._evaluate(q, v, end)
+        scale = _STIFF_TOLERANCE * np.maximum(self._fast, h * np.abs(a))
+        error = float((np.abs(error_v) / scale).max())
+        return q, v, 0.5 * h * (p + slope[1]), slope, error
+
+    def _most(self, limit):
+        """Dry friction (nv,) that holds joints; no limit where they stop too often."""
+        return np.where(self._stops > _MOST_STOPS, np.inf, (1 + _HOLDS) * limit)
+
+    def _event(self, v, slope, h):
+        """First event in a step, (share of it, joints (nv,) of bool); or None."""
+        own = self._dynamics
+        turned, loose = own.steps.events(
+            self._watched, self._way, v, self._stuck, own.needed, self._most(own.limit)
+        )
+        if not (turned.any() or loose.any()):
+            return None
+        shares = np.full(v.size, np.inf)
+        for j in np.flatnonzero(turned):
+            ends = self.v[j], v[j], h * self._slope[0][j], h * slope[0][j]
+            shares[j] = _root(*ends)
+        before, limit = self._held
+        for j in np.flatnonzero(loose):
+            over = abs(own.needed[j]) - own.limit[j]
+            under = max(limit[j] - abs(before[j]), 0.0)
+            # A little later, so that it is loose.
+            shares[j] = min(under / (under + over) + _LATER, 1.0)
+        first = shares.min()
+        return first, shares <= first * (1 + 1e-9)
+
+
+def _root(v0, v1, a0, a1):
+    """First zero in (0, 1] of the cubic with these values and slopes at 0 and 1.
+
+    The signs of the values differ, or the first is zero.
+    """
+    c3, c2 = 2 * (v0 - v1) + a0 + a1, 3 * (v1 - v0) - 2 * a0 - a1
+    low, high = 0.0, 1.0
+    way = np.sign(v1)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        if way * (((c3 * middle + c2) * middle + a0) * middle + v0) > 0:
+            high = middle
+        else:
+            low = middle
+    return high

@@ -1,0 +1,359 @@
+"""Simulated motion of an identified robot, and checks of what it is asked."""
+
+import warnings
+
+import numpy as np
+
+from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.simulation._channels import true_torques
+from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
+from sklearn_vbjfa.simulation._integrate import Diverged, Integrator
+from sklearn_vbjfa.simulation._terms import LEFT_OUT
+
+# Time stamps may differ from whole periods by this share of one.
+_JITTER = 0.01
+# Energy may exceed what was put in by this share.
+_EXCESS = 0.01
+# A start may lie outside the limits by this share of the range: noise, or a zero.
+_MARGIN = 1e-3
+
+
+class SimulationError(ValueError):
+    """The motion of an identified robot cannot be followed to its end.
+
+    It diverges, or has more energy than was put in. The message says when, and which
+    joint is to be looked at.
+
+    Attributes
+    ----------
+    time : float
+        Time at which the simulation was given up [s].
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.simulation import SimulationError
+    >>> issubclass(SimulationError, ValueError)
+    True
+    """
+
+    def __init__(self, message, time):
+        super().__init__(message)
+        self.time = time
+
+
+class Recorded:
+    """Signals recorded beside a motion, straight between their samples.
+
+    Parameters
+    ----------
+    signals : mapping of str to ndarray of shape (n,)
+        Values by name.
+    t : ndarray of shape (n,)
+        Their times [s].
+    """
+
+    def __init__(self, signals, t):
+        self._signals, self._t = dict(signals), t
+
+    def __call__(self, name, t):
+        """Value of one of them at a time."""
+        if name not in self._signals:
+            raise ValueError(
+                f"The robot has an effect that varies with the recorded signal {name!r}"
+                "; give it in signals, one value per row of tau."
+            )
+        return float(np.interp(t, self._t, self._signals[name]))
+
+    def at(self, t):
+        """Values of all of them at a time, by name."""
+        return {name: self(name, t) for name in self._signals}
+
+
+def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
+    """Simulate a robot that is driven by measured torques.
+
+    Parameters
+    ----------
+    robot : TorqueModel
+        Robot; its `dt` is the sample period unless `t` is given.
+    tau : array-like of shape (n, nv)
+        Torques that the channels measured [N m or N].
+    q0, v0 : array-like of shape (nv,)
+        Positions and velocities in the first row [rad or m, and per s]; velocities are
+        zero by default.
+    t : array-like of shape (n,), default=None
+        Times of the rows [s], on the clock of the fit.
+    signals : mapping of str to array-like of shape (n,), default=None
+        What was recorded beside the motion.
+
+    Returns
+    -------
+    ndarray of shape (n, 3 * nv)
+        States [q | v | a] at the times of the rows.
+    """
+    q0, v0 = _start(robot, q0, v0)
+    tau = _torques(robot, tau)
+    t = _times(robot, t, len(tau))
+    signals = Recorded(_signals(signals, len(tau)), t)
+    _tell_left_out(robot)
+    dynamics = ForwardDynamics(robot, signals)
+    _check_inertia(robot, dynamics, q0)
+    torque = true_torques(robot, tau, t)
+    states = _run(robot, dynamics, torque, q0, v0, t)
+    _tell_limits(robot, states, t)
+    return states
+
+
+def _run(robot, dynamics, tau, q0, v0, t):
+    """States (n, 3 nv) of a motion, row by row."""
+    n, nv = tau.shape
+    states = np.empty((n, 3 * nv))
+    energy = _Energy(robot, dynamics)
+    with np.errstate(all="ignore"):
+        motion = Integrator(dynamics, q0, v0, tau[0], t[0])
+        for i in range(n):
+            states[i, :nv], states[i, nv : 2 * nv] = motion.q, motion.v
+            states[i, 2 * nv :] = motion.a
+            before = energy.check(motion, t[i])
+            if i + 1 == n:
+                return states
+            dt = t[i + 1] - t[i]
+            if dynamics.changes:
+                # What changes with time has its value in the middle of the period.
+                dynamics.set_time(t[i] + 0.5 * dt)
+                motion.refresh(tau[i])
+                energy.jump(before, motion)
+            try:
+                motion.advance(tau[i], tau[i + 1], dt)
+            except Diverged as found:
+                time = t[i] + found.time
+                name = robot.joint_names[found.joint]
+                raise SimulationError(
+                    f"The simulation diverges at t = {time:.6g} s (row {i}): "
+                    f"{name} has the velocity {motion.v[found.joint]:.3g}. Friction "
+                    "that drives a joint, or bodies that the recording does not "
+                    "determine, do that; look at the signs of the friction, and "
+                    "identify with more motion.",
+                    time,
+                ) from None
+
+
+class _Energy:
+    """The balance of energy of a motion, looked at row by row."""
+
+    def __init__(self, robot, dynamics):
+        self._robot, self._dynamics = robot, dynamics
+        self._start, self._largest, self._moved, self._work = None, 0.0, 0.0, 0.0
+
+    def _present(self, motion):
+        kinetic = self._dynamics.kinetic_energy(motion.v)
+        self._largest = max(self._largest, kinetic)
+        return kinetic + self._dynamics.potential_energy(motion.q)
+
+    def jump(self, before, motion):
+        """Take over what a change of the robot itself does to its energy."""
+        self._start += self._present(motion) - before
+
+    def check(self, motion, t):
+        """Refuse energy that nothing has put in; return the present energy [J]."""
+        energy = self._present(motion)
+        if self._start is None:
+            self._start = energy
+        self._moved += abs(motion.work - self._work)
+        self._work = motion.work
+        excess = energy - self._start - motion.work
+        size = self._largest + self._moved
+        if excess > _EXCESS * size:
+            raise SimulationError(
+                f"At t = {t:.6g} s the robot has {excess:.3g} J more than was put in, "
+                f"{100 * excess / size:.2g} % of all energy: {self._reason()}.",
+                t,
+            )
+        return energy
+
+    def _reason(self):
+        """Say where energy can come from."""
+        terms = self._dynamics.terms
+        driving = (terms.viscous < 0) | (terms.dry < 0) | (terms.load_dry < 0)
+        driving[terms.joints[terms.numbers[:, 0] < 0]] = True
+        names = [n for n, bad in zip(self._robot.joint_names, driving) if bad]
+        if names:
+            return (
+                f"friction of {', '.join(names)} has a negative coefficient, with "
+                "which it drives the joint; the recording does not determine it, or "
+                "it stands for something else"
+            )
+        return "the steps of the integration do not follow so fast a motion"
+
+
+# -- what is asked ---------------------------------------------------------------------
+
+
+def _start(robot, q0, v0):
+    """Check the state in the first row."""
+    names, found = robot.joint_names, []
+    for name, values in (("q0", q0), ("v0", v0)):
+        values = np.zeros(len(names)) if values is None else values
+        values = np.array(values, dtype=float)
+        if values.shape != (len(names),):
+            raise ValueError(
+                f"{name} must hold one value for each joint ({', '.join(names)}), "
+                f"shape ({len(names)},); got shape {values.shape}."
+            )
+        bad = ~np.isfinite(values)
+        if bad.any():
+            j = int(np.argmax(bad))
+            raise ValueError(f"{name} holds {values[j]} for {names[j]}.")
+        found.append(values)
+    q0, v0 = found
+    low, high = _limits(robot.model)
+    margin = _MARGIN * np.where(np.isfinite(high - low), high - low, 0.0)
+    for j in np.flatnonzero((q0 < low - margin) | (q0 > high + margin)):
+        unit = "m" if is_prismatic(robot.model)[j] else "rad"
+        raise ValueError(
+            f"q0 lies outside the limits of {names[j]}: {q0[j]:.6g} {unit}, limits "
+            f"{low[j]:.6g} to {high[j]:.6g} {unit}. Check the zero and the unit of the "
+            "positions, or correct the limits in the robot description."
+        )
+    return q0, v0
+
+
+def _limits(model):
+    """Position limits of the joints, infinite where there are none."""
+    low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    real = (low < high) & (np.abs(low) < 1e9) & (np.abs(high) < 1e9)
+    return np.where(real, low, -np.inf), np.where(real, high, np.inf)
+
+
+def _torques(robot, tau):
+    """Check the torques, (n, nv)."""
+    tau = np.array(tau, dtype=float)
+    nv = robot.n_joints
+    if tau.ndim == 1 and nv == 1:
+        tau = tau[:, None]
+    if tau.ndim != 2 or tau.shape[1] != nv or not len(tau):
+        raise ValueError(
+            f"tau must hold one row of torques per sample and one column per joint "
+            f"({', '.join(robot.joint_names)}), shape (n, {nv}); got shape {tau.shape}."
+        )
+    bad = np.argwhere(~np.isfinite(tau))
+    if bad.size:
+        row, j = bad[0]
+        at = "" if robot.dt is None else f" ({row * robot.dt:.6g} s after the start)"
+        raise ValueError(
+            f"tau holds {tau[row, j]} in row {row}{at}, joint {robot.joint_names[j]}; "
+            f"{len(bad)} value(s) in all. A simulation needs every torque: cut the "
+            "recording there, or fill the gap."
+        )
+    return tau
+
+
+def _times(robot, t, n):
+    """Check the times of the rows, (n,)."""
+    since = 0.0 if robot.since is None else robot.since
+    if t is None:
+        if robot.dt is None:
+            raise ValueError(
+                "The robot was identified without a sample period; give the times of "
+                "the rows as t."
+            )
+        return since + robot.dt * np.arange(n)
+    t = np.array(t, dtype=float)
+    if t.shape != (n,):
+        raise ValueError(
+            f"tau has {n} rows and t has shape {t.shape}; expected one time for each "
+            f"row, shape ({n},)."
+        )
+    bad = ~np.isfinite(t)
+    if bad.any():
+        raise ValueError(f"t holds {t[np.argmax(bad)]} in row {int(np.argmax(bad))}.")
+    steps = np.diff(t)
+    if not steps.size:
+        return t
+    if not (steps > 0).all():
+        row = int(np.argmax(steps <= 0))
+        raise ValueError(
+            f"t must rise; it goes from {t[row]:.6g} to {t[row + 1]:.6g} s in row "
+            f"{row + 1}."
+        )
+    if robot.dt is not None:
+        usual = float(np.median(steps))
+        if abs(usual - robot.dt) > _JITTER * robot.dt:
+            raise ValueError(
+                f"The torques come every {usual:.6g} s (t), and the robot was "
+                f"identified at {robot.dt:.6g} s: resample them to that rate, or "
+                "identify from a recording of this one."
+            )
+        wrong = np.abs(steps - robot.dt) > 0.5 * robot.dt
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            raise ValueError(
+                f"t goes from {t[row]:.6g} to {t[row + 1]:.6g} s in row {row + 1}, the "
+                f"sample period is {robot.dt:.6g} s: rows are missing. Simulate the "
+                "pieces one by one."
+            )
+    return t
+
+
+def _signals(signals, n):
+    """Check recorded signals, (n,) each."""
+    found = {}
+    for name, values in ({} if signals is None else signals).items():
+        found[name] = np.array(values, dtype=float)
+        if found[name].shape != (n,) or not np.isfinite(found[name]).all():
+            raise ValueError(
+                f"signals[{name!r}] must hold one finite value per row of tau, shape "
+                f"({n},); got shape {found[name].shape}."
+            )
+    return found
+
+
+def _check_inertia(robot, dynamics, q0):
+    """Refuse a robot that some torque would accelerate the wrong way."""
+    nv = robot.n_joints
+    still = np.zeros(nv), np.zeros(nv), np.zeros(nv), np.zeros(nv, dtype=bool)
+    dynamics.start(q0)
+    dynamics.accelerate(q0, *still)
+    mass = dynamics.mass + dynamics.terms.inertia
+    values, vectors = np.linalg.eigh(0.5 * (mass + mass.T))
+    if not values[0] > 0:
+        name = robot.joint_names[int(np.argmax(np.abs(vectors[:, 0])))]
+        raise ValueError(
+            f"The inertia of {name} at q0 is not positive ({values[0]:.3g} kg m^2): it "
+            "would be accelerated against its torque. Its rotor inertia or coupling is "
+            "negative, or its bodies are not determined; identify with "
+            'projector="default" and more motion.'
+        )
+
+
+def _tell_left_out(robot):
+    """Warn of effects that a simulation does not have."""
+    names = robot.joint_names
+    left = [
+        f"{effect.name} on {names[effect.joint]} ({LEFT_OUT[type(effect)]})"
+        for effect in robot.effects
+        if type(effect) in LEFT_OUT
+    ]
+    if left:
+        warnings.warn(
+            f"The simulation goes without {'; '.join(left)}.", UserWarning, stacklevel=4
+        )
+
+
+def _tell_limits(robot, states, t):
+    """Warn of joints that leave their limits: nothing stops them in a simulation."""
+    nv = robot.n_joints
+    low, high = _limits(robot.model)
+    outside = (states[:, :nv] < low) | (states[:, :nv] > high)
+    left = [
+        f"{name} at t = {t[np.argmax(out)]:.6g} s"
+        for name, out in zip(robot.joint_names, outside.T)
+        if out.any()
+    ]
+    if left:
+        warnings.warn(
+            f"The simulated robot leaves its joint limits: {', '.join(left)}; there "
+            "are no stops in the simulation.",
+            UserWarning,
+            stacklevel=4,
+        )

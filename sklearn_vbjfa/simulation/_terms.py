@@ -1,0 +1,514 @@
+"""Friction and effects as scalar laws, split by how they enter forward dynamics.
+
+A torque that the drive must produce beside the rigid bodies' is one of
+
+- smooth, a function of positions, velocities, time and memory;
+- dry, a size that is multiplied by the sign of the joint's velocity: at rest it may
+  take any value between minus and plus its size;
+- in proportion to the size of the load, smooth or dry;
+- in proportion to accelerations, which goes to the inertia matrix.
+
+The laws of the library's effects are a table of numbers, which one scalar function
+reads: `add_terms`, compiled by Numba where it is installed and plain Python otherwise.
+Effects that the library does not know are evaluated by their own columns, see
+`OtherEffects`.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.effects import (
+    AsymmetricFriction,
+    Backlash,
+    Coulomb,
+    Counterbalance,
+    Coupling,
+    Delay,
+    Drift,
+    Elastic,
+    Jerk,
+    LoadFriction,
+    Motion,
+    Offset,
+    Payload,
+    Presliding,
+    Ripple,
+    RotorInertia,
+    Signal,
+    Spring,
+    Stribeck,
+    TorqueFilter,
+    Viscous,
+    ViscousQuadratic,
+)
+from sklearn_vbjfa.model._loading import is_prismatic
+
+# Kinds of terms in the table.
+_STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH = 0, 1, 2, 3, 4
+_HARMONICS, _LINKAGE, _RIPPLE, _PRESLIDING, _BACKLASH = 5, 6, 7, 8, 9
+_COUPLED_DRY, _LEVEL, _LEVEL_DRY, _LEVEL_VISCOUS = 10, 11, 12, 13
+# Parameters of a term in the table.
+_WIDTH = 5
+# Torques of the channels, before the robot; and what a simulation cannot do.
+CHANNELS = (Delay, TorqueFilter)
+LEFT_OUT = {
+    Elastic: "a first-order correction of the torque, which has no forward dynamics",
+    Jerk: "it stands for a lag of a channel or for flexibility",
+}
+# Below this speed the sign of a coupled speed turns, where no other is known.
+_SLOW = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Terms:
+    """Friction and effects of a robot, as numbers.
+
+    Attributes
+    ----------
+    viscous, constant, stiffness, dry, load_dry, armature : ndarray of shape (nv,)
+        Viscous friction, constant torque, stiffness, Coulomb friction, dry friction
+        over the load, and rotor inertia: what needs no table.
+    inertia : ndarray of shape (nv, nv)
+        Torque of joint (row) by acceleration of joint (column), beside rigid bodies
+        and rotors.
+    coupling : ndarray of shape (nv, nv)
+        Torque of joint (row) by velocity of joint (column), beside `viscous`.
+    kinds, joints : ndarray of shape (n_terms,), int
+        The table: laws, and the joints that they act on.
+    numbers : ndarray of shape (n_terms, 5)
+        Parameters of each law.
+    levels : tuple of callable
+        For each term that changes with time or a signal, its size: (t, signals) ->
+        float.
+    leveled : tuple of int
+        Their places in the table.
+    others : OtherEffects or None
+        Effects that are not in the table.
+    payloads : tuple of (float, ndarray of shape (10,))
+        Instants [s] and what the last body's parameters change by.
+    remembers : ndarray of shape (nv,), bool
+        Joints with a memory of where they turned.
+    """
+
+    viscous: np.ndarray
+    constant: np.ndarray
+    stiffness: np.ndarray
+    dry: np.ndarray
+    load_dry: np.ndarray
+    armature: np.ndarray
+    inertia: np.ndarray
+    coupling: np.ndarray
+    kinds: np.ndarray
+    joints: np.ndarray
+    numbers: np.ndarray
+    levels: tuple
+    leveled: tuple
+    others: object
+    payloads: tuple
+    remembers: np.ndarray
+
+    @property
+    def of_load(self):
+        """Whether friction depends on the load."""
+        return bool(self.load_dry.any() or (self.kinds == _LOAD_TANH).any())
+
+    @property
+    def lines(self):
+        """What needs no table, ndarray (5, nv)."""
+        return self._lines
+
+    def __post_init__(self):
+        lines = [self.viscous, self.constant, self.stiffness, self.dry, self.load_dry]
+        object.__setattr__(self, "_lines", np.array(lines))
+
+    def dry_terms(self):
+        """Return which terms of the table are dry friction, ndarray of bool."""
+        return np.isin(self.kinds, (_STRIBECK, _LEVEL_DRY))
+
+    @property
+    def is_timed(self):
+        """Whether anything changes with time or a signal."""
+        return bool(self.leveled)
+
+    @classmethod
+    def of(cls, robot):
+        """Sort the friction and effects of a `TorqueModel`."""
+        nv = robot.n_joints
+        made = _Table(nv, None if robot.rest is None else robot.rest.speed, robot.since)
+        declared = dict(zip(robot.friction_names, robot.friction.T))
+        for name, add in (
+            ("viscous", made.viscous),
+            ("coulomb", made.dry),
+            ("offset", made.constant),
+            ("rotor_inertia", made.armature),
+        ):
+            add += declared.pop(name, 0.0)
+        if declared:
+            raise ValueError(
+                f"friction holds {', '.join(declared)}, which cannot be simulated; "
+                "give it in effects."
+            )
+        others = []
+        for effect, coef in zip(robot.effects, robot.coefficients):
+            if effect.in_model or isinstance(effect, (*CHANNELS, *LEFT_OUT)):
+                continue
+            if not made.take(effect, coef):
+                others.append((effect, np.asarray(coef)))
+        return made.finished(OtherEffects(robot, others) if others else None)
+
+    def memory(self, q):
+        """Start the memory of joints at positions q (nv,): (n_terms, 2)."""
+        out = np.zeros((self.kinds.size, 2))
+        for k in np.flatnonzero(np.isin(self.kinds, (_PRESLIDING, _BACKLASH))):
+            out[k, 0] = q[self.joints[k]]
+            out[k, 1] = q[self.joints[k]] if self.kinds[k] == _BACKLASH else 0.0
+        return out
+
+    def set_levels(self, numbers, t, signals):
+        """Write the present sizes of terms that change with time into a table."""
+        for k, level in zip(self.leveled, self.levels):
+            numbers[k, 0] = level(t, signals)
+
+
+class _Table:
+    """Collects the terms of a robot."""
+
+    def __init__(self, nv, slow, since):
+        self.viscous, self.constant, self.stiffness, self.dry = np.zeros((4, nv))
+        self.load_dry, self.armature = np.zeros((2, nv))
+        self.inertia, self.coupling = np.zeros((2, nv, nv))
+        self.rows, self.levels, self.leveled, self.payloads = [], [], [], []
+        self.slow, self.since = slow, since
+
+    def add(self, kind, joint, *numbers):
+        self.rows.append((kind, joint, numbers + (0.0,) * (_WIDTH - len(numbers))))
+
+    def add_level(self, joint, of, level):
+        """Add a torque, dry or viscous friction whose size changes with time."""
+        kind = {"offset": _LEVEL, "coulomb": _LEVEL_DRY, "viscous": _LEVEL_VISCOUS}[of]
+        self.leveled.append(len(self.rows))
+        self.levels.append(level)
+        self.add(kind, joint)
+
+    def take(self, effect, coef):
+        """Take an effect of the library; False if it is none."""
+        found = _LAWS.get(type(effect))
+        if found is None:
+            return False
+        effect.check()
+        found(self, effect, effect.joint, *map(float, coef))
+        return True
+
+    def finished(self, others):
+        kinds, joints, numbers = zip(*self.rows) if self.rows else ((), (), ())
+        kinds, joints = np.array(kinds, dtype=int), np.array(joints, dtype=int)
+        remembers = np.zeros(self.dry.size, dtype=bool)
+        remembers[joints[np.isin(kinds, (_PRESLIDING, _BACKLASH))]] = True
+        return Terms(
+            viscous=self.viscous,
+            constant=self.constant,
+            stiffness=self.stiffness,
+            dry=self.dry,
+            load_dry=self.load_dry,
+            armature=self.armature,
+            inertia=self.inertia,
+            coupling=self.coupling,
+            kinds=kinds,
+            joints=joints,
+            numbers=np.array(numbers, dtype=float).reshape(-1, _WIDTH),
+            levels=tuple(self.levels),
+            leveled=tuple(self.leveled),
+            others=others,
+            payloads=tuple(sorted(self.payloads, key=lambda pair: pair[0])),
+            remembers=remembers,
+        )
+
+
+# -- effects of the library ------------------------------------------------------------
+
+
+def _viscous(table, effect, j, Fv):
+    table.viscous[j] += Fv
+
+
+def _coulomb(table, effect, j, Fc):
+    if effect.smoothing > 0:
+        table.add(_TANH, j, Fc, effect.smoothing)
+    else:
+        table.dry[j] += Fc
+
+
+def _asymmetric(table, effect, j, dFc, dFv):
+    # At rest friction is between its values of both directions: their mean remains.
+    table.constant[j] += dFc
+    table.add(_ABSOLUTE, j, dFv)
+
+
+def _stribeck(table, effect, j, Fs):
+    table.add(_STRIBECK, j, Fs, effect.vs, effect.k)
+
+
+def _quadratic(table, effect, j, F2):
+    table.add(_QUADRATIC, j, F2)
+
+
+def _load_friction(table, effect, j, mu):
+    if effect.smoothing > 0:
+        table.add(_LOAD_TANH, j, mu, effect.smoothing)
+    else:
+        table.load_dry[j] += mu
+
+
+def _presliding(table, effect, j, Fp):
+    table.add(_PRESLIDING, j, Fp, effect.displacement)
+
+
+def _backlash(table, effect, j, k, c):
+    table.constant[j] += c
+    table.add(_BACKLASH, j, k, 0.5 * effect.width)
+
+
+def _offset(table, effect, j, c):
+    table.constant[j] += c
+
+
+def _spring(table, effect, j, k, c):
+    table.stiffness[j] += k
+    table.constant[j] += c
+
+
+def _counterbalance(table, effect, j, *coef):
+    if effect.form == "linkage":
+        table.add(_LINKAGE, j, *coef, effect.ratio, effect.angle)
+    else:
+        *harmonics, constant = coef
+        table.constant[j] += constant
+        table.add(_HARMONICS, j, *harmonics)
+
+
+def _ripple(table, effect, j, c, s):
+    table.add(_RIPPLE, j, c, s, 2 * math.pi / effect.period)
+
+
+def _rotor(table, effect, j, Ir):
+    table.armature[j] += Ir
+
+
+def _coupling(table, effect, j, Fvm, Fcm, Iam):
+    k = effect.other
+    own = {"other": 0.0, "sum": 1.0, "difference": -1.0}[effect.of]
+    table.coupling[j, k] += Fvm
+    table.coupling[j, j] += own * Fvm
+    table.inertia[j, k] += Iam
+    table.inertia[j, j] += own * Iam
+    # The sign turns over the speeds at which both joints may be standing: friction of
+    # a sum of speeds does not hold one joint alone.
+    slow = _SLOW if table.slow is None else table.slow[k] + abs(own) * table.slow[j]
+    table.add(_COUPLED_DRY, j, Fcm, k, own, max(slow, _SLOW))
+
+
+def _drift(table, effect, j, D):
+    since, T = table.since, effect.time_constant
+
+    def level(t, signals):
+        return D * math.exp(-(t if since is None else max(t, since)) / T)
+
+    table.add_level(j, effect.of, level)
+
+
+def _signal(table, effect, j, k):
+    def level(t, signals):
+        return k * (signals(effect.signal, t) - effect.reference)
+
+    table.add_level(j, effect.of, level)
+
+
+def _payload(table, effect, j, *coef):
+    table.payloads.append((float(effect.instant), effect.inertial(coef)))
+
+
+_LAWS = {
+    Viscous: _viscous,
+    Coulomb: _coulomb,
+    AsymmetricFriction: _asymmetric,
+    Stribeck: _stribeck,
+    ViscousQuadratic: _quadratic,
+    LoadFriction: _load_friction,
+    Presliding: _presliding,
+    Backlash: _backlash,
+    Offset: _offset,
+    Spring: _spring,
+    Counterbalance: _counterbalance,
+    Ripple: _ripple,
+    RotorInertia: _rotor,
+    Coupling: _coupling,
+    Drift: _drift,
+    Signal: _signal,
+    Payload: _payload,
+}
+
+
+# -- the table, one state at a time ----------------------------------------------------
+
+
+def add_terms(
+    kinds,
+    joints,
+    numbers,
+    memory,
+    q,
+    v,
+    placed,
+    smooth,
+    dry,
+    load_smooth,
+    by_position,
+    by_velocity,
+):
+    """Add the torques of a table of terms at one state.
+
+    Parameters
+    ----------
+    kinds, joints, numbers : sequence
+        Columns of the table.
+    memory : sequence of shape (n_terms, 2)
+        Position at which each term was last looked at, and its state there; the joint
+        has not turned since.
+    q, v : sequence of shape (nv,)
+        State.
+    placed, smooth, dry, load_smooth : mutable sequence of shape (nv,)
+        What depends on the position and time alone or couples joints, and may do work;
+        smooth friction; the size of dry friction; and smooth friction over the load.
+        Added to.
+    by_position, by_velocity : mutable sequence of shape (nv,)
+        Derivatives of the smooth torques by the joint's own position and velocity.
+        Added to.
+    """
+    for i in range(len(kinds)):
+        kind, j = kinds[i], joints[i]
+        row = numbers[i]
+        size = row[0]
+        if kind == 0:  # Stribeck
+            x = abs(v[j]) / row[1]
+            dry[j] += size * math.exp(-x if row[2] == 1 else -x * x)
+        elif kind == 1:  # quadratic
+            smooth[j] += size * v[j] * abs(v[j])
+            by_velocity[j] += 2.0 * size * abs(v[j])
+        elif kind == 2:  # absolute
+            smooth[j] += size * abs(v[j])
+            by_velocity[j] += size * (1.0 if v[j] > 0 else -1.0)
+        elif kind == 3:  # tanh
+            s = math.tanh(v[j] / row[1])
+            smooth[j] += size * s
+            by_velocity[j] += size * (1.0 - s * s) / row[1]
+        elif kind == 4:  # tanh, over the load
+            load_smooth[j] += size * math.tanh(v[j] / row[1])
+        elif kind == 5:  # two harmonics
+            c, s = math.cos(q[j]), math.sin(q[j])
+            c2, s2 = c * c - s * s, 2.0 * s * c
+            placed[j] += size * c + row[1] * s + row[2] * c2 + row[3] * s2
+            by_position[j] += row[1] * c - size * s + 2.0 * (row[3] * c2 - row[2] * s2)
+        elif kind == 6:  # linkage
+            x, ratio = q[j] - row[3], row[2]
+            c, s = math.cos(x), math.sin(x)
+            square = 1.0 + ratio * ratio - 2.0 * ratio * c
+            length = math.sqrt(square)
+            placed[j] += (size / length + row[1]) * s
+            by_position[j] += (size / length + row[1]) * c
+            by_position[j] -= size * ratio * s * s / (square * length)
+        elif kind == 7:  # ripple
+            x = row[2] * q[j]
+            c, s = math.cos(x), math.sin(x)
+            placed[j] += size * c + row[1] * s
+            by_position[j] += row[2] * (row[1] * c - size * s)
+        elif kind == 8:  # presliding
+            gone = q[j] - memory[i][0]
+            way = 1.0 if gone > 0 else -1.0
+            left = (memory[i][1] - way) * math.exp(-abs(gone) / row[1])
+            smooth[j] += size * (way + left)
+            by_position[j] += size * abs(left) / row[1]
+        elif kind == 9:  # backlash
+            p = max(min(memory[i][1], q[j] + row[1]), q[j] - row[1])
+            placed[j] += size * p
+            if p != memory[i][1]:
+                by_position[j] += size
+        elif kind == 10:  # dry friction of a coupled speed
+            w = v[int(row[1])] + row[2] * v[j]
+            placed[j] += size * max(min(w / row[3], 1.0), -1.0)
+            if abs(w) < row[3]:
+                by_velocity[j] += abs(row[2]) * size / row[3]
+        elif kind == 11:  # a torque that changes with time
+            placed[j] += size
+        elif kind == 12:  # dry friction that changes with time
+            dry[j] += size
+        elif kind == 13:  # viscous friction that changes with time
+            smooth[j] += size * v[j]
+            by_velocity[j] += size
+
+
+def remember(kinds, joints, numbers, memory, q):
+    """Move the memory of a table on to positions q; no joint turned on the way."""
+    for i in range(len(kinds)):
+        kind, j = kinds[i], joints[i]
+        if kind == 8:
+            gone = q[j] - memory[i][0]
+            way = 1.0 if gone > 0 else -1.0
+            left = (memory[i][1] - way) * math.exp(-abs(gone) / numbers[i][1])
+            memory[i][1] = way + left
+            memory[i][0] = q[j]
+        elif kind == 9:
+            half = numbers[i][1]
+            memory[i][1] = max(min(memory[i][1], q[j] + half), q[j] - half)
+            memory[i][0] = q[j]
+
+
+class OtherEffects:
+    """Effects that are not of the library, by their own columns at one state.
+
+    Their torque may depend on accelerations, on a straight line: it is then evaluated
+    at zero and at unit accelerations.
+    """
+
+    def __init__(self, robot, effects):
+        self._effects = effects
+        self._nv = robot.n_joints
+        self._prismatic = is_prismatic(robot.model)
+        rng = np.random.default_rng(0)
+        q, v = rng.normal(size=(2, self._nv))
+        rest = self._torque(q, v, np.zeros(self._nv), 0.0, np.ones(self._nv), {})
+        moved = self._torque(q, v, np.ones(self._nv), 0.0, np.ones(self._nv), {})
+        self._of_acceleration = bool((rest != moved).any())
+
+    def _torque(self, q, v, a, t, load, signals):
+        motion = Motion(
+            q=q[None],
+            v=v[None],
+            a=a[None],
+            t=np.array([t]),
+            load=load[None],
+            torque=load[None],
+            prismatic=self._prismatic,
+            signals={name: np.array([value]) for name, value in signals.items()},
+        )
+        out = np.zeros(self._nv)
+        for effect, coef in self._effects:
+            torque = effect.columns(motion)[0] @ coef
+            if effect.whole_robot:
+                out += torque
+            else:
+                out[effect.joint] += torque
+        return out
+
+    def at(self, q, v, t, load, signals):
+        """Torque without acceleration (nv,), and by accelerations (nv, nv) or None."""
+        zero = np.zeros(self._nv)
+        torque = self._torque(q, v, zero, t, load, signals)
+        if not self._of_acceleration:
+            return torque, None
+        slopes = [
+            self._torque(q, v, unit, t, load, signals) - torque
+            for unit in np.eye(self._nv)
+        ]
+        return torque, np.column_stack(slopes)

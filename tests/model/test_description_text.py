@@ -1,0 +1,140 @@
+"""A robot as the text of a URDF: what is built from it is the same robot."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from hypothesis import given, settings  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
+
+from sklearn_vbjfa.model._description_text import (  # noqa: E402
+    alike,
+    description_text,
+    in_order,
+    text_of_tree,
+)
+from sklearn_vbjfa.model._loading import joint_names, load_model, load_text  # noqa: E402
+from tests.model._robots import random_body  # noqa: E402
+from tests.model._trees import ALIGNED, OBLIQUE, build, make_joint  # noqa: E402
+from tests.model.test_urdf import TREE  # noqa: E402
+
+
+def with_bodies(model, rng):
+    for j in range(model.nv):
+        body = pin.Inertia.FromDynamicParameters(random_body(rng))
+        model.inertias[j + 1] = body
+    return model
+
+
+def torques(model, states):
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *x) for x in states])
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 99),
+    kinds=st.lists(st.sampled_from(ALIGNED + OBLIQUE), min_size=1, max_size=6),
+)
+def test_a_written_tree_is_the_same_robot(seed, kinds):
+    rng = np.random.default_rng(seed)
+    model = with_bodies(build(rng, kinds), rng)
+    read = in_order(load_text(text_of_tree(model), "x.json"), joint_names(model))
+    read.gravity = model.gravity
+    assert joint_names(read) == joint_names(model)
+    assert alike(read, model)
+    states = rng.normal(size=(5, 3, model.nv))
+    expected = torques(model, states)
+    np.testing.assert_allclose(
+        torques(read, states), expected, atol=1e-12 * np.abs(expected).max()
+    )
+
+
+def test_branches_in_another_order():
+    rng = np.random.default_rng(3)
+    model = pin.Model()
+    joints = {}
+    for name, parent in [("z", None), ("y", "z"), ("b", None), ("a", "y"), ("c", "b")]:
+        number = joints.get(parent, 0)
+        placed = pin.SE3(np.eye(3), rng.normal(size=3))
+        joints[name] = model.addJoint(number, make_joint("RX", rng), placed, name)
+    with_bodies(model, rng)
+    read = load_text(text_of_tree(model), "x.json")
+    assert joint_names(read) == ("b", "c", "z", "y", "a")
+    ordered = in_order(read, joint_names(model))
+    assert joint_names(ordered) == joint_names(model)
+    states = rng.normal(size=(5, 3, 5))
+    np.testing.assert_allclose(torques(ordered, states), torques(model, states))
+    # The frames are carried by the same joints as before.
+    carried = {f.name: read.names[f.parentJoint] for f in read.frames}
+    assert {f.name: ordered.names[f.parentJoint] for f in ordered.frames} == carried
+    with pytest.raises(ValueError, match="not those of the robot"):
+        in_order(read, ("b", "c", "z", "y", "q"))
+    with pytest.raises(ValueError, match="a comes before"):
+        in_order(read, ("a", "b", "c", "z", "y"))
+
+
+def test_limits_and_joints_without():
+    model = pin.Model()
+    limits = {"right": (-1.5, 0.25), "endless": (-np.inf, np.inf)}
+    for name, (low, high) in limits.items():
+        for kind in ("RX", "PY"):
+            model.addJoint(
+                0,
+                getattr(pin, f"JointModel{kind}")(),
+                pin.SE3.Identity(),
+                f"{name}_{kind}",
+                np.array([30.0]),
+                np.array([np.inf]),
+                np.array([low]),
+                np.array([high]),
+            )
+    text = text_of_tree(model)
+    read = in_order(load_text(text, "x.json"), joint_names(model))
+    np.testing.assert_array_equal(read.lowerPositionLimit[:2], -1.5)
+    np.testing.assert_array_equal(read.upperPositionLimit[:2], 0.25)
+    assert (read.upperPositionLimit[2:] >= 1e12).all()
+    assert (read.lowerPositionLimit[2:] <= -1e12).all()
+    np.testing.assert_array_equal(read.effortLimit, 30.0)
+    assert text.count('type="continuous"') == 1
+
+
+def test_what_urdf_has_no_name_for():
+    rng = np.random.default_rng(0)
+    for kind in ("HY", "HelicalUnaligned"):
+        with pytest.raises(ValueError, match=r"joint_0 .*neither revolute"):
+            text_of_tree(build(rng, [kind]))
+
+
+def test_the_text_of_a_file_is_the_file(tmp_path):
+    path = tmp_path / "tree.urdf"
+    path.write_text(TREE.replace("<link", "<!-- a comment --><link"))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model = load_model(path)
+    text = description_text(path, model)
+    assert "box" in text
+    assert "comment" not in text
+    assert load_text(text, "x.json") == model
+
+
+def test_another_file_by_now(tmp_path):
+    path = tmp_path / "tree.urdf"
+    path.write_text(TREE)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        model = load_model(path)
+    for old, new in (
+        ("0.1 0 0.2", "0.1 0 0.21"),
+        ("left", "links"),
+        ("0 1 0", "1 0 0"),
+    ):
+        path.write_text(TREE.replace(old, new))
+        with pytest.raises(ValueError, match=r"tree\.urdf' is another one"):
+            description_text(path, model)
+    path.unlink()
+    with pytest.raises(FileNotFoundError, match=r"tree\.urdf"):
+        description_text(path, model)

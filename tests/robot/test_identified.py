@@ -1,0 +1,108 @@
+"""Identified robots without data and estimator."""
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.effects import (  # noqa: E402
+    BaseTilt,
+    Drift,
+    JointZero,
+    LoadFriction,
+    Spring,
+    TorqueGain,
+)
+from sklearn_vbjfa.robot._identified import torque_model  # noqa: E402
+
+
+def rigid(model, bodies, states):
+    """Inverse dynamics state by state, with other bodies in a model."""
+    model = model.copy()
+    for j, body in enumerate(bodies):
+        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
+    data = model.createData()
+    q, v, a = np.split(states, 3, axis=1)
+    return np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+
+
+def mean_sign(rest, v, a):
+    """Mean sign of noiseless velocities at rest, by the formula of `Rest`."""
+    width = rest.speed / (1 + np.abs(a) * rest.time / rest.speed)
+    return np.clip(v / width, -1, 1)
+
+
+@pytest.fixture(scope="module")
+def loaded(simulated):
+    """Robot with plain friction and effects of several kinds, fitted to positions."""
+    effects = [
+        LoadFriction(joint=1),
+        Spring(joint=2),
+        Drift(joint=0, of="offset", time_constant=5.0),
+        TorqueGain(joint=3, gain=1.1),
+        JointZero(joint=2),
+    ]
+    robot = RobotIdentifier(
+        simulated.urdf,
+        dt=simulated.dt,
+        friction=("viscous", "coulomb", "offset", "rotor_inertia"),
+        effects=effects,
+    )
+    return robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+
+
+def test_a_torque_model_holds_what_predict_knows(loaded, simulated, new_motion):
+    known = torque_model(loaded)
+    states = new_motion.states
+    _, v, a = np.split(states, 3, axis=1)
+    t = 3.0 + new_motion.dt * np.arange(len(states))
+    friction = dict(zip(known.friction_names, known.friction.T))
+    sign = mean_sign(known.rest, v, a)
+    torque = rigid(known.model, known.bodies, states)
+    torque += friction["viscous"] * v + friction["coulomb"] * sign
+    torque += friction["offset"] + friction["rotor_inertia"] * a
+    load = rigid(known.model, known.load.bodies, states)
+    mu, spring, drift, gain, zero = known.coefficients
+    torque[:, 1] += mu * np.abs(load[:, 1]) * sign[:, 1]
+    torque[:, 2] += spring[0] * states[:, 2] + spring[1]
+    torque[:, 0] += drift * np.exp(-t / 5.0)
+    expected = known.gains * torque
+    found = loaded.predict(states, t=t)
+    assert np.abs(found - expected).max() < 1e-12 * expected.std(axis=0).max()
+    np.testing.assert_array_equal(known.gains[3], gain[0])
+    np.testing.assert_array_equal(known.gains[[0, 1, 2, 4, 5]], 1.0)
+    # The zero acts through the model.
+    nominal = loaded.features_.nominal_
+    assert known.model.jointPlacements[3] != nominal.jointPlacements[3]
+    assert np.isfinite(zero).all()
+    assert known.since == 0.0
+    assert known.joint_names == loaded.joint_names_
+    assert known.dt == simulated.dt
+
+
+def test_a_robot_without_effects_has_no_load(identified):
+    known = torque_model(identified)
+    assert known.load is None
+    assert known.effects == ()
+    assert known.coefficients == ()
+    assert known.since is None
+    np.testing.assert_array_equal(known.rest.noise, 0.0)
+    np.testing.assert_array_equal(known.rest.speed, identified.standstill_)
+
+
+def test_a_tilted_base_is_in_the_model(simulated):
+    model = simulated.robot_model().copy()
+    model.gravity.linear = np.array([0.0, 0.5, -9.8])
+    robot = RobotIdentifier(model, dt=simulated.dt, effects=[BaseTilt()])
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    gravity = torque_model(robot).model.gravity.linear
+    assert np.abs(gravity - model.gravity.linear).max() > 1e-3
+    np.testing.assert_allclose(
+        np.linalg.norm(gravity), np.linalg.norm(model.gravity.linear), rtol=1e-12
+    )
+
+
+def test_a_model_of_an_unfitted_robot_is_refused(simulated):
+    with pytest.raises(ValueError, match="not fitted"):
+        torque_model(RobotIdentifier(simulated.urdf, dt=simulated.dt))

@@ -67,3 +67,11 @@ class ColumnPowers:
             for effect, ours, theirs in zip(effects, self.effects, other.effects)
         ]
         return replace(self, effects=tuple(taken))
+
+    def in_units(self, unit):
+        """Return them with torques in another unit, of this size in the present one."""
+        scale = 1.0 / unit**2
+        return ColumnPowers(
+            friction=scale * self.friction,
+            effects=tuple(scale * block for block in self.effects),
+        )

@@ -619,7 +619,7 @@ def _mutual(couplings, how):
 
 def _affordable(links, available):
     """Share of each link that leaves no joint less than nothing, a list of float."""
-    # A joint that has too little gives to all its links the same share of what they ask.
+    # A joint with too little gives all its links the same share of what they ask.
     asked = np.zeros(available.size)
     for link in links:
         for j, need in zip((link.low, link.high), link.need):

@@ -501,6 +501,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         """Fit again with all gains multiplied, and torques in their own unit."""
         self._correct(with_gains(self.effects_, factor * self.features_.gains_))
         self._load = self._load / factor
+        self._tangent_powers = self._tangent_powers.in_units(factor)
         self._fit_again(recording, states)
 
     def _fit_again(self, recording, states):

@@ -155,6 +155,12 @@ def _time_step(dt):
     return dt / np.ceil(dt / _LONGEST_STEP * (1 - 1e-9))
 
 
+def _quaternion(rotation):
+    """Text of a rotation matrix (3, 3) as a quaternion w, x, y, z."""
+    turn = import_pinocchio().Quaternion(rotation)
+    return numbers([turn.w, turn.x, turn.y, turn.z])
+
+
 class _Tree:
     """Elements of the bodies, tendons and motors of a robot."""
 
@@ -187,24 +193,25 @@ class _Tree:
 
     def _add_body(self, carrier, j):
         """Add the body that a joint moves, and the joint; return its element."""
-        pin, dynamics = import_pinocchio(), self._dynamics
-        placement = self._model.jointPlacements[j + 1]
-        turn = pin.Quaternion(placement.rotation)
+        dynamics, placement = self._dynamics, self._model.jointPlacements[j + 1]
         body = ElementTree.SubElement(
             carrier,
             "body",
             name=self._body_names[j],
             pos=numbers(placement.translation),
-            quat=numbers([turn.w, turn.x, turn.y, turn.z]),
+            quat=_quaternion(placement.rotation),
         )
         mass, com, inertia = body_about_com(self._bodies[j])
-        entries = inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        # Full matrices are diagonalised by MuJoCo, until version 3.3 to six digits only.
+        principal, axes = np.linalg.eigh(inertia)
+        axes[:, 0] *= np.linalg.det(axes)
         ElementTree.SubElement(
             body,
             "inertial",
             pos=numbers(com),
+            quat=_quaternion(axes),
             mass=number(mass),
-            fullinertia=numbers(entries),
+            diaginertia=numbers(principal),
         )
         joint = ElementTree.SubElement(
             body,

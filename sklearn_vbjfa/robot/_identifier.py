@@ -1114,7 +1114,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         Parameters
         ----------
         path : str or os.PathLike
-            File to write. MuJoCo 3.2 and newer read it.
+            File to write. MuJoCo 3.2 and newer read it; 3.3.1 and newer if couplings
+            have inertia, which inverse dynamics know of in 3.6.
 
         Returns
         -------

@@ -202,7 +202,7 @@ class _Tree:
             quat=_quaternion(placement.rotation),
         )
         mass, com, inertia = body_about_com(self._bodies[j])
-        # Full matrices are diagonalised by MuJoCo, until version 3.3 to six digits only.
+        # MuJoCo diagonalises full matrices, to six digits only until version 3.3.
         principal, axes = np.linalg.eigh(inertia)
         axes[:, 0] *= np.linalg.det(axes)
         ElementTree.SubElement(

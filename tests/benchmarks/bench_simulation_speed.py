@@ -269,9 +269,10 @@ def report(seconds=SECONDS, rounds=ROUNDS, without=True):
     parts = [
         rst_table(rows, HEADERS, n_labels=2),
         f"Six joints at {1 / PERIOD:g} Hz, {seconds:g} s of motion, seed {SEED}, on "
-        f"one core; processor time, medians of {rounds} rounds after one that compiles. "
-        "Torques are those of the motion; the error is that of the positions at the end of a "
-        f"window, the largest. Met counts the slower of both. Commit {commit()}.",
+        f"one core; processor time, medians of {rounds} rounds after one that "
+        "compiles. Torques are those of the motion; the error is that of the positions "
+        "at the end of a window, the largest. Met counts the slower of both. Commit "
+        f"{commit()}.",
     ]
     steps = step_rows(rounds)
     if steps:

@@ -5,6 +5,7 @@ import datetime
 import importlib.metadata
 import os
 import platform
+import subprocess
 import sys
 from pathlib import Path
 
@@ -32,6 +33,16 @@ def environment():
             continue
     today = datetime.datetime.now(datetime.timezone.utc).date().isoformat()
     return f"{today}; {', '.join(versions)}; {os.cpu_count()} CPUs, not idle otherwise"
+
+
+def commit():
+    """Short name of the version that runs, "+" where files differ from it."""
+    ask = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--exclude=*"]
+    try:
+        answer = subprocess.run(ask, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return answer.stdout.strip()
 
 
 def rst_table(rows, headers, n_labels=1):

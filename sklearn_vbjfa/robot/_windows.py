@@ -104,6 +104,26 @@ class SimulatedWindows:
         """Return the same windows of a robot that keeps its velocity."""
         return self._moving(self.velocities[:, 0])
 
+    def select(self, chosen):
+        """Return some of the windows, in their order.
+
+        chosen (n_windows,), bool : which.
+        """
+        numbers = {int(k): i for i, k in enumerate(np.flatnonzero(chosen))}
+        failures = [one for one in self.failures if one.window in numbers]
+        return replace(
+            self,
+            starts=self.starts[chosen],
+            t=self.t[chosen],
+            positions=self.positions[chosen],
+            velocities=self.velocities[chosen],
+            start_positions=self.start_positions[chosen],
+            simulated=self.simulated[chosen],
+            failures=tuple(
+                replace(one, window=numbers[one.window]) for one in failures
+            ),
+        )
+
     def _moving(self, v0):
         since = self.t - self.t[:, :1]
         q = self.start_positions[:, None] + since[:, :, None] * v0[:, None]
@@ -131,7 +151,8 @@ def simulate_windows(robot, X, y, groups=None, t=None, *, window=1.0, signals=No
     groups : array-like of shape (n_samples,), default=None
         Labels of separate recordings.
     t : array-like of shape (n_samples,), default=None
-        Time [s] on the clock of the fit, for effects that vary with time.
+        Time of each row [s], on the clock of the fit if effects vary with time. None
+        counts from the beginning of the fit.
     window : float, default=1.0
         Length of a window [s].
     signals : mapping of str to array-like of shape (n_samples,), default=None
@@ -178,7 +199,9 @@ def simulate_windows(robot, X, y, groups=None, t=None, *, window=1.0, signals=No
         )
     dt = check_dt(predictor.plan.dt)
     asked = predictor.ask(X, groups, t, signals=signals)
-    clock = predictor.clock(t, len(X))
+    clock = _times(t, len(X))
+    if clock is None:
+        clock = predictor.clock(None, len(X))
     states, _ = predictor.query(X, groups)
     rows = _rows(asked, predictor.plan.standstill, _length(window, dt), dt)
     starts = rows[:, 0]
@@ -238,8 +261,20 @@ def _torques(y, names, n_samples):
     return y
 
 
+def _times(t, n_samples):
+    """Check times of the rows (n,), which each window is simulated with; or None."""
+    if t is None:
+        return None
+    t = np.asarray(t, dtype=float)
+    if t.shape != (n_samples,):
+        raise ValueError(
+            f"t must hold one time per row, shape ({n_samples},); got {t.shape}."
+        )
+    return t
+
+
 def _length(window, dt):
-    """Steps in a window."""
+    """Return the number of steps in a window."""
     try:
         seconds = float(window)
     except (TypeError, ValueError):

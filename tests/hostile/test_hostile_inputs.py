@@ -22,7 +22,8 @@ CASES = [
     for family in (_tables, _archives, _descriptions, _motions, _times)
     for case in family.cases()
 ]
-FILES = {"identified.urdf", "parameters.csv", "report.html", "report.json"}
+FILES = {"parameters.csv", "report.html", "report.json"}
+FILES |= {"identified.json", "identified.urdf"}
 # Longer lines are read by nobody.
 LONGEST = 1200
 
@@ -94,6 +95,7 @@ def check_report(out):
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.endswith("</html>\n")
     ElementTree.parse(out / "identified.urdf")
+    assert json.loads((out / "identified.json").read_text(encoding="utf-8"))
 
 
 def test_there_are_enough_cases():

@@ -1,6 +1,7 @@
 """Measured and simulated motion, window by window."""
 
 import numpy as np
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
 from sklearn_vbjfa.diagnosis.displays._base import Display
@@ -112,19 +113,19 @@ class SimulationDisplay(Display):
     @classmethod
     def _robots(cls, estimator):
         """Return what is simulated, by its label."""
-        if isinstance(estimator, EffectDiscovery):
-            cls._require(estimator, ("declared_", "identifier_"))
-            return {
-                "declared model": estimator.declared_,
-                "completed model": estimator.identifier_,
-            }
-        if isinstance(estimator, RobotIdentifier):
-            cls._require(estimator, ("theta_",))
-        elif not isinstance(estimator, IdentifiedRobot):
+        if isinstance(estimator, IdentifiedRobot):
+            return {"simulated": estimator}
+        if not isinstance(estimator, (RobotIdentifier, EffectDiscovery)):
             raise TypeError(
                 f"{cls.__name__} shows {cls._accepts}; got {type(estimator).__name__}."
             )
-        return {"simulated": estimator}
+        check_is_fitted(estimator)
+        if isinstance(estimator, RobotIdentifier):
+            return {"simulated": estimator}
+        return {
+            "declared model": estimator.declared_,
+            "completed model": estimator.identifier_,
+        }
 
     def plot(self, ax=None, *, shown=None, measured_kwargs=None, line_kwargs=None):
         """Draw.
@@ -191,9 +192,10 @@ class SimulationDisplay(Display):
             for k in chosen[own.failed[chosen]]:
                 span = own.t[k, 0], own.t[k, -1]
                 ax.axvspan(*span, color=_FAILED, alpha=0.12, lw=0, zorder=0)
-            whole = ~own.failed
-            error = np.sqrt(np.mean(own.errors[whole, j] ** 2)) if any(whole) else None
-            size = "none" if error is None else f"{scale * error:.3g}"
+            errors = scale * own.errors[~own.failed, j]
+            size = "none"
+            if errors.size:
+                size = f"{np.sqrt(np.mean(errors**2)):.3g} {unit}"
             told.append(f"{label} {size}" if len(self.windows) > 1 else size)
         low, high = np.nanmin(measured[1]), np.nanmax(measured[1])
         room = _MARGIN * max(high - low, _SMALLEST)
@@ -201,7 +203,7 @@ class SimulationDisplay(Display):
         ax.set_ylim(max(bottom, low - room), min(top, high + room))
         ax.set_ylabel(f"[{unit}]")
         ax.set_title(one.joint_names[j], loc="left", fontsize="small")
-        text = f"rms error: {', '.join(told)} {unit}"
+        text = f"rms error: {', '.join(told)}"
         ax.set_title(text, loc="right", fontsize="small")
 
     def _colours(self):
@@ -239,7 +241,7 @@ def _chosen(shown, n_windows):
 
 
 def _joined(t, values, chosen):
-    """Times and values of windows as one line each, broken between windows."""
+    """Join windows to one line, broken between them; its times and values."""
     gap = np.full((chosen.size, 1), np.nan)
     x = np.hstack([t[chosen], gap]).ravel()
     return x, np.hstack([values[chosen], gap]).ravel()

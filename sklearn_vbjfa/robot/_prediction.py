@@ -12,7 +12,11 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa.effects._ranges import outside
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
-from sklearn_vbjfa.recording._columns import columns_beside, positions_in_order
+from sklearn_vbjfa.recording._columns import (
+    columns_beside,
+    positions_in_order,
+    torques_in_order,
+)
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
 from sklearn_vbjfa.recording._signals import signals_for
 from sklearn_vbjfa.robot._equations import (
@@ -273,8 +277,8 @@ class PredictsTorques:
         Parameters
         ----------
         tau : array-like of shape (n_samples, nv)
-            Torques that the channels measured [N m or N], one row per sample. Between
-            rows they go straight.
+            Torques that the channels measured [N m or N], one row per sample, or a data
+            frame with the joints' names. Between rows they go straight.
         q0 : array-like of shape (nv,)
             Positions in the first row [rad or m].
         v0 : array-like of shape (nv,), default=None
@@ -337,6 +341,7 @@ class PredictsTorques:
         (50, 18)
         """
         model = self._predictor().torque_model()
+        tau = torques_in_order(tau, model.joint_names)
         return simulate(model, tau, q0, v0, t, signals=signals)
 
 

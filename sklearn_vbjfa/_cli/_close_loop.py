@@ -154,6 +154,7 @@ def close(
     gains=None,
     known_masses=None,
     signals=None,
+    t=None,
 ):
     """Find what a model of a recording lacks, as a fitted `EffectDiscovery`."""
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
@@ -170,7 +171,7 @@ def close(
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed, verbose=True
     )
-    given = {"groups": recording.groups, "signals": signals}
+    given = {"groups": recording.groups, "t": t, "signals": signals}
     return loop.fit(recording.q, recording.tau, **given)
 
 

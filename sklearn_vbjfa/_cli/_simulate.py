@@ -243,6 +243,7 @@ def _saved(arguments, source, folder):
             f"was identified at {robot.dt:.6g} s; resample the recording to that "
             "period, or identify from this one."
         )
+    _check_channels(recording, urdf, source)
     effects = ", ".join(
         f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
     )
@@ -277,6 +278,7 @@ def _identified(arguments, source, folder):
     else:
         urdf, held = _input.robot(Path(arguments.urdf), joints, folder)
         recording = _input.read(source, arguments.dt, urdf, joints)
+        _check_channels(recording, urdf, source)
         signals = _input.signals(arguments.signals, recording, source)
     _input.check_nyquist(cutoff, recording, source)
     _input.check_gains(gains, masses, urdf)
@@ -288,9 +290,10 @@ def _identified(arguments, source, folder):
         "gains": gains,
         "known_masses": masses,
     }
-    part = _rows_of(recording, first)
+    part, known = _rows_of(recording, first), {}
+    known |= {"t": recording.clock()[first], "signals": _at(signals, first)}
     try:
-        robots = _robots(part, str(urdf), library, _at(signals, first), settings)
+        robots = _robots(part, str(urdf), library, known, settings)
     except (ValueError, ProjectionError) as error:
         raise ValueError(f"{source}: {error}") from error
     told = (
@@ -313,16 +316,29 @@ def _identified(arguments, source, folder):
     )
 
 
-def _robots(recording, urdf, library, signals, settings):
-    """Identify the declared robot, and complete it if effects are to be looked for."""
+def _check_channels(recording, urdf, source):
+    """Refuse channels that cannot be what their names say."""
+    from sklearn_vbjfa.inspection import inspect_recording
+
+    findings = inspect_recording(recording, urdf)
+    errors = [found.message for found in findings if found.severity == "error"]
+    if errors:
+        raise ValueError(f"{source}: {' '.join(errors)}")
+
+
+def _robots(recording, urdf, library, known, settings):
+    """Identify the declared robot, and complete it if effects are to be looked for.
+
+    known : dict of the times and signals of the rows.
+    """
     from sklearn_vbjfa import RobotIdentifier
 
     if not library:
         robot = RobotIdentifier(urdf, dt=recording.dt, **settings)
-        robot.fit(recording.q, recording.tau, groups=recording.groups)
+        robot.fit(recording.q, recording.tau, groups=recording.groups, t=known["t"])
         return {"simulated": robot}
     loop = _close_loop.close(
-        recording, urdf, effects=library, ceiling=False, signals=signals, **settings
+        recording, urdf, effects=library, ceiling=False, **known, **settings
     )
     return {"declared": loop.declared_, "completed": loop.identifier_}
 
@@ -455,7 +471,13 @@ def _place(task, windows, k):
     label = recording.groups[row]
     begin = (row - recording.segments[label].start) * recording.dt
     length = windows.t[k, -1] - windows.t[k, 0]
-    return recording.group_names[label], begin, begin + length
+    return _name(recording, label), begin, begin + length
+
+
+def _name(recording, label):
+    """Name of one of the recordings; that of the file if it holds a single one."""
+    names = recording.group_names
+    return recording.name if len(names) == 1 else names[label]
 
 
 # -- files -----------------------------------------------------------------------------
@@ -501,7 +523,7 @@ def _pictures(task, windows):
         file = io.BytesIO()
         display.figure_.savefig(file, format="png", dpi=_RESOLUTION)
         pyplot.close(display.figure_)
-        name = re.sub(r"[^\w-]+", "_", task.recording.group_names[label])[:60]
+        name = re.sub(r"[^\w-]+", "_", _name(task.recording, label))[:60]
         name = f"{name}.png"
         if name in found:
             name = f"{label + 1}_{name}"

@@ -74,7 +74,7 @@ from sklearn_vbjfa.robot._prediction import (
     recording_of,
     split_effects,
 )
-from sklearn_vbjfa.robot._ranges import effect_ranges, ends, sum_ranges, warn_outside
+from sklearn_vbjfa.robot._ranges import effect_ranges, ends, sum_ranges
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_count,
@@ -845,11 +845,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         on, towards what remains when warm, and a payload stays; before the first time
         both are as they were then.
         """
-        predictor = self._predictor()
-        X, signals = predictor.checked(X, signals)
-        asked = predictor.ask(X, groups, t, signals=signals)
-        warn_outside(predictor.said_outside(asked), stacklevel=2)
-        return predictor.torques(asked)
+        return self._predictor().predict(X, groups, t, signals)
 
     def _predictor(self):
         """Return the `TorquePredictor` of the fit, or say that there was none."""
@@ -1041,12 +1037,15 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
         Examples
         --------
+        >>> import tempfile
         >>> from sklearn_vbjfa import RobotIdentifier, load_identified
         >>> from sklearn_vbjfa.datasets import load_demo_recording
         >>> recording = load_demo_recording().select(0)
         >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt)
-        >>> robot.fit(recording.q, recording.tau).save("arm.json")
-        >>> load_identified("arm.json")
+        >>> robot = robot.fit(recording.q, recording.tau)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     robot.save(f"{folder}/arm.json")
+        ...     load_identified(f"{folder}/arm.json")
         <IdentifiedRobot: 6 joints, effects: none>
         """
         check_is_fitted(self)

@@ -484,6 +484,12 @@ def _read_effect(place, names, classes):
         effect.check()
     except (TypeError, ValueError) as error:
         raise place["shape"].wrong(f"does not suit {name!r}: {error}") from error
+    for key in effect.partners:
+        partner = getattr(effect, key)
+        if partner == joint or partner not in range(len(names)):
+            raise place["shape"][key].wrong(
+                f"must be another joint, counted from zero; it is {partner!r}"
+            )
     return effect
 
 

@@ -27,7 +27,11 @@ from sklearn_vbjfa.robot._equations import (
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._plan import Plan
 from sklearn_vbjfa.robot._query import Query
-from sklearn_vbjfa.robot._ranges import outside_text, signals_outside_text
+from sklearn_vbjfa.robot._ranges import (
+    outside_text,
+    signals_outside_text,
+    warn_outside,
+)
 from sklearn_vbjfa.robot._recording_checks import check_widths
 from sklearn_vbjfa.robot._states import fit_states, smooth_to
 from sklearn_vbjfa.robot._time_effects import beyond_text, effect_of_time
@@ -160,6 +164,13 @@ class TorquePredictor:
         )
 
     # -- answers --------------------------------------------------------------------
+
+    def predict(self, X, groups=None, t=None, signals=None):
+        """Predict torques (n, nv); warn who called the caller of what is outside."""
+        X, signals = self.checked(X, signals)
+        asked = self.ask(X, groups, t, signals=signals)
+        warn_outside(self.said_outside(asked), stacklevel=3)
+        return self.torques(asked)
 
     def torques(self, asked):
         """Torques (n, nv) that are predicted for a `Query`."""

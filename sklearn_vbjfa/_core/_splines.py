@@ -41,7 +41,7 @@ _POLYNOMIALS = _pieces()
 @lru_cache(maxsize=256)
 def _basis(step, first, last, order):
     """Values (order 0) or derivatives of the six functions at x = k / step."""
-    # For k from `first` to `last`; outside [0, 1] the polynomials go on.
+    # For k from `first` to `last`; outside [0, 1] the polynomials continue.
     x = np.arange(first, last + 1) / step
     columns = []
     for c in _POLYNOMIALS.T:
@@ -93,7 +93,7 @@ class Spline:
         begin, end = first * per, (last + 1) * per
         values = values[max(low - begin, 0) : max(high + 1 - begin, 0)]
         if low < begin:
-            # Rows outside the knots: the polynomials at the ends go on.
+            # Rows outside the knots: the polynomials at the ends continue.
             before = _basis(per, low - begin, min(high - begin, -1), order)
             values = np.r_[before @ windows[0], values]
         if high >= end:

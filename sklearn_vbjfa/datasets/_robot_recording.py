@@ -220,6 +220,12 @@ def make_robot_recording(
     SimulatedRecording
         Recording with the truth.
 
+    Raises
+    ------
+    ValueError
+        If a recording has fewer than 16 samples, or a friction, an effect or a joint
+        is unknown.
+
     Examples
     --------
     >>> from sklearn_vbjfa.datasets import make_robot_recording

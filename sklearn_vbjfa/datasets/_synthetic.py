@@ -78,6 +78,11 @@ def make_noisy_regression(
     NoisyRegression
         Data and truth.
 
+    Raises
+    ------
+    ValueError
+        If a ratio is not positive, a number of inputs is negative, or none is relevant.
+
     References
     ----------
     .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification

@@ -125,6 +125,12 @@ class InstrumentalVariables(LinearRegressor):
         -------
         self : InstrumentalVariables
             Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If there are fewer instruments than features, or their rows are not those
+            of X.
         """
         X, y, weight = self._check_rows(X, y, sample_weight)
         n_features = X.shape[1]

@@ -85,6 +85,12 @@ class BaseJointFactorRegressor(BaseRegressor):
         -------
         self : object
             Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If the estimator was fitted by `fit` to fewer samples than features, which
+            keeps no statistics to add to.
         """
         first = getattr(self, "statistics_", None) is None
         if first and hasattr(self, "coef_"):

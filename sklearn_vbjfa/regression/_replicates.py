@@ -42,6 +42,11 @@ class NoiseCovariance:
         -------
         NoiseCovariance
             Covariance divided by their number, with the same degrees of freedom.
+
+        Raises
+        ------
+        ValueError
+            If their number is less than one.
         """
         if not n_measurements >= 1:
             raise ValueError(

@@ -200,6 +200,12 @@ class StepwiseRegressor(LinearRegressor):
         -------
         self : StepwiseRegressor
             Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If `p_enter` exceeds `p_remove`, or the weights leave no residual degrees
+            of freedom for an F-test.
         """
         if self.p_enter > self.p_remove:
             raise ValueError(

@@ -1,6 +1,7 @@
 """Robots: from recordings to states, equations, and an identified model."""
 
 from sklearn_vbjfa.robot._controller import PositionController
+from sklearn_vbjfa.robot._exports import LeftOut
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
@@ -12,6 +13,7 @@ from sklearn_vbjfa.robot._time_effects import EffectOfTime
 __all__ = [
     "EffectOfTime",
     "JointTorqueRegressor",
+    "LeftOut",
     "PositionController",
     "RigidBodyFeatures",
     "RobotIdentifier",

@@ -64,10 +64,7 @@ class Loop:
             start = own[slice(0, 1)].reshape(-1)
             q_ref = reference[part]
             v_ref = np.gradient(q_ref, recording.dt, axis=0)
-
-            def control(i, q, v, q_ref=q_ref, v_ref=v_ref):
-                return controller.torque(q_ref[i], v_ref[i], q, v)
-
+            control = _follow(controller, q_ref, v_ref)
             n = part.stop - part.start
             t = recording.dt * np.arange(n)
             if plan.timed:
@@ -79,6 +76,7 @@ class Loop:
                 start[nv : 2 * nv],
                 t,
                 {name: x[part] for name, x in recording.signals.items()},
+                controller.updates(recording.dt),
             )
             errors.append(decimate(plan.lowpass, tau - recording.tau[part]))
         return cls(
@@ -87,6 +85,19 @@ class Loop:
             positions=_size(simulated[:, :nv] - recording.q),
             torques=_size(np.concatenate(errors)),
         )
+
+
+def _follow(controller, q_ref, v_ref):
+    """Let a controller follow a reference (n, nv), which goes straight between rows."""
+
+    def at(values, row):
+        i = min(int(row), len(values) - 2)
+        return values[i] + (row - i) * (values[i + 1] - values[i])
+
+    def control(row, q, v):
+        return controller.torque(at(q_ref, row), at(v_ref, row), q, v)
+
+    return control
 
 
 def _size(errors):

@@ -23,6 +23,10 @@ class PositionController(BaseEstimator):
     feedforward : bool, default=False
         Whether the damping acts on the difference to the velocity of the reference,
         which is differentiated, and not on the velocity alone.
+    period : float, default=None
+        Time [s] for which the controller holds a torque, at most the sample period of
+        the recording; None is that. Between rows the reference goes straight. A loop
+        that is stable at its own rate need not be so at that of a slow recording.
 
     See Also
     --------
@@ -44,10 +48,43 @@ class PositionController(BaseEstimator):
     array([5.])
     """
 
-    def __init__(self, stiffness, damping, feedforward=False):
+    def __init__(self, stiffness, damping, feedforward=False, period=None):
         self.stiffness = stiffness
         self.damping = damping
         self.feedforward = feedforward
+        self.period = period
+
+    def updates(self, dt):
+        """Return how often torques are set in a sample period.
+
+        Parameters
+        ----------
+        dt : float
+            Sample period of the recording [s].
+
+        Returns
+        -------
+        int
+            Number of updates, at least one.
+
+        Raises
+        ------
+        ValueError
+            If `period` is no positive time, or longer than the sample period.
+        """
+        if self.period is None:
+            return 1
+        try:
+            period = float(self.period)
+        except (TypeError, ValueError):
+            period = np.nan
+        # A hundredth of a period is the jitter of clocks.
+        if not 0 < period <= 1.01 * dt:
+            raise ValueError(
+                "controller: period must be a positive time in s, at most the sample "
+                f"period of {dt:g} s; got {self.period!r}."
+            )
+        return max(round(dt / period), 1)
 
     def gains(self, nv):
         """Stiffness and damping of each joint.
@@ -103,7 +140,7 @@ class PositionController(BaseEstimator):
         return stiffness * (q_ref - q) + damping * (aim - v)
 
 
-def check_reference(controller, reference, y):
+def check_reference(controller, reference, y, dt):
     """Return the reference (n, nv) of a closed loop, refusing what does not suit it."""
     n, nv = y.shape
     if controller is None:
@@ -118,6 +155,7 @@ def check_reference(controller, reference, y):
             f"controller must be a PositionController or None; got {controller!r}."
         )
     controller.gains(nv)
+    controller.updates(dt)
     if reference is None:
         raise ValueError(
             "controller needs the commanded positions: give fit(..., reference=), one "

@@ -220,6 +220,12 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         -------
         self : object
             Fitted estimator.
+
+        Raises
+        ------
+        ValueError
+            If the columns of X do not divide among the joints of y, the instruments
+            have another shape, or no equation is left behind the low-pass.
         """
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True

@@ -40,7 +40,7 @@ class BodyMass:
 
 
 def known_parameters(robot):
-    """Say of each parameter of a fitted identifier whether the recording tells it.
+    """State which parameters of a fitted identifier the recording determines.
 
     Parameters
     ----------

@@ -293,6 +293,11 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         -------
         ndarray of shape (3 * nv,) of object
             Names.
+
+        Raises
+        ------
+        ValueError
+            If there is not one name a joint, or they are not those of the fit.
         """
         check_is_fitted(self)
         seen = getattr(self, "feature_names_in_", None)

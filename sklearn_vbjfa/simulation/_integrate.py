@@ -31,9 +31,9 @@ import numpy as np
 from scipy.linalg import lapack
 
 # Error of a step, in units of a joint's velocity.
-_TOLERANCE, _STIFF_TOLERANCE = 1e-8, 1e-6
+_TOLERANCE, _STIFF_TOLERANCE = 1e-8, 1e-7
 # A joint's velocity counts as at least this [rad/s or m/s], for the tolerance.
-_SLOWEST = 1e-2
+SLOWEST = 1e-2
 # The step may shrink and grow by these factors, with some reserve.
 _SHRINK, _GROW, _RESERVE = 0.2, 4.0, 0.9
 # Steps are implicit from this product of their length and a friction's decay rate on.
@@ -88,9 +88,10 @@ class Integrator:
         self._mode = np.where(dynamics.has_dry, np.sign(v), 0.0)
         self._stuck = np.zeros(nv, dtype=bool)
         # Joints whose turns are events.
-        self._watched = dynamics.has_dry | dynamics.terms.remembers
+        terms = dynamics.terms
+        self._watched = dynamics.has_dry | terms.remembers | terms.bends
         self._way = np.sign(v)
-        self._fast = np.maximum(np.abs(v), _SLOWEST)
+        self._fast = np.maximum(np.abs(v), SLOWEST)
         self._step = np.inf
         self._stops = np.zeros(nv, dtype=int)
         dynamics.set_time(t)
@@ -110,7 +111,8 @@ class Integrator:
     def settle(self, tau):
         """Find which joints at rest stick, and all accelerations."""
         own = self._dynamics
-        candidates = own.has_dry & (self.v == 0)
+        candidates = own.has_dry & ((self.v == 0) | self._stuck)
+        self.v[candidates] = 0.0
         self._mode[candidates] = 0.0
         self._stuck[:] = candidates
         held = self._stops > _MOST_STOPS
@@ -205,6 +207,8 @@ class Integrator:
     def _accept(self, new, tau):
         """Go to the end of a step, and through the events there."""
         self.q, self.v, work, slope, hit = new
+        # Rounding of zero would be a velocity, and not at rest.
+        self.v[self._stuck] = 0.0
         self.work += work
         self.steps += 1
         np.maximum(self._fast, np.abs(self.v), out=self._fast)

@@ -7,13 +7,15 @@ import numpy as np
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.simulation._channels import true_torques
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
-from sklearn_vbjfa.simulation._integrate import Diverged, Integrator
+from sklearn_vbjfa.simulation._integrate import SLOWEST, Diverged, Integrator
 from sklearn_vbjfa.simulation._terms import LEFT_OUT
 
 # Time stamps may differ from whole periods by this share of one.
 _JITTER = 0.01
 # Energy may exceed what was put in by this share.
 _EXCESS = 0.01
+# Of this share of the potential energy nothing is known.
+_ROUNDING = 1e-9
 # A start may lie outside the limits by this share of the range: noise, or a zero.
 _MARGIN = 1e-3
 
@@ -143,12 +145,18 @@ class _Energy:
 
     def __init__(self, robot, dynamics):
         self._robot, self._dynamics = robot, dynamics
-        self._start, self._largest, self._moved, self._work = None, 0.0, 0.0, 0.0
+        self._start, self._least = None, 0.0
+        self._largest, self._moved, self._work = 0.0, 0.0, 0.0
 
     def _present(self, motion):
         kinetic = self._dynamics.kinetic_energy(motion.v)
         self._largest = max(self._largest, kinetic)
-        return kinetic + self._dynamics.potential_energy(motion.q)
+        energy = kinetic + self._dynamics.potential_energy(motion.q)
+        if self._start is None:
+            # What rounding and slow joints make of nothing is no energy.
+            slow = 0.5 * SLOWEST**2 * self._dynamics.mass.diagonal().max()
+            self._least = slow + _ROUNDING * abs(energy)
+        return energy
 
     def jump(self, before, motion):
         """Take over what a change of the robot itself does to its energy."""
@@ -162,7 +170,7 @@ class _Energy:
         self._moved += abs(motion.work - self._work)
         self._work = motion.work
         excess = energy - self._start - motion.work
-        size = self._largest + self._moved
+        size = self._largest + self._moved + self._least
         if excess > _EXCESS * size:
             raise SimulationError(
                 f"At t = {t:.6g} s the robot has {excess:.3g} J more than was put in, "

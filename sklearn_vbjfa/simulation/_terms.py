@@ -90,6 +90,8 @@ class Terms:
         Instants [s] and what the last body's parameters change by.
     remembers : ndarray of shape (nv,), bool
         Joints with a memory of where they turned.
+    bends : ndarray of shape (nv,), bool
+        Joints whose torque has a bend where they turn.
     """
 
     viscous: np.ndarray
@@ -108,6 +110,7 @@ class Terms:
     others: object
     payloads: tuple
     remembers: np.ndarray
+    bends: np.ndarray
 
     @property
     def of_load(self):
@@ -204,8 +207,9 @@ class _Table:
     def finished(self, others):
         kinds, joints, numbers = zip(*self.rows) if self.rows else ((), (), ())
         kinds, joints = np.array(kinds, dtype=int), np.array(joints, dtype=int)
-        remembers = np.zeros(self.dry.size, dtype=bool)
+        remembers, bends = np.zeros((2, self.dry.size), dtype=bool)
         remembers[joints[np.isin(kinds, (_PRESLIDING, _BACKLASH))]] = True
+        bends[joints[np.isin(kinds, (_ABSOLUTE, _TANH, _LOAD_TANH))]] = True
         return Terms(
             viscous=self.viscous,
             constant=self.constant,
@@ -223,6 +227,7 @@ class _Table:
             others=others,
             payloads=tuple(sorted(self.payloads, key=lambda pair: pair[0])),
             remembers=remembers,
+            bends=bends,
         )
 
 

@@ -5,10 +5,13 @@ import datetime
 import importlib.metadata
 import os
 import platform
+import subprocess
 import sys
 from pathlib import Path
 
 from tabulate import tabulate
+
+import sklearn_vbjfa
 
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = ROOT / "docs" / "tables"
@@ -32,6 +35,18 @@ def environment():
             continue
     today = datetime.datetime.now(datetime.timezone.utc).date().isoformat()
     return f"{today}; {', '.join(versions)}; {os.cpu_count()} CPUs, not idle otherwise"
+
+
+def commit():
+    """Short name of the version of the package, "+" where files differ from it."""
+    folder = Path(sklearn_vbjfa.__file__).parent
+    ask = ["git", "-C", str(folder), "describe", "--always", "--dirty=+"]
+    ask.append("--exclude=*")
+    try:
+        answer = subprocess.run(ask, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return answer.stdout.strip()
 
 
 def rst_table(rows, headers, n_labels=1):

@@ -317,11 +317,13 @@ def test_what_the_simulation_does_not_see_stays():
 
 # -- closed loop -----------------------------------------------------------------------
 
-CONTROLLER = PositionController(stiffness=(400.0, 300.0), damping=(40.0, 30.0))
+CONTROLLER = PositionController(
+    stiffness=(400.0, 300.0), damping=(40.0, 20.0), period=1e-3
+)
 
 
 def controlled(model, duration=16.0, noise=2e-4, torque_noise=0.3, feedforward=False):
-    """A robot that follows a reference; positions, torques, reference, truth."""
+    """Make a robot follow a reference: positions, torques, reference, truth."""
     truth, *_ = identified(model)
     t, states, _ = planned(model, duration)
     nv = model.nv
@@ -329,12 +331,12 @@ def controlled(model, duration=16.0, noise=2e-4, torque_noise=0.3, feedforward=F
     q_ref = states[:, :nv]
     v_ref = np.gradient(q_ref, DT, axis=0)
 
-    def control(i, q, v):
-        return controller.torque(q_ref[i], v_ref[i], q, v)
+    def control(row, q, v):
+        here = [[np.interp(row * DT, t, x) for x in y.T] for y in (q_ref, v_ref)]
+        return controller.torque(*np.array(here), q, v)
 
-    made, tau = simulate_controlled(
-        torque_model(truth), control, states[0, :nv], states[0, nv : 2 * nv], t
-    )
+    start = states[0, :nv], states[0, nv : 2 * nv]
+    made, tau = simulate_controlled(torque_model(truth), control, *start, t, updates=10)
     rng = np.random.default_rng(2)
     q = made[:, :nv] + noise * rng.normal(size=(t.size, nv))
     tau = tau + torque_noise * rng.normal(size=tau.shape)
@@ -425,6 +427,11 @@ BAD = {
         {"controller": PositionController([1.0, 2.0, 3.0], 1.0)},
         {"reference": np.zeros((1200, 2))},
         "stiffness must be one finite number or 2",
+    ),
+    "period of the controller": (
+        {"controller": PositionController(1.0, 1.0, period=0.1)},
+        {"reference": np.zeros((1200, 2))},
+        "at most the sample period of 0.01 s",
     ),
     "negative gains": (
         {"controller": PositionController(1.0, -1.0)},

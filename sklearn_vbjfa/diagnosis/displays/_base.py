@@ -8,12 +8,12 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 
-# Most rows of one panel; a longer one goes on in further axes.
+# Most rows of one panel; a longer one continues in further axes.
 _MOST_ROWS = 36
 
 
 class Display:
-    """A figure of one's own, or axes of the user's, and the legend of what is in them.
+    """A new figure, or the user's axes, and the legend of what is drawn in them.
 
     A display stores its data in the constructor; its `plot` calls `_open`, draws on
     `axes_` and ends with `_close`. Matplotlib is imported when a figure is made.
@@ -24,7 +24,7 @@ class Display:
 
     @classmethod
     def _require(cls, estimator, attributes):
-        """Refuse a fitted estimator that has not what the display shows."""
+        """Refuse a fitted estimator that lacks what the display shows."""
         missing = [name for name in attributes if not hasattr(estimator, name)]
         if missing:
             raise ValueError(
@@ -124,7 +124,7 @@ def name_width(names):
 
 
 def split_rows(rows):
-    """Split rows into as few equally long pieces as a figure of one's own needs."""
+    """Split rows into as few equally long pieces as a new figure needs."""
     rows = np.asarray(rows)
     return np.array_split(rows, max(1, -(-rows.size // _MOST_ROWS)))
 

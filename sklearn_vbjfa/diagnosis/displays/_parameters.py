@@ -222,7 +222,7 @@ class ParameterDisplay(Display):
         ----------
         ax : Axes or array-like of Axes, default=None
             One for each of `panels`; None makes a figure, in which panels of more
-            than 36 parameters go on in further axes.
+            than 36 parameters continue in further axes.
         level : float, default=0.95
             Probability of the intervals (normal distribution).
         line_kwargs : dict, default=None

@@ -23,7 +23,7 @@ _BLOCKS_PER_FOLD = (2, 10)
 _GAP_TIMES, _MOST_GAP = 3.0, 0.25
 # Trees: enough for a bent surface over two signals, few leaves since rows are noisy.
 _TREES, _LEAVES, _LEAF, _BINS, _RATE = 40, 8, 20, 64, 0.15
-# Rows that trees are grown on, at the most.
+# Most rows that trees are grown on.
 _MOST_ROWS = 3000
 # Independent values that a function needs: those of a tree with full leaves.
 FEWEST_VALUES = _LEAVES * _LEAF

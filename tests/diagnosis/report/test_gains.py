@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.diagnosis.report._report import Report
+from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.robot._gains import ChannelGains
 from sklearn_vbjfa.robot._known import BodyMass
 from sklearn_vbjfa.robot._known_masses import CommonGain, KnownMass

@@ -22,6 +22,7 @@ from sklearn_vbjfa.robot._output_error import (
     Refined,
     SimulationCriteria,
 )
+from sklearn_vbjfa.robot._sensitivities import held_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
 from sklearn_vbjfa.simulation._closed_loop import simulate_controlled
 from sklearn_vbjfa.simulation._simulate import SimulationError
@@ -122,12 +123,13 @@ def refine_controlled(
         return float(found.joint_weights @ loop.torques**2)
 
     first = loop = run(predictor.theta)
+    held = held_parameters(predictor)
     unconstrained, std = found.theta_unconstrained, found.std
     taken, converged = 0, False
     for _ in range(_MOST_ROUNDS):
         own = RecordingStates.of_rows(recording.segments, loop.states)
         asked = estimate_from(own)
-        change = asked.theta - loop.theta
+        change = np.where(held, 0.0, asked.theta - loop.theta)
         trial = None
         for half in range(_MOST_HALVES + 1):
             try:
@@ -143,6 +145,7 @@ def refine_controlled(
         fell = value(loop) - value(trial)
         loop, taken = trial, taken + 1
         unconstrained, std = asked.theta_unconstrained, asked.std
+        std = np.where(held, found.std, std)
         if fell < TOLERANCE * value(loop):
             converged = True
             break

@@ -487,9 +487,10 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             made = segments(recording, states, self._plan, self.features_, **known)
             return self._estimate(made)
 
-        found, identifiable = estimate_from(states), self.identifiable_
         # Values of effects in the model have no columns there.
-        found = replace(found, std=self.theta_std_)
+        found = replace(estimate_from(states), std=self.theta_std_)
+        names = ("identifiable_", "effect_ranges_", "_powers")
+        kept = {name: getattr(self, name) for name in names}
         known = predictor, found, recording, states
         if self.controller is None:
             refined = refine(*known, self)
@@ -505,7 +506,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
                 std=refined.std,
             )
         )
-        self.identifiable_ = identifiable
+        for name, value in kept.items():
+            setattr(self, name, value)
         self.criteria_ = refined.criteria
 
     def _known_torque(self, effects):

@@ -1,6 +1,5 @@
 """Robots: from recordings to states, equations, and an identified model."""
 
-from sklearn_vbjfa.robot._controller import PositionController
 from sklearn_vbjfa.robot._exports import LeftOut
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
@@ -14,7 +13,6 @@ __all__ = [
     "EffectOfTime",
     "JointTorqueRegressor",
     "LeftOut",
-    "PositionController",
     "RigidBodyFeatures",
     "RobotIdentifier",
     "SimulationCriteria",

@@ -18,12 +18,12 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Stribeck,
 )
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
-from sklearn_vbjfa.robot import PositionController  # noqa: E402
 from sklearn_vbjfa.robot._identified import torque_model  # noqa: E402
 from sklearn_vbjfa.robot._output_error import Windows, run_windows  # noqa: E402
 from sklearn_vbjfa.robot._prediction import predictor_of  # noqa: E402
 from sklearn_vbjfa.robot._sensitivities import propagate, slopes  # noqa: E402
 from sklearn_vbjfa.robot._states import RecordingStates  # noqa: E402
+from sklearn_vbjfa.simulation import PositionController  # noqa: E402
 from sklearn_vbjfa.simulation._closed_loop import simulate_controlled  # noqa: E402
 from sklearn_vbjfa.simulation._simulate import simulate  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402

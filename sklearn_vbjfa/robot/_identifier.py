@@ -1280,6 +1280,11 @@ def saved_of(identifier):
 
 def declare(identifier):
     """Load an identifier's model; set the names of joints and parameters."""
+    if identifier.criterion != "torque":
+        raise ValueError(
+            "Second moments alone cannot be refined by simulation, which needs the "
+            "recordings themselves: set criterion='torque', or use fit."
+        )
     identifier._online = None
     identifier._declare()
 

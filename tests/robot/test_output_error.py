@@ -19,6 +19,7 @@ from sklearn_vbjfa.effects import (  # noqa: E402
 )
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
 from sklearn_vbjfa.robot._identified import torque_model  # noqa: E402
+from sklearn_vbjfa.robot._identifier import declare  # noqa: E402
 from sklearn_vbjfa.robot._output_error import Windows, run_windows  # noqa: E402
 from sklearn_vbjfa.robot._prediction import predictor_of  # noqa: E402
 from sklearn_vbjfa.robot._sensitivities import propagate, slopes  # noqa: E402
@@ -448,6 +449,11 @@ def test_bad_input_is_named(case):
     robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, **settings})
     with pytest.raises(ValueError, match=message):
         robot.fit(states, tau, **given)
+
+
+def test_second_moments_are_not_simulated():
+    with pytest.raises(ValueError, match="needs the recordings themselves"):
+        declare(RobotIdentifier(arm("ZY"), **SETTINGS))
 
 
 def test_rows_of_a_running_robot_are_not_simulated():

@@ -43,6 +43,7 @@ def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
     states, tau = np.empty((n, 3 * nv)), np.empty((n, nv))
     drive = control(0.0, q0, v0)
     with np.errstate(all="ignore"):
+        dynamics.set_bodies(t[0])
         motion = Integrator(dynamics, q0, v0, drive / robot.gains, t[0])
         for i in range(n):
             for part in range(updates):
@@ -50,8 +51,8 @@ def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
                 drive = own / robot.gains
                 length = 0.0 if i + 1 == n else (t[i + 1] - t[i]) / updates
                 time = t[i] + part * length
-                dynamics.set_time(time)
-                motion.refresh(drive)
+                dynamics.set_bodies(time)
+                motion.settle(drive)
                 if part == 0:
                     tau[i] = own
                     states[i] = np.concatenate([motion.q, motion.v, motion.a])

@@ -257,7 +257,7 @@ def rms(error):
     return np.sqrt((error**2).mean(axis=0))
 
 
-def judge(recording, split, states, models, seconds=SECONDS, margin=MARGIN):
+def judge(recording, split, states, models, seconds=None, margin=MARGIN):
     """Simulate all windows of a split.
 
     Parameters
@@ -271,7 +271,7 @@ def judge(recording, split, states, models, seconds=SECONDS, margin=MARGIN):
     models : dict of str to callable
         As of `simulators`.
     seconds, margin : float
-        As for `windows`.
+        As for `windows`; `SECONDS` by default.
 
     Returns
     -------
@@ -280,7 +280,7 @@ def judge(recording, split, states, models, seconds=SECONDS, margin=MARGIN):
         joints) [rad or m], nan for a window that failed; ``failures``: label -> list of
         [window, message]; ``seconds``: label -> time taken.
     """
-    cut = windows(split.judged, recording.dt, seconds, margin)
+    cut = windows(split.judged, recording.dt, seconds or SECONDS, margin)
     nv = recording.nv
     labels = [*TRIVIAL, *models]
     errors = {label: np.full((len(cut), nv), np.nan) for label in labels}

@@ -546,7 +546,7 @@ def main(argv=None):
         "--models",
         default=None,
         metavar="DIR",
-        help="fitted models so far, so that another simulator needs no new fit",
+        help="fitted models so far, for another simulator of a package that fits alike",
     )
     arguments = arguments.parse_args(argv)
     known = STAGES[arguments.sets]

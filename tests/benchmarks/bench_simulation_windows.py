@@ -334,12 +334,12 @@ def run(task, data_home=None, models=None):
         # are in the figures.
         warnings.simplefilter("ignore", UserWarning)
         if kept is not None and kept.exists():
-            fits = joblib.load(kept)
+            fits = Fits(**joblib.load(kept))
         else:
             fits = fit(recording, identifier, split.fitted)
             if kept is not None:
                 kept.parent.mkdir(parents=True, exist_ok=True)
-                joblib.dump(fits, kept)
+                joblib.dump(vars(fits), kept)
         smoother = fits.declared.state_estimator_
         states = smoother.transform(recording.q, groups=recording.groups)
         every = simulators(name, recording, fits, split.fitted)

@@ -18,7 +18,7 @@ runge_kutta = _compiled(_steps.runge_kutta)
 forward = _compiled(_steps.forward)
 step_error = _compiled(_steps.step_error)
 is_stiff = _compiled(_steps.is_stiff)
-events = _compiled(_steps.events)
+past_events = _compiled(_steps.past_events)
 # Times that the signs of loads are found anew, for friction in proportion to them.
 _MOST_SIGNS = 8
 
@@ -114,6 +114,7 @@ def accelerate(
     placed, smooth = lines[1] + lines[2] * q, lines[0] * v
     dry, load_smooth = lines[3].copy(), np.zeros(nv)
     by_position, by_velocity = lines[2].copy(), lines[0].copy()
+    load_by_velocity = np.zeros(nv)
     for i in range(nv):
         for j in range(nv):
             placed[i] += coupling[i, j] * v[j]
@@ -131,6 +132,7 @@ def accelerate(
         load_smooth,
         by_position,
         by_velocity,
+        load_by_velocity,
     )
     A, rhs = np.empty((nv, nv)), np.empty(nv)
     for i in range(nv):
@@ -166,10 +168,15 @@ def accelerate(
         for i in range(nv):
             rhs[i] -= size[i] * abs(L[i])
             limit[i] += lines[4, i] * abs(L[i])
+            by_velocity[i] += load_by_velocity[i] * abs(L[i])
     else:
         B = A.copy()
         _hold(B, a, stuck)
         _eliminate(B, a)
+    for i in range(nv):
+        if stuck[i]:
+            # What rounding leaves would be a motion.
+            a[i] = 0.0
     power = 0.0
     for i in range(nv):
         needed, moved = rhs[i], tau[i] - placed[i]

@@ -11,6 +11,8 @@ from sklearn_vbjfa.simulation._terms import Terms, add_terms, remember
 
 # Times that the signs of loads are found anew, for friction in proportion to them.
 _MOST_SIGNS = 8
+# Times that other effects are linearised anew, up to this change of accelerations.
+_MOST_TANGENTS, _SETTLED = 20, 1e-11
 
 
 @functools.cache
@@ -41,6 +43,20 @@ def with_bodies(model, bodies, armature=None):
     return out
 
 
+def _inertia_by_columns(pin, model, data, q):
+    """Inertia matrix (nv, nv) by unit accelerations."""
+    none = np.zeros(model.nv)
+    still = pin.rnea(model, data, q, none, none).copy()
+    units = np.eye(model.nv)
+    return np.array([pin.rnea(model, data, q, none, a) - still for a in units]).T
+
+
+def _is_depth_first(model):
+    """Whether the joints of every subtree are numbered one after the other."""
+    subtrees = [list(own) for own in model.subtrees[1:]]
+    return all(own[-1] - own[0] == len(own) - 1 for own in subtrees)
+
+
 class ForwardDynamics:
     """Accelerations of a `TorqueModel`, with its friction, one state at a time.
 
@@ -69,7 +85,8 @@ class ForwardDynamics:
     def __init__(self, robot, signals=None):
         pin = import_pinocchio()
         self._pin, self._signals = pin, signals
-        self.terms = terms = Terms.of(robot)
+        known = {} if signals is None else signals.at(0.0)
+        self.terms = terms = Terms.of(robot, known)
         self.n_joints = robot.n_joints
         self._loaded = [
             (-np.inf, with_bodies(robot.model, robot.bodies, terms.armature))
@@ -81,6 +98,11 @@ class ForwardDynamics:
             self._loaded.append((instant, loaded))
         self.model = self._loaded[0][1]
         self._data = self.model.createData()
+        # For other orders of a tree's joints Pinocchio's algorithm of composite bodies
+        # is wrong.
+        self._inertia = pin.crba
+        if not _is_depth_first(self.model):
+            self._inertia = functools.partial(_inertia_by_columns, pin)
         self._load_model = None
         if terms.of_load or terms.others is not None:
             own = robot.bodies if robot.load is None else robot.load.bodies
@@ -98,11 +120,9 @@ class ForwardDynamics:
         self._plain = not (terms.kinds.size or terms.coupling.any())
         self.has_dry = (terms.dry != 0) | (terms.load_dry != 0)
         self.has_dry[terms.joints[terms.dry_terms()]] = True
-        self._set_table()
-
-    def _set_table(self):
-        """Put the table into lists, which plain Python reads faster than arrays."""
-        terms = self.terms
+        if terms.others is not None:
+            self.has_dry |= terms.others.jumps
+        # Plain Python reads lists faster than arrays.
         self._kinds, self._joints = terms.kinds.tolist(), terms.joints.tolist()
         self._rows = self._numbers.tolist()
 
@@ -110,8 +130,13 @@ class ForwardDynamics:
 
     @property
     def changes(self):
-        """Whether anything of it changes with time."""
-        return self.terms.is_timed or len(self._loaded) > 1
+        """Whether its torques change with time."""
+        return self.terms.is_timed or self.terms.others is not None
+
+    @property
+    def instants(self):
+        """Times [s] at which its bodies change, tuple of float."""
+        return tuple(instant for instant, _ in self._loaded[1:])
 
     def start(self, q):
         """Begin a motion at positions q (nv,), with the memory of a joint at rest."""
@@ -120,16 +145,19 @@ class ForwardDynamics:
             self._memory = self._memory.tolist()
 
     def set_time(self, t):
-        """Set what changes with time to what it is at t [s]."""
+        """Set torques that change with time to what they are at t [s]."""
         self._time = t
         if self.terms.is_timed:
-            self.terms.set_levels(self._numbers, t, self._signals)
-            self._set_table()
-        for instant, model in self._loaded[::-1]:
-            if t >= instant:
-                if model is not self.model:
-                    self.model, self._data = model, model.createData()
-                break
+            rows = self._rows if self._fast is None else self._numbers
+            self.terms.set_levels(rows, t, self._signals)
+
+    def set_bodies(self, t):
+        """Set the bodies to what they are at t [s]; return whether they change."""
+        model = [model for instant, model in self._loaded if t >= instant][-1]
+        if model is self.model:
+            return False
+        self.model, self._data = model, model.createData()
+        return True
 
     def remember(self, q):
         """Move memory on to positions q (nv,), to which no joint turned round."""
@@ -195,68 +223,90 @@ class ForwardDynamics:
         mode (nv,) : signs of dry friction; stuck (nv,), bool : joints that stick.
         """
         pin, data = self._pin, self._data
-        self.mass = M = pin.crba(self.model, data, q)
+        self.mass = M = self._inertia(self.model, data, q)
         h = pin.nonLinearEffects(self.model, data, q, v)
         ML, hL = M, h
         if self._load_model is not None:
-            ML = pin.crba(self._load_model, self._load_data, q)
+            ML = self._inertia(self._load_model, self._load_data, q)
             hL = pin.nonLinearEffects(self._load_model, self._load_data, q, v)
-        others = None
-        if self.terms.others is not None:
-            known = {} if self._signals is None else self._signals.at(self._time)
-            load = ML @ self.a + hL
-            others, slopes = self.terms.others.at(q, v, self._time, load, known)
-            M = M if slopes is None else M + slopes
-            h = h + others
-        if self._fast is not None:
-            terms, out = self.terms, np.empty((5, q.size))
-            self.power = self._fast.accelerate(
-                M,
-                h,
-                ML,
-                hL,
-                self._of_load,
-                tau,
-                q,
-                v,
-                mode,
-                stuck,
-                terms.lines,
-                terms.inertia,
-                terms.coupling,
-                terms.kinds,
-                terms.joints,
-                self._numbers,
-                self._memory,
-                self._found[0],
-                out,
-            )
-            self._found = out
+        state = q, v, tau, mode, stuck
+        if self.terms.others is None:
+            self._found, self.power = self._solved(*state, M, h, ML, hL, None)
         else:
-            self._found, self.power = self._accelerate_plain(
-                q, v, tau, mode, stuck, M, h, ML, hL
-            )
-        if others is not None:
-            self.power -= float(others @ v)
+            self._with_others(*state, M, h, ML, hL)
         return self._found[0]
 
-    def _accelerate_plain(self, q, v, tau, mode, stuck, M, h, ML, hL):
+    def _with_others(self, q, v, tau, mode, stuck, M, h, ML, hL):
+        """Find accelerations with effects that are not of the library."""
+        known = {} if self._signals is None else self._signals.at(self._time)
+        own = self.terms.others.at(q, v, self._time, known, mode, stuck)
+        a = self.a
+        for _ in range(_MOST_TANGENTS):
+            torque, slopes = own.tangent(a, ML, hL)
+            dry = own.dry(a, ML @ a + hL)
+            inner = M if slopes is None else M + slopes
+            self._found, self.power = self._solved(
+                q, v, tau, mode, stuck, inner, h + torque, ML, hL, dry
+            )
+            before, a = a, self.a
+            change = np.abs(a - before).max()
+            if slopes is None or change <= _SETTLED * (1.0 + np.abs(a).max()):
+                break
+        if slopes is not None:
+            torque = torque + slopes @ a
+        self.power -= float(torque @ v)
+
+    def _solved(self, q, v, tau, mode, stuck, M, h, ML, hL, dry):
+        """Solve for accelerations; dry (nv,) : dry friction beside the terms'."""
         terms = self.terms
+        lines = terms.lines
+        if dry is not None and dry.any():
+            lines = lines.copy()
+            lines[3] += dry
+        if self._fast is None:
+            return self._solved_plain(q, v, tau, mode, stuck, M, h, ML, hL, lines)
+        out = np.empty((5, q.size))
+        power = self._fast.accelerate(
+            M,
+            h,
+            ML,
+            hL,
+            self._of_load,
+            tau,
+            q,
+            v,
+            mode,
+            stuck,
+            lines,
+            terms.inertia,
+            terms.coupling,
+            terms.kinds,
+            terms.joints,
+            self._numbers,
+            self._memory,
+            self._found[0],
+            out,
+        )
+        return out, power
+
+    def _solved_plain(self, q, v, tau, mode, stuck, M, h, ML, hL, lines):
+        terms = self.terms
+        dry = lines[3]
         placed = terms.stiffness * q + terms.constant
         smooth = terms.viscous * v
-        dry, load_smooth = terms.dry, None
+        load_smooth = None
         by_position, by_velocity = terms.stiffness, terms.viscous
         if not self._plain:
             # A coupling need not take energy: its work is counted with the drives'.
             placed += terms.coupling @ v
             by_velocity = by_velocity + terms.coupling.diagonal()
-            lists = [placed, smooth, dry, 0.0 * dry, by_position, by_velocity]
+            none = np.zeros(v.size)
+            lists = [placed, smooth, dry, none, by_position, by_velocity, none]
             lists = [values.tolist() for values in lists]
             table = self._kinds, self._joints, self._rows, self._memory
             add_terms(*table, q.tolist(), v.tolist(), *lists)
-            placed, smooth, dry, load_smooth, by_position, by_velocity = map(
-                np.array, lists
-            )
+            placed, smooth, dry, load_smooth, *slopes = map(np.array, lists)
+            by_position, by_velocity, load_by_velocity = slopes
         A = M + terms.inertia if self._asymmetric else M
         rhs = tau - h - placed - smooth - dry * mode
         limit = dry
@@ -274,6 +324,8 @@ class ForwardDynamics:
                 sign = np.sign(L)
             rhs = rhs - size * np.abs(L)
             limit = dry + terms.load_dry * np.abs(L)
+            if load_smooth is not None:
+                by_velocity = by_velocity + load_by_velocity * np.abs(L)
         else:
             a = _solve(A, rhs, stuck)
         moved = tau - placed

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+_TINY = float(np.finfo(float).tiny)
+
 
 def runge_kutta(y, h, k1, k2, k3, k4):
     """End of a classical step of order four from slopes (2, nv)."""
@@ -31,12 +33,13 @@ def is_stiff(h, mass, by_position, by_velocity, stuck, most):
     return h * max(rate, np.sqrt(np.max(np.abs(by_position) * free))) > most
 
 
-def events(watched, way, v, stuck, needed, most):
-    """Joints that turned in a step, and joints that broke loose; (2, nv) of bool.
+def past_events(watched, way, v, exact, stuck, needed, holds, loose):
+    """How far joints are past an event, in units of what they may be, (nv,).
 
-    most (nv,) : dry friction that holds joints.
+    Those that slide turn round; exact (nv,) : velocities that count as zero. Those that
+    stick break loose beyond what holds them; loose (nv,) : excess that counts as none.
+    Negative before the event, -inf for joints without any.
     """
-    out = np.zeros((2, v.size), dtype=np.bool_)
-    out[0] = watched & (way * v < 0.0)
-    out[1] = stuck & (np.abs(needed) > most)
-    return out
+    out = np.where(watched & ~stuck, -way * v / exact, -np.inf)
+    excess = (np.abs(needed) - holds) / np.maximum(loose, _TINY)
+    return np.where(stuck, excess, out)

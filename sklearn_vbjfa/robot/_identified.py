@@ -1,12 +1,9 @@
 """Identified robots without data and estimator: from a fit to a file, and back."""
 
-import tempfile
-from pathlib import Path
-
 from sklearn_vbjfa.robot import _model_file
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._prediction import PredictsTorques, predictor_of
-from sklearn_vbjfa.robot._written import write_robot
+from sklearn_vbjfa.robot._written import mjcf_of, urdf_of
 from sklearn_vbjfa.simulation._stepper import Stepper, causal
 
 
@@ -244,15 +241,39 @@ class IdentifiedRobot(PredictsTorques):
         path : str or os.PathLike
             File to write.
 
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have; see `RobotIdentifier.to_urdf`.
+
         Raises
         ------
         ValueError
             If the parameters are not physically consistent.
         """
-        with tempfile.TemporaryDirectory() as folder:
-            source = Path(folder) / "robot.urdf"
-            source.write_text(self._saved.urdf, encoding="utf-8")
-            return write_robot(self, source, path)
+        return urdf_of(self, self._saved.urdf, path)
+
+    def to_mjcf(self, path):
+        """Write the identified robot as MJCF, the description of MuJoCo.
+
+        The file is that of `RobotIdentifier.to_mjcf`.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have; see `RobotIdentifier.to_mjcf`.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent.
+        """
+        return mjcf_of(self, path)
 
 
 def load_identified(path, effects=()):

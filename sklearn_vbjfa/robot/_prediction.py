@@ -19,6 +19,7 @@ from sklearn_vbjfa.recording._columns import (
 )
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
 from sklearn_vbjfa.recording._signals import signals_for
+from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._equations import (
     is_plain,
     motion_of,
@@ -61,6 +62,8 @@ class TorquePredictor:
         How well each effect is known.
     state_cutoff : "auto", float, array-like or None
         Cut-off [Hz] of a smoother for positions where the fit was given states.
+    powers : ColumnPowers or None
+        How large columns of friction and effects were in the fit.
     """
 
     features: RigidBodyFeatures
@@ -71,6 +74,7 @@ class TorquePredictor:
     signal_ends: Mapping = field(default_factory=dict)
     spreads: tuple = ()
     state_cutoff: object = "auto"
+    powers: ColumnPowers | None = None
 
     @property
     def joint_names(self):

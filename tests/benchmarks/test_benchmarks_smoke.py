@@ -32,6 +32,7 @@ def residuals(scale, index, tau):
         "discovery",
         "discovery_measured",
         "errors_in_variables",
+        "exports",
         "false_alarms",
         "feedforward",
         "friction_none",

@@ -55,9 +55,9 @@ for name, robot in models.items():
         print(f"  {one.joint_name} {one.name}: {one.size:.3g} {one.unit}, {one.reason}")
 
 # %%
-# The torques of the second joint have a spread of some tens of N m, so that this is no
-# trifle. The declared model has nothing that is left out: its Coulomb friction stands in
-# for the mean of the missing one.
+# Beside the torques of the second joint this is no trifle. The declared model has
+# nothing that is left out: its Coulomb friction stands in for the mean of the missing
+# one.
 
 print(f"spread of the torque: {recording.tau[fitted, 1].std():.3g} N m")
 
@@ -70,11 +70,10 @@ print(f"spread of the torque: {recording.tau[fitted, 1].std():.3g} N m")
 
 WINDOW = 0.5
 q, tau = recording.q[kept][:1700], recording.tau[kept][:1700]
+one = simulate_windows(models["declared"], q, tau, window=WINDOW)
 windows = {
-    name: simulate_windows(robot, q, tau, window=WINDOW)
-    for name, robot in models.items()
+    name: simulate_windows(robot, q, tau, beside=one) for name, robot in models.items()
 }
-one = windows["completed"]
 
 
 def table(errors):
@@ -90,9 +89,10 @@ table({"stays": one.staying().errors, "goes on": one.going_on().errors})
 # %%
 # MuJoCo
 # ------
-# The same windows, driven by the same torques. A motor of the file takes what the torque
-# channel reads; its joints are found by name. The time step divides the sample period.
-# Without MuJoCo (``pip install "sklearn-vbjfa[mujoco]"``) its curves are missing here.
+# The same windows, driven by the same torques. A motor of the file takes what the
+# torque channel reads; joints are found by name. The time step divides the sample
+# period. Without MuJoCo (``pip install "sklearn-vbjfa[mujoco]"``) its curves are
+# missing here.
 
 
 def by_mujoco(path, found):
@@ -133,8 +133,8 @@ else:
     print("MuJoCo is not installed: its curves are missing.")
 
 # %%
-# How far the simulators are from each other tells what the file lacks: nothing for the
-# declared model, the friction over the load for the completed one.
+# How far the simulators get from each other, at most, tells what a file lacks: nothing
+# that matters for the declared model, the friction over the load for the completed one.
 
 for name, positions in other.items():
     apart = np.abs(positions - windows[name].simulated[..., :6]).max(axis=(0, 1))
@@ -166,13 +166,30 @@ for column, (name, own) in zip(axes.T, windows.items()):
     for axis, j in zip(column, (1, 2)):
         for start in one.t[shown, 0]:
             axis.axvline(start, color="0.88", lw=0.8, zorder=0)
-        axis.plot(time, curve(one.positions[..., j]), color="0.3", lw=3, alpha=0.4,
-                  label="measured")
-        axis.plot(time, curve(own.simulated[..., j]), color="tab:blue", lw=1.5,
-                  label="package")
+        axis.plot(
+            time,
+            curve(one.positions[..., j]),
+            color="0.3",
+            lw=3,
+            alpha=0.4,
+            label="measured",
+        )
+        axis.plot(
+            time,
+            curve(own.simulated[..., j]),
+            color="tab:blue",
+            lw=1.5,
+            label="package",
+        )
         if name in other:
-            axis.plot(time, curve(other[name][..., j]), "--", color="tab:red", lw=1.5,
-                      label="MuJoCo")
+            axis.plot(
+                time,
+                curve(other[name][..., j]),
+                "--",
+                color="tab:red",
+                lw=1.5,
+                label="MuJoCo",
+            )
         axis.set_ylabel(f"{recording.joint_names[j]} [degrees]")
     column[-1].set_xlabel("time [s]")
 axes[0, 0].legend()
@@ -186,5 +203,6 @@ plt.show()
 # - If it is large, as here, a simulator without the effect is better served by a model
 #   that was identified without it: the terms that the simulator has then take over as
 #   much as they can.
-# - Where nothing is left out, both simulators move alike: MuJoCo's soft friction and its
+# - Where nothing is left out, both simulators move alike: MuJoCo's soft friction and
 #   fixed time step make no difference that could be seen here.
+# - MuJoCo stops joints at their limits, the package does not: it warns.

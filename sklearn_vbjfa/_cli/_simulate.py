@@ -128,17 +128,18 @@ def run(arguments):
         # Saved models have a clock of their own.
         times = None if arguments.model else recording.clock()[rows]
         part = recording.q[rows], recording.tau[rows], recording.groups[rows]
+        windows, first = {}, None
         try:
-            windows = {
-                label: simulate_windows(
+            for label, robot in task.robots.items():
+                windows[label] = simulate_windows(
                     robot,
                     *part,
                     times,
                     window=arguments.window,
                     signals=task.signals,
+                    beside=first,
                 )
-                for label, robot in task.robots.items()
-            }
+                first = first or windows[label]
         except ValueError as error:
             raise ValueError(f"{source}: {error}") from error
         text = _report(task, windows, arguments.window)

@@ -123,6 +123,25 @@ def test_a_saved_robot_is_simulated_alike(found, robot, recording, tmp_path):
     np.testing.assert_array_equal(again.simulated, found.simulated)
 
 
+def test_robots_are_compared_on_the_same_windows(found, recording):
+    poor = RobotIdentifier(recording.urdf, dt=DT, friction=(), cutoff=3.0)
+    poor.fit(recording.q, recording.tau, groups=recording.groups)
+    given = recording.q, recording.tau, recording.groups
+    alone = simulate_windows(poor, *given, window=0.5)
+    assert not np.array_equal(alone.start_positions, found.start_positions)
+    other = simulate_windows(poor, *given, beside=found)
+    for name in ("starts", "t", "positions", "velocities", "start_positions"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(found, name))
+    assert np.median(other.errors) > 3 * np.median(found.errors)
+
+
+def test_windows_of_other_rows_are_no_measure(found, robot, recording):
+    for rows in (slice(0, 300), slice(3, None)):
+        part = recording.q[rows], recording.tau[rows]
+        with pytest.raises(ValueError, match="beside must be windows of the same join"):
+            simulate_windows(robot, *part, beside=found)
+
+
 def test_some_windows_are_selected(found):
     chosen = np.zeros(found.n_windows, dtype=bool)
     chosen[[1, 5]] = True

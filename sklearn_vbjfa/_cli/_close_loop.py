@@ -25,8 +25,8 @@ def add_to(commands):
         description="Identify a robot from a recording, find effects that its model "
         "lacks, add them, and report the error before and after on parts of the "
         "recording that were set aside. Writes report.html, report.json, "
-        "parameters.csv, identified.urdf, identified.xml for MuJoCo and identified.json, "
-        "which the command simulate reads.",
+        "parameters.csv, identified.urdf, identified.xml for MuJoCo, and "
+        "identified.json, which the command simulate reads.",
     )
     parser.add_argument(
         "recording",

@@ -1,7 +1,7 @@
 """
-===========================
+============================
 From a log to a MuJoCo model
-===========================
+============================
 
 A recording goes in, a file for a simulator comes out: an arm is identified, the loop
 finds what its model lacks, and the result is written for MuJoCo. Both simulators, the

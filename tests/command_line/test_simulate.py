@@ -250,6 +250,29 @@ def test_every_recording_has_a_picture(urdf, saved, recording, tmp_path, capsys)
     assert max(float(row["to_s"]) for row in rows) <= 5.0
 
 
+def test_prismatic_joints_are_in_mm(urdf, tmp_path, capsys):
+    # The elbow becomes a slide.
+    first, second = URDF.split("</joint>", 1)
+    slide = tmp_path / "slide.urdf"
+    slide.write_text(first + "</joint>" + second.replace("revolute", "prismatic"))
+    made = make_robot_recording(str(slide), duration=8.0, dt=0.01, random_state=4)
+    source = write_csv(tmp_path / "slide.csv", made)
+    out = tmp_path / "out"
+    text = run(capsys, source, "--urdf", slide, "--window", "0.3", "--out", out)
+    units = re.findall(r"^(shoulder|elbow) +(\S+) ", text, flags=re.M)
+    assert units == [
+        ("shoulder", "degrees"),
+        ("elbow", "mm"),
+        ("shoulder", "degrees/s"),
+        ("elbow", "mm/s"),
+    ]
+    robot = RobotIdentifier(str(slide), dt=0.01, friction=("viscous", "coulomb"))
+    robot.fit(made.q[:560], made.tau[:560])
+    found = simulate_windows(robot, made.q[560:], made.tau[560:], window=0.3)
+    expected = 1e3 * np.sqrt(np.mean(found.errors[:, 1] ** 2))
+    assert tables(text)[0]["elbow"][0] == pytest.approx(expected, rel=2e-2)
+
+
 def test_the_demo_needs_no_arguments(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     text = run(capsys, "--window", "0.5")

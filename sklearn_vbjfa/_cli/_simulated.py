@@ -80,8 +80,11 @@ def errors_text(simulated, seconds):
         "robot that stays where it was, and one that keeps its velocity.",
     ]
     for label, own in windows.items():
+        who = f"{label}: " if len(windows) > 1 else ""
         if own.failures:
-            lines.append(_failed(simulated, label if len(windows) > 1 else "", own))
+            lines.append(who + _failed(simulated, own))
+        if own.run_away.any():
+            lines.append(who + _run_away(simulated, own))
     return "\n".join(lines)
 
 
@@ -116,17 +119,40 @@ def _numbers(values):
     return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in values]
 
 
-def _failed(simulated, label, windows):
+def _failed(simulated, windows):
     """Name windows that were not simulated to their end, and why."""
     count = len(windows.failures)
-    who = f"{label}: " if label else ""
-    lines = [f"{who}{count} of {windows.n_windows} windows failed:"]
+    told = [f"{count} of {windows.n_windows} windows failed:"]
     for one in windows.failures[:_MOST_NAMED]:
-        name, begin, end = _place(simulated, windows, one.window)
-        lines.append(f"- {name}, {begin:.3f} to {end:.3f} s: {one.message}")
+        told.append(f"- {_placed(simulated, windows, one.window)}: {one.message}")
+    return _ended(told, count)
+
+
+def _run_away(simulated, windows):
+    """Name windows in which joints ran away."""
+    away = windows.run_away
+    numbers = np.flatnonzero(away.any(axis=1))
+    told = [
+        f"in {numbers.size} of {windows.n_windows} windows joints ran away, farther "
+        "off than stays and goes on in any:"
+    ]
+    for k in numbers[:_MOST_NAMED]:
+        names = [n for n, out in zip(windows.joint_names, away[k]) if out]
+        told.append(f"- {_placed(simulated, windows, k)}: {', '.join(names)}")
+    return _ended(told, numbers.size)
+
+
+def _ended(told, count):
+    """Join the lines of a list, of which only the first are named."""
     if count > _MOST_NAMED:
-        lines.append(f"- and {count - _MOST_NAMED} more; see simulation.csv")
-    return "\n".join(lines)
+        told.append(f"- and {count - _MOST_NAMED} more; see simulation.csv")
+    return "\n".join(told)
+
+
+def _placed(simulated, windows, k):
+    """Say where a window is."""
+    name, begin, end = _place(simulated, windows, k)
+    return f"{name}, {begin:.3f} to {end:.3f} s"
 
 
 def _place(simulated, windows, k):

@@ -96,6 +96,18 @@ class SimulatedWindows:
         nv = len(self.joint_names)
         return _rms(self.simulated[..., nv : 2 * nv] - self.velocities, 1)
 
+    @property
+    def run_away(self):
+        """Joints that ran away in windows, (n_windows, nv), bool.
+
+        Those with a larger error than a robot that stays or goes on has on this joint
+        in any window.
+        """
+        worst = [
+            rival.errors.max(axis=0) for rival in (self.staying(), self.going_on())
+        ]
+        return self.errors > np.max(worst, axis=0)
+
     def staying(self):
         """Return the same windows of a robot that stays where it was."""
         return self._moving(np.zeros_like(self.velocities[:, 0]))

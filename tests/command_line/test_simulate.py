@@ -212,6 +212,39 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     assert all(row["stays"] for row in failed)
 
 
+def test_joints_that_run_away_are_named(good, saved, capsys, monkeypatch):
+    from sklearn_vbjfa import IdentifiedRobot
+
+    calls = []
+
+    def away(self, tau, q0, v0, t, signals=None):
+        calls.append(1)
+        states = np.zeros((len(tau), 6))
+        states[:, :2] = q0
+        if len(calls) == 2:
+            states[1:, 1] = 1e3
+        return states
+
+    monkeypatch.setattr(IdentifiedRobot, "simulate", away)
+    lines = run(capsys, good, "--model", saved).splitlines()
+    (at,) = [k for k, line in enumerate(lines) if "joints ran away" in line]
+    assert lines[at].startswith(f"in 1 of {len(calls)} windows")
+    assert re.fullmatch(r"- arm, \S+ to \S+ s: elbow", lines[at + 1])
+
+
+def test_a_run_that_is_interrupted_leaves_nothing(good, saved, capsys, monkeypatch):
+    from sklearn_vbjfa import IdentifiedRobot
+
+    def interrupted(self, *given, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(IdentifiedRobot, "simulate", interrupted)
+    assert main(["simulate", str(good), "--model", str(saved)]) == 130
+    captured = capsys.readouterr()
+    assert captured.err == "sklearn-vbjfa: interrupted, nothing was written\n"
+    assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
+
+
 def test_nothing_but_failures_is_said(good, saved, capsys, monkeypatch):
     from sklearn_vbjfa import IdentifiedRobot
 

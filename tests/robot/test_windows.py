@@ -1,6 +1,7 @@
 """Windows of a recording: where they begin, their errors, and those that fail."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -92,6 +93,15 @@ def test_rivals_stay_and_go_on(found):
         goes_on[..., :nv], q0[:, None] + since[:, None] * v0[:, None], atol=1e-12
     )
     np.testing.assert_array_equal(goes_on[:, 0, nv : 2 * nv], v0)
+
+
+def test_joints_that_run_away_are_marked(found):
+    assert not found.run_away.any()
+    simulated = found.simulated.copy()
+    simulated[3, -1, 2] += 1e3
+    simulated[5] = np.nan
+    away = replace(found, simulated=simulated).run_away
+    assert np.argwhere(away).tolist() == [[3, 2]]
 
 
 def test_windows_begin_at_the_smoothed_state(found, robot, recording):

@@ -81,8 +81,8 @@ class Arm:
     def robot(self, friction=None, effects=(), gravity=GRAVITY, **other):
         """`TorqueModel` of the arm."""
         bodies = [
-            point(m, (0.0, 0.0, -c), I)
-            for m, c, I in zip(self.masses, self.centres, self.inertias)
+            point(m, (0.0, 0.0, -c), i)
+            for m, c, i in zip(self.masses, self.centres, self.inertias)
         ]
         return machine(self.model(gravity), bodies, friction, effects, **other)
 

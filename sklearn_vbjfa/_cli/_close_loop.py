@@ -9,9 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli import _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings
 from sklearn_vbjfa._cli._input import undisturbed
+
+# The robot, as a description, for MuJoCo, and with all that was identified.
+_IDENTIFIED = ("identified.urdf", "identified.xml", "identified.json")
 
 
 def add_to(commands):
@@ -22,50 +25,23 @@ def add_to(commands):
         description="Identify a robot from a recording, find effects that its model "
         "lacks, add them, and report the error before and after on parts of the "
         "recording that were set aside. Writes report.html, report.json, "
-        "parameters.csv and identified.urdf.",
+        "parameters.csv, identified.urdf, identified.xml for MuJoCo, and "
+        "identified.json, which the command simulate reads.",
     )
-    _input.add_options(parser)
+    _options.add_file(parser)
+    _options.add_recording(parser)
     parser.add_argument(
         "--out",
         default=None,
         metavar="DIR",
         help="folder for the files; by default the name of RECORDING plus -report",
     )
-    parser.add_argument(
-        "--friction",
-        default="viscous,coulomb",
-        metavar="NAMES",
-        help="friction of the declared model: none, or any of viscous,coulomb,offset,"
-        "rotor_inertia; by default viscous,coulomb",
-    )
+    _options.add_model(parser)
     parser.add_argument(
         "--effects",
         default="all",
         metavar="NAMES",
         help="effects to look for, by default all; see the command effects",
-    )
-    parser.add_argument(
-        "--known-mass",
-        action="append",
-        default=[],
-        metavar="LINK=KG",
-        help="with --gain unknown, a mass that fixes the common factor: of a link with "
-        "what is fixed to it, or payload=KG of what is picked up or put down; may be "
-        "repeated",
-    )
-    parser.add_argument(
-        "--signals",
-        default=None,
-        metavar="NAMES",
-        help="other columns of RECORDING that friction and offsets may vary with, such "
-        "as temperature,voltage; by default all that hold numbers; none for none",
-    )
-    parser.add_argument(
-        "--cutoff",
-        default="auto",
-        metavar="HZ",
-        help="cut-off of the low-pass for torques and regressors; by default auto, "
-        "from the motion; none for no low-pass",
     )
     parser.add_argument(
         "--seed",
@@ -114,7 +90,7 @@ def run(arguments):
         _input.check_gains(gains, masses, urdf)
         signals = _input.signals(arguments.signals, recording, source)
         try:
-            loop = _close(
+            loop = close(
                 recording,
                 str(urdf),
                 friction=friction,
@@ -136,12 +112,15 @@ def run(arguments):
         try:
             # Before anything is printed, as a reader such as head may end the run.
             with undisturbed():
-                written = _write(loop, out)
+                written, left_out = _write(loop, out)
                 arguments.written = True
         except OSError:
             print("\n".join(text))
             raise
     print("\n".join(text))
+    if left_out:
+        print("\nMuJoCo has no place for, and identified.xml goes without:")
+        print("\n".join(f"- {one}" for one in left_out))
     print(f"\nwritten: {', '.join(str(path) for path in written)}")
     say_warnings(caught)
 
@@ -153,13 +132,13 @@ def run_demo(arguments):
     recording = load_demo_recording()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        loop = _close(recording, recording.urdf, friction=("viscous", "coulomb"))
+        loop = close(recording, recording.urdf, friction=("viscous", "coulomb"))
     print(recording)
     print(loop.report_)
     say_warnings(caught)
 
 
-def _close(
+def close(
     recording,
     urdf,
     *,
@@ -172,7 +151,9 @@ def _close(
     gains=None,
     known_masses=None,
     signals=None,
+    t=None,
 ):
+    """Find what a model of a recording lacks, as a fitted `EffectDiscovery`."""
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
     identifier = RobotIdentifier(
@@ -187,12 +168,15 @@ def _close(
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed, verbose=True
     )
-    given = {"groups": recording.groups, "signals": signals}
+    given = {"groups": recording.groups, "t": t, "signals": signals}
     return loop.fit(recording.q, recording.tau, **given)
 
 
 def _write(loop, out):
-    """Write all files or none; each appears complete."""
+    """Write all files or none; each appears complete.
+
+    Returns their paths, and what the MJCF file does not have.
+    """
     from sklearn_vbjfa.robot._known import known_parameters
 
     report = loop.report_
@@ -200,7 +184,7 @@ def _write(loop, out):
         "report.html": report.to_html(),
         "report.json": json.dumps(report.to_dict(), indent=1, allow_nan=False),
     }
-    names = (*texts, "parameters.csv", "identified.urdf")
+    names = (*texts, "parameters.csv", *_IDENTIFIED)
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
         for name, text in texts.items():
@@ -209,9 +193,11 @@ def _write(loop, out):
         path = Path(folder, "parameters.csv")
         _write_parameters(loop.identifier_, known, path)
         loop.identifier_.to_urdf(Path(folder, "identified.urdf"))
+        left_out = loop.identifier_.to_mjcf(Path(folder, "identified.xml"))
+        loop.identifier_.save(Path(folder, "identified.json"))
         for name in names:
             os.replace(Path(folder, name), out / name)
-    return [out / name for name in names]
+    return [out / name for name in names], left_out
 
 
 def _write_parameters(robot, known, path):

@@ -142,67 +142,6 @@ def _parser_messages(said):
             said += dict.fromkeys(errors)
 
 
-def add_options(parser):
-    """Add the recording, the robot, and how the one belongs to the other."""
-    parser.add_argument(
-        "recording",
-        metavar="RECORDING",
-        help="CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with "
-        "columns q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], "
-        "segment, and signals such as a temperature; a bag of ROS 1 or 2, MCAP; the "
-        "folder of a bag or of a LeRobot data set; - for standard input",
-    )
-    parser.add_argument(
-        "--urdf", required=True, metavar="FILE", help="description of the robot"
-    )
-    parser.add_argument(
-        "--joints",
-        default=None,
-        metavar="NAMES",
-        help="recorded joints, separated by commas, in the order of the columns "
-        "q1..qn; other joints (gripper, wheels) are held at zero; by default all, in "
-        "the order of the description",
-    )
-    parser.add_argument(
-        "--dt", type=float, default=None, metavar="S", help="sample period [s]"
-    )
-    parser.add_argument(
-        "--columns",
-        default=None,
-        metavar="MAPPING",
-        help="which columns are which channels, such as "
-        '"q=actual_q_{i},tau=actual_current_{i},t=timestamp"; {i} is the number of a '
-        "joint from 0 or 1, {joint} its name; a unit may follow: q=pos_{i} [deg]",
-    )
-    parser.add_argument(
-        "--preset",
-        default=None,
-        metavar="TOOL",
-        help="names as tools write them: ros, ur, franka or lerobot; by default they "
-        "are recognised",
-    )
-    parser.add_argument(
-        "--topic",
-        default=None,
-        metavar="NAME",
-        help="topic of a bag; by default the only one of joint states",
-    )
-    parser.add_argument(
-        "--time-unit",
-        default=None,
-        metavar="UNIT",
-        help="unit of time: s, ms, us or ns; by default what its name says, or s",
-    )
-    parser.add_argument(
-        "--gain",
-        default=None,
-        metavar="FACTORS",
-        help="factors by which the columns of torques become N m or N, one for each "
-        "joint, such as 8,8,5; or unknown: they are proportional to the torques (motor "
-        "currents), and the factors are identified relative to one of them",
-    )
-
-
 def read(arguments, urdf, joints, gains):
     """Read a recording that is long enough."""
     from sklearn_vbjfa.datasets import read_recording

@@ -1,8 +1,10 @@
 """Robots: from recordings to states, equations, and an identified model."""
 
+from sklearn_vbjfa.robot._exports import LeftOut
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._output_error import SimulationCriteria
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 from sklearn_vbjfa.robot._states import StateEstimator
 from sklearn_vbjfa.robot._time_effects import EffectOfTime
@@ -10,8 +12,10 @@ from sklearn_vbjfa.robot._time_effects import EffectOfTime
 __all__ = [
     "EffectOfTime",
     "JointTorqueRegressor",
+    "LeftOut",
     "RigidBodyFeatures",
     "RobotIdentifier",
+    "SimulationCriteria",
     "StateEstimator",
     "TorqueResiduals",
 ]

@@ -25,6 +25,9 @@ from sklearn_vbjfa.recording._recording import (
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot import _model_file
+from sklearn_vbjfa.robot._closed_loop import refine_controlled
+from sklearn_vbjfa.robot._column_powers import ColumnPowers
+from sklearn_vbjfa.robot._controller import check_reference
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
@@ -57,6 +60,7 @@ from sklearn_vbjfa.robot._model_values import (
     tell_unsettled,
 )
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
+from sklearn_vbjfa.robot._output_error import check_criterion, refine
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
     Plan,
@@ -74,7 +78,7 @@ from sklearn_vbjfa.robot._prediction import (
     recording_of,
     split_effects,
 )
-from sklearn_vbjfa.robot._ranges import effect_ranges, ends, sum_ranges, warn_outside
+from sklearn_vbjfa.robot._ranges import effect_ranges, ends, sum_ranges
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_count,
@@ -95,7 +99,7 @@ from sklearn_vbjfa.robot._torque_noise import (
     rows_looked_at,
     seen,
 )
-from sklearn_vbjfa.robot._written import write_robot
+from sklearn_vbjfa.robot._written import mjcf_of, urdf_of
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -212,6 +216,19 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         Masses [kg] of bodies by their names, or of a ``"payload"``, which an effect
         `Payload` has; for unknown gains. A mass that the recording determines fixes the
         gain that all channels have in common.
+    criterion : {"torque", "simulation"}, default="torque"
+        ``"torque"``: least squares of the torques. ``"simulation"``: their result is
+        refined by output error, until simulated positions are closest to the measured
+        ones; see Notes and ``docs/output_error.rst``.
+    window : "auto" or float, default="auto"
+        Length [s] of the windows that are simulated, each from its measured state.
+        ``"auto"``: five times as long as friction takes to slow the slowest joint to
+        1 / e, but at least five periods of the fastest motion, and so that there are at
+        least eight windows. A controller simulates whole recordings.
+    controller : PositionController or None, default=None
+        Controller of the recording, for ``criterion="simulation"``: the closed loop is
+        simulated with the `reference` given to `fit`. None drives the robot with the
+        measured torques.
 
     Attributes
     ----------
@@ -277,6 +294,10 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         Fitted transformer from states to the regressor.
     estimator_ : JointTorqueRegressor
         Fitted regressor of the parameters.
+    criteria_ : SimulationCriteria
+        Errors of positions and torques before and after the refinement, ``(nv,)`` each,
+        number and length of the windows, number of steps and whether they converged.
+        Only with ``criterion="simulation"``.
     n_features_in_ : int
         nv or 3 nv.
 
@@ -291,6 +312,22 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     are merged until neighbours are nearly uncorrelated or sixteen remain. Residuals
     that stay correlated over a tenth of the recordings or longer still make it too
     small.
+
+    With ``criterion="simulation"`` bodies, friction and coefficients of effects are
+    refined by steps of Gauss and Newton on the sensitivities of simulated positions,
+    damped in the metric of the torque fit, so that what the simulation does not
+    determine stays as it was, and projected onto the consistent parameters; the
+    criterion never rises. Start states of the windows are estimated as well, with their
+    measurement noise as prior. `theta_std_` is then a sandwich estimate with windows as
+    blocks. Shapes of effects and the values of those in the model stay. With a
+    `controller` it is DIDIM [1]_: least squares of the measured torques on the
+    regressor of simulated states, repeated.
+
+    References
+    ----------
+    .. [1] M. Gautier, A. Janot, P.-O. Vandanjon, "A new closed-loop output error method
+       for parameter identification of robot dynamics", IEEE Trans. Control Syst.
+       Technol. 21(2), 2013. :doi:`10.1109/TCST.2012.2185697`
 
     Examples
     --------
@@ -324,6 +361,9 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         forgetting=1.0,
         gains=None,
         known_masses=None,
+        criterion="torque",
+        window="auto",
+        controller=None,
     ):
         self.model = model
         self.dt = dt
@@ -343,8 +383,20 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.forgetting = forgetting
         self.gains = gains
         self.known_masses = known_masses
+        self.criterion = criterion
+        self.window = window
+        self.controller = controller
 
-    def fit(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
+    def fit(
+        self,
+        X,
+        y,
+        groups=None,
+        sample_weight=None,
+        t=None,
+        signals=None,
+        reference=None,
+    ):
         """Identify the robot.
 
         Parameters
@@ -371,6 +423,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             Columns recorded beside the motion, such as a temperature, by name (or a
             data frame), for effects that vary with them (`effects.Signal`). Columns of
             a data frame X that are no channel of a joint are taken as well.
+        reference : array-like of shape (n_samples, nv), default=None
+            Commanded positions [rad or m], for `controller`.
 
         Returns
         -------
@@ -382,10 +436,15 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         ValueError
             If an argument does not suit the robot, or a signal is missing, constant,
             no finite numbers, or a position, velocity, torque or time by another name.
+        SimulationError
+            A ValueError; with ``criterion="simulation"``, if the motion that is
+            simulated with the parameters of the torque fit diverges.
         """
         self._online = None
+        check_criterion(self)
         self._declare()
         recording = self._take(X, y, groups, sample_weight, t, signals)
+        reference = check_reference(self.controller, reference, recording.tau, self.dt)
         periods = measure_periods(self, recording, self.effects_)
         plan, recording, states = self._prepare(recording, periods)
         self._adopt(plan)
@@ -415,7 +474,41 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             known = clock, recording.signals
             facts = noise_of(self, X, recording.tau, recording.segments, *known)
             tell_noise(self, facts)
+        if self.criterion == "simulation":
+            self._refine(recording, states, reference)
         return self
+
+    def _refine(self, recording, states, reference):
+        """Refine the parameters of the torque fit by simulation; set `criteria_`."""
+        predictor = self._predictor()
+
+        def estimate_from(states):
+            known = {"theta": self._load}
+            made = segments(recording, states, self._plan, self.features_, **known)
+            return self._estimate(made)
+
+        # Values of effects in the model have no columns there.
+        found = replace(estimate_from(states), std=self.theta_std_)
+        names = ("identifiable_", "effect_ranges_", "_powers")
+        kept = {name: getattr(self, name) for name in names}
+        known = predictor, found, recording, states
+        if self.controller is None:
+            refined = refine(*known, self)
+        else:
+            refined = refine_controlled(
+                *known, self.controller, reference, estimate_from
+            )
+        self._set(
+            replace(
+                found,
+                theta=refined.theta,
+                theta_unconstrained=refined.unconstrained,
+                std=refined.std,
+            )
+        )
+        for name, value in kept.items():
+            setattr(self, name, value)
+        self.criteria_ = refined.criteria
 
     def _known_torque(self, effects):
         """Parameters that a fit with some effects gives the load of the next."""
@@ -459,6 +552,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             common, covariance = self._common_gain(relative, found)
             if common.factor is not None:
                 self._scale(recording, states, common.factor)
+        self._powers = self._powers.with_tangents(self._tangent_powers, self.effects_)
         values = found.values_of(self.effects_)
         self.theta_[found.places] = values
         self.theta_unconstrained_[found.places] = values
@@ -499,6 +593,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         """Fit again with all gains multiplied, and torques in their own unit."""
         self._correct(with_gains(self.effects_, factor * self.features_.gains_))
         self._load = self._load / factor
+        self._tangent_powers = self._tangent_powers.in_units(factor)
         self._fit_again(recording, states)
 
     def _fit_again(self, recording, states):
@@ -514,6 +609,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             plan = replace(self._plan, tangents=True)
             made = segments(recording, states, plan, self.features_, theta=self._load)
             moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
+            self._tangent_powers = self._powers_of(moments)
             zeros = unexcited_entries(moments, self.features_.n_parameters_)
             if relative is not None:
                 zeros[:, places[relative.held]] = True
@@ -661,10 +757,21 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
+        self._powers = self._powers_of(found.moments)
         self._motion_ranges = found.moments.ranges
         self._tell_ranges()
         self._spreads = tuple(
             Spread.of_deviations(deviations) for deviations in self._split(found.std)
+        )
+
+    def _powers_of(self, moments):
+        """Sizes of the columns of friction and effects in the moments of a fit."""
+        return ColumnPowers.of_moments(
+            moments,
+            self.features_.n_parameters_,
+            len(self.features_.friction_),
+            self.effects_,
+            self.features_.gains_,
         )
 
     def _tell_ranges(self, load=None):
@@ -752,6 +859,11 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
     def _begin_online(self):
         """Prepare for rows from a running robot."""
+        if self.criterion == "simulation":
+            raise ValueError(
+                "partial_fit cannot refine by simulation, which needs recordings in "
+                "time order: fit them, or set criterion='torque'."
+            )
         known = getattr(self, "standstill_", None)
         fastest = getattr(getattr(self, "_plan", None), "fastest_period", None)
         self._declare()
@@ -845,11 +957,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         on, towards what remains when warm, and a payload stays; before the first time
         both are as they were then.
         """
-        predictor = self._predictor()
-        X, signals = predictor.checked(X, signals)
-        asked = predictor.ask(X, groups, t, signals=signals)
-        warn_outside(predictor.said_outside(asked), stacklevel=2)
-        return predictor.torques(asked)
+        return self._predictor().predict(X, groups, t, signals)
 
     def _predictor(self):
         """Return the `TorquePredictor` of the fit, or say that there was none."""
@@ -863,6 +971,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             signal_ends=self._signal_ends,
             spreads=self._spreads,
             state_cutoff=self.state_cutoff,
+            powers=self._powers,
         )
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):
@@ -995,26 +1104,57 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.
 
+        Damping and friction of a joint are the sums of what was declared and found.
         Axes of joints that a `JointAxis` has turned are corrected, too. A tilt of the
         base, zeros of encoders and gains of torque channels are no property of the
         robot that a description could hold: a comment at the top says what is to be
         changed, as plainly as that four degrees are to be subtracted. It also names
-        bodies whose masses the recording does not determine. Torques of the written
-        robot are the true ones, at true positions.
+        bodies whose masses the recording does not determine, and lists what the file
+        does not have. Torques of the written robot are the true ones, at true
+        positions.
 
         Parameters
         ----------
         path : str or os.PathLike
             File to write.
 
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have: springs, armature, offsets, effects of the
+            load, of time, of the channels, and coefficients that are negative. Each has
+            `name`, `joint`, `joint_name`, `size` (root mean square of its torque over
+            the fitted recording [N m or N]; nan if unknown), `unit` and `reason`.
+
         Raises
         ------
         ValueError
             If `model` is a `pinocchio.Model`, which keeps no URDF, or the parameters
             are not physically consistent.
+
+        See Also
+        --------
+        to_mjcf : The same for MuJoCo, with armature, springs and couplings.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording()
+        >>> friction = ("viscous", "coulomb", "offset")
+        >>> robot = RobotIdentifier(
+        ...     recording.urdf, dt=recording.dt, friction=friction
+        ... )
+        >>> robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     left_out = robot.to_urdf(Path(folder, "identified.urdf"))
+        >>> {one.name for one in left_out}
+        {'offset'}
         """
         check_is_fitted(self)
-        write_robot(self, self.model, path)
+        return urdf_of(self, self.model, path)
 
     def save(self, path):
         """Write the identified robot to a file that predicts without the data.
@@ -1041,16 +1181,80 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
         Examples
         --------
+        >>> import tempfile
         >>> from sklearn_vbjfa import RobotIdentifier, load_identified
         >>> from sklearn_vbjfa.datasets import load_demo_recording
         >>> recording = load_demo_recording().select(0)
         >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt)
-        >>> robot.fit(recording.q, recording.tau).save("arm.json")
-        >>> load_identified("arm.json")
+        >>> robot = robot.fit(recording.q, recording.tau)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     robot.save(f"{folder}/arm.json")
+        ...     load_identified(f"{folder}/arm.json")
         <IdentifiedRobot: 6 joints, effects: none>
         """
         check_is_fitted(self)
         _model_file.write(path, saved_of(self))
+
+    def to_mjcf(self, path):
+        """Write the identified robot as MJCF, the description of MuJoCo.
+
+        Bodies and joints come from the robot model, as its effects correct it: a
+        `pinocchio.Model` will do, and no meshes are written. Viscous friction is
+        ``damping``, Coulomb friction ``frictionloss``, rotor inertia ``armature``, a
+        spring ``stiffness`` and ``springref``; a tilted base is in the direction of
+        gravity, an encoder's zero in ``ref``. Couplings that two joints have of each
+        other are fixed tendons with the same attributes. Each joint has a motor of its
+        name, whose control is what the torque channel reads; constant torques are its
+        bias.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write. MuJoCo 3.2 and newer read it; 3.3.1 and newer if couplings
+            have inertia, which inverse dynamics know of in 3.6.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have, in its comment as well: effects of the load, of
+            time, of the channels, what is no linear function of position or speed, and
+            coefficients that are negative; see `to_urdf`.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent, or a joint is helical.
+
+        See Also
+        --------
+        to_urdf : The same as URDF.
+
+        Notes
+        -----
+        Dry friction of MuJoCo is a soft constraint: with the time step h of the file it
+        is full where abs(v) > h (abs(a) + 1e-4 Fc / M), for a joint of inertia M, and
+        grows in proportion to the speed below. Joint limits are those of the
+        description, shifted by an encoder's zero; limits of torque and speed are not
+        written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording()
+        >>> friction = ("viscous", "coulomb", "offset")
+        >>> robot = RobotIdentifier(
+        ...     recording.robot_model(), dt=recording.dt, friction=friction
+        ... )
+        >>> robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     robot.to_mjcf(Path(folder, "identified.xml"))
+        ()
+        """
+        check_is_fitted(self)
+        return mjcf_of(self, path)
 
 
 # -- used by other rooms --------------------------------------------------------------
@@ -1076,6 +1280,11 @@ def saved_of(identifier):
 
 def declare(identifier):
     """Load an identifier's model; set the names of joints and parameters."""
+    if identifier.criterion != "torque":
+        raise ValueError(
+            "Second moments alone cannot be refined by simulation, which needs the "
+            "recordings themselves: set criterion='torque', or use fit."
+        )
     identifier._online = None
     identifier._declare()
 

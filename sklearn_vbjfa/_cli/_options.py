@@ -1,0 +1,100 @@
+"""Options that commands for a recording of one's own have in common."""
+
+
+def add_file(parser):
+    """Add the recording and the robot, both of which there must be."""
+    parser.add_argument(
+        "recording",
+        metavar="RECORDING",
+        help="CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with "
+        "columns q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], "
+        "segment, and signals such as a temperature; a bag of ROS 1 or 2, MCAP; the "
+        "folder of a bag or of a LeRobot data set; - for standard input",
+    )
+    parser.add_argument(
+        "--urdf", required=True, metavar="FILE", help="description of the robot"
+    )
+
+
+def add_recording(parser):
+    """Add the options that say how a recording is read."""
+    parser.add_argument(
+        "--joints",
+        default=None,
+        metavar="NAMES",
+        help="recorded joints, separated by commas, in the order of the columns "
+        "q1..qn; other joints (gripper, wheels) are held at zero; by default all, in "
+        "the order of the description",
+    )
+    parser.add_argument(
+        "--dt", type=float, default=None, metavar="S", help="sample period [s]"
+    )
+    parser.add_argument(
+        "--columns",
+        default=None,
+        metavar="MAPPING",
+        help="which columns are which channels, such as "
+        '"q=actual_q_{i},tau=actual_current_{i},t=timestamp"; {i} is the number of a '
+        "joint from 0 or 1, {joint} its name; a unit may follow: q=pos_{i} [deg]",
+    )
+    parser.add_argument(
+        "--preset",
+        default=None,
+        metavar="TOOL",
+        help="names as tools write them: ros, ur, franka or lerobot; by default they "
+        "are recognised",
+    )
+    parser.add_argument(
+        "--topic",
+        default=None,
+        metavar="NAME",
+        help="topic of a bag; by default the only one of joint states",
+    )
+    parser.add_argument(
+        "--time-unit",
+        default=None,
+        metavar="UNIT",
+        help="unit of time: s, ms, us or ns; by default what its name says, or s",
+    )
+    parser.add_argument(
+        "--gain",
+        default=None,
+        metavar="FACTORS",
+        help="factors by which the columns of torques become N m or N, one for each "
+        "joint, such as 8,8,5; or unknown: they are proportional to the torques (motor "
+        "currents), and the factors are identified relative to one of them",
+    )
+    parser.add_argument(
+        "--signals",
+        default=None,
+        metavar="NAMES",
+        help="other columns of RECORDING that friction and offsets may vary with, such "
+        "as temperature,voltage; by default all that hold numbers; none for none",
+    )
+
+
+def add_model(parser):
+    """Add the options that say what is identified."""
+    parser.add_argument(
+        "--friction",
+        default="viscous,coulomb",
+        metavar="NAMES",
+        help="friction of the declared model: none, or any of viscous,coulomb,offset,"
+        "rotor_inertia; by default viscous,coulomb",
+    )
+    parser.add_argument(
+        "--known-mass",
+        action="append",
+        default=[],
+        metavar="LINK=KG",
+        help="with --gain unknown, a mass that fixes the common factor: of a link with "
+        "what is fixed to it, or payload=KG of what is picked up or put down; may be "
+        "repeated",
+    )
+    parser.add_argument(
+        "--cutoff",
+        default="auto",
+        metavar="HZ",
+        help="cut-off of the low-pass for torques and regressors; by default auto, "
+        "from the motion; none for no low-pass",
+    )

@@ -1,0 +1,393 @@
+"""The command ``simulate``: the identified robot in motion, beside the measured one."""
+
+import importlib.util
+import os
+import tempfile
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_vbjfa._cli import _close_loop, _input, _options
+from sklearn_vbjfa._cli._identify import say_warnings
+from sklearn_vbjfa._cli._input import undisturbed
+from sklearn_vbjfa._cli._simulated import (
+    Simulated,
+    errors_table,
+    errors_text,
+    pictures,
+)
+
+# Share of every recording that is identified; the rest is simulated.
+_SHARE = 0.7
+# Sample periods may differ by this share.
+_JITTER = 0.01
+# Options of an identification, and what they are where none is given.
+_DEFAULTS = {"friction": "viscous,coulomb", "effects": "none", "cutoff": "auto"}
+_OF_IDENTIFICATION = ("urdf", *_DEFAULTS, "gain", "known_mass")
+_OF_RECORDING = ("urdf", "model", "joints", "dt", "signals")
+
+
+def add_to(commands):
+    """Add the command to a parser."""
+    parser = commands.add_parser(
+        "simulate",
+        help="simulate the identified robot beside the measured motion",
+        description="Drive the identified robot by the measured torques, over windows "
+        "that begin at measured states, and print how far it gets from the measured "
+        "motion. The first 70 % of every recording are identified and windows of the "
+        "rest are simulated; with --model, windows of the whole recording. Without "
+        "RECORDING, the one that comes with the package. Writes simulation.csv and, "
+        "with matplotlib, a picture of each recording.",
+    )
+    parser.add_argument(
+        "recording",
+        nargs="?",
+        default=None,
+        metavar="RECORDING",
+        help="CSV, npz or parquet file with columns q1..qn [rad or m], tau1..taun "
+        "[N m or N] and, optionally, t [s], segment, and signals such as a temperature",
+    )
+    parser.add_argument(
+        "--urdf", default=None, metavar="FILE", help="description of the robot"
+    )
+    parser.add_argument(
+        "--model",
+        default=None,
+        metavar="FILE",
+        help="identified robot, as RobotIdentifier.save writes it; nothing is "
+        "identified then",
+    )
+    parser.add_argument(
+        "--window",
+        type=float,
+        default=1.0,
+        metavar="S",
+        help="length of a window [s], by default 1",
+    )
+    _options.add_recording(parser)
+    parser.add_argument(
+        "--out",
+        default=None,
+        metavar="DIR",
+        help="folder for the files; by default the name of RECORDING plus -simulation",
+    )
+    _options.add_model(parser)
+    parser.add_argument(
+        "--effects",
+        metavar="NAMES",
+        help="effects to look for, or all; the completed model is then simulated "
+        "beside the declared one. By default none; see the command effects",
+    )
+    parser.set_defaults(run=run, **dict.fromkeys(_DEFAULTS))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Task:
+    """What is simulated.
+
+    Attributes
+    ----------
+    recording : Recording
+        Recording.
+    rows : ndarray of int
+        Rows of it.
+    robots : dict of str to RobotIdentifier or IdentifiedRobot
+        Robots by their labels.
+    signals : object
+        What was recorded beside these rows.
+    told : str
+        What was identified, a line.
+    """
+
+    recording: object
+    rows: np.ndarray
+    robots: dict
+    signals: object
+    told: str
+
+
+def run(arguments):
+    """Simulate windows of a recording, print their errors and write the files."""
+    from sklearn_vbjfa.robot._windows import simulate_windows
+
+    _check(arguments)
+    source = Path(arguments.recording or "demo")
+    out = Path(arguments.out or f"{source.stem or 'recording'}-simulation")
+    _input.check_folder(out)
+    draws = importlib.util.find_spec("matplotlib") is not None
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        warnings.catch_warnings(record=True) as caught,
+    ):
+        warnings.simplefilter("always")
+        task = _task(arguments, source, Path(folder))
+        recording, rows = task.recording, task.rows
+        # Saved models have a clock of their own.
+        times = None if arguments.model else recording.clock()[rows]
+        part = recording.q[rows], recording.tau[rows], recording.groups[rows]
+        windows, first = {}, None
+        try:
+            for label, robot in task.robots.items():
+                windows[label] = simulate_windows(
+                    robot,
+                    *part,
+                    times,
+                    window=arguments.window,
+                    signals=task.signals,
+                    beside=first,
+                )
+                first = first or windows[label]
+        except ValueError as error:
+            raise ValueError(f"{source}: {error}") from error
+        found = Simulated(
+            recording=recording, rows=rows, windows=windows, told=task.told
+        )
+        text = errors_text(found, arguments.window)
+        files = {"simulation.csv": errors_table(found).encode("utf-8")}
+        left = ""
+        if draws:
+            drawn, left = pictures(found)
+            files |= drawn
+        try:
+            with undisturbed():
+                _write(files, out)
+                arguments.written = True
+        except OSError:
+            print(text)
+            raise
+    print(text)
+    print(f"\nwritten: {', '.join(str(out / name) for name in files)}{left}")
+    say_warnings(caught)
+    if not draws:
+        _say_no_pictures()
+
+
+def _say_no_pictures():
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        warnings.warn(
+            "no pictures were drawn, as matplotlib is not installed; install it with "
+            'pip install "sklearn-vbjfa[plot]".',
+            UserWarning,
+            stacklevel=2,
+        )
+    say_warnings(caught)
+
+
+def _check(arguments):
+    """Refuse options that do not go together, and fill in the others."""
+    given = {
+        name
+        for name in (*_OF_IDENTIFICATION, *_OF_RECORDING)
+        if getattr(arguments, name) not in (None, [])
+    }
+    if arguments.recording is None:
+        for name in _OF_RECORDING:
+            if name in given:
+                raise ValueError(
+                    f"{_option(name)} needs a RECORDING; without one, the recording "
+                    "that comes with the package is simulated."
+                )
+    elif arguments.model is None and arguments.urdf is None:
+        raise ValueError(
+            "give --urdf FILE, the description of the robot, or --model FILE, an "
+            "identified robot."
+        )
+    if arguments.model is not None:
+        for name in _OF_IDENTIFICATION:
+            if name in given:
+                raise ValueError(
+                    f"{_option(name)} belongs to an identification, and the robot of "
+                    "--model is identified; give one of the two."
+                )
+    if not 0 < arguments.window < np.inf:
+        raise ValueError(
+            f"--window must be a positive number of seconds; got {arguments.window:g}."
+        )
+    for name, value in _DEFAULTS.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, value)
+
+
+def _option(name):
+    return f"--{name.replace('_', '-')}"
+
+
+# -- robots ----------------------------------------------------------------------------
+
+
+def _task(arguments, source, folder):
+    """Read the recording and the model, or identify one."""
+    if arguments.model is not None:
+        return _saved(arguments, source, folder)
+    return _identified(arguments, source, folder)
+
+
+def _saved(arguments, source, folder):
+    """Take a saved robot and the whole recording."""
+    from sklearn_vbjfa import load_identified
+
+    robot = load_identified(arguments.model)
+    names = robot.joint_names_
+    joints = _input.joint_names(arguments.joints)
+    if joints and set(joints) != set(names):
+        raise ValueError(
+            f"--joints must name the joints of {arguments.model} ({', '.join(names)}) "
+            f"in the order of the columns; got {', '.join(joints)}."
+        )
+    urdf = folder / "robot.urdf"
+    urdf.write_text(robot.description_, encoding="utf-8")
+    gains = _input.gains(arguments.gain)
+    if gains is None and robot.gains_ is not None:
+        # Its torques are what the channels read.
+        gains = "unknown"
+    recording = _input.read(arguments, urdf, joints or names, gains)
+    if robot.dt is not None and abs(recording.dt - robot.dt) > _JITTER * robot.dt:
+        raise ValueError(
+            f"{source}: is sampled every {recording.dt:.6g} s, and {arguments.model} "
+            f"was identified at {robot.dt:.6g} s; resample the recording to that "
+            "period, or identify from this one."
+        )
+    _check_channels(recording, urdf, source)
+    effects = ", ".join(
+        f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
+    )
+    return _Task(
+        recording=recording,
+        rows=np.arange(recording.n_samples),
+        robots={"simulated": robot},
+        signals=_input.signals(arguments.signals, recording, source),
+        told=f"model: {arguments.model}, effects: {effects or 'none'}",
+    )
+
+
+def _identified(arguments, source, folder):
+    """Identify the first part of every recording, for the rest."""
+    from sklearn_vbjfa import effects
+    from sklearn_vbjfa.datasets import load_demo_recording
+    from sklearn_vbjfa.effects import _declared
+    from sklearn_vbjfa.physical import ProjectionError
+
+    friction = _input.names("--friction", arguments.friction, _declared.available())
+    library = arguments.effects
+    if library != "all":
+        library = _input.names("--effects", library, effects.available())
+    cutoff = _input.cutoff(arguments.cutoff)
+    joints = _input.joint_names(arguments.joints)
+    gains = _input.gains(arguments.gain)
+    masses = _input.known_masses(arguments.known_mass, gains)
+    signals, held = None, ()
+    if arguments.recording is None:
+        recording = load_demo_recording()
+        urdf = recording.urdf
+    else:
+        urdf, held = _input.robot(Path(arguments.urdf), joints, folder)
+        recording = _input.read(arguments, urdf, joints, gains)
+        urdf, held = _input.hold_others(urdf, recording, held, folder)
+        _check_channels(recording, urdf, source)
+        signals = _input.signals(arguments.signals, recording, source)
+    _input.check_nyquist(cutoff, recording, source)
+    _input.check_gains(gains, masses, urdf)
+    first, rest = _parts(recording)
+    settings = {
+        "friction": friction,
+        "cutoff": cutoff,
+        "torque_noise": recording.torque_noise,
+        "gains": "unknown" if gains == "unknown" else None,
+        "known_masses": masses,
+    }
+    part, known = _rows_of(recording, first), {}
+    known |= {"t": recording.clock()[first], "signals": _at(signals, first)}
+    try:
+        robots = _robots(part, str(urdf), library, known, settings)
+    except (ValueError, ProjectionError) as error:
+        raise ValueError(f"{source}: {error}") from error
+    told = (
+        f"first {100 * _SHARE:g} % of every recording identified, the rest simulated\n"
+        f"friction: {', '.join(friction) or 'none'}"
+    )
+    if held:
+        told = f"held at zero: {', '.join(held)}\n{told}"
+    if "completed" in robots:
+        found = robots["completed"].effects_
+        names = recording.joint_names
+        listed = ", ".join(f"{one.name} on {names[one.joint]}" for one in found)
+        told += f"; completed by: {listed or 'nothing'}"
+    return _Task(
+        recording=recording,
+        rows=rest,
+        robots=robots,
+        signals=_at(signals, rest),
+        told=told,
+    )
+
+
+def _check_channels(recording, urdf, source):
+    """Refuse channels that cannot be what their names say."""
+    from sklearn_vbjfa.inspection import inspect_recording
+
+    findings = inspect_recording(recording, urdf)
+    errors = [found.message for found in findings if found.severity == "error"]
+    if errors:
+        raise ValueError(f"{source}: {' '.join(errors)}")
+
+
+def _robots(recording, urdf, library, known, settings):
+    """Identify the declared robot, and complete it if effects are to be looked for.
+
+    known : dict of the times and signals of the rows.
+    """
+    from sklearn_vbjfa import RobotIdentifier
+
+    if not library:
+        robot = RobotIdentifier(urdf, dt=recording.dt, **settings)
+        robot.fit(recording.q, recording.tau, groups=recording.groups, t=known["t"])
+        return {"simulated": robot}
+    loop = _close_loop.close(
+        recording, urdf, effects=library, ceiling=False, **known, **settings
+    )
+    return {"declared": loop.declared_, "completed": loop.identifier_}
+
+
+def _parts(recording):
+    """Rows that are identified and rows that are simulated."""
+    first, rest = [], []
+    for part in recording.segments:
+        border = part.start + round(_SHARE * (part.stop - part.start))
+        first.append(np.arange(part.start, border))
+        rest.append(np.arange(border, part.stop))
+    return np.concatenate(first), np.concatenate(rest)
+
+
+def _rows_of(recording, rows):
+    """Make a recording of some rows of another."""
+    from sklearn_vbjfa.recording._recording import take_rows
+
+    return take_rows(recording, rows, recording.groups[rows])
+
+
+def _at(signals, rows):
+    """Signals at some rows."""
+    from sklearn_vbjfa.recording._signals import OfferedSignals
+
+    if signals is None:
+        return None
+    if isinstance(signals, OfferedSignals):
+        columns = {name: x[rows] for name, x in signals.columns.items()}
+        return OfferedSignals(columns=columns, left_out=signals.left_out)
+    return {name: x[rows] for name, x in signals.items()}
+
+
+# -- files -----------------------------------------------------------------------------
+
+
+def _write(files, out):
+    """Write all files or none; each appears complete."""
+    out.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
+        for name, content in files.items():
+            Path(folder, name).write_bytes(content)
+        for name in files:
+            os.replace(Path(folder, name), out / name)

@@ -114,7 +114,8 @@ APART = {
     "model": {"physical"},
     "recording": {"model"},
     "simulation": {"_core", "effects", "physical", "model"},
-    "datasets": {"physical", "model", "recording"},
+    # Of inspection the name alone, beside read_recording: what is read is looked at.
+    "datasets": {"physical", "model", "recording", "inspection"},
 }
 # The simulators of `datasets` work on the models themselves.
 DOORS_TO_PINOCCHIO = {"model", "datasets"}

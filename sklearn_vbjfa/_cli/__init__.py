@@ -113,7 +113,7 @@ def _clear_progress():
 
 def _parser():
     from sklearn_vbjfa import __version__
-    from sklearn_vbjfa._cli import _close_loop, _identify, _simulate
+    from sklearn_vbjfa._cli import _close_loop, _identify, _inspect, _simulate
 
     parser = _Parser(
         prog="sklearn-vbjfa",
@@ -124,6 +124,7 @@ def _parser():
     parser.set_defaults(run=_close_loop.run_demo, written=False)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _close_loop.add_to(commands)
+    _inspect.add_to(commands)
     _simulate.add_to(commands)
     identify = commands.add_parser(
         "identify",

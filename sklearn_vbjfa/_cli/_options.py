@@ -1,15 +1,20 @@
 """Options that commands for a recording of one's own have in common."""
 
+# What a recording may be, for the help.
+RECORDING = (
+    "CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with columns "
+    "q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], segment, and "
+    "signals such as a temperature; a bag of ROS 1 or 2, MCAP; the folder of a bag or "
+    "of a LeRobot data set; - for standard input"
+)
+
 
 def add_file(parser):
     """Add the recording and the robot, both of which there must be."""
     parser.add_argument(
         "recording",
         metavar="RECORDING",
-        help="CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with "
-        "columns q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], "
-        "segment, and signals such as a temperature; a bag of ROS 1 or 2, MCAP; the "
-        "folder of a bag or of a LeRobot data set; - for standard input",
+        help=RECORDING,
     )
     parser.add_argument(
         "--urdf", required=True, metavar="FILE", help="description of the robot"

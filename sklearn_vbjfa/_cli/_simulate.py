@@ -46,8 +46,7 @@ def add_to(commands):
         nargs="?",
         default=None,
         metavar="RECORDING",
-        help="CSV, npz or parquet file with columns q1..qn [rad or m], tau1..taun "
-        "[N m or N] and, optionally, t [s], segment, and signals such as a temperature",
+        help=_options.RECORDING,
     )
     parser.add_argument(
         "--urdf", default=None, metavar="FILE", help="description of the robot"

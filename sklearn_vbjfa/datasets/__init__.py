@@ -25,6 +25,7 @@ from sklearn_vbjfa.datasets._robot_recording import (
 )
 from sklearn_vbjfa.datasets._robots import load_arm_model, load_head_model
 from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
+from sklearn_vbjfa.inspection import inspect_recording
 from sklearn_vbjfa.recording._reader import read_recording
 from sklearn_vbjfa.recording._recording import Recording
 
@@ -44,6 +45,7 @@ __all__ = [
     "fetch_tflex_1dof",
     "fetch_tiago",
     "fetch_ur5",
+    "inspect_recording",
     "load_arm_model",
     "load_demo_recording",
     "load_head_model",

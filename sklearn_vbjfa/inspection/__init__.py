@@ -5,5 +5,12 @@ from sklearn_vbjfa.inspection._inspect import (
     inspect_channels,
     inspect_recording,
 )
+from sklearn_vbjfa.inspection._overview import JointMotion, motion_of
 
-__all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
+__all__ = [
+    "ChannelFinding",
+    "JointMotion",
+    "inspect_channels",
+    "inspect_recording",
+    "motion_of",
+]

@@ -18,7 +18,7 @@ from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
 __all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
 
 # Shorter recordings are skipped [samples].
-_MIN_SAMPLES = 64
+MIN_SAMPLES = 64
 
 
 def inspect_recording(recording, model=None):
@@ -123,7 +123,7 @@ def inspect_channels(model, q, tau, dt, groups=None):
     names = joint_names(model)
     whole = contiguous_groups(groups, len(q))
     shuffled = shuffled_rows(names, q, whole, groups)
-    parts = [part for part in whole if part.stop - part.start >= _MIN_SAMPLES]
+    parts = [part for part in whole if part.stop - part.start >= MIN_SAMPLES]
     if shuffled or not parts:
         return tuple(shuffled)
     rows = np.concatenate([np.arange(part.start, part.stop) for part in parts])

@@ -1,0 +1,137 @@
+"""The command ``inspect``: what a recording is, and what it can show."""
+
+import tempfile
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_vbjfa._cli import _input, _options
+from sklearn_vbjfa._cli._identify import say_warnings
+
+
+def add_to(commands):
+    """Add the command to a parser."""
+    parser = commands.add_parser(
+        "inspect",
+        help="say what a recording is, what is wrong with it and what it can show",
+        description="Say what a recording is as it is understood, what is wrong with "
+        "it, and what its motion can show of a robot. Nothing is identified and "
+        "nothing is written.",
+    )
+    _options.add_file(parser)
+    _options.add_recording(parser)
+    parser.set_defaults(run=run)
+
+
+def run(arguments):
+    """Read a recording and describe it."""
+    from sklearn_vbjfa.inspection import inspect_recording, motion_of
+
+    source, urdf = arguments.recording, Path(arguments.urdf)
+    joints = _input.joint_names(arguments.joints)
+    gains = _input.gains(arguments.gain)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        warnings.catch_warnings(record=True) as caught,
+    ):
+        warnings.simplefilter("always")
+        urdf, held = _input.robot(urdf, joints, Path(folder))
+        # A current is as good as a torque here: nothing is identified.
+        recording = _input.read(arguments, urdf, joints, gains or "unknown")
+        urdf, held = _input.hold_others(urdf, recording, held, Path(folder))
+        _input.signals(arguments.signals, recording, source)
+        findings = inspect_recording(recording, str(urdf))
+        motions = motion_of(recording, str(urdf))
+    text = [*_what(recording, held), "", *_table(recording, motions), ""]
+    print("\n".join([*text, *_wrong(recording, findings), "", *_shown(motions)]))
+    say_warnings(caught)
+
+
+def _what(recording, held):
+    """Say what the data are."""
+    lengths = np.bincount(recording.groups) * recording.dt
+    listed = [
+        f"{name} {length:.4g} s" for name, length in zip(recording.group_names, lengths)
+    ]
+    more = ", ..." if len(listed) > 8 else ""
+    lines = [
+        str(recording),
+        f"{recording.n_samples * recording.dt:.4g} s at {1 / recording.dt:.6g} Hz: "
+        f"{', '.join(listed[:8])}{more}",
+    ]
+    if recording.signals:
+        names = [name for name in recording.signals if name != "a"]
+        lines.append(f"signals beside the motion: {', '.join(names) or 'none'}")
+    if recording.torque_noise is not None:
+        lines.append("rows were interpolated on a uniform grid")
+    if held:
+        lines.append(f"held at zero: {', '.join(held)}")
+    return lines
+
+
+def _table(recording, motions):
+    """Tabulate what each joint does."""
+    from tabulate import tabulate
+
+    if not motions:
+        return ["too short for a look at the motion"]
+    rows = []
+    for motion, unit in zip(motions, recording.torque_units):
+        scale, name = (1e3, "mm") if motion.slides else (180 / np.pi, "deg")
+        rows.append(
+            [
+                motion.name,
+                f"{scale * motion.lowest:.4g} to {scale * motion.highest:.4g} {name}",
+                f"{scale * motion.fastest:.3g} {name}/s",
+                str(motion.reversals),
+                f"{100 * motion.resting:.0f} %",
+                f"{motion.torques[0]:.3g} to {motion.torques[1]:.3g} {unit}",
+                f"{motion.loads[0]:.3g} to {motion.loads[1]:.3g} "
+                f"{'N' if motion.slides else 'N m'}",
+            ]
+        )
+    heads = ["joint", "position", "speed", "reversals", "at rest", "torque"]
+    table = tabulate(
+        rows,
+        headers=[*heads, "of it gravity"],
+        disable_numparse=True,
+        colalign=("left", *6 * ["right"]),
+    )
+    return table.splitlines()
+
+
+def _wrong(recording, findings):
+    """Say what is wrong with the channels."""
+    odd = [unit for unit in recording.torque_units if unit not in ("N m", "N")]
+    if odd:
+        # A motor's unit is no fault of the channel.
+        findings = [x for x in findings if x.kind != "gear_factor"]
+    lines = ["What is wrong with it"]
+    lines += [f"- {x.severity}: {x.message}" for x in findings]
+    if odd:
+        lines.append(
+            f"- torques are recorded in {odd[0]}: close-loop needs --gain unknown, or "
+            "the factors to N m"
+        )
+    return lines if len(lines) > 1 else [*lines, "- nothing that the robot would show"]
+
+
+def _shown(motions):
+    """Say what the motion can show and what it cannot, joints with the same in one."""
+    lines = []
+    for head, of in (
+        ("What it can show", lambda motion: motion.shows),
+        ("What it can hardly show, or not at all", lambda motion: motion.hides),
+    ):
+        joints = {}
+        for motion in motions:
+            for what in of(motion):
+                joints.setdefault(what, []).append(motion.name)
+        lines.append(head)
+        for what, names in joints.items():
+            every = len(names) == len(motions) > 1
+            lines.append(f"- {'all joints' if every else ', '.join(names)}: {what}")
+        if not joints:
+            lines.append("- nothing")
+    return lines

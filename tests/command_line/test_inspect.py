@@ -1,0 +1,87 @@
+"""The command inspect: what the data are, what is wrong, what they can show."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa.datasets import make_robot_recording
+from tests.recording._logs import KINDS, plain
+
+
+@pytest.fixture(scope="module")
+def made():
+    return make_robot_recording(duration=5.0, dt=0.004, random_state=0)
+
+
+def inspect(capsys, *argv):
+    """Return stdout and stderr of a run that succeeds."""
+    code = main(["inspect", *map(str, argv)])
+    captured = capsys.readouterr()
+    assert code == 0, captured.err
+    return captured.out, captured.err
+
+
+def test_a_sound_recording(made, tmp_path, capsys):
+    before = set(tmp_path.iterdir())
+    path = plain(made, tmp_path)
+    out, err = inspect(capsys, path, "--urdf", made.urdf)
+    assert err == ""
+    assert "5 s at 250 Hz: recording 5 s" in out
+    rows = [line for line in out.splitlines() if line.startswith("joint_")]
+    assert len(rows) == 6
+    span = np.rad2deg([made.q[:, 0].min(), made.q[:, 0].max()])
+    assert f"{span[0]:.4g} to {span[1]:.4g} deg" in rows[0]
+    assert "- nothing that the robot would show" in out
+    assert "friction that varies with the load: gravity does not load it" in out
+    assert set(tmp_path.iterdir()) == before | {path}
+
+
+def test_what_is_wrong_is_said(made, tmp_path, capsys):
+    path = plain(made, tmp_path)
+    path.write_text(path.read_text().replace("tau1,tau2", "tau2,tau1", 1))
+    out, _ = inspect(capsys, path, "--urdf", made.urdf)
+    wrong = out.partition("What is wrong with it\n")[2]
+    assert wrong.startswith("- error: ")
+    assert "joint_1" in wrong.splitlines()[0]
+
+
+def test_currents_are_no_fault(made, tmp_path, capsys):
+    path = KINDS["UR RTDE record"](made, tmp_path)
+    out, err = inspect(capsys, path, "--urdf", made.urdf)
+    assert "- torques are recorded in A: close-loop needs --gain unknown" in out
+    assert "gear" not in out
+    assert "taken as RTDE of a Universal Robots controller" in err
+
+
+def test_joints_that_were_not_recorded(made, tmp_path, capsys):
+    path = KINDS["PlotJuggler"](made, tmp_path)
+    path.write_text(path.read_text().replace("joint_6/", "sensor/"))
+    out, err = inspect(capsys, path, "--urdf", made.urdf)
+    assert "held at zero: joint_6" in out
+    assert "no columns of joint(s) joint_6: held at zero" in err
+    assert len([x for x in out.splitlines() if x.startswith("joint_")]) >= 5
+
+
+def test_a_refusal_names_the_command(made, tmp_path, capsys):
+    path = plain(made, tmp_path)
+    header, rows = path.read_text().split("\n", 1)
+    header = header.replace("q", "angle").replace("tau", "torque")
+    path.write_text(f"{header}\n{rows}")
+    assert main(["inspect", str(path), "--urdf", made.urdf]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    command = line.partition("this would work: python -m sklearn_vbjfa ")[2]
+    assert command.startswith("inspect ")
+    assert command.endswith("--columns 'q=angle{i},tau=torque{i}'")
+
+
+def test_a_refused_option_is_replaced_not_added(made, tmp_path, capsys):
+    path = plain(made, tmp_path)
+    path.write_text(path.read_text().replace("q1,q2,q3,q4,q5,q6", "p1,p2,p3,p4,p5,p6"))
+    path.write_text(path.read_text().replace("p", "pos"))
+    argv = ["inspect", str(path), "--columns=q=x{i}", "--urdf", made.urdf]
+    assert main(argv) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "has no column x{i}, which columns asks for" in line
+    assert line.count("--columns") == 1

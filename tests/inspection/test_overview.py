@@ -1,0 +1,118 @@
+"""What a motion shows: counted by hand, and against another computation of gravity."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+import pinocchio
+
+from sklearn_vbjfa.datasets import Recording, make_robot_recording
+from sklearn_vbjfa.inspection import motion_of
+from tests.hostile._case import URDF
+
+
+@pytest.fixture(scope="module")
+def urdf(tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    path.write_text(URDF)
+    return str(path)
+
+
+def recording(urdf, q, dt=0.01):
+    """Return a recording of these positions, with the torques of the description."""
+    model = pinocchio.buildModelFromUrdf(urdf)
+    data = model.createData()
+    v, a = (np.gradient(x, dt, axis=0) for x in (q, np.gradient(q, dt, axis=0)))
+    rows = zip(q, v, a)
+    tau = np.array([pinocchio.rnea(model, data, *row) for row in rows])
+    return Recording(
+        name="arm",
+        q=q,
+        tau=tau,
+        t=None,
+        dt=dt,
+        groups=np.zeros(len(q), dtype=int),
+        group_names=("all",),
+        joint_names=("shoulder", "elbow"),
+        position_units=("rad", "rad"),
+        torque_units=("N m", "N m"),
+        urdf=urdf,
+    )
+
+
+T = 0.01 * np.arange(3000)
+
+
+def test_reversals_ranges_and_speeds_of_a_sine(urdf):
+    """Turning points of a sine of 0.5 Hz over 30 s: one each second."""
+    q = np.column_stack([0.8 * np.sin(np.pi * T), 0.2 * np.cos(np.pi * T)])
+    first, second = motion_of(recording(urdf, q))
+    assert first.name == "shoulder"
+    assert abs(first.reversals - 30) <= 2
+    assert first.fastest == pytest.approx(0.8 * np.pi, rel=0.01)
+    assert (first.lowest, first.highest) == pytest.approx((-0.8, 0.8), abs=1e-6)
+    assert first.resting < 0.1
+    assert "what varies with the position" in first.shows
+    (hidden,) = [x for x in second.hides if "position" in x]
+    assert hidden.endswith("it covers 22.9 of some 60 degrees")
+
+
+def test_loads_are_gravity_at_the_poses(urdf):
+    rng = np.random.default_rng(0)
+    phase = rng.uniform(0, 6, size=2)
+    q = np.sin(np.outer(T, [1.1, 2.3]) + phase)
+    made = recording(urdf, q)
+    model = made.robot_model()
+    data = model.createData()
+    exact = np.array([pinocchio.computeGeneralizedGravity(model, data, x) for x in q])
+    for j, motion in enumerate(motion_of(made)):
+        ends = exact[:, j].min(), exact[:, j].max()
+        assert motion.loads == pytest.approx(ends, abs=0.02 * np.ptp(exact[:, j]))
+
+
+def test_one_way_one_speed_and_rest(urdf):
+    q = np.column_stack([0.7 * T, np.zeros_like(T)])
+    turning, still = motion_of(recording(urdf, q))
+    assert turning.reversals == 0
+    hidden = " ".join(turning.hides)
+    assert "Coulomb friction beside an offset: it never reverses" in hidden
+    assert "viscous beside Coulomb friction: it keeps to one speed" in hidden
+    assert still.hides == ("everything: it does not move",)
+    assert still.shows == ()
+    assert still.resting == 1.0
+
+
+def test_there_and_back_at_one_speed(urdf):
+    triangle = np.abs((T / 2) % 2 - 1)
+    q = np.column_stack([triangle, np.sin(T)])
+    first, second = motion_of(recording(urdf, q))
+    hidden = " ".join(first.hides)
+    assert "keeps to one speed" in hidden
+    assert "never reverses" not in hidden
+    assert "viscous beside Coulomb friction" in second.shows
+
+
+def test_a_vertical_axis_bears_no_load():
+    made = make_robot_recording(duration=5.0, random_state=0)
+    first = motion_of(made)[0]
+    assert first.loads == pytest.approx((0.0, 0.0), abs=1e-9)
+    assert "gravity does not load it" in " ".join(first.hides)
+
+
+def test_other_units_of_torque_say_the_same():
+    """Gains change what is measured, and nothing of the motion."""
+    made = make_robot_recording(duration=5.0, random_state=0)
+    for motion, other in zip(
+        motion_of(made), motion_of(replace(made, tau=1e-3 * made.tau))
+    ):
+        assert other.reversals == motion.reversals
+        assert other.loads == motion.loads
+        np.testing.assert_allclose(other.torques, 1e-3 * np.array(motion.torques))
+
+
+def test_a_recording_that_is_too_short_shows_nothing(urdf):
+    q = np.column_stack([np.sin(T), np.cos(T)])[:12]
+    assert motion_of(recording(urdf, q)) == ()

@@ -137,7 +137,7 @@ def _follow(robot, dynamics, motion, energy, i, t, tau):
         if until in between:
             before = energy.present(motion)
             dynamics.set_bodies(until)
-            motion.refresh(end)
+            motion.settle(end)
             energy.jump(before, motion)
         since, start = until, end
 

@@ -66,6 +66,8 @@ _SLOW = 1e-3
 # torque jumps if that between these speeds on both sides of zero is at least this share
 # of that between -1 and 1.
 _ROWS, _PERIOD, _TURNS, _JUMP = 5, 0.01, 1e-12, 1e-3
+# Their derivatives are differences over this share of the accelerations.
+_SLOPE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -18,6 +18,7 @@ from sklearn_vbjfa import (
     effects,
     inspection,
     physical,
+    simulation,
 )
 from tests.test_imports import APART, ROOMS
 
@@ -29,6 +30,7 @@ PUBLIC_MODULES = (
     effects,
     inspection,
     physical,
+    simulation,
 )
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"

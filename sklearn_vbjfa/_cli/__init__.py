@@ -1,4 +1,4 @@
-"""Command line: close the loop, identify measured sets, list effects and sets."""
+"""Command line: close the loop, simulate, compare methods, list effects and sets."""
 
 import argparse
 import os
@@ -82,7 +82,7 @@ def _clear_progress():
 
 def _parser():
     from sklearn_vbjfa import __version__
-    from sklearn_vbjfa._cli import _close_loop, _identify
+    from sklearn_vbjfa._cli import _close_loop, _identify, _simulate
 
     parser = _Parser(
         prog="sklearn-vbjfa",
@@ -93,6 +93,7 @@ def _parser():
     parser.set_defaults(run=_close_loop.run_demo, written=False)
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _close_loop.add_to(commands)
+    _simulate.add_to(commands)
     identify = commands.add_parser(
         "identify",
         help="identify a measured set and compare methods on its held-out part",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli import _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings
 from sklearn_vbjfa._cli._input import undisturbed
 
@@ -22,7 +22,7 @@ def add_to(commands):
         description="Identify a robot from a recording, find effects that its model "
         "lacks, add them, and report the error before and after on parts of the "
         "recording that were set aside. Writes report.html, report.json, "
-        "parameters.csv and identified.urdf.",
+        "parameters.csv, identified.urdf and identified.json, which simulate reads.",
     )
     parser.add_argument(
         "recording",
@@ -33,66 +33,19 @@ def add_to(commands):
     parser.add_argument(
         "--urdf", required=True, metavar="FILE", help="description of the robot"
     )
-    parser.add_argument(
-        "--joints",
-        default=None,
-        metavar="NAMES",
-        help="recorded joints, separated by commas, in the order of the columns "
-        "q1..qn; other joints (gripper, wheels) are held at zero; by default all, in "
-        "the order of the description",
-    )
-    parser.add_argument(
-        "--dt", type=float, default=None, metavar="S", help="sample period [s]"
-    )
+    _options.add_recording(parser)
     parser.add_argument(
         "--out",
         default=None,
         metavar="DIR",
         help="folder for the files; by default the name of RECORDING plus -report",
     )
-    parser.add_argument(
-        "--friction",
-        default="viscous,coulomb",
-        metavar="NAMES",
-        help="friction of the declared model: none, or any of viscous,coulomb,offset,"
-        "rotor_inertia; by default viscous,coulomb",
-    )
+    _options.add_model(parser)
     parser.add_argument(
         "--effects",
         default="all",
         metavar="NAMES",
         help="effects to look for, by default all; see the command effects",
-    )
-    parser.add_argument(
-        "--gain",
-        default=None,
-        metavar="unknown",
-        help="unknown: tau1..taun are proportional to the torques (motor currents), "
-        "each with a factor of its own; the factors are identified relative to one of "
-        "them",
-    )
-    parser.add_argument(
-        "--known-mass",
-        action="append",
-        default=[],
-        metavar="LINK=KG",
-        help="with --gain unknown, a mass that fixes the common factor: of a link with "
-        "what is fixed to it, or payload=KG of what is picked up or put down; may be "
-        "repeated",
-    )
-    parser.add_argument(
-        "--signals",
-        default=None,
-        metavar="NAMES",
-        help="other columns of RECORDING that friction and offsets may vary with, such "
-        "as temperature,voltage; by default all that hold numbers; none for none",
-    )
-    parser.add_argument(
-        "--cutoff",
-        default="auto",
-        metavar="HZ",
-        help="cut-off of the low-pass for torques and regressors; by default auto, "
-        "from the motion; none for no low-pass",
     )
     parser.add_argument(
         "--seed",
@@ -140,7 +93,7 @@ def run(arguments):
         _input.check_gains(gains, masses, urdf)
         signals = _input.signals(arguments.signals, recording, source)
         try:
-            loop = _close(
+            loop = close(
                 recording,
                 str(urdf),
                 friction=friction,
@@ -182,13 +135,13 @@ def run_demo(arguments):
     recording = load_demo_recording()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        loop = _close(recording, recording.urdf, friction=("viscous", "coulomb"))
+        loop = close(recording, recording.urdf, friction=("viscous", "coulomb"))
     print(recording)
     print(loop.report_)
     say_warnings(caught)
 
 
-def _close(
+def close(
     recording,
     urdf,
     *,
@@ -201,7 +154,9 @@ def _close(
     gains=None,
     known_masses=None,
     signals=None,
+    t=None,
 ):
+    """Find what a model of a recording lacks, as a fitted `EffectDiscovery`."""
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
     identifier = RobotIdentifier(
@@ -216,7 +171,7 @@ def _close(
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed, verbose=True
     )
-    given = {"groups": recording.groups, "signals": signals}
+    given = {"groups": recording.groups, "t": t, "signals": signals}
     return loop.fit(recording.q, recording.tau, **given)
 
 
@@ -229,7 +184,7 @@ def _write(loop, out):
         "report.html": report.to_html(),
         "report.json": json.dumps(report.to_dict(), indent=1, allow_nan=False),
     }
-    names = (*texts, "parameters.csv", "identified.urdf")
+    names = (*texts, "parameters.csv", "identified.urdf", "identified.json")
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
         for name, text in texts.items():
@@ -238,6 +193,7 @@ def _write(loop, out):
         path = Path(folder, "parameters.csv")
         _write_parameters(loop.identifier_, known, path)
         loop.identifier_.to_urdf(Path(folder, "identified.urdf"))
+        loop.identifier_.save(Path(folder, "identified.json"))
         for name in names:
             os.replace(Path(folder, name), out / name)
     return [out / name for name in names]

@@ -9,15 +9,25 @@ from sklearn_vbjfa.diagnosis.displays._convergence import ConvergenceDisplay
 from sklearn_vbjfa.diagnosis.displays._noise import NoiseDisplay
 from sklearn_vbjfa.diagnosis.displays._parameters import ParameterDisplay
 from sklearn_vbjfa.diagnosis.displays._residuals import ResidualDisplay
+from sklearn_vbjfa.diagnosis.displays._simulation import SimulationDisplay
 from sklearn_vbjfa.diagnosis.report._report import Report
+from sklearn_vbjfa.robot._windows import (
+    FailedWindow,
+    SimulatedWindows,
+    simulate_windows,
+)
 
 __all__ = [
     "ConvergenceDisplay",
     "EffectDiscovery",
+    "FailedWindow",
     "NoiseDisplay",
     "ParameterDisplay",
     "Report",
     "ResidualAnalysis",
     "ResidualDisplay",
+    "SimulatedWindows",
+    "SimulationDisplay",
     "analyse_residuals",
+    "simulate_windows",
 ]

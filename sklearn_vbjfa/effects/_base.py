@@ -191,6 +191,12 @@ class Effect(TransformerMixin, BaseEstimator):
     curved : bool
         Whether the columns do so in another way than along a straight line, so that
         less lies between what is known and what is not.
+    memory : {"none", "past", "future"}
+        What else than its own row a row of the columns depends on: nothing, rows
+        before it (a hysteresis, a lag), or rows after it too (a derivative by central
+        differences). Torques state by state, as in a control loop, take the columns of
+        "none" from motions of one row, those of "past" from `one_by_one`, and leave
+        out "future".
     visible : str
         What a recording must hold for the effect to show.
     record : str
@@ -236,6 +242,7 @@ class Effect(TransformerMixin, BaseEstimator):
     nonnegative = ()
     depends = ()
     curved = False
+    memory = "none"
     visible = "the joint moves"
     record = ""
     slow = False
@@ -277,6 +284,20 @@ class Effect(TransformerMixin, BaseEstimator):
             One column for each coefficient; (n, nv, k) for a `whole_robot` effect.
         """
         raise NotImplementedError(f"{type(self).__name__} must define columns(motion).")
+
+    def one_by_one(self):
+        """Return a function that computes the columns row by row.
+
+        Returns
+        -------
+        callable or None
+            `Motion` of one row -> columns of that row, (1, k) or (1, nv, k); called
+            with the rows of a recording in the order of time. By default `columns`
+            itself for an effect without `memory`, and None for others: an effect with
+            memory returns a new function that remembers what it needs, and is left out
+            of torques state by state otherwise.
+        """
+        return self.columns if self.memory == "none" else None
 
     def shapes(self, motion):
         """Shape parameters to search, a list of dicts for `set_params`."""

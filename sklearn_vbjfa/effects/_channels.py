@@ -102,6 +102,11 @@ class Delay(Effect):
         super().__init__(joint)
         self.delay = delay
 
+    @property
+    def memory(self):
+        """A torque that lags is one of the past; see `Effect`."""
+        return "past" if self.delay > 0 else "future"
+
     def check(self):
         """Refuse no delay at all; see `Effect.check`."""
         super().check()
@@ -241,6 +246,11 @@ class TorqueFilter(Effect):
             late, other = other, late
         return f"filter: {late} lags {other} by a low-pass of {1e3 * T:.2g} ms"
 
+    @property
+    def memory(self):
+        """A lag knows the past alone, an average both sides; see `Effect`."""
+        return "past" if self.kind == "lag" else "future"
+
     def check(self):
         """Refuse an unknown kind or channel; see `Effect.check`."""
         super().check()
@@ -346,6 +356,7 @@ class Jerk(Effect):
     coefficients = ("J",)
     units = (("N m s^3/rad", "N s^3/m"),)
     needs = ("time",)
+    memory = "future"
     visible = "fast changes of the acceleration"
     record = "fast changes of the acceleration"
 

@@ -186,6 +186,7 @@ class Elastic(Effect):
     units = (("rad/(N m)", "m/N"),)
     named_units = (("k", STIFFNESS),)
     needs = ("load", "time")
+    memory = "future"
     visible = "motion near a tenth of the elastic mode's frequency and above"
     record = "fast motion near the elastic mode"
     whole_robot = True

@@ -89,6 +89,7 @@ class Presliding(Effect):
     continuous = ("displacement",)
     positive = ("displacement",)
     depends = ("direction",)
+    memory = "past"
     visible = "many reversals"
     record = "many reversals"
 
@@ -144,6 +145,7 @@ class Backlash(Effect):
     continuous = ("width",)
     positive = ("width",)
     depends = ("position",)
+    memory = "past"
     visible = "many reversals, at several positions"
     record = "reversals at several positions"
 

@@ -1,23 +1,22 @@
 """Writing identified bodies, friction and axes into a robot description."""
 
 import os
-import tempfile
 import xml.etree.ElementTree as ElementTree
-from pathlib import Path
 
 import numpy as np
 
 from sklearn_vbjfa.model._loading import import_pinocchio, joint_names
+from sklearn_vbjfa.model._xml import add_comment, number, numbers, write_tree
 from sklearn_vbjfa.physical import inertia_matrix
 
 
-def _body(phi):
+def body_about_com(phi):
     """Mass, centre of mass and inertia about it, from ten inertial parameters."""
     mass = phi[0]
     if not mass > 0:
         raise ValueError(
             f"A body has the mass {mass:.6g}: only physically consistent parameters "
-            'can be written as URDF. Use projector="default".'
+            'can be written into a description. Use projector="default".'
         )
     com = phi[1:4] / mass
     # parallel axes
@@ -26,14 +25,14 @@ def _body(phi):
 
 
 def _set_inertial(link, phi):
-    mass, com, inertia = _body(phi)
+    mass, com, inertia = body_about_com(phi)
     for old in link.findall("inertial"):
         link.remove(old)
     inertial = ElementTree.SubElement(link, "inertial")
     origin = ElementTree.SubElement(inertial, "origin")
-    origin.set("xyz", " ".join(repr(float(c)) for c in com))
+    origin.set("xyz", numbers(com))
     origin.set("rpy", "0 0 0")
-    ElementTree.SubElement(inertial, "mass").set("value", repr(float(mass)))
+    ElementTree.SubElement(inertial, "mass").set("value", number(mass))
     tensor = ElementTree.SubElement(inertial, "inertia")
     for name, i, j in (
         ("ixx", 0, 0),
@@ -43,7 +42,7 @@ def _set_inertial(link, phi):
         ("iyz", 1, 2),
         ("izz", 2, 2),
     ):
-        tensor.set(name, repr(float(inertia[i, j])))
+        tensor.set(name, number(inertia[i, j]))
 
 
 def _turn_origin(joint, rotation):
@@ -55,7 +54,7 @@ def _turn_origin(joint, rotation):
         origin.set("xyz", "0 0 0")
     given = np.array(origin.get("rpy", "0 0 0").split(), dtype=float)
     turned = rpy.matrixToRpy(rpy.rpyToMatrix(given) @ rotation)
-    origin.set("rpy", " ".join(repr(float(angle)) for angle in turned))
+    origin.set("rpy", numbers(turned))
 
 
 def write_urdf(source, target, model, parameters, friction, note="", turned=None):
@@ -63,8 +62,10 @@ def write_urdf(source, target, model, parameters, friction, note="", turned=None
 
     Parameters
     ----------
-    source, target : str or os.PathLike
-        Files to read and to write.
+    source : str or os.PathLike
+        File to read, or the text of a URDF.
+    target : str or os.PathLike
+        File to write.
     model : pinocchio.Model
         Model of the source.
     parameters : ndarray of shape (nv, 10 + n_friction)
@@ -77,12 +78,12 @@ def write_urdf(source, target, model, parameters, friction, note="", turned=None
     turned : mapping of str to ndarray of shape (3, 3), default=None
         Joints whose origin is turned, in its own axes, by a rotation matrix.
     """
-    tree = ElementTree.parse(source)
+    if is_text(source):
+        tree, like = ElementTree.ElementTree(ElementTree.fromstring(source)), None
+    else:
+        tree, like = ElementTree.parse(source), source
     root = tree.getroot()
-    if note:
-        # Two hyphens would end the comment.
-        lines = note.replace("--", "- -").replace("\n", "\n    ")
-        root.insert(0, ElementTree.Comment(f" {lines} "))
+    add_comment(root, note)
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     links = {link.get("name"): link for link in root.findall("link")}
     names = joint_names(model)
@@ -114,21 +115,35 @@ def write_urdf(source, target, model, parameters, friction, note="", turned=None
         dynamics = joint.find("dynamics")
         if dynamics is None:
             dynamics = ElementTree.SubElement(joint, "dynamics")
-        dynamics.set("damping", repr(float(values.get("viscous", 0.0))))
-        dynamics.set("friction", repr(float(values.get("coulomb", 0.0))))
-    ElementTree.indent(tree)
-    target = Path(target)
-    # Written beside the target and moved: an interrupted run leaves no half of a file.
-    handle, temporary = tempfile.mkstemp(dir=target.parent, suffix=".urdf")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            tree.write(file, encoding="utf-8", xml_declaration=True)
-        # A temporary file is private; the description is as readable as its source.
-        os.chmod(temporary, Path(source).stat().st_mode & 0o666)
-        os.replace(temporary, target)
-    except BaseException:
-        os.unlink(temporary)
-        raise
+        dynamics.set("damping", number(values.get("viscous", 0.0)))
+        dynamics.set("friction", number(values.get("coulomb", 0.0)))
+    write_tree(tree, target, like)
+
+
+def is_text(source):
+    """Whether a description is given as its text, and not as a path."""
+    return isinstance(source, str) and source.lstrip().startswith("<")
+
+
+def check_possible(model, min_eigenvalues, kind):
+    """Refuse bodies that cannot exist, which no description may hold.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Robot.
+    min_eigenvalues : ndarray of shape (nv,)
+        Smallest pseudo-inertia eigenvalue of each body, positive where it can exist.
+    kind : str
+        What they are written as, for the message.
+    """
+    if (min_eigenvalues <= 0).any():
+        names = joint_names(model)
+        bad = [name for name, low in zip(names, min_eigenvalues) if low <= 0]
+        raise ValueError(
+            f"The bodies of {', '.join(bad)} are not physically consistent, and {kind} "
+            'must be: identify with projector="default".'
+        )
 
 
 def write_identified(
@@ -139,7 +154,7 @@ def write_identified(
     Parameters
     ----------
     source : str, os.PathLike or other
-        Robot description that the robot came from.
+        Robot description that the robot came from: its path, or its text.
     path : str or os.PathLike
         File to write.
     model : pinocchio.Model
@@ -160,11 +175,5 @@ def write_identified(
             "to_urdf needs the URDF that the robot came from: give its path as "
             "`model` (a pinocchio.Model does not keep the links' shapes)."
         )
-    if (min_eigenvalues <= 0).any():
-        names = joint_names(model)
-        bad = [name for name, low in zip(names, min_eigenvalues) if low <= 0]
-        raise ValueError(
-            f"The bodies of {', '.join(bad)} are not physically consistent, and a "
-            'URDF must be: identify with projector="default".'
-        )
+    check_possible(model, min_eigenvalues, "a URDF")
     write_urdf(source, path, model, bodies, friction, note, turned)

@@ -1,5 +1,6 @@
 """Robots: from recordings to states, equations, and an identified model."""
 
+from sklearn_vbjfa.robot._exports import LeftOut
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
@@ -10,6 +11,7 @@ from sklearn_vbjfa.robot._time_effects import EffectOfTime
 __all__ = [
     "EffectOfTime",
     "JointTorqueRegressor",
+    "LeftOut",
     "RigidBodyFeatures",
     "RobotIdentifier",
     "StateEstimator",

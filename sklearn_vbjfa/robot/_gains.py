@@ -387,11 +387,16 @@ def note_of_gains(gains):
         f"{name} {gain:.5g}" for name, gain in zip(gains.joint_names, gains.gain)
     )
     told = f"Divide what the torque channels read by: {each}."
-    if gains.absolute:
-        return told
+    return " ".join(filter(None, [told, note_of_units(gains)]))
+
+
+def note_of_units(gains):
+    """Say what units a written file is in; empty where they are kg and N m."""
+    if gains is None or gains.absolute:
+        return ""
     names = [gains.joint_names[j] for j in gains.references]
     unit = f"that of {' or '.join(names)}" if names else "each channel"
     return (
-        f"{told} These gains are relative: masses, inertias and friction in this file "
-        f"are in units of {unit}, not in kg and N m."
+        "These gains are relative: masses, inertias and friction in this file are in "
+        f"units of {unit}, not in kg and N m."
     )

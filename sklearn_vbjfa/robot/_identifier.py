@@ -25,6 +25,7 @@ from sklearn_vbjfa.recording._recording import (
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot import _model_file
+from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
@@ -74,7 +75,7 @@ from sklearn_vbjfa.robot._prediction import (
     recording_of,
     split_effects,
 )
-from sklearn_vbjfa.robot._ranges import effect_ranges, ends, sum_ranges, warn_outside
+from sklearn_vbjfa.robot._ranges import effect_ranges, ends, sum_ranges
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_count,
@@ -95,7 +96,7 @@ from sklearn_vbjfa.robot._torque_noise import (
     rows_looked_at,
     seen,
 )
-from sklearn_vbjfa.robot._written import write_robot
+from sklearn_vbjfa.robot._written import mjcf_of, urdf_of
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -459,6 +460,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             common, covariance = self._common_gain(relative, found)
             if common.factor is not None:
                 self._scale(recording, states, common.factor)
+        self._powers = self._powers.with_tangents(self._tangent_powers, self.effects_)
         values = found.values_of(self.effects_)
         self.theta_[found.places] = values
         self.theta_unconstrained_[found.places] = values
@@ -499,6 +501,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         """Fit again with all gains multiplied, and torques in their own unit."""
         self._correct(with_gains(self.effects_, factor * self.features_.gains_))
         self._load = self._load / factor
+        self._tangent_powers = self._tangent_powers.in_units(factor)
         self._fit_again(recording, states)
 
     def _fit_again(self, recording, states):
@@ -514,6 +517,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             plan = replace(self._plan, tangents=True)
             made = segments(recording, states, plan, self.features_, theta=self._load)
             moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
+            self._tangent_powers = self._powers_of(moments)
             zeros = unexcited_entries(moments, self.features_.n_parameters_)
             if relative is not None:
                 zeros[:, places[relative.held]] = True
@@ -661,10 +665,21 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
+        self._powers = self._powers_of(found.moments)
         self._motion_ranges = found.moments.ranges
         self._tell_ranges()
         self._spreads = tuple(
             Spread.of_deviations(deviations) for deviations in self._split(found.std)
+        )
+
+    def _powers_of(self, moments):
+        """Sizes of the columns of friction and effects in the moments of a fit."""
+        return ColumnPowers.of_moments(
+            moments,
+            self.features_.n_parameters_,
+            len(self.features_.friction_),
+            self.effects_,
+            self.features_.gains_,
         )
 
     def _tell_ranges(self, load=None):
@@ -845,11 +860,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         on, towards what remains when warm, and a payload stays; before the first time
         both are as they were then.
         """
-        predictor = self._predictor()
-        X, signals = predictor.checked(X, signals)
-        asked = predictor.ask(X, groups, t, signals=signals)
-        warn_outside(predictor.said_outside(asked), stacklevel=2)
-        return predictor.torques(asked)
+        return self._predictor().predict(X, groups, t, signals)
 
     def _predictor(self):
         """Return the `TorquePredictor` of the fit, or say that there was none."""
@@ -863,6 +874,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             signal_ends=self._signal_ends,
             spreads=self._spreads,
             state_cutoff=self.state_cutoff,
+            powers=self._powers,
         )
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):
@@ -995,26 +1007,57 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.
 
+        Damping and friction of a joint are the sums of what was declared and found.
         Axes of joints that a `JointAxis` has turned are corrected, too. A tilt of the
         base, zeros of encoders and gains of torque channels are no property of the
         robot that a description could hold: a comment at the top says what is to be
         changed, as plainly as that four degrees are to be subtracted. It also names
-        bodies whose masses the recording does not determine. Torques of the written
-        robot are the true ones, at true positions.
+        bodies whose masses the recording does not determine, and lists what the file
+        does not have. Torques of the written robot are the true ones, at true
+        positions.
 
         Parameters
         ----------
         path : str or os.PathLike
             File to write.
 
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have: springs, armature, offsets, effects of the
+            load, of time, of the channels, and coefficients that are negative. Each has
+            `name`, `joint`, `joint_name`, `size` (root mean square of its torque over
+            the fitted recording [N m or N]; nan if unknown), `unit` and `reason`.
+
         Raises
         ------
         ValueError
             If `model` is a `pinocchio.Model`, which keeps no URDF, or the parameters
             are not physically consistent.
+
+        See Also
+        --------
+        to_mjcf : The same for MuJoCo, with armature, springs and couplings.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording()
+        >>> friction = ("viscous", "coulomb", "offset")
+        >>> robot = RobotIdentifier(
+        ...     recording.urdf, dt=recording.dt, friction=friction
+        ... )
+        >>> robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     left_out = robot.to_urdf(Path(folder, "identified.urdf"))
+        >>> {one.name for one in left_out}
+        {'offset'}
         """
         check_is_fitted(self)
-        write_robot(self, self.model, path)
+        return urdf_of(self, self.model, path)
 
     def save(self, path):
         """Write the identified robot to a file that predicts without the data.
@@ -1041,16 +1084,80 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
         Examples
         --------
+        >>> import tempfile
         >>> from sklearn_vbjfa import RobotIdentifier, load_identified
         >>> from sklearn_vbjfa.datasets import load_demo_recording
         >>> recording = load_demo_recording().select(0)
         >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt)
-        >>> robot.fit(recording.q, recording.tau).save("arm.json")
-        >>> load_identified("arm.json")
+        >>> robot = robot.fit(recording.q, recording.tau)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     robot.save(f"{folder}/arm.json")
+        ...     load_identified(f"{folder}/arm.json")
         <IdentifiedRobot: 6 joints, effects: none>
         """
         check_is_fitted(self)
         _model_file.write(path, saved_of(self))
+
+    def to_mjcf(self, path):
+        """Write the identified robot as MJCF, the description of MuJoCo.
+
+        Bodies and joints come from the robot model, as its effects correct it: a
+        `pinocchio.Model` will do, and no meshes are written. Viscous friction is
+        ``damping``, Coulomb friction ``frictionloss``, rotor inertia ``armature``, a
+        spring ``stiffness`` and ``springref``; a tilted base is in the direction of
+        gravity, an encoder's zero in ``ref``. Couplings that two joints have of each
+        other are fixed tendons with the same attributes. Each joint has a motor of its
+        name, whose control is what the torque channel reads; constant torques are its
+        bias.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write. MuJoCo 3.2 and newer read it; 3.3.1 and newer if couplings
+            have inertia, which inverse dynamics know of in 3.6.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have, in its comment as well: effects of the load, of
+            time, of the channels, what is no linear function of position or speed, and
+            coefficients that are negative; see `to_urdf`.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent, or a joint is helical.
+
+        See Also
+        --------
+        to_urdf : The same as URDF.
+
+        Notes
+        -----
+        Dry friction of MuJoCo is a soft constraint: with the time step h of the file it
+        is full where abs(v) > h (abs(a) + 1e-4 Fc / M), for a joint of inertia M, and
+        grows in proportion to the speed below. Joint limits are those of the
+        description, shifted by an encoder's zero; limits of torque and speed are not
+        written.
+
+        Examples
+        --------
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording()
+        >>> friction = ("viscous", "coulomb", "offset")
+        >>> robot = RobotIdentifier(
+        ...     recording.robot_model(), dt=recording.dt, friction=friction
+        ... )
+        >>> robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     robot.to_mjcf(Path(folder, "identified.xml"))
+        ()
+        """
+        check_is_fitted(self)
+        return mjcf_of(self, path)
 
 
 # -- used by other rooms --------------------------------------------------------------

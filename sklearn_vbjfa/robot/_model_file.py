@@ -15,6 +15,7 @@ from sklearn_vbjfa.effects._base import SPEED, Effect
 from sklearn_vbjfa.effects._library import available
 from sklearn_vbjfa.model._description_text import in_order
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_text
+from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._equations import is_plain
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import ChannelGains
@@ -130,6 +131,7 @@ def _content(saved):
             name: {"lowest": spelled(low), "highest": spelled(high)}
             for name, (low, high) in predictor.signal_ends.items()
         },
+        "column_powers": _powers(predictor),
         "urdf_is": _URDF_IS[0 if saved.from_file else 1],
         "urdf": saved.urdf.split("\n"),
     }
@@ -322,6 +324,24 @@ def _range(one, names):
     } | found
 
 
+def _powers(predictor):
+    """Return how large columns were in the fit; None where that is not known."""
+    powers, names = predictor.powers, predictor.joint_names
+    if powers is None:
+        return None
+    return {
+        "friction": spelled_all(powers.friction),
+        "effects": [
+            [
+                {"joint": name, "products": spelled_all(own)}
+                for name, own in zip(names, block)
+                if not (own == 0).all()
+            ]
+            for block in powers.effects
+        ],
+    }
+
+
 # -- reading ---------------------------------------------------------------------------
 
 
@@ -401,6 +421,7 @@ def _saved(file, classes):
         },
         spreads=spreads,
         state_cutoff=_read_state_cutoff(file["fit"]["state_cutoff"]),
+        powers=_read_powers(file["column_powers"], names, features, effects),
     )
     saved = SavedRobot(
         predictor=predictor,
@@ -484,6 +505,12 @@ def _read_effect(place, names, classes):
         effect.check()
     except (TypeError, ValueError) as error:
         raise place["shape"].wrong(f"does not suit {name!r}: {error}") from error
+    for key in effect.partners:
+        partner = getattr(effect, key)
+        if partner == joint or partner not in range(len(names)):
+            raise place["shape"][key].wrong(
+                f"must be another joint, counted from zero; it is {partner!r}"
+            )
     return effect
 
 
@@ -564,6 +591,24 @@ def _read_range(place, names):
         ),
         curved=place["curved"].truth(),
         **ends,
+    )
+
+
+def _read_powers(place, names, features, effects):
+    if place.absent:
+        return None
+    nv, k = len(names), len(features.friction_)
+    friction = [row.numbers(k) for row in place["friction"].items(nv)]
+    found = []
+    for effect, told in zip(effects, place["effects"].items(len(effects))):
+        size = len(effect.coefficients)
+        block = np.zeros((nv, size, size))
+        for one in told.items():
+            rows = [row.numbers(size) for row in one["products"].items(size)]
+            block[names.index(one["joint"].one_of(names))] = rows
+        found.append(block)
+    return ColumnPowers(
+        friction=np.array(friction).reshape(nv, k), effects=tuple(found)
     )
 
 

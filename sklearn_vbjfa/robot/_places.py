@@ -10,7 +10,7 @@ import numpy as np
 # What JSON has no number for.
 _SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 # Width of a line that a list or an object of plain values stays on.
-_WIDTH = 200
+_WIDTH = 240
 
 
 @dataclass(frozen=True, kw_only=True)

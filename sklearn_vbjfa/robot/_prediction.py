@@ -12,9 +12,14 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa.effects._ranges import outside
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
-from sklearn_vbjfa.recording._columns import columns_beside, positions_in_order
+from sklearn_vbjfa.recording._columns import (
+    columns_beside,
+    positions_in_order,
+    torques_in_order,
+)
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
 from sklearn_vbjfa.recording._signals import signals_for
+from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._equations import (
     is_plain,
     motion_of,
@@ -23,7 +28,11 @@ from sklearn_vbjfa.robot._equations import (
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._plan import Plan
 from sklearn_vbjfa.robot._query import Query
-from sklearn_vbjfa.robot._ranges import outside_text, signals_outside_text
+from sklearn_vbjfa.robot._ranges import (
+    outside_text,
+    signals_outside_text,
+    warn_outside,
+)
 from sklearn_vbjfa.robot._recording_checks import check_widths
 from sklearn_vbjfa.robot._states import fit_states, smooth_to
 from sklearn_vbjfa.robot._time_effects import beyond_text, effect_of_time
@@ -53,6 +62,8 @@ class TorquePredictor:
         How well each effect is known.
     state_cutoff : "auto", float, array-like or None
         Cut-off [Hz] of a smoother for positions where the fit was given states.
+    powers : ColumnPowers or None
+        How large columns of friction and effects were in the fit.
     """
 
     features: RigidBodyFeatures
@@ -63,6 +74,7 @@ class TorquePredictor:
     signal_ends: Mapping = field(default_factory=dict)
     spreads: tuple = ()
     state_cutoff: object = "auto"
+    powers: ColumnPowers | None = None
 
     @property
     def joint_names(self):
@@ -156,6 +168,13 @@ class TorquePredictor:
         )
 
     # -- answers --------------------------------------------------------------------
+
+    def predict(self, X, groups=None, t=None, signals=None):
+        """Predict torques (n, nv); warn who called the caller of what is outside."""
+        X, signals = self.checked(X, signals)
+        asked = self.ask(X, groups, t, signals=signals)
+        warn_outside(self.said_outside(asked), stacklevel=3)
+        return self.torques(asked)
 
     def torques(self, asked):
         """Torques (n, nv) that are predicted for a `Query`."""
@@ -273,8 +292,8 @@ class PredictsTorques:
         Parameters
         ----------
         tau : array-like of shape (n_samples, nv)
-            Torques that the channels measured [N m or N], one row per sample. Between
-            rows they go straight.
+            Torques that the channels measured [N m or N], one row per sample, or a data
+            frame with the joints' names. Between rows they go straight.
         q0 : array-like of shape (nv,)
             Positions in the first row [rad or m].
         v0 : array-like of shape (nv,), default=None
@@ -337,6 +356,7 @@ class PredictsTorques:
         (50, 18)
         """
         model = self._predictor().torque_model()
+        tau = torques_in_order(tau, model.joint_names)
         return simulate(model, tau, q0, v0, t, signals=signals)
 
 

@@ -1,31 +1,45 @@
-"""An identified robot as a robot description, with notes on what that cannot hold."""
+"""An identified robot as a file for other programs, with notes on what is not in it."""
 
-from sklearn_vbjfa.model._urdf import write_identified
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
-from sklearn_vbjfa.robot._gains import note_of_gains
+from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
+from sklearn_vbjfa.robot._gains import note_of_gains, note_of_units
 from sklearn_vbjfa.robot._known import note_of_masses
 from sklearn_vbjfa.robot._prediction import predictor_of
 
 
-def write_robot(robot, source, path):
-    """Write the description of an identified robot.
+def urdf_of(robot, source, path):
+    """Write the description of an identified robot; see `RobotIdentifier.to_urdf`.
 
-    robot : RobotIdentifier or IdentifiedRobot; source : description that it came from;
-    path : file to write.
+    robot : RobotIdentifier or IdentifiedRobot; source : description that it came from,
+    path or text; path : file to write. Returns a tuple of `LeftOut`.
     """
-    features, predictor = robot.features_, predictor_of(robot)
-    notes = [
-        note_of_gains(robot.gains_),
-        *note_of_corrections(robot),
-        note_of_masses(robot),
-    ]
-    return write_identified(
-        source,
+    predictor = predictor_of(robot)
+    return to_urdf(
         path,
-        features.model_,
-        predictor.bodies(predictor.theta),
-        features.friction_,
+        source,
+        predictor.torque_model(),
         robot.min_eigenvalues_,
-        "\n".join(filter(None, notes)),
+        predictor.powers,
+        [
+            note_of_gains(robot.gains_),
+            *note_of_corrections(robot),
+            note_of_masses(robot),
+        ],
         turned_joints(robot),
+    )
+
+
+def mjcf_of(robot, path):
+    """Write an identified robot as MJCF; see `RobotIdentifier.to_mjcf`.
+
+    robot : RobotIdentifier or IdentifiedRobot; path : file to write. Returns a tuple of
+    `LeftOut`.
+    """
+    predictor = predictor_of(robot)
+    return to_mjcf(
+        path,
+        predictor.torque_model(),
+        robot.min_eigenvalues_,
+        predictor.powers,
+        [note_of_units(robot.gains_), note_of_masses(robot)],
     )

@@ -11,6 +11,8 @@ from pathlib import Path
 
 from tabulate import tabulate
 
+import sklearn_vbjfa
+
 ROOT = Path(__file__).resolve().parents[2]
 TABLES = ROOT / "docs" / "tables"
 # The packages whose versions go below every table; pin where robots are in play.
@@ -36,8 +38,10 @@ def environment():
 
 
 def commit():
-    """Short name of the version that runs, "+" where files differ from it."""
-    ask = ["git", "-C", str(ROOT), "describe", "--always", "--dirty=+", "--exclude=*"]
+    """Short name of the version of the package, "+" where files differ from it."""
+    folder = Path(sklearn_vbjfa.__file__).parent
+    ask = ["git", "-C", str(folder), "describe", "--always", "--dirty=+"]
+    ask.append("--exclude=*")
     try:
         answer = subprocess.run(ask, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):

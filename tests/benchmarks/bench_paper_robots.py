@@ -4,10 +4,11 @@ Run as ``python tests/benchmarks/bench_paper_robots.py [--full] [--draws 3] [--r
 head arm] [--methods ...] [--state-cutoff auto 60] [--write]``. A robot that differs
 from its URDF in its inertias, with cables, protective shells, nonlinear friction, rotor
 inertias and lagging actuators, moves under a low-gain controller; from encoders and
-noisy torques each method identifies rigid bodies with viscous friction. The model then
-feeds torques forward while the robot, as it is, follows new motions: what counts is how
-well, and how much the feedback has to add. --full takes 500,000 samples, the paper's
-number, instead of one minute.
+noisy torques each method identifies rigid bodies with viscous friction. The model,
+saved to a file and read back as a controller would, then feeds torques forward while
+the robot, as it is, follows new motions: what counts is how well, and how much the
+feedback has to add. --full takes 500,000 samples, the paper's number, instead of one
+minute.
 
 By default all methods share the package's smoothing and low-pass, which leave little
 input noise. With --state-cutoff the states are smoothed to that frequency [Hz] alone
@@ -19,6 +20,7 @@ import multiprocessing
 import resource
 import shlex
 import sys
+import tempfile
 import time
 import warnings
 from contextlib import contextmanager
@@ -37,6 +39,7 @@ from sklearn_vbjfa import (
     StateEstimator,
     StepwiseRegressor,
     VBJFARegressor,
+    load_identified,
 )
 from sklearn_vbjfa._core._lowpass import BlockFilter, Lowpass
 from sklearn_vbjfa.datasets import make_closed_loop_recording, simulate_tracking
@@ -214,6 +217,13 @@ def effect_discovery(identifier):
     return EffectDiscovery(identifier, random_state=0)
 
 
+def read_back(model):
+    """Return the robot of a fitted identifier, saved to a file and read."""
+    with tempfile.TemporaryDirectory() as folder:
+        model.save(f"{folder}/robot.json")
+        return load_identified(f"{folder}/robot.json")
+
+
 def control(recording, feedforward, duration):
     """Follow the new motions; return averages and the share of torque missed [%].
 
@@ -335,7 +345,7 @@ def run(
         if fit.model is None:
             rows[label] = (np.full(4, np.nan), fit.message, fit)
             continue
-        add(label, fit.model.predict, fit)
+        add(label, read_back(fit.model).predict, fit)
     # Without the actuators' lag: what a model of torques can reach at best.
     add("the robot itself", plant.inverse_dynamics)
     return rows, (per_sample, loop)

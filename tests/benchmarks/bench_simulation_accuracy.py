@@ -467,6 +467,49 @@ def _smooth(truth, t, q0, v0):
     return solve_ivp(rate, (t[0], t[-1]), start, "DOP853", t_eval=t, **TIGHT).y[:2].T
 
 
+# -- many joints -----------------------------------------------------------------------
+
+
+def inverse(dt, inertia=0.1, n_joints=6, seconds=2.0, seeds=4):
+    """Inverse dynamics of the simulated states of chains with dry friction.
+
+    Where a joint moves, they are the driving torques; where it rests, what dry
+    friction has to hold is within its limit. Without the `inertia` of rotors the last
+    bodies are so light that friction and torque decide their motion within
+    milliseconds. The worst of as many chains as `seeds` says.
+    """
+    import pinocchio as pin
+
+    moved, held, taken = [], [], []
+    for seed in range(SEED, SEED + seeds):
+        rng = np.random.default_rng(seed)
+        model = chain(n_joints, rng)
+        n = round(seconds / dt) + 1
+        # corners fall on rows, so that torques are straight between them
+        corners = np.linspace(0.0, seconds, 5)
+        t = dt * np.arange(n)
+        tau = np.column_stack(
+            [np.interp(t, corners, 12.0 * rng.normal(size=5)) for _ in range(n_joints)]
+        )
+        viscous, dry, rotor = (np.full(n_joints, x) for x in (1.0, 4.0, inertia))
+        friction = {"viscous": viscous, "coulomb": dry, "rotor_inertia": rotor}
+        robot = torque_model(model, friction=friction, dt=dt)
+        q0, v0 = rng.uniform(-1, 1, n_joints), np.zeros(n_joints)
+        states, work = timed(robot, tau, q0, v0, rounds=1)
+        data = model.createData()
+        q, v, a = np.split(states, 3, axis=1)
+        rest = tau - [pin.rnea(model, data, *row) for row in zip(q, v, a)]
+        rest -= viscous * v + rotor * a
+        moving = v != 0
+        moved.append(largest((rest - dry * np.sign(v))[moving]))
+        held.append(np.max((np.abs(rest) - dry)[~moving], initial=0.0))
+        taken.append(work)
+    return [
+        ("torque where a joint moves", "N m", max(moved)),
+        ("torque beyond what holds", "N m", max(held)),
+    ], min(taken)
+
+
 # -- energy ----------------------------------------------------------------------------
 
 
@@ -515,6 +558,8 @@ CASES = {
     "pendulum from 170 degrees": swinging,
     "two links, viscous friction": lambda dt: two_links(dt, dry=False),
     "two links, Coulomb friction": two_links,
+    "six joints, dry friction, inverse dynamics": inverse,
+    "the same without rotors": lambda dt: inverse(dt, inertia=0.0),
     **{
         f"{n} joints without friction, 10 s": lambda dt, n=n: energy(dt, n)
         for n in range(1, 8)

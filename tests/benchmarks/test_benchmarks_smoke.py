@@ -3,6 +3,7 @@
 import platform
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import _report
@@ -31,6 +32,7 @@ def residuals(scale, index, tau):
         "discovery",
         "discovery_measured",
         "errors_in_variables",
+        "exports",
         "false_alarms",
         "feedforward",
         "friction_none",
@@ -52,6 +54,7 @@ def residuals(scale, index, tau):
         "single_effects",
         "speed",
         "states",
+        "step",
         "synthetic",
         "whole_robots",
     ],
@@ -328,6 +331,28 @@ def test_paper_robots_at_small_size():
     text = "\n".join(bench.section("head", [rows, rows], [per_sample], duration=6.0))
     assert "Head: 6 s, smoothing automatic, 2 drawn" in text
     assert "torque missed [%]" in text
+
+
+def test_a_model_from_a_file_controls_as_the_fitted_one():
+    pytest.importorskip("pinocchio")
+    import bench_paper_robots as bench
+
+    from sklearn_vbjfa.effects import LoadFriction, Presliding
+
+    recording = bench.record("head", 0, duration=6.0)
+    effects = [LoadFriction(joint=1), Presliding(joint=0)]
+    model = bench.identify(recording, {"effects": effects}).model
+    read = bench.read_back(model)
+    states = recording.motions[0].states(np.arange(0.0, 2.0, recording.dt))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        for X in (recording.q, states):
+            expected, torque = model.predict(X), read.predict(X)
+            assert np.abs(torque - expected).max() < 1e-12 * expected.std(axis=0).max()
+        fitted, reason = bench.control(recording, model.predict, 2.0)
+        again, same = bench.control(recording, read.predict, 2.0)
+    assert same == reason
+    np.testing.assert_allclose(again, fitted, rtol=1e-9)
 
 
 def test_paper_robots_are_compared_by_their_feedback():

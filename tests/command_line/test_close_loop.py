@@ -16,14 +16,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from sklearn_vbjfa import EffectDiscovery
+from sklearn_vbjfa import EffectDiscovery, load_identified
 from sklearn_vbjfa._cli import _close_loop, _input, main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model._loading import load_model
 
 pinocchio = pytest.importorskip("pinocchio")
 
-FILES = ["identified.urdf", "parameters.csv", "report.html", "report.json"]
+FILES = ["identified.json", "identified.urdf", "parameters.csv"]
+FILES += ["report.html", "report.json"]
 LINK = """
 <link name="{name}"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/>
   <inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/>
@@ -133,6 +134,9 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     assert "shoulder" in page
     for matrix in identified(folder / "identified.urdf"):
         assert np.linalg.eigvalsh(matrix).min() > 0
+    # The robot without its data, its spring included.
+    saved = load_identified(folder / "identified.json")
+    assert [(one.name, one.joint) for one in saved.effects_] == [("spring", 0)]
     # What was identified is a description to begin with.
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -441,7 +445,7 @@ import os, signal, sys, time
 # A shell that starts the tests in the background leaves the interrupt ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-from sklearn_vbjfa import EffectDiscovery
+from sklearn_vbjfa import EffectDiscovery, load_identified
 from sklearn_vbjfa._cli import _close_loop, main
 
 when, argv = sys.argv[1], sys.argv[2:]

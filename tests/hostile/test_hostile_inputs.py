@@ -22,7 +22,8 @@ CASES = [
     for family in (_tables, _archives, _descriptions, _motions, _times)
     for case in family.cases()
 ]
-FILES = {"identified.urdf", "parameters.csv", "report.html", "report.json"}
+FILES = {"parameters.csv", "report.html", "report.json"}
+FILES |= {"identified.json", "identified.urdf"}
 # Longer lines are read by nobody.
 LONGEST = 1200
 
@@ -41,11 +42,11 @@ def _clean_recording(folder):
     return argv()
 
 
-def run(runner, build, folder):
+def run(runner, build, folder, command="close-loop"):
     """Write the input and run the command line on it; arguments and outcome."""
     (folder / "arm.urdf").write_text(URDF)
     arguments = build(folder)
-    return arguments, runner.run(["close-loop", *arguments], folder)
+    return arguments, runner.run([command, *arguments], folder)
 
 
 def verdict(report):
@@ -94,6 +95,7 @@ def check_report(out):
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.endswith("</html>\n")
     ElementTree.parse(out / "identified.urdf")
+    assert json.loads((out / "identified.json").read_text(encoding="utf-8"))
 
 
 def test_there_are_enough_cases():
@@ -144,3 +146,117 @@ def test_hostile_input(case, runner, clean, tmp_path):
         assert verdict(out / "report.json") == clean, outcome.out + told
     if case.message:
         assert re.search(case.message, outcome.err), told
+
+
+# -- simulated -------------------------------------------------------------------------
+
+# Every so many cases are simulated as well: reading is the same, what follows is not.
+EVERY = 9
+
+
+def check_ending(outcome, made, out):
+    """Check that a run ended in one line or in whole files."""
+    told = outcome.err[-2000:]
+    assert "Traceback" not in outcome.err, told
+    assert outcome.code in (0, 2), f"{outcome.code}: {told}"
+    assert outcome.seconds < SECONDS
+    assert outcome.memory < MEMORY
+    if outcome.code == 2:
+        check_refusal(outcome)
+        assert {path.name for path in made} <= {".stdout", ".stderr"}
+        return
+    for line in outcome.err.splitlines():
+        assert line.startswith("note: "), told
+        assert len(line) < LONGEST, line[:300]
+    table = (out / "simulation.csv").read_text(encoding="utf-8")
+    assert table.startswith("model,recording,from_s,to_s,joint,")
+    assert table.endswith("\n")
+    for path in out.glob("*.png"):
+        assert path.read_bytes().endswith(b"IEND\xaeB`\x82")
+
+
+def simulated_params():
+    # The search alone has a seed.
+    chosen = [case for case in CASES if not (case.slow or "--seed" in case.name)]
+    return [pytest.param(case, id=case.name) for case in chosen[::EVERY]]
+
+
+@pytest.mark.parametrize("case", simulated_params())
+def test_hostile_input_is_simulated_or_refused(case, runner, tmp_path):
+    before = set()
+
+    def build(folder):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            arguments = case.build(folder, case.rng())
+        # No search, unless the case is about what to search for.
+        arguments[arguments.index("--effects") + 1] = "none"
+        before.update(folder.rglob("*"))
+        return [*arguments, "--window", "0.3"]
+
+    arguments, outcome = run(runner, build, tmp_path, "simulate")
+    made = {path for path in tmp_path.rglob("*") if path not in before}
+    check_ending(outcome, made, folder_of(arguments, tmp_path))
+    if case.expect == "refused":
+        assert outcome.code == 2, outcome.out[:1000]
+
+
+@pytest.fixture(scope="module")
+def saved(runner, clean, tmp_path_factory):
+    """Text of an identified robot, as the command close-loop writes it."""
+    folder = tmp_path_factory.mktemp("saved")
+    run(runner, _clean_recording, folder)
+    return (folder / "out" / "identified.json").read_text(encoding="utf-8")
+
+
+def _edited(*place, value):
+    """Return a change of one entry of the file."""
+
+    def change(text):
+        content = json.loads(text)
+        own = content
+        for key in place[:-1]:
+            own = own[key]
+        own[place[-1]] = value
+        return json.dumps(content)
+
+    return change
+
+
+MODELS = {
+    "whole": lambda text: text,
+    "empty": lambda text: "",
+    "cut": lambda text: text[: len(text) // 2],
+    "a list": lambda text: "[]",
+    "another format": lambda text: "{}",
+    "binary": lambda text: "\0\1" * 500,
+    "deep": lambda text: "[" * 100_000,
+    "newer": _edited("version", value=99),
+    "no joints": _edited("joints", value=[]),
+    "nan": _edited("parameters", 0, "value", value=float("nan")),
+    "text": _edited("parameters", 0, "value", value="heavy"),
+    "no description": _edited("urdf", value="<robot/>"),
+    "friction that drives": lambda text: re.sub(
+        r'("name": "shoulder:viscous",\s+"value": )[^,]+', r"\1 -1000.0", text
+    ),
+    "no mass": lambda text: re.sub(
+        r'("name": "elbow:m",\s+"value": )[^,]+', r"\1 -2.0", text
+    ),
+}
+
+
+@pytest.mark.parametrize("damage", MODELS)
+def test_hostile_models_are_simulated_or_refused(damage, runner, saved, tmp_path):
+    text = MODELS[damage](saved)
+
+    def build(folder):
+        (folder / "arm.csv").write_text(clean_text())
+        (folder / "arm.json").write_text(text)
+        return ["arm.csv", "--model", "arm.json", "--out", "out", "--window", "0.5"]
+
+    _, outcome = run(runner, build, tmp_path, "simulate")
+    known = {"arm.csv", "arm.json", "arm.urdf"}
+    made = {path for path in tmp_path.rglob("*") if path.name not in known}
+    check_ending(outcome, made, tmp_path / "out")
+    if damage != "friction that drives":
+        assert outcome.code == (0 if damage == "whole" else 2), outcome.out[:1000]

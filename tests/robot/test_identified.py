@@ -1,16 +1,22 @@
 """Identified robots without data and estimator."""
 
+import copy
+import pickle
+import warnings
+
 import numpy as np
 import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
 from sklearn_vbjfa.effects import (  # noqa: E402
     BaseTilt,
     Drift,
+    Jerk,
     JointZero,
     LoadFriction,
+    Presliding,
     Spring,
     TorqueGain,
 )
@@ -106,3 +112,72 @@ def test_a_tilted_base_is_in_the_model(simulated):
 def test_a_model_of_an_unfitted_robot_is_refused(simulated):
     with pytest.raises(ValueError, match="not fitted"):
         torque_model(RobotIdentifier(simulated.urdf, dt=simulated.dt))
+
+
+@pytest.fixture(scope="module")
+def read(simulated, tmp_path_factory):
+    """Robot with a memory, and with an effect that needs the future, from a file."""
+    effects = [LoadFriction(joint=1), Presliding(joint=2), Jerk(joint=0)]
+    robot = RobotIdentifier(
+        simulated.urdf,
+        dt=simulated.dt,
+        friction=("viscous", "coulomb"),
+        effects=effects,
+    )
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    path = tmp_path_factory.mktemp("read") / "robot.json"
+    robot.save(path)
+    return load_identified(path)
+
+
+def one_by_one(robot, X):
+    return np.array([robot.step(*np.split(x, 3)) for x in X])
+
+
+def test_states_one_by_one_have_the_torques_of_all(read, new_motion):
+    X = new_motion.states[:300]
+    (left,) = read.left_out_
+    assert (left.name, left.joint) == ("jerk", 0)
+    assert "after" in left.reason
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        expected = read.predict(X)
+    # Of the jerk on joint 0, so that the others agree.
+    read.reset()
+    found = one_by_one(read, X)
+    spread = expected.std(axis=0).max()
+    np.testing.assert_allclose(found[:, 1:], expected[:, 1:], atol=1e-12 * spread)
+    j = read.parameter_names_.index("joint_1:jerk:J")
+    jerk = read.theta_[j] * np.gradient(X[:, 12], read.dt)
+    np.testing.assert_allclose(
+        found[:, 0], expected[:, 0] - jerk, rtol=0, atol=1e-12 * spread
+    )
+    # It remembers, until it is reset; copies begin anew.
+    again = one_by_one(read, X)
+    assert np.abs(again[:, 2] - found[:, 2]).max() > 1e-6 * spread
+    for other in (copy.deepcopy(read), pickle.loads(pickle.dumps(read))):
+        np.testing.assert_array_equal(one_by_one(other, X), found)
+    read.reset()
+    np.testing.assert_array_equal(one_by_one(read, X), found)
+
+
+def test_a_robot_from_a_file_simulates_as_the_fitted_one(loaded, simulated, tmp_path):
+    loaded.save(tmp_path / "robot.json")
+    read = load_identified(tmp_path / "robot.json")
+    start = simulated.states[0]
+    arguments = simulated.tau[:20], start[:6], start[6:12]
+    np.testing.assert_array_equal(
+        read.simulate(*arguments), loaded.simulate(*arguments)
+    )
+
+
+def test_what_a_robot_is_called(read):
+    assert repr(read) == (
+        "<IdentifiedRobot: 6 joints, effects: load_friction, presliding, jerk>"
+    )
+
+
+def test_warnings_point_to_who_asked(read, new_motion):
+    with pytest.warns(UserWarning, match="outside") as caught:
+        read.predict(2.0 * new_motion.states)
+    assert caught[0].filename == __file__

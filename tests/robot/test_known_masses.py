@@ -11,6 +11,7 @@ from sklearn_vbjfa._core._scaled_eigen import scaled_eigen  # noqa: E402
 from sklearn_vbjfa.effects import LoadFriction, Payload  # noqa: E402
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, PlainEstimate  # noqa: E402
 from sklearn_vbjfa.robot._known_masses import common_gain  # noqa: E402
+from sklearn_vbjfa.robot._prediction import predictor_of  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.02
@@ -209,3 +210,33 @@ def test_other_masses_are_refused(given, message):
     robot = RobotIdentifier(ARM, **EXACT, **given)
     with pytest.raises(ValueError, match=message):
         robot.fit(STATES, recorded())
+
+
+def test_sizes_of_what_files_leave_out_are_in_true_units(tmp_path):
+    """They are in N m once a known mass makes the gains absolute."""
+    robot = RobotIdentifier(
+        ARM,
+        effects=[Payload(joint=2, instant=PICKED, centre=tuple(CENTRE))],
+        gains="unknown",
+        known_masses={"payload": MASS},
+        **EXACT | {"projector": "default"},
+    )
+    robot.fit(STATES, recorded())
+    (left,) = robot.to_mjcf(tmp_path / "robot.xml")
+    # What the payload adds, on the joint where it adds most.
+    loaded = ARM.copy()
+    loaded.inertias[3] += pin.Inertia(MASS, CENTRE, np.zeros((3, 3)))
+    added = inverse_dynamics(loaded, STATES) - inverse_dynamics(ARM, STATES)
+    added[T < PICKED] = 0.0
+    assert left.name == "payload"
+    assert_allclose(left.size, np.sqrt(np.mean(added**2, axis=0)).max(), rtol=0.05)
+    # A gain as an effect adds (g - 1) times the torque of the robot.
+    torque = np.sqrt(np.mean((recorded(noise=0.0) / GAINS) ** 2, axis=0))
+    powers = predictor_of(robot).powers.effects
+    sizes = {
+        effect.joint: np.sqrt(own[effect.joint, 0, 0])
+        for effect, own in zip(robot.effects_, powers)
+        if effect.name == "torque_gain"
+    }
+    assert sorted(sizes) == [0, 1, 2]
+    assert_allclose([sizes[j] for j in range(3)], torque, rtol=0.05)

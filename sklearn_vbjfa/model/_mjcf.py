@@ -1,0 +1,264 @@
+"""Writing an identified robot as MJCF, the description of MuJoCo.
+
+The tree is written from the Pinocchio model itself, with the frames of its joints: no
+URDF is needed, no shape and no mesh. Every joint has a motor; what a passive joint of
+MuJoCo cannot hold and a motor can, a constant and a spring without stable rest, is the
+motor's bias.
+"""
+
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.model._loading import (
+    body_names,
+    import_pinocchio,
+    is_prismatic,
+    joint_names,
+)
+from sklearn_vbjfa.model._regressor import describe
+from sklearn_vbjfa.model._urdf import body_about_com
+from sklearn_vbjfa.model._xml import add_comment, number, numbers, write_tree
+
+# Longest time step [s]. MuJoCo's dry friction is a soft constraint whose reference
+# brings a joint to rest within one step (see `_FRICTION`): shorter steps make it full
+# at lower speeds, abs(a) step instead of abs(a) dt.
+_LONGEST_STEP = 5e-4
+# Constraint impedance of dry friction, the hardest that MuJoCo takes: what yields to it
+# is a part in ten thousand of the inertia.
+_FRICTION = "0.9999 0.9999 0.001 0.5 2"
+# Ranges beyond this are those of joints without limits [rad or m].
+_UNLIMITED = 1e6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tendon:
+    """A fixed tendon over two joints, with what rubs at the sum of their speeds.
+
+    Attributes
+    ----------
+    joints : tuple of 2 int
+        Joints, from zero.
+    sign : {1, -1}
+        Sum or difference: the coefficients are (1, sign).
+    damping, frictionloss, armature : float
+        None negative.
+    """
+
+    joints: tuple
+    sign: int
+    damping: float = 0.0
+    frictionloss: float = 0.0
+    armature: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointDynamics:
+    """What joints do by themselves, beside the bodies that they carry.
+
+    Attributes
+    ----------
+    damping, frictionloss, armature, stiffness : ndarray of shape (nv,)
+        None negative.
+    springref : ndarray of shape (nv,)
+        Positions at which the springs rest.
+    ref : ndarray of shape (nv,)
+        Positions that encoders read at the zeros of the model.
+    constant, slope : ndarray of shape (nv,)
+        Torques constant + slope q that a motor has to produce besides.
+    gain : ndarray of shape (nv,)
+        Torque channel's reading, the motor's control, over the true torque.
+    tendons : tuple of Tendon
+        What couples joints.
+    """
+
+    damping: np.ndarray
+    frictionloss: np.ndarray
+    armature: np.ndarray
+    stiffness: np.ndarray
+    springref: np.ndarray
+    ref: np.ndarray
+    constant: np.ndarray
+    slope: np.ndarray
+    gain: np.ndarray
+    tendons: tuple = ()
+
+    @classmethod
+    def none(cls, nv):
+        """Return the dynamics of free joints, to be filled in."""
+        zeros = {
+            name: np.zeros(nv)
+            for name in cls.__dataclass_fields__
+            if name not in ("gain", "tendons")
+        }
+        return cls(**zeros, gain=np.ones(nv))
+
+
+def write_mjcf(path, model, bodies, dynamics, *, dt=None, name="robot", note=""):
+    """Write a robot as MJCF.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to write.
+    model : pinocchio.Model
+        Geometry, gravity and ranges of the joints; its zeros are those of the joints,
+        without what `dynamics.ref` says of the encoders.
+    bodies : ndarray of shape (nv, 10)
+        Inertial parameters, Pinocchio's order.
+    dynamics : JointDynamics
+        What joints do by themselves.
+    dt : float, default=None
+        Sample period of the robot's recordings [s]: the time step divides it.
+    name : str, default="robot"
+        Name of the model.
+    note : str, default=""
+        What a reader of the file has to know, a comment at its top.
+
+    Raises
+    ------
+    ValueError
+        If a body has no positive mass, or a joint is helical.
+    """
+    tree = _Tree(model, bodies, dynamics)
+    step = _time_step(dt)
+    root = ElementTree.Element("mujoco", model=name)
+    add_comment(root, note)
+    ElementTree.SubElement(
+        root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false"
+    )
+    ElementTree.SubElement(
+        root,
+        "option",
+        timestep=number(step),
+        gravity=numbers(model.gravity.linear),
+        integrator="implicitfast",
+    )
+    dry = {"solreffriction": f"{number(2 * step)} 1", "solimpfriction": _FRICTION}
+    default = ElementTree.SubElement(root, "default")
+    ElementTree.SubElement(default, "joint", dry)
+    if dynamics.tendons:
+        ElementTree.SubElement(default, "tendon", dry)
+    tree.add_bodies(ElementTree.SubElement(root, "worldbody"))
+    if dynamics.tendons:
+        tree.add_tendons(ElementTree.SubElement(root, "tendon"))
+    tree.add_motors(ElementTree.SubElement(root, "actuator"))
+    write_tree(ElementTree.ElementTree(root), path)
+
+
+def _time_step(dt):
+    """Return the longest step [s] that divides a sample period and is short enough."""
+    if dt is None:
+        return _LONGEST_STEP
+    # 0.01 / 5e-4 must be 20 in spite of rounding.
+    return dt / np.ceil(dt / _LONGEST_STEP * (1 - 1e-9))
+
+
+def _quaternion(rotation):
+    """Text of a rotation matrix (3, 3) as a quaternion w, x, y, z."""
+    turn = import_pinocchio().Quaternion(rotation)
+    return numbers([turn.w, turn.x, turn.y, turn.z])
+
+
+class _Tree:
+    """Elements of the bodies, tendons and motors of a robot."""
+
+    def __init__(self, model, bodies, dynamics):
+        self._model, self._bodies, self._dynamics = model, bodies, dynamics
+        self._names = joint_names(model)
+        self._slides = is_prismatic(model)
+        parents = np.array([int(k) - 1 for k in model.parents][1:])
+        self._shape = describe(model, parents)
+        both = (self._shape.turns != 0) & (self._shape.slides != 0)
+        if both.any():
+            wrong = [name for name, helical in zip(self._names, both) if helical]
+            raise ValueError(
+                f"MJCF has no helical joint, which {', '.join(wrong)} would be: only "
+                "revolute and prismatic joints can be written."
+            )
+        own = body_names(model)
+        # Names of bodies must differ.
+        self._body_names = [
+            body if body and own.count(body) == 1 and body != "world" else joint
+            for body, joint in zip(own, self._names)
+        ]
+
+    def add_bodies(self, world):
+        """Add the bodies, each inside the one that carries it."""
+        elements = {-1: world}
+        # Parents come first in Pinocchio's order.
+        for j, parent in enumerate(self._shape.parents):
+            elements[j] = self._add_body(elements[int(parent)], j)
+
+    def _add_body(self, carrier, j):
+        """Add the body that a joint moves, and the joint; return its element."""
+        dynamics, placement = self._dynamics, self._model.jointPlacements[j + 1]
+        body = ElementTree.SubElement(
+            carrier,
+            "body",
+            name=self._body_names[j],
+            pos=numbers(placement.translation),
+            quat=_quaternion(placement.rotation),
+        )
+        mass, com, inertia = body_about_com(self._bodies[j])
+        # MuJoCo diagonalises full matrices, to six digits only until version 3.3.
+        principal, axes = np.linalg.eigh(inertia)
+        axes[:, 0] *= np.linalg.det(axes)
+        ElementTree.SubElement(
+            body,
+            "inertial",
+            pos=numbers(com),
+            quat=_quaternion(axes),
+            mass=number(mass),
+            diaginertia=numbers(principal),
+        )
+        joint = ElementTree.SubElement(
+            body,
+            "joint",
+            name=self._names[j],
+            type="slide" if self._slides[j] else "hinge",
+            axis=numbers(self._shape.axes[j]),
+        )
+        low = self._model.lowerPositionLimit[j] + dynamics.ref[j]
+        high = self._model.upperPositionLimit[j] + dynamics.ref[j]
+        if low < high and max(-low, high) < _UNLIMITED:
+            joint.set("range", numbers([low, high]))
+        for key in ("armature", "damping", "frictionloss", "ref", "stiffness"):
+            value = getattr(dynamics, key)[j]
+            if value != 0:
+                joint.set(key, number(value))
+        if dynamics.stiffness[j] != 0 and dynamics.springref[j] != 0:
+            joint.set("springref", number(dynamics.springref[j]))
+        return body
+
+    def add_tendons(self, parent):
+        """Add the tendons, named after their joints."""
+        for one in self._dynamics.tendons:
+            names = [self._names[j] for j in one.joints]
+            between = "plus" if one.sign > 0 else "minus"
+            fixed = ElementTree.SubElement(
+                parent, "fixed", name=f"{names[0]} {between} {names[1]}"
+            )
+            for key in ("armature", "damping", "frictionloss"):
+                value = getattr(one, key)
+                if value != 0:
+                    fixed.set(key, number(value))
+            for name, coef in zip(names, (1, one.sign)):
+                ElementTree.SubElement(fixed, "joint", joint=name, coef=str(coef))
+
+    def add_motors(self, parent):
+        """Add a motor for each joint, in Pinocchio's order, named like the joint."""
+        dynamics = self._dynamics
+        for j, name in enumerate(self._names):
+            motor = ElementTree.SubElement(
+                parent,
+                "general",
+                name=name,
+                joint=name,
+                gainprm=number(1.0 / dynamics.gain[j]),
+            )
+            if dynamics.constant[j] != 0 or dynamics.slope[j] != 0:
+                bias = -dynamics.constant[j], -dynamics.slope[j], 0.0
+                motor.set("biastype", "affine")
+                motor.set("biasprm", numbers(bias))

@@ -1,0 +1,637 @@
+"""An identified robot as URDF and MJCF: which of its effects go where, and which not.
+
+Simulators know bodies, damping, dry friction, armature, springs and tendons. What of an
+identified robot is none of these is left out of a file, and is listed in it and in what
+is returned, with the size of its torque: nothing is dropped or clipped in silence.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.effects import (
+    AsymmetricFriction,
+    Backlash,
+    BaseTilt,
+    Coulomb,
+    Counterbalance,
+    Coupling,
+    Delay,
+    Drift,
+    Elastic,
+    Jerk,
+    JointAxis,
+    JointZero,
+    LoadFriction,
+    Offset,
+    Payload,
+    Presliding,
+    Ripple,
+    RotorInertia,
+    Signal,
+    Spring,
+    Stribeck,
+    TorqueFilter,
+    TorqueGain,
+    Viscous,
+    ViscousQuadratic,
+)
+from sklearn_vbjfa.model._corrected import CorrectedModel
+from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model._mjcf import JointDynamics, Tendon, write_mjcf
+from sklearn_vbjfa.model._urdf import check_possible, write_identified
+
+# Effects that have the column of a declared friction, whose coefficients add up.
+_PLAIN = {
+    Viscous: "viscous",
+    Coulomb: "coulomb",
+    Offset: "offset",
+    RotorInertia: "rotor_inertia",
+}
+# Why effects have a place in neither format.
+_NOWHERE = {
+    Stribeck: "friction that falls with speed",
+    ViscousQuadratic: "friction with the square of speed",
+    LoadFriction: "friction in proportion to the load",
+    Presliding: "friction with a memory of where the joint came from",
+    Backlash: "play with a memory of where the joint came from",
+    Counterbalance: "a torque that is no linear function of the position",
+    Ripple: "a torque that is no linear function of the position",
+    Elastic: "elasticity between motor and link, which would be a joint more",
+    Delay: "the torque channel is late; it is no property of the robot",
+    TorqueFilter: "a channel's filter; it is no property of the robot",
+    Jerk: "a torque in proportion to the third derivative of the position",
+    Signal: "varies with a recorded signal; the file has what holds at its reference",
+    Drift: "fades with time; the file has what remains when warm",
+    Payload: "a change at an instant; the file has the robot before it",
+}
+_OWN = "an effect of the user's own"
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOut:
+    """Something of an identified robot that a file does not have.
+
+    Attributes
+    ----------
+    name : str
+        Name of the effect, or of the declared friction.
+    joint : int
+        Its joint, from zero.
+    joint_name : str
+        The joint's name.
+    size : float
+        Root mean square of its torque over the fitted recording, behind the low-pass of
+        the fit and while the joint moved [N m or N]; of an effect on all joints, that
+        on the joint where it is largest. nan where it is not known.
+    unit : {"N m", "N"}
+        Unit of the size.
+    reason : str
+        Why it has no place, or what of it is missing.
+    """
+
+    name: str
+    joint: int
+    joint_name: str
+    size: float
+    unit: str
+    reason: str
+
+    def __str__(self):
+        """One line."""
+        size = f"{self.size:.3g} {self.unit}" if self.size == self.size else "unknown"
+        return f"{self.name} on {self.joint_name} ({size}): {self.reason}"
+
+
+def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=()):
+    """Write a robot as MJCF.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to write.
+    robot : TorqueModel
+        What was identified.
+    min_eigenvalues : ndarray of shape (nv,)
+        Smallest pseudo-inertia eigenvalue of each body.
+    powers : ColumnPowers or None, default=None
+        Sizes of columns in the recording; None makes all sizes nan.
+    notes : sequence of str, default=()
+        What else a reader of the file has to know.
+
+    Returns
+    -------
+    tuple of LeftOut
+        What the file does not have.
+    """
+    check_possible(robot.model, min_eigenvalues, "an MJCF file")
+    account = _Account(robot, powers)
+    dynamics = _mjcf_dynamics(account)
+    level = CorrectedModel(robot.model)
+    for j in np.flatnonzero(dynamics.ref):
+        # The file says by `ref` what the corrected model has in its placements.
+        level.move_zero(int(j), -float(dynamics.ref[j]))
+    told = [*_notes_of_mjcf(robot, dynamics), *filter(None, notes)]
+    write_mjcf(
+        path,
+        level.model,
+        robot.bodies,
+        dynamics,
+        dt=robot.dt,
+        note=_note(told, account.left),
+    )
+    return tuple(account.left)
+
+
+def to_urdf(
+    path, source, robot, min_eigenvalues, powers=None, notes=(), turned_joints=None
+):
+    """Write a robot as URDF, into a copy of its description.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File to write.
+    source : str or os.PathLike
+        Path or text of the description.
+    robot : TorqueModel
+        What was identified.
+    min_eigenvalues : ndarray of shape (nv,)
+        Smallest pseudo-inertia eigenvalue of each body.
+    powers : ColumnPowers or None, default=None
+        Sizes of columns in the recording; None makes all sizes nan.
+    notes : sequence of str, default=()
+        What else a reader of the file has to know.
+    turned_joints : mapping of str to ndarray of shape (3, 3), default=None
+        Joints whose origin is turned, see `write_urdf`.
+
+    Returns
+    -------
+    tuple of LeftOut
+        What the file does not have.
+    """
+    account = _Account(robot, powers)
+    joints = np.column_stack([account.passive("viscous"), account.passive("coulomb")])
+    _left_of_urdf(account)
+    write_identified(
+        source,
+        path,
+        robot.model,
+        np.hstack([robot.bodies, joints]),
+        ("viscous", "coulomb"),
+        min_eigenvalues,
+        _note(list(filter(None, notes)), account.left),
+        turned_joints,
+    )
+    return tuple(account.left)
+
+
+def _note(told, left):
+    """Join what a file says at its top."""
+    if left:
+        listed = "".join(f"\n- {one}" for one in left)
+        told = [
+            *told,
+            "This file does not have (root mean square of the torque over the fitted "
+            f"recording):{listed}",
+        ]
+    return "\n".join(told)
+
+
+def _notes_of_mjcf(robot, dynamics):
+    """Say how the file is to be read, a list of str."""
+    told = [
+        "Controls of the motors, in the order of the recording, are what the torque "
+        "channels read [N m or N]; positions are what the encoders read [rad or m].",
+    ]
+    told += [
+        f"The encoder of {robot.joint_names[j]} reads {dynamics.ref[j]:.6g} at the "
+        "zero of the description (ref)."
+        for j in np.flatnonzero(dynamics.ref)
+    ]
+    told += [
+        f"The torque channel of {robot.joint_names[j]} reads {dynamics.gain[j]:.5g} "
+        "times the torque (gainprm of its motor is the inverse)."
+        for j in np.flatnonzero(dynamics.gain != 1)
+    ]
+    if any(isinstance(effect, BaseTilt) for effect in robot.effects):
+        told.append("The base is not level: gravity is turned in its frame.")
+    if dynamics.constant.any() or dynamics.slope.any():
+        told.append(
+            "Constant torques, and springs without a stable rest, are biases of the "
+            "motors (biasprm): they act in forward dynamics, and inverse dynamics "
+            "leaves them to qfrc_actuator."
+        )
+    return told
+
+
+class _Account:
+    """What of a robot, a `TorqueModel`, has found its place, and what is left out."""
+
+    def __init__(self, robot, powers):
+        self.robot, self.left = robot, []
+        self._powers = powers
+        self._units = ["N" if slides else "N m" for slides in is_prismatic(robot.model)]
+
+    @property
+    def uses(self):
+        """Effects with their coefficients, pairs."""
+        return list(zip(self.robot.effects, self.robot.coefficients))
+
+    def leave(self, name, joint, size, reason, unit=None):
+        """List something that is left out."""
+        self.left.append(
+            LeftOut(
+                name=name,
+                joint=int(joint),
+                joint_name=self.robot.joint_names[joint],
+                size=float(size),
+                unit=unit or self._units[joint],
+                reason=reason,
+            )
+        )
+
+    def leave_effect(self, effect, coef, reason):
+        """List what an effect with these coefficients would add, unless it is zero."""
+        coef = np.asarray(coef, dtype=float)
+        if not coef.any():
+            return
+        sizes = self._sizes(effect, coef)
+        if not effect.everywhere:
+            self.leave(effect.name, effect.joint, sizes[effect.joint], reason)
+            return
+        if np.isnan(sizes).all():
+            self.leave(effect.name, effect.joint, np.nan, reason)
+            return
+        most = int(np.nanargmax(sizes))
+        if most != effect.joint:
+            reason = f"{reason} (size on {self.robot.joint_names[most]})"
+        self.leave(effect.name, effect.joint, sizes[most], reason, self._units[most])
+
+    def _sizes(self, effect, coef):
+        """Root mean square of an effect's torque on every joint, (nv,)."""
+        if self._powers is None:
+            return np.full(self.robot.n_joints, np.nan)
+        at = next(k for k, one in enumerate(self.robot.effects) if one is effect)
+        squares = np.einsum("i,jik,k->j", coef, self._powers.effects[at], coef)
+        return np.sqrt(np.maximum(squares, 0.0))
+
+    def _column_size(self, name, joint):
+        """Root mean square of a plain column on a joint, in any way that it is used."""
+        if self._powers is None:
+            return np.nan
+        if name in self.robot.friction_names:
+            at = self.robot.friction_names.index(name)
+            return np.sqrt(self._powers.friction[joint, at])
+        for effect, own in zip(self.robot.effects, self._powers.effects):
+            if _PLAIN.get(type(effect)) == name and effect.joint == joint:
+                return np.sqrt(own[joint, 0, 0])
+        return np.nan
+
+    def total(self, name):
+        """Sum of a plain coefficient, declared and found, (nv,)."""
+        total = np.zeros(self.robot.n_joints)
+        if name in self.robot.friction_names:
+            total += self.robot.friction[:, self.robot.friction_names.index(name)]
+        for effect, coef in self.uses:
+            if _PLAIN.get(type(effect)) == name:
+                total[effect.joint] += coef[0]
+        return total
+
+    def passive(self, name):
+        """Total of a plain coefficient where it is not negative; the rest is left."""
+        total = self.total(name)
+        for j in np.flatnonzero(total < 0):
+            self.leave(
+                name,
+                j,
+                abs(total[j]) * self._column_size(name, j),
+                f"its coefficient is negative ({total[j]:.4g}), which would drive",
+            )
+        if name == "coulomb":
+            self._leave_smoothing()
+        return np.maximum(total, 0.0)
+
+    def _leave_smoothing(self):
+        """List what dry friction with a rounded sign lacks of the sharp one."""
+        for effect, coef in self.uses:
+            if type(effect) is Coulomb and effect.smoothing > 0 and coef[0] != 0:
+                # (1 - x)^2 <= 1 - x^2 for x = tanh(abs(v) / smoothing)
+                share = self._column_size_of(effect)
+                most = abs(coef[0]) * np.sqrt(max(1.0 - share, 0.0))
+                self.leave(
+                    effect.name,
+                    effect.joint,
+                    most,
+                    "its sign turns at once in the file, and not over "
+                    f"{effect.smoothing:.4g} {_speed(self._units[effect.joint])}; the "
+                    "size is the most that this can make",
+                )
+
+    def _column_size_of(self, effect):
+        """Mean square of the only column of an effect on its joint."""
+        return float(self._sizes(effect, np.ones(1))[effect.joint] ** 2)
+
+    def leave_column(self, name, totals, reason):
+        """List plain coefficients (nv,) that have no place."""
+        for j in np.flatnonzero(totals):
+            self.leave(name, j, abs(totals[j]) * self._column_size(name, j), reason)
+
+
+def _speed(unit):
+    return "m/s" if unit == "N" else "rad/s"
+
+
+# -- URDF ------------------------------------------------------------------------------
+
+
+def _left_of_urdf(account):
+    """List what a URDF has no place for, beside damping and friction that are < 0."""
+    account.leave_column(
+        "offset", account.total("offset"), "URDF has no constant torque"
+    )
+    account.leave_column(
+        "rotor_inertia", account.total("rotor_inertia"), "URDF has no armature"
+    )
+    for effect, coef in account.uses:
+        if type(effect) in _PLAIN or isinstance(effect, JointAxis):
+            continue
+        if effect.in_model:
+            reason = _NO_URDF.get(type(effect), "it is no part of the description")
+            account.leave_effect(effect, effect.values - effect.idle, reason)
+        else:
+            reason = _NO_URDF.get(type(effect)) or _NOWHERE.get(type(effect), _OWN)
+            account.leave_effect(effect, coef, reason)
+
+
+_NO_URDF = {
+    Spring: "URDF has no spring",
+    AsymmetricFriction: "friction in URDF is the same in both directions",
+    Coupling: "URDF has no friction or inertia between joints",
+    BaseTilt: "the base of the file is level",
+    JointZero: "zeros of the file are those of the description",
+    TorqueGain: "torques of the file are the true ones",
+}
+
+
+# -- MJCF ------------------------------------------------------------------------------
+
+
+def _mjcf_dynamics(account):
+    """Put what MJCF can hold into a `JointDynamics`; list the rest."""
+    robot, nv = account.robot, account.robot.n_joints
+    damping, frictionloss, armature = (
+        account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")
+    )
+    constant, spring, ref = account.total("offset"), np.zeros(nv), np.zeros(nv)
+    couplings = []
+    for effect, coef in account.uses:
+        kind = type(effect)
+        if kind in _PLAIN or kind in (BaseTilt, JointAxis, TorqueGain):
+            continue  # in the sums, in the model, in the gains
+        if kind is JointZero:
+            ref[effect.joint] += effect.zero
+        elif kind is Spring:
+            spring[effect.joint] += coef[0]
+            constant[effect.joint] += coef[1]
+        elif kind is AsymmetricFriction:
+            # Half the difference of dry friction is a constant in both directions.
+            constant[effect.joint] += coef[0]
+            account.leave_effect(
+                effect, [0.0, coef[1]], "damping in MJCF is the same in both directions"
+            )
+        elif kind is Coupling:
+            couplings.append((effect, np.asarray(coef, dtype=float)))
+        elif effect.in_model:
+            account.leave_effect(effect, effect.values - effect.idle, _OWN)
+        else:
+            reason = _NOWHERE.get(kind, _OWN)
+            if kind is ViscousQuadratic:
+                reason += _quadratic(damping[effect.joint], coef[0])
+            account.leave_effect(effect, coef, reason)
+    stable = spring > 0
+    springref = np.where(stable, -constant / np.where(stable, spring, 1.0), 0.0)
+    joined = as_tendons(couplings, damping, armature, in_line(robot.model))
+    for effect, rest in joined.left:
+        account.leave_effect(effect, rest, _one_sided(effect, rest))
+    return JointDynamics(
+        damping=joined.damping,
+        frictionloss=frictionloss,
+        armature=joined.armature,
+        stiffness=np.where(stable, spring, 0.0),
+        springref=springref,
+        ref=ref,
+        constant=np.where(stable, 0.0, constant),
+        slope=np.where(stable, 0.0, spring),
+        gain=robot.gains,
+        tendons=joined.tendons,
+    )
+
+
+def _quadratic(damping, F2):
+    """Tell what newer programs could hold of friction with the square of speed."""
+    return (
+        f'; MuJoCo 4 takes it as damping="{damping:.6g} {F2:.6g}" of the joint, which '
+        "older versions do not read"
+    )
+
+
+def _one_sided(effect, rest):
+    """Say why something of a coupling is left."""
+    what = ", ".join(
+        f"{name} {value:.4g}"
+        for name, value in zip(effect.coefficients, rest)
+        if value != 0
+    )
+    return (
+        f"{what} of it: what joint {effect.other + 1} does to this one without the "
+        "reverse, or in excess of what a passive tendon can (one with inertia only "
+        "between joints of which one carries the other)"
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Coupled:
+    """Couplings as tendons.
+
+    Attributes
+    ----------
+    damping, armature : ndarray of shape (nv,)
+        Of the joints, without what the tendons do to a joint by itself.
+    tendons : tuple of Tendon
+        Tendons.
+    left : list of (Coupling, ndarray of shape (3,))
+        What is left of each coupling's coefficients.
+    """
+
+    damping: np.ndarray
+    armature: np.ndarray
+    tendons: tuple
+    left: list
+
+
+# Of w, in units of the own joint's speed, beside the other's.
+_OWN_SHARE = {"other": 0.0, "sum": 1.0, "difference": -1.0}
+
+
+def in_line(model):
+    """Which joints carry each other, ndarray (nv, nv) of bool."""
+    carries = np.eye(model.nv, dtype=bool)
+    for j, parent in enumerate(list(model.parents)[1:]):
+        if parent > 0:
+            carries[:, j] |= carries[:, int(parent) - 1]
+    return carries | carries.T
+
+
+def as_tendons(couplings, damping, armature, lined):
+    """Turn couplings into tendons, as far as both joints feel each other.
+
+    Parameters
+    ----------
+    couplings : list of (Coupling, ndarray of shape (3,))
+        Effects with their coefficients Fvm, Fcm, Iam.
+    damping, armature : ndarray of shape (nv,)
+        Of the joints, not negative.
+    lined : ndarray of shape (nv, nv), bool
+        Which joints carry each other; see `in_line`.
+
+    Returns
+    -------
+    Coupled
+        What the joints keep, the tendons, and what is left.
+
+    Notes
+    -----
+    A tendon with the coefficients (1, s) and the damping d puts d (v_j + s v_k) on
+    joint j and s times that on k: the matrix of dampings is symmetric, as that of
+    whatever rubs between two joints. What one joint feels and the other does not is
+    left out, and so is what would ask for a negative damping of a joint. The same holds
+    for inertias, and those between joints of two branches are left out: MuJoCo has no
+    place for them in its sparse inertia matrix, and takes no notice of them.
+    """
+    taken = [np.zeros(3) for _ in couplings]
+    parts = {}
+    for at, available in ((0, damping), (2, armature)):
+        own = [
+            (e, c[at] if at == 0 or lined[e.joint, e.other] else 0.0)
+            for e, c in couplings
+        ]
+        links = _mutual(own, lambda effect: effect.other)
+        shares = _affordable(links, available)
+        for link, share in zip(links, shares):
+            pair = (link.low, link.high, 1 if link.value > 0 else -1)
+            own = parts.setdefault(pair, np.zeros(3))
+            own[at] += share * abs(link.value)
+            for number, part in link.parts:
+                taken[number][at] = share * part
+    dry = [(e, 0.0 if e.of == "other" else c[1]) for e, c in couplings]
+    for link in _mutual(dry, lambda effect: (effect.other, effect.of)):
+        sign = 1 if link.of == "sum" else -1
+        # sign(v_k - v_j) on j is a tendon's friction with the opposite sign
+        if link.value * sign > 0:
+            pair = (link.low, link.high, sign)
+            parts.setdefault(pair, np.zeros(3))[1] += abs(link.value)
+            for number, part in link.parts:
+                taken[number][1] = part
+    damping, armature = damping.copy(), armature.copy()
+    for number, (effect, _) in enumerate(couplings):
+        own = _OWN_SHARE[effect.of] * taken[number]
+        damping[effect.joint] += own[0]
+        armature[effect.joint] += own[2]
+    tendons = []
+    for (low, high, sign), own in sorted(parts.items()):
+        for j in (low, high):
+            damping[j] -= own[0]
+            armature[j] -= own[2]
+        if own.any():
+            tendons.append(
+                Tendon(
+                    joints=(low, high),
+                    sign=sign,
+                    damping=float(own[0]),
+                    frictionloss=float(own[1]),
+                    armature=float(own[2]),
+                )
+            )
+    return Coupled(
+        # Rounding of what adds up to zero.
+        damping=np.maximum(damping, 0.0),
+        armature=np.maximum(armature, 0.0),
+        tendons=tuple(tendons),
+        left=[(e, c - own) for (e, c), own in zip(couplings, taken)],
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Link:
+    """A coefficient that two joints have of each other."""
+
+    # Joints; coefficient; shape, where it matters; pairs of a coupling's number and
+    # what of its coefficient is in the link; damping that the tendon asks of the two
+    # joints beside what the couplings give.
+
+    low: int
+    high: int
+    value: float
+    of: str
+    parts: tuple
+    need: tuple
+
+
+def _mutual(couplings, how):
+    """Pair couplings whose coefficients have the same sign, a list of `_Link`."""
+    # couplings : pairs of `Coupling` and a coefficient; how : of a coupling, the other
+    # joint, alone or with the shape that must be the same.
+    totals = {}
+    for number, (effect, value) in enumerate(couplings):
+        key = how(effect)
+        of = key[1] if isinstance(key, tuple) else ""
+        totals.setdefault((effect.joint, effect.other, of), []).append((number, value))
+    links = []
+    for (low, high, of), first in totals.items():
+        second = totals.get((high, low, of))
+        if low > high or second is None:
+            continue
+        sums = [sum(value for _, value in own) for own in (first, second)]
+        if not sums[0] * sums[1] > 0:
+            continue
+        value = np.sign(sums[0]) * min(map(abs, sums))
+        parts, need = [], []
+        for own, total in zip((first, second), sums):
+            mine = [(number, one * (value / total)) for number, one in own]
+            given = sum(
+                _OWN_SHARE[couplings[number][0].of] * part for number, part in mine
+            )
+            parts += mine
+            need.append(abs(value) - given)
+        links.append(
+            _Link(
+                low=low,
+                high=high,
+                value=float(value),
+                of=of,
+                parts=tuple(parts),
+                need=tuple(need),
+            )
+        )
+    return links
+
+
+def _affordable(links, available):
+    """Share of each link that leaves no joint less than nothing, a list of float."""
+    # A joint with too little gives all its links the same share of what they ask.
+    asked = np.zeros(available.size)
+    for link in links:
+        for j, need in zip((link.low, link.high), link.need):
+            asked[j] += max(need, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(asked > available, available / asked, 1.0)
+    return [
+        float(
+            min(
+                shares[j] if need > 0 else 1.0
+                for j, need in zip((link.low, link.high), link.need)
+            )
+        )
+        for link in links
+    ]

@@ -1,0 +1,320 @@
+"""Windows of a recording, simulated one by one from measured states.
+
+Without feedback errors add up, so that over a whole recording a simulation tells more
+of its length than of the model. Windows begin anew at measured states: their error is
+that of the accelerations, twice integrated over a time that one knows.
+"""
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.recording._columns import torques_in_order
+from sklearn_vbjfa.recording._recording import check_dt
+from sklearn_vbjfa.robot._prediction import predictor_of
+from sklearn_vbjfa.simulation._simulate import SimulationError
+
+
+@dataclass(frozen=True, kw_only=True)
+class FailedWindow:
+    """A window whose simulation ended before its end.
+
+    Attributes
+    ----------
+    window : int
+        Its number, from zero.
+    time : float
+        Time at which it was given up [s]; that of its start if it did not begin.
+    message : str
+        Why.
+    """
+
+    window: int
+    time: float
+    message: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulatedWindows:
+    """Measured and simulated motion over windows of equal length.
+
+    `simulate_windows` makes them.
+
+    Attributes
+    ----------
+    joint_names : tuple of str
+        Joints.
+    prismatic : ndarray of shape (nv,), bool
+        Joints whose positions are in m; those of the others are in rad.
+    starts : ndarray of shape (n_windows,), int
+        First row of each window.
+    t : ndarray of shape (n_windows, m)
+        Times of the rows [s].
+    positions : ndarray of shape (n_windows, m, nv)
+        As measured [rad or m].
+    velocities : ndarray of shape (n_windows, m, nv)
+        Of the smoothed positions [rad/s or m/s].
+    start_positions : ndarray of shape (n_windows, nv)
+        Smoothed positions that the simulations begin at.
+    simulated : ndarray of shape (n_windows, m, 3 * nv)
+        Simulated states [q | v | a]; nan in windows that failed.
+    failures : tuple of FailedWindow
+        What became of these.
+    """
+
+    joint_names: tuple
+    prismatic: np.ndarray
+    starts: np.ndarray
+    t: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+    start_positions: np.ndarray
+    simulated: np.ndarray
+    failures: tuple = ()
+
+    @property
+    def n_windows(self):
+        """Number of windows."""
+        return self.starts.size
+
+    @property
+    def failed(self):
+        """Windows whose simulation ended before their end, (n_windows,), bool."""
+        return np.isnan(self.simulated).any(axis=(1, 2))
+
+    @property
+    def errors(self):
+        """Root mean square position error of each window, (n_windows, nv)."""
+        nv = len(self.joint_names)
+        return _rms(self.simulated[..., :nv] - self.positions, 1)
+
+    @property
+    def velocity_errors(self):
+        """Root mean square velocity error of each window, (n_windows, nv)."""
+        nv = len(self.joint_names)
+        return _rms(self.simulated[..., nv : 2 * nv] - self.velocities, 1)
+
+    def staying(self):
+        """Return the same windows of a robot that stays where it was."""
+        return self._moving(np.zeros_like(self.velocities[:, 0]))
+
+    def going_on(self):
+        """Return the same windows of a robot that keeps its velocity."""
+        return self._moving(self.velocities[:, 0])
+
+    def select(self, chosen):
+        """Return some of the windows, in their order.
+
+        chosen (n_windows,), bool : which.
+        """
+        numbers = {int(k): i for i, k in enumerate(np.flatnonzero(chosen))}
+        failures = [one for one in self.failures if one.window in numbers]
+        return replace(
+            self,
+            starts=self.starts[chosen],
+            t=self.t[chosen],
+            positions=self.positions[chosen],
+            velocities=self.velocities[chosen],
+            start_positions=self.start_positions[chosen],
+            simulated=self.simulated[chosen],
+            failures=tuple(
+                replace(one, window=numbers[one.window]) for one in failures
+            ),
+        )
+
+    def _moving(self, v0):
+        since = self.t - self.t[:, :1]
+        q = self.start_positions[:, None] + since[:, :, None] * v0[:, None]
+        v = np.broadcast_to(v0[:, None], q.shape)
+        states = np.concatenate([q, v, np.zeros_like(q)], axis=2)
+        return replace(self, simulated=states, failures=())
+
+
+def simulate_windows(robot, X, y, groups=None, t=None, *, window=1.0, signals=None):
+    """Simulate windows of a recording, each from the measured state at its start.
+
+    Windows follow one another without gap, within each recording; the last row of one
+    is the first of the next. Those begin where the smoother sees both sides: a velocity
+    at the very end of a recording rests on one side only.
+
+    Parameters
+    ----------
+    robot : RobotIdentifier or IdentifiedRobot
+        Fitted.
+    X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+        Measured joint positions [rad or m], which are smoothed as `robot` does; or
+        states [q | v | a].
+    y : array-like of shape (n_samples, nv)
+        Measured torques [N m or N] that drive the simulation.
+    groups : array-like of shape (n_samples,), default=None
+        Labels of separate recordings.
+    t : array-like of shape (n_samples,), default=None
+        Time of each row [s], on the clock of the fit if effects vary with time. None
+        counts from the beginning of the fit.
+    window : float, default=1.0
+        Length of a window [s].
+    signals : mapping of str to array-like of shape (n_samples,), default=None
+        Columns recorded beside the motion, for effects that vary with them.
+
+    Returns
+    -------
+    SimulatedWindows
+        Measured and simulated motion, errors, and windows that failed.
+
+    Raises
+    ------
+    ValueError
+        If arguments do not suit the robot, no recording is as long as a window, or no
+        window can be begun.
+
+    Warns
+    -----
+    UserWarning
+        Once for all windows, what `RobotIdentifier.simulate` warns of.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa import RobotIdentifier
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> from sklearn_vbjfa.diagnosis import simulate_windows
+    >>> recording = load_demo_recording().select(0)
+    >>> robot = RobotIdentifier(
+    ...     recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")
+    ... )
+    >>> robot = robot.fit(recording.q[:3000], recording.tau[:3000])
+    >>> found = simulate_windows(robot, recording.q[3000:], recording.tau[3000:])
+    >>> found.errors.shape
+    (4, 6)
+    """
+    predictor = predictor_of(robot)
+    names, nv = predictor.joint_names, len(predictor.joint_names)
+    X, signals = predictor.checked(X, signals)
+    y = _torques(y, names, len(X))
+    if predictor.plan.dt is None:
+        raise ValueError(
+            "The robot was identified without a sample period; give RobotIdentifier "
+            "one as dt, which windows are counted with."
+        )
+    dt = check_dt(predictor.plan.dt)
+    asked = predictor.ask(X, groups, t, signals=signals)
+    clock = _times(t, len(X))
+    if clock is None:
+        clock = predictor.clock(None, len(X))
+    states, _ = predictor.query(X, groups)
+    rows = _rows(asked, predictor.plan.standstill, _length(window, dt), dt)
+    starts = rows[:, 0]
+    q0, v0 = states[starts, :nv], states[starts, nv : 2 * nv]
+    simulated = np.full((*rows.shape, 3 * nv), np.nan)
+    failures, refusals = [], []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for k, own in enumerate(rows):
+            given = {name: values[own] for name, values in (signals or {}).items()}
+            try:
+                simulated[k] = robot.simulate(
+                    y[own], q0[k], v0[k], clock[own], signals=given or None
+                )
+            except SimulationError as error:
+                failures.append(
+                    FailedWindow(window=k, time=error.time, message=str(error))
+                )
+            except ValueError as error:
+                # A start that cannot be: this window's fault, unless it is everyone's.
+                refusals.append(error)
+                failures.append(
+                    FailedWindow(window=k, time=clock[own[0]], message=str(error))
+                )
+    if len(refusals) == len(rows):
+        raise refusals[0]
+    _tell(caught)
+    return SimulatedWindows(
+        joint_names=names,
+        prismatic=np.array(is_prismatic(predictor.features.model_)),
+        starts=starts,
+        t=clock[rows],
+        positions=X[rows][..., :nv],
+        velocities=states[rows][..., nv : 2 * nv],
+        start_positions=q0,
+        simulated=simulated,
+        failures=tuple(failures),
+    )
+
+
+def _torques(y, names, n_samples):
+    """Check measured torques, (n, nv)."""
+    y = np.asarray(torques_in_order(y, names), dtype=float)
+    y = y[:, None] if y.ndim == 1 and len(names) == 1 else y
+    if y.shape != (n_samples, len(names)):
+        raise ValueError(
+            f"y must hold one row of torques for each of the {n_samples} rows of X and "
+            f"one column for each joint ({', '.join(names)}); got shape {y.shape}."
+        )
+    bad = np.argwhere(~np.isfinite(y))
+    if bad.size:
+        row, j = bad[0]
+        raise ValueError(
+            f"y holds {y[row, j]} in row {row}, joint {names[j]}; a simulation needs "
+            "every torque: cut the recording there, or fill the gap."
+        )
+    return y
+
+
+def _times(t, n_samples):
+    """Check times of the rows (n,), which each window is simulated with; or None."""
+    if t is None:
+        return None
+    t = np.asarray(t, dtype=float)
+    if t.shape != (n_samples,):
+        raise ValueError(
+            f"t must hold one time per row, shape ({n_samples},); got {t.shape}."
+        )
+    return t
+
+
+def _length(window, dt):
+    """Return the number of steps in a window."""
+    try:
+        seconds = float(window)
+    except (TypeError, ValueError):
+        seconds = np.nan
+    if not dt <= seconds < np.inf:
+        raise ValueError(
+            f"window must be a time in seconds, at least the sample period {dt:g} s; "
+            f"got {window!r}."
+        )
+    return round(seconds / dt)
+
+
+def _rows(asked, standstill, length, dt):
+    """Rows of the windows, (n_windows, length + 1)."""
+    inner = asked.counts(standstill)["position"]
+    found = []
+    for part in asked.recording.segments:
+        first = part.start + int(np.argmax(inner[part].any(axis=1)))
+        found += range(first, part.stop - length, length)
+    if not found:
+        longest = max(part.stop - part.start for part in asked.recording.segments)
+        raise ValueError(
+            f"No recording is as long as a window of {length * dt:g} s: the longest "
+            f"has {longest} rows, {longest * dt:g} s, of which the ends are left out. "
+            "Give shorter windows."
+        )
+    return np.array(found)[:, None] + np.arange(length + 1)
+
+
+def _tell(caught):
+    """Pass on each kind of warning once, in how many windows it came up."""
+    kinds = {}
+    for one in caught:
+        kind = str(one.message).partition(":")[0]
+        kinds.setdefault((one.category, kind), []).append(str(one.message))
+    for (category, _), texts in kinds.items():
+        many = f" (first of {len(texts)} windows)" if len(texts) > 1 else ""
+        warnings.warn(f"{texts[0].rstrip('.')}{many}.", category, stacklevel=3)
+
+
+def _rms(errors, axis):
+    """Root mean square over an axis; nan stays."""
+    return np.sqrt(np.mean(errors**2, axis=axis))

@@ -1,0 +1,462 @@
+"""Torques of an identified robot one state at a time, with memory."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa.effects import Drift, LoadFriction, Motion, Payload, Signal, Stribeck
+from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
+from sklearn_vbjfa.model._regressor import TreeRegressor
+from sklearn_vbjfa.simulation._laws import Row, law_of, sign_of
+
+# Parameters of a body that are off by more than this, beside its largest, when they
+# have been written as mass, centre and inertia, are no solid body's.
+_ROUNDING = 1e-14
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeftOutEffect:
+    """An effect that torques state by state do without.
+
+    Attributes
+    ----------
+    name : str
+        Effect.
+    joint : int
+        Joint, from zero.
+    reason : str
+        Why.
+    """
+
+    name: str
+    joint: int
+    reason: str
+
+
+def why_left_out(effect):
+    """Say why an effect cannot be computed state by state; empty if it can."""
+    if effect.memory == "future":
+        return "it depends on the motion after the state"
+    if effect.memory == "none" or law_of(effect, None) is not None:
+        return ""
+    if effect.one_by_one() is None:
+        return "it depends on the motion before the state, and has no one_by_one"
+    return ""
+
+
+def causal(model):
+    """Return a `TorqueModel` without what states one by one cannot have, and that.
+
+    Parameters
+    ----------
+    model : TorqueModel
+        Robot.
+
+    Returns
+    -------
+    TorqueModel
+        The same robot without the others.
+    tuple of LeftOutEffect
+        The others.
+    """
+    reasons = [
+        "" if effect.in_model else why_left_out(effect) for effect in model.effects
+    ]
+    kept = [k for k, reason in enumerate(reasons) if not reason]
+    load = model.load
+    if load is not None:
+        load = replace(load, coefficients=tuple(load.coefficients[k] for k in kept))
+    found = replace(
+        model,
+        effects=tuple(model.effects[k] for k in kept),
+        coefficients=tuple(model.coefficients[k] for k in kept),
+        load=load,
+    )
+    return found, tuple(
+        LeftOutEffect(name=effect.name, joint=effect.joint, reason=reason)
+        for effect, reason in zip(model.effects, reasons)
+        if reason
+    )
+
+
+class Stepper:
+    """Torques of a robot state by state, for control loops.
+
+    Parameters
+    ----------
+    model : TorqueModel
+        Robot.
+
+    Attributes
+    ----------
+    left_out_ : tuple of LeftOutEffect
+        Effects that need what comes after a state, and are left out.
+
+    Notes
+    -----
+    Hysteresis, play, delays and lags remember the states since `reset`, up to the last
+    turning point or as long as they last; the torque of a state takes as long whatever
+    came before. Everything else depends on the state alone. An object is not for
+    several threads.
+    """
+
+    def __init__(self, model):
+        self._model, self.left_out_ = causal(model)
+        model = self._model
+        self._names, self._nv = model.joint_names, model.n_joints
+        # Effects in the model act through it and the gains alone.
+        pairs = [
+            (effect, np.asarray(coefs, dtype=float), own)
+            for effect, coefs, own in zip(
+                model.effects, model.coefficients, _of_load(model)
+            )
+            if not effect.in_model
+        ]
+        own = [effect for effect, *_ in pairs]
+        if model.rest is not None and model.rest.noise.any():
+            raise ValueError("rest of the model has noise; states are taken as exact.")
+        for effect in own:
+            _check_applies(model, effect)
+        self._timed = any("time" in effect.needs for effect in own)
+        self._signals = {name for effect in own for name in effect.recorded}
+        self._payloads = [one for one in pairs if type(one[0]) is Payload]
+        self._pairs = [one for one in pairs if type(one[0]) is not Payload]
+        self._needs_load = any("load" in effect.needs for effect in own)
+        self._needs_torque = any(
+            "load" in effect.needs and type(effect) is not LoadFriction
+            for effect in own
+        )
+        self._friction = _JointFriction(model.friction_names, model.friction)
+        self._rigid = _Rigid(model, model.bodies, self._payloads)
+        self._load_friction = self._load_rigid = self._load_whole = None
+        if self._needs_load:
+            load = model.load
+            self._load_friction = _JointFriction(model.friction_names, load.friction)
+            self._load_rigid = _Rigid(model, load.bodies)
+            if self._payloads:
+                self._load_whole = _Rigid(model, load.bodies, self._payloads, 1)
+        self._row = Row()
+        signs = self._friction.needs_signs or any(map(_needs_sign, own))
+        rest = model.rest
+        self._signs = [
+            sign_of(None if rest is None else rest.pick(j)) for j in range(self._nv)
+        ]
+        self._with_signs = signs
+        self._gains = np.asarray(model.gains, dtype=float)
+        self.reset()
+
+    def reset(self):
+        """Forget the motion: the next state is the first one of a recording."""
+        self._n, self._last = 0, None
+        self._plain, self._of_load = [], []
+        for effect, coefs, own in self._pairs:
+            one = _Term(self._columns_of(effect), effect, coefs.tolist(), own.tolist())
+            (self._of_load if "load" in effect.needs else self._plain).append(one)
+
+    def _columns_of(self, effect):
+        """Return a function of a `Row` to the columns of an effect."""
+        law = law_of(effect, self._model.rest)
+        if law is not None:
+            return law
+        return _ByMotion(self._model, effect, self._needs_load)
+
+    def step(self, q, v, a, t=None, signals=None):
+        """Torques of the next state.
+
+        Parameters
+        ----------
+        q, v, a : array-like of shape (nv,)
+            Positions [rad or m], velocities and accelerations, taken as noiseless.
+        t : float, default=None
+            Time [s] on the clock of the fit, later than that of the state before; used
+            where effects vary with time. None counts the sample period from the start
+            of the fit.
+        signals : mapping of str to float, default=None
+            What is recorded beside the motion, for effects that vary with it.
+
+        Returns
+        -------
+        ndarray of shape (nv,)
+            Joint torques [N m] or forces [N], friction included, as the channels read
+            them.
+
+        Raises
+        ------
+        ValueError
+            If a state is not of the robot's size or not finite, a signal or the time
+            is missing, or time does not go on.
+        """
+        row = self._row
+        q = np.asarray(q, dtype=float)
+        v = np.asarray(v, dtype=float)
+        a = np.asarray(a, dtype=float)
+        nv = self._nv
+        if not q.shape == v.shape == a.shape == (nv,):
+            raise ValueError(
+                f"q, v and a must have the shape ({nv},); got {q.shape}, {v.shape} and "
+                f"{a.shape}."
+            )
+        row.q, row.v, row.a = q.tolist(), v.tolist(), a.tolist()
+        if not math.isfinite(sum(row.q) + sum(row.v) + sum(row.a)):
+            self._check_finite(q, v, a)
+        if self._signals:
+            row.signals = self._read(signals)
+        # Last of the checks: a state that was refused leaves no trace.
+        if self._timed:
+            self._tell_time(t)
+        if self._with_signs:
+            row.signs = [
+                sign(*speeds) for sign, *speeds in zip(self._signs, row.v, row.a)
+            ]
+        self._n += 1
+        torque = self._rigid(q, v, a, row)
+        self._friction(torque, row)
+        read = None
+        if self._needs_load:
+            row.load = self._load_rigid(q, v, a, row)
+            if self._needs_torque:
+                whole = self._load_whole
+                read = row.load.copy() if whole is None else whole(q, v, a, row)
+                self._load_friction(read, row)
+        for term in self._plain:
+            term.add(row, torque, read)
+        if self._of_load:
+            row.torque = read
+            for term in self._of_load:
+                term.add(row, torque, None)
+        return np.array(torque) * self._gains
+
+    def _check_finite(self, q, v, a):
+        """Say which value of a state is none; sums may overflow where values do not."""
+        for name, values in (("position", q), ("velocity", v), ("acceleration", a)):
+            bad = np.flatnonzero(~np.isfinite(values))
+            if bad.size:
+                j = int(bad[0])
+                raise ValueError(
+                    f"State {self._n} since the reset: the {name} of {self._names[j]} "
+                    f"is {values[j]}."
+                )
+
+    def _tell_time(self, t):
+        """Set the time of the row."""
+        since, dt = self._model.since, self._model.dt
+        if t is None:
+            if dt is None:
+                raise ValueError(
+                    "t is needed: effects vary with time, and the robot was identified "
+                    "without a sample period."
+                )
+            t = (0.0 if since is None else since) + self._n * dt
+        else:
+            t = float(t)
+        if not (t > self._last if self._last is not None else math.isfinite(t)):
+            before = "" if self._last is None else f" after {self._last}"
+            raise ValueError(
+                f"t must go on from state to state; got {t}{before}. Call reset() for "
+                "another motion."
+            )
+        self._row.dt = self._passed(t)
+        self._last = self._row.t = t
+        self._row.known_t = t if since is None else max(t, since)
+
+    def _passed(self, t):
+        """Time since the state before [s]; the sample period but for rounding of t."""
+        dt, last = self._model.dt, self._last
+        if last is None:
+            return None
+        if dt is not None and abs(t - last - dt) <= 2 * math.ulp(t):
+            return dt
+        return t - last
+
+    def _read(self, signals):
+        """Return the recorded signals as floats."""
+        signals = {} if signals is None else signals
+        missing = sorted(self._signals - set(signals))
+        if missing:
+            raise ValueError(
+                f"signals must hold {', '.join(map(repr, missing))}, which effects "
+                "vary with."
+            )
+        return {name: float(signals[name]) for name in self._signals}
+
+
+def _check_applies(model, effect):
+    """Refuse an effect that does not suit the robot, as a prediction would."""
+    nothing = np.zeros((1, model.n_joints))
+    motion = Motion(
+        q=nothing,
+        v=nothing,
+        a=nothing,
+        t=np.zeros(1),
+        load=None if model.load is None else nothing,
+        torque=None if model.load is None else nothing,
+        prismatic=is_prismatic(model.model),
+        rigid=None if model.load is None else lambda q, v, a: nothing,
+        last_body=lambda: np.zeros((1, model.n_joints, 10)),
+        rest=model.rest,
+        since=model.since,
+        signals={name: np.zeros(1) for name in effect.recorded},
+    )
+    reason = effect.applies(motion)
+    if reason:
+        raise ValueError(f"{effect.name} on joint {effect.joint}: {reason}.")
+
+
+def _of_load(model):
+    """Coefficients of each effect in the torque of the load; empty without."""
+    if model.load is None:
+        return [np.empty(0) for _ in model.effects]
+    return [np.asarray(own, dtype=float) for own in model.load.coefficients]
+
+
+def _needs_sign(effect):
+    """Whether an effect of the library takes the sign of its joint from the row."""
+    return type(effect) is Stribeck or (
+        type(effect) in {Drift, Signal} and effect.of == "coulomb"
+    )
+
+
+class _Term:
+    """An effect with its coefficients, and those in the torque of the load."""
+
+    __slots__ = ("_coefs", "_columns", "_everywhere", "_joint", "_own")
+
+    def __init__(self, columns, effect, coefs, own):
+        self._columns, self._joint = columns, effect.joint
+        self._everywhere = effect.whole_robot
+        self._coefs, self._own = coefs, own
+
+    def add(self, row, torque, read):
+        """Add the effect to a torque, and to that of the load unless None."""
+        columns = self._columns(row)
+        if self._everywhere:
+            columns = np.asarray(columns)
+            for j, value in enumerate((columns @ self._coefs).tolist()):
+                torque[j] += value
+            if read is not None:
+                for j, value in enumerate((columns @ self._own).tolist()):
+                    read[j] += value
+            return
+        torque[self._joint] += sum(map(_product, self._coefs, columns))
+        if read is not None:
+            read[self._joint] += sum(map(_product, self._own, columns))
+
+
+_product = float.__mul__
+
+
+class _JointFriction:
+    """Declared friction of all joints."""
+
+    def __init__(self, names, coefficients):
+        known = {name: _column(names, coefficients, name) for name in _DECLARED}
+        unknown = set(names) - set(_DECLARED)
+        if unknown:
+            raise ValueError(
+                f"friction_names holds {sorted(unknown)}, which cannot be stepped."
+            )
+        self._rows = list(zip(*known.values()))
+        self.needs_signs = "coulomb" in names
+
+    def __call__(self, torque, row):
+        """Add the friction of a row to a torque."""
+        signs = row.signs or row.v
+        for j, (viscous, coulomb, offset, rotor) in enumerate(self._rows):
+            torque[j] += (
+                viscous * row.v[j] + coulomb * signs[j] + offset + rotor * row.a[j]
+            )
+
+
+_DECLARED = ("viscous", "coulomb", "offset", "rotor_inertia")
+
+
+def _column(names, coefficients, name):
+    if name not in names:
+        return [0.0] * len(coefficients)
+    return np.asarray(coefficients, float)[:, list(names).index(name)].tolist()
+
+
+class _Rigid:
+    """Rigid bodies with payloads, and rotors as Pinocchio adds them."""
+
+    def __init__(self, model, bodies, payloads=(), which=0):
+        instants = sorted({one[0].instant for one in payloads})
+        self._instants = instants
+        self._bodies = []
+        for instant in [-math.inf, *instants]:
+            carried = np.array(bodies, dtype=float)
+            for effect, *coefs in payloads:
+                if effect.instant <= instant:
+                    carried[-1] += effect.inertial(coefs[which])
+            self._bodies.append(_inverse_dynamics(model.model, carried))
+
+    def __call__(self, q, v, a, row):
+        """Torques of a state, a list of floats."""
+        if not self._instants:
+            return self._bodies[0](q, v, a)
+        picked = sum(row.t >= instant for instant in self._instants)
+        return self._bodies[picked](q, v, a)
+
+
+def _inverse_dynamics(model, bodies):
+    """Return a function (q, v, a) -> torques of bodies (nv, 10), a list of floats."""
+    pin = import_pinocchio()
+    own = model.copy()
+    own.armature = np.zeros(model.nv)
+    solid = True
+    for j, body in enumerate(bodies):
+        if not body.any():
+            own.inertias[j + 1] = pin.Inertia.Zero()
+            continue
+        inertia = pin.Inertia.FromDynamicParameters(body)
+        off = np.abs(inertia.toDynamicParameters() - body)
+        # Parameters without a mass belong to no body.
+        solid &= bool((off <= _ROUNDING * np.abs(body).max()).all())
+        own.inertias[j + 1] = inertia
+    if not solid:
+        regressor = TreeRegressor(model).one_by_one()
+        flat = bodies.ravel()
+
+        def by_regressor(q, v, a):
+            return (regressor(q, v, a).reshape(model.nv, -1) @ flat).tolist()
+
+        return by_regressor
+    data, rnea = own.createData(), pin.rnea
+    return lambda q, v, a: rnea(own, data, q, v, a).tolist()
+
+
+class _ByMotion:
+    """An effect that is not of the library, by motions of one row."""
+
+    def __init__(self, model, effect, load):
+        self._columns = effect.one_by_one()
+        self._model, self._effect = model, effect
+        self._prismatic = is_prismatic(model.model)
+        self._tree = TreeRegressor(model.model)
+        self._matrix = self._tree.one_by_one()
+        self._bodies = model.load.bodies if load else None
+
+    def __call__(self, row):
+        """Columns (k,) or (nv, k) of a row."""
+        q, v, a = (np.array([x]) for x in (row.q, row.v, row.a))
+        motion = Motion(
+            q=q,
+            v=v,
+            a=a,
+            t=None if row.t is None else np.array([row.t]),
+            load=None if row.load is None else np.array([row.load]),
+            torque=None if row.torque is None else np.array([row.torque]),
+            prismatic=self._prismatic,
+            rigid=None if self._bodies is None else self._rigid,
+            last_body=lambda: self._matrix(q[0], v[0], a[0])[None, :, -1].copy(),
+            rest=self._model.rest,
+            since=self._model.since,
+            signals={name: np.array([x]) for name, x in row.signals.items()},
+        )
+        columns = self._columns(motion)[0]
+        return columns if self._effect.whole_robot else columns.tolist()
+
+    def _rigid(self, q, v, a):
+        """Torques of the rigid bodies, (n, nv)."""
+        return self._tree.torques(q, v, a, self._bodies)

@@ -1,0 +1,339 @@
+"""The command simulate: errors on screen, files, one line for what is wrong."""
+
+import csv
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa import RobotIdentifier, load_identified
+from sklearn_vbjfa._cli import _simulate, main
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.diagnosis import simulate_windows
+from sklearn_vbjfa.simulation import SimulationError
+from tests.command_line.test_close_loop import URDF, write_csv
+
+pytest.importorskip("pinocchio")
+
+
+@pytest.fixture(scope="module")
+def urdf(tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    path.write_text(URDF)
+    return path
+
+
+@pytest.fixture(scope="module")
+def recording(urdf):
+    """Two joints, 10 s; a spring on the shoulder is missing in the model."""
+    return make_robot_recording(
+        str(urdf),
+        duration=10.0,
+        dt=0.01,
+        n_harmonics=8,
+        undeclared={"spring": (0, 4.0)},
+        random_state=0,
+    )
+
+
+@pytest.fixture(scope="module")
+def saved(urdf, recording, tmp_path_factory):
+    """File of a robot that was identified from all of it."""
+    path = tmp_path_factory.mktemp("saved") / "arm.json"
+    robot = RobotIdentifier(str(urdf), dt=recording.dt, friction=("viscous", "coulomb"))
+    robot.fit(recording.q, recording.tau).save(path)
+    return path
+
+
+@pytest.fixture
+def good(tmp_path, recording, monkeypatch):
+    """Path of a recording without fault, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    return write_csv(tmp_path / "arm.csv", recording)
+
+
+def run(capsys, *argv):
+    """Return what is printed, without notes."""
+    assert main(["simulate", *map(str, argv)]) == 0
+    captured = capsys.readouterr()
+    assert all(line.startswith("note: ") for line in captured.err.splitlines())
+    return captured.out
+
+
+def refusal(capsys, *argv):
+    """Return the one line on stderr."""
+    assert main(["simulate", *map(str, argv)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    (line,) = captured.err.splitlines()
+    assert line.startswith("sklearn-vbjfa: ")
+    return line
+
+
+def tables(text):
+    """Read both tables: joint -> cells after the unit."""
+    found = [{}, {}]
+    for line in text.splitlines():
+        cells = re.split(r"\s{2,}", line.strip())
+        if len(cells) > 3 and cells[1].startswith(("degrees", "mm")):
+            numbers = [float(x) for x in cells[2:]]
+            found[cells[1].endswith("/s")][cells[0]] = numbers
+    return found
+
+
+def rms_degrees(errors):
+    return np.rad2deg(np.sqrt(np.mean(errors**2, axis=0)))
+
+
+def test_the_rest_of_a_recording_is_simulated(good, urdf, recording, capsys):
+    pytest.importorskip("matplotlib")
+    text = run(capsys, good, "--urdf", urdf, "--window", "0.5")
+    lines = text.splitlines()
+    assert lines[0].startswith("Recording 'arm': 1000 samples, 2 joints")
+    assert lines[1] == "first 70 % of every recording identified, the rest simulated"
+    assert max(map(len, lines)) <= 90
+    # The same in Python.
+    robot = RobotIdentifier(str(urdf), dt=recording.dt, friction=("viscous", "coulomb"))
+    robot.fit(recording.q[:700], recording.tau[:700])
+    found = simulate_windows(robot, recording.q[700:], recording.tau[700:], window=0.5)
+    positions, velocities = tables(text)
+    assert list(positions) == ["shoulder", "elbow"]
+    for j, name in enumerate(positions):
+        own = np.rad2deg(np.median(found.errors[:, j]))
+        rivals = found.staying(), found.going_on()
+        expected = [rms_degrees(found.errors)[j], own]
+        expected += [rms_degrees(rival.errors)[j] for rival in rivals]
+        np.testing.assert_allclose(positions[name], expected, rtol=2e-2)
+        own = [rms_degrees(one.velocity_errors)[j] for one in (found, *rivals)]
+        np.testing.assert_allclose(velocities[name], own, rtol=2e-2)
+    assert f"all {found.n_windows} windows" in text
+    # Files.
+    folder = good.parent / "arm-simulation"
+    assert sorted(x.name for x in folder.iterdir()) == ["arm.png", "simulation.csv"]
+    assert (folder / "arm.png").read_bytes().startswith(b"\x89PNG")
+    assert lines[-1] == (
+        "written: arm-simulation/simulation.csv, arm-simulation/arm.png"
+    )
+    with (folder / "simulation.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 2 * found.n_windows
+    first = rows[0]
+    assert (first["model"], first["joint"], first["unit"]) == (
+        "simulated",
+        "shoulder",
+        "degrees",
+    )
+    begin = (700 + found.starts[0]) * recording.dt
+    assert float(first["from_s"]) == pytest.approx(begin)
+    assert float(first["to_s"]) == pytest.approx(begin + 0.5)
+    assert float(first["position_error"]) == pytest.approx(
+        np.rad2deg(found.errors[0, 0]), rel=1e-3
+    )
+
+
+def test_effects_are_found_and_compared(good, urdf, capsys):
+    options = "--effects", "spring", "--window", "0.5"
+    text = run(capsys, good, "--urdf", urdf, *options)
+    assert "completed by: spring on shoulder" in text
+    positions, _ = tables(text)
+    declared, _, completed, *_ = positions["shoulder"]
+    assert completed < 0.7 * declared
+    with open("arm-simulation/simulation.csv", newline="", encoding="utf-8") as file:
+        models = [row["model"] for row in csv.DictReader(file)]
+    assert set(models) == {"declared", "completed"}
+
+
+def test_a_saved_robot_is_simulated_over_all_rows(
+    good, saved, recording, capsys, monkeypatch
+):
+    text = run(capsys, good, "--model", saved, "--out", "here/there")
+    found = simulate_windows(load_identified(saved), recording.q, recording.tau)
+    positions, _ = tables(text)
+    for j, name in enumerate(positions):
+        expected = rms_degrees(found.errors[~found.failed])[j]
+        assert positions[name][0] == pytest.approx(expected, rel=2e-2)
+    assert f"model: {saved}, effects: none" in text
+    assert "written: here/there/simulation.csv" in text
+
+
+def test_what_close_loop_writes_is_read(good, urdf, capsys):
+    options = ["--effects", "spring", "--no-ceiling"]
+    assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
+    capsys.readouterr()
+    text = run(capsys, good, "--model", "arm-report/identified.json")
+    names = [
+        f"{one.name} on {('shoulder', 'elbow')[one.joint]}"
+        for one in load_identified("arm-report/identified.json").effects_
+    ]
+    assert f"effects: {', '.join(names) or 'none'}\n" in text
+
+
+def test_joints_may_be_in_another_order(good, saved, recording, capsys):
+    straight = run(capsys, good, "--model", saved)
+    turned = write_csv(
+        good.parent / "turned.csv",
+        recording,
+        q=recording.q[:, ::-1],
+        tau=recording.tau[:, ::-1],
+    )
+    other = run(capsys, turned, "--model", saved, "--joints", "elbow,shoulder")
+    assert tables(other) == tables(straight)
+    line = refusal(capsys, good, "--model", saved, "--joints", "elbow,wrist")
+    assert "--joints must name the joints of" in line
+    assert "(shoulder, elbow)" in line
+
+
+def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
+    from sklearn_vbjfa import IdentifiedRobot
+
+    right, calls = IdentifiedRobot.simulate, []
+
+    def wrong(self, *given, **named):
+        calls.append(1)
+        if len(calls) == 3:
+            raise SimulationError("The simulation diverges, as it must.", 2.5)
+        return right(self, *given, **named)
+
+    monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)
+    text = run(capsys, good, "--model", saved)
+    count = len(calls)
+    assert f"1 of {count} windows failed:" in text
+    (line,) = [x for x in text.splitlines() if x.startswith("- ")]
+    begin, end = map(float, re.match(r"- arm, (\S+) to (\S+) s: ", line).groups())
+    assert end - begin == pytest.approx(1.0)
+    assert line.endswith("The simulation diverges, as it must.")
+    assert f"{count - 1} of {count} windows, each" in text
+    with open("arm-simulation/simulation.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    failed = [row for row in rows if row["failed"]]
+    assert len(failed) == 2
+    assert {row["position_error"] for row in failed} == {""}
+    assert all(row["stays"] for row in failed)
+
+
+def test_nothing_but_failures_is_said(good, saved, capsys, monkeypatch):
+    from sklearn_vbjfa import IdentifiedRobot
+
+    def wrong(self, *given, **named):
+        raise SimulationError("The simulation diverges.", 0.5)
+
+    monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)
+    text = run(capsys, good, "--model", saved)
+    assert re.search(r"(\d+) of \1 windows failed:", text)
+    assert "none" in text
+    assert re.search(r"^- and \d+ more; see simulation.csv$", text, flags=re.M)
+
+
+def test_without_matplotlib_one_line_says_so(good, saved, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["simulate", str(good), "--model", str(saved)]) == 0
+    captured = capsys.readouterr()
+    (line,) = [x for x in captured.err.splitlines() if "matplotlib" in x]
+    assert line.startswith("note: no pictures were drawn")
+    assert 'pip install "sklearn-vbjfa[plot]"' in line
+    folder = good.parent / "arm-simulation"
+    assert [path.name for path in folder.iterdir()] == ["simulation.csv"]
+
+
+def test_every_recording_has_a_picture(urdf, saved, recording, tmp_path, capsys):
+    table = {"q": recording.q, "tau": recording.tau, "dt": recording.dt}
+    segment = np.repeat([0, 1], 500)
+    np.savez(tmp_path / "two.npz", **table, segment=segment)
+    out = tmp_path / "out"
+    run(capsys, tmp_path / "two.npz", "--model", saved, "--out", out)
+    pictures = sorted(path.name for path in out.glob("*.png"))
+    assert len(pictures) == 2
+    with (out / "simulation.csv").open(newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert len({row["recording"] for row in rows}) == 2
+    assert max(float(row["to_s"]) for row in rows) <= 5.0
+
+
+def test_the_demo_needs_no_arguments(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    text = run(capsys, "--window", "0.5")
+    assert text.startswith("Recording 'demo': 8000 samples, 6 joints")
+    positions, velocities = tables(text)
+    assert len(positions) == len(velocities) == 6
+    for name in positions:
+        simulated, median, stays, goes_on = positions[name]
+        assert simulated < 0.3 * min(stays, goes_on)
+        assert median < simulated
+    assert (tmp_path / "demo-simulation" / "simulation.csv").is_file()
+
+
+# -- refusals --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        ("arm.csv", "give --urdf FILE, the description of the robot, or --model"),
+        ("arm.csv --urdf U --model M", "--urdf belongs to an identification"),
+        ("arm.csv --model M --friction none", "--friction belongs to an identif"),
+        ("arm.csv --model M --effects all", "--effects belongs to an identif"),
+        ("arm.csv --model M --known-mass upper=1", "--known-mass belongs to an id"),
+        ("arm.csv --model none.json", "none.json"),
+        ("arm.csv --model arm.csv", "arm.csv"),
+        ("arm.csv --urdf none.urdf", "none.urdf: no such robot description"),
+        ("none.csv --urdf U", "none.csv: no such file"),
+        ("none.csv --model M", "none.csv: no such file"),
+        ("--urdf U", "--urdf needs a RECORDING"),
+        ("--model M", "--model needs a RECORDING"),
+        ("--joints a,b", "--joints needs a RECORDING"),
+        ("arm.csv --urdf U --window 0", "--window must be a positive number of sec"),
+        ("arm.csv --urdf U --window nan", "--window must be a positive number of sec"),
+        ("arm.csv --urdf U --window 60", "No recording is as long as a window of 60"),
+        ("arm.csv --urdf U --window 0.001", "at least the sample period 0.01 s"),
+        ("arm.csv --urdf U --friction sticky", "--friction does not know 'sticky'"),
+        ("arm.csv --urdf U --effects rust", "--effects does not know 'rust'"),
+        ("arm.csv --urdf U --cutoff 60", "--cutoff must be below 50 Hz"),
+        ("arm.csv --urdf U --signals temperature", "holds no columns beside time"),
+        ("arm.csv --urdf U --out arm.csv", "arm.csv is a file; --out must name a f"),
+        ("arm.csv --urdf U --joints elbow", "2 column(s) q for 1 joint(s)"),
+    ],
+)
+def test_what_cannot_be_is_one_line(argv, message, good, urdf, saved, capsys):
+    places = {"U": urdf, "M": saved}
+    line = refusal(capsys, *(places.get(x, x) for x in argv.split()))
+    assert message in line
+    assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
+
+
+def test_a_recording_of_another_rate_is_refused(saved, recording, tmp_path, capsys):
+    source = tmp_path / "slow.npz"
+    np.savez(source, q=recording.q[::2], tau=recording.tau[::2], dt=0.02)
+    line = refusal(capsys, source, "--model", saved)
+    assert "slow.npz: is sampled every 0.02 s" in line
+    assert "was identified at 0.01 s" in line
+
+
+def test_faults_of_a_recording_are_refused(saved, recording, tmp_path, capsys):
+    q = recording.q.copy()
+    q[98] = np.nan
+    source = write_csv(tmp_path / "arm.csv", recording, q=q)
+    assert "line 100, column 'q1'" in refusal(capsys, source, "--model", saved)
+    tau = recording.tau[:, ::-1]
+    source = write_csv(tmp_path / "arm.csv", recording, tau=tau)
+    line = refusal(capsys, source, "--model", saved)
+    assert "torques of shoulder and elbow look exchanged" in line
+
+
+def test_no_file_is_written_by_half(good, saved, capsys, monkeypatch):
+    folder = good.parent / "arm-simulation"
+    folder.mkdir()
+    (folder / "simulation.csv").write_text("old")
+
+    def full(self, content):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr(_simulate.Path, "write_bytes", full)
+    assert main(["simulate", str(good), "--model", str(saved)]) == 2
+    captured = capsys.readouterr()
+    # The numbers are not lost with the files.
+    assert "position error over windows" in captured.out
+    (line,) = [x for x in captured.err.splitlines() if not x.startswith("note: ")]
+    assert line == "sklearn-vbjfa: No space left on device"
+    assert [path.name for path in folder.iterdir()] == ["simulation.csv"]
+    assert (folder / "simulation.csv").read_text() == "old"

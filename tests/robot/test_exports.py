@@ -1,0 +1,520 @@
+"""What of an identified robot goes into URDF and MJCF, and what is said of the rest."""
+
+import dataclasses
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier, effects, load_identified  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.effects import (  # noqa: E402
+    AsymmetricFriction,
+    BaseTilt,
+    Coulomb,
+    Coupling,
+    Drift,
+    Effect,
+    JointAxis,
+    JointZero,
+    LoadFriction,
+    Motion,
+    Offset,
+    Ripple,
+    RotorInertia,
+    Spring,
+    Stribeck,
+    TorqueGain,
+    Viscous,
+    ViscousQuadratic,
+)
+from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
+from sklearn_vbjfa.robot._column_powers import ColumnPowers  # noqa: E402
+from sklearn_vbjfa.robot._exports import (  # noqa: E402
+    LeftOut,
+    as_tendons,
+    in_line,
+    to_mjcf,
+)
+from sklearn_vbjfa.simulation._torque_model import TorqueModel  # noqa: E402
+from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
+from tests.model._robots import random_tree  # noqa: E402
+from tests.model.test_mjcf import assert_same, rigid  # noqa: E402
+
+
+def robot_of(uses, seed=0, nv=4, friction=(), axes=("RX", "RY", "RZ")):
+    """Torque model of a random robot with effects and their coefficients, pairs."""
+    rng = np.random.default_rng(seed)
+    model, bodies = random_tree(rng, nv, axes)
+    names, values = zip(*friction) if friction else ((), np.zeros((0, nv)))
+    return TorqueModel(
+        model=model,
+        bodies=bodies,
+        friction_names=tuple(names),
+        friction=np.array(values, dtype=float).T,
+        effects=tuple(effect for effect, _ in uses),
+        coefficients=tuple(np.array(coef, dtype=float) for _, coef in uses),
+        gains=np.ones(nv),
+        dt=0.01,
+    )
+
+
+def torques(robot, states):
+    """Torques of a robot by the definition of its effects, one by one."""
+    motion = Motion(
+        **dict(zip("qva", np.split(states, 3, axis=1))), t=0.01 * np.arange(len(states))
+    )
+    found = rigid(robot.model, robot.bodies, states)
+    for name, column in zip(robot.friction_names, robot.friction.T):
+        (effect,) = effects.resolve(name)
+        found += column * effect.column(motion.v, motion.a)
+    for effect, coef in zip(robot.effects, robot.coefficients):
+        found[:, effect.joint] += effect.columns(motion) @ coef
+    return found
+
+
+def written(robot, path, powers=None):
+    return to_mjcf(path, robot, min_eigenvalue(robot.bodies), powers)
+
+
+def states_for(rng, robot, n=200):
+    """States in which joints and all their sums and differences move."""
+    states = moving_states(rng, n, robot.n_joints)
+    v = states[:, robot.n_joints : 2 * robot.n_joints]
+    pairs = [
+        np.abs(v[:, i] + sign * v[:, j])
+        for i in range(robot.n_joints)
+        for j in range(i)
+        for sign in (1, -1)
+    ]
+    return states[(np.min(pairs, axis=0) > 0.1)]
+
+
+def test_all_that_mjcf_can_hold_is_exact(tmp_path):
+    """Declared and found coefficients add up; nothing is left out."""
+    pytest.importorskip("mujoco")
+    robot = robot_of(
+        [
+            (Viscous(1), [0.4]),
+            (Coulomb(1), [0.7]),
+            (Coulomb(2), [-0.2]),
+            (Offset(0), [1.5]),
+            (Offset(3), [-0.5]),
+            (RotorInertia(2), [0.3]),
+            (Spring(0), [5.0, 2.0]),
+            (Spring(1), [-4.0, 1.0]),
+            (AsymmetricFriction(3), [0.6, 0.0]),
+            (Coupling(2, 3, "sum"), [0.5, 0.8, 0.2]),
+            (Coupling(3, 2, "sum"), [0.5, 0.8, 0.2]),
+            (Coupling(0, 1, "difference"), [-0.3, -0.4, -0.1]),
+            (Coupling(1, 0, "difference"), [-0.3, -0.4, -0.1]),
+            (Coupling(0, 2), [-0.25, 0.0, 0.0]),
+            (Coupling(2, 0), [-0.25, 0.0, 0.0]),
+            (Coupling(0, 1), [0.1, 0.0, 0.05]),
+            (Coupling(1, 0), [0.1, 0.0, 0.05]),
+        ],
+        friction=[
+            ("viscous", [1.0, 2.0, 3.0, 4.0]),
+            ("coulomb", [0.5, 0.5, 0.5, 0.5]),
+            ("offset", [0.1, 0.2, 0.3, 0.4]),
+            ("rotor_inertia", [0.2, 0.1, 0.3, 0.2]),
+        ],
+    )
+    path = tmp_path / "robot.xml"
+    assert written(robot, path) == ()
+    states = states_for(np.random.default_rng(5), robot)
+    assert_same(drive_torques(path, states), torques(robot, states))
+    tendons = ElementTree.parse(path).findall("tendon/fixed")
+    assert [one.get("name") for one in tendons] == [
+        "joint_0 minus joint_1",
+        "joint_0 minus joint_2",
+        "joint_2 plus joint_3",
+    ]
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_file_and_left_outs_make_the_robot(seed, tmp_path):
+    """Random couplings: what MuJoCo computes and what is left add up, nothing < 0."""
+    pytest.importorskip("mujoco")
+    rng = np.random.default_rng(seed)
+    uses = [
+        (Coupling(j, k, str(of)), rng.normal(size=3))
+        for j in range(4)
+        for k in range(4)
+        for of in rng.choice(["other", "sum", "difference"], size=2, replace=False)
+        if j != k
+    ]
+    robot = robot_of(
+        uses,
+        seed,
+        friction=[
+            ("viscous", rng.uniform(0, 2, size=4)),
+            ("rotor_inertia", rng.uniform(0, 1, size=4)),
+        ],
+    )
+    path = tmp_path / "robot.xml"
+    left = written(robot, path)
+    states = states_for(rng, robot)
+    found = drive_torques(path, states)
+    motion = Motion(**dict(zip("qva", np.split(states, 3, axis=1))))
+    couplings = list(zip(robot.effects, robot.coefficients))
+    damping, armature = robot.friction.T
+    rest = as_tendons(couplings, damping, armature, in_line(robot.model)).left
+    for effect, coef in rest:
+        found[:, effect.joint] += effect.columns(motion) @ coef
+    assert_same(found, torques(robot, states))
+    assert [one.joint for one in left] == [e.joint for e, coef in rest if coef.any()]
+    for (_, coef), (_, all_of_it) in zip(rest, couplings):
+        # Nothing is put in that was not identified.
+        assert (np.abs(coef) <= np.abs(all_of_it)).all()
+        assert (coef * all_of_it >= 0).all()
+    for one in ElementTree.parse(path).iter():
+        for key in ("damping", "frictionloss", "armature", "stiffness"):
+            assert float(one.get(key, 0.0)) >= 0.0
+
+
+def test_a_coupling_that_one_joint_feels_alone_is_left_out(tmp_path):
+    robot = robot_of(
+        [
+            (Coupling(0, 1, "sum"), [0.5, 0.8, 0.0]),
+            (Coupling(2, 3, "sum"), [0.5, 0.8, 0.1]),
+            (Coupling(3, 2, "sum"), [0.4, 0.9, -0.1]),
+        ],
+        friction=[("viscous", np.ones(4)), ("rotor_inertia", np.ones(4))],
+    )
+    path = tmp_path / "robot.xml"
+    left = written(robot, path)
+    assert [(one.name, one.joint) for one in left] == [
+        ("coupling", 0),
+        ("coupling", 2),
+        ("coupling", 3),
+    ]
+    assert left[0].reason.startswith("Fvm 0.5, Fcm 0.8 of it: what joint 2 does")
+    assert left[1].reason.startswith("Fvm 0.1, Iam 0.1 of it")
+    assert left[2].reason.startswith("Fcm 0.1, Iam -0.1 of it")
+    (tendon,) = ElementTree.parse(path).findall("tendon/fixed")
+    assert {k: float(tendon.get(k)) for k in ("damping", "frictionloss")} == {
+        "damping": 0.4,
+        "frictionloss": 0.8,
+    }
+    assert tendon.get("armature") is None
+
+
+def test_there_is_no_inertia_between_branches(tmp_path):
+    """MuJoCo would drop it without a word."""
+    robot = robot_of(
+        [(Coupling(0, 2, "sum"), [0.1, 0, 0.2]), (Coupling(2, 0, "sum"), [0.1, 0, 0.2])]
+    )
+    lined = in_line(robot.model)
+    assert not lined[0, 2]
+    np.testing.assert_array_equal(lined, lined.T)
+    left = written(robot, tmp_path / "robot.xml")
+    assert [one.reason.split(" of it")[0] for one in left] == ["Iam 0.2", "Iam 0.2"]
+
+
+def test_couplings_take_no_more_than_the_joints_have(tmp_path):
+    """[[1, -2], [-2, 1]] cannot be passive: half of it is, and half is left."""
+    robot = robot_of(
+        [(Coupling(0, 1), [-2.0, 0.0, 0.0]), (Coupling(1, 0), [-2.0, 0.0, 0.0])],
+        friction=[("viscous", np.ones(4))],
+    )
+    path = tmp_path / "robot.xml"
+    left = written(robot, path)
+    assert [one.reason.split(" of it")[0] for one in left] == ["Fvm -1", "Fvm -1"]
+    (tendon,) = ElementTree.parse(path).findall("tendon/fixed")
+    assert float(tendon.get("damping")) == 1.0
+    damping = [
+        float(one.get("damping", 0.0))
+        for one in ElementTree.parse(path).findall(".//body/joint")
+    ]
+    assert sorted(damping) == [0.0, 0.0, 1.0, 1.0]
+
+
+@pytest.fixture
+def odd():
+    """Make a robot with much that simulators have no place for, and a recording."""
+    robot = robot_of(
+        [
+            (Stribeck(0, vs=0.2), [1.5]),
+            (LoadFriction(1), [0.1]),
+            (Ripple(1, period=0.1), [0.3, 0.4]),
+            (ViscousQuadratic(2), [0.2]),
+            (Drift(3, "coulomb", 10.0), [0.5]),
+            (AsymmetricFriction(2), [0.1, 0.2]),
+            (Coulomb(3, smoothing=0.1), [0.7]),
+            (Viscous(1), [-2.0]),
+            (Spring(2), [3.0, 0.0]),
+        ],
+        friction=[("viscous", np.ones(4)), ("coulomb", [0.4, -0.3, 0.2, 0.1])],
+    )
+    states = moving_states(np.random.default_rng(3), 300, 4)
+    motion = Motion(
+        **dict(zip("qva", np.split(states, 3, axis=1))),
+        t=0.01 * np.arange(300),
+        load=rigid(robot.model, robot.bodies, states),
+    )
+    declared = np.stack([motion.v, np.sign(motion.v)], axis=-1)
+    products = []
+    for effect in robot.effects:
+        columns = effect.columns(motion)
+        own = np.zeros((4, columns.shape[1], columns.shape[1]))
+        own[effect.joint] = columns.T @ columns / 300
+        products.append(own)
+    powers = ColumnPowers(
+        friction=np.mean(declared**2, axis=0), effects=tuple(products)
+    )
+    return robot, motion, powers
+
+
+def rms(x):
+    return float(np.sqrt(np.mean(np.square(x))))
+
+
+def test_mjcf_lists_what_it_has_not_with_its_size(odd, tmp_path):
+    robot, motion, powers = odd
+    path = tmp_path / "robot.xml"
+    left = written(robot, path, powers)
+    v, sign = motion.v, np.sign(motion.v)
+    expected = {
+        ("viscous", 1): rms(v[:, 1]),
+        ("coulomb", 1): 0.3,
+        ("coulomb", 3): 0.7 * np.sqrt(1 - np.mean(np.tanh(v[:, 3] / 0.1) ** 2)),
+        ("stribeck", 0): 1.5 * rms(np.exp(-np.abs(v[:, 0]) / 0.2)),
+        ("load_friction", 1): 0.1 * rms(motion.load[:, 1]),
+        ("ripple", 1): rms(
+            0.3 * np.cos(20 * np.pi * motion.q[:, 1])
+            + 0.4 * np.sin(20 * np.pi * motion.q[:, 1])
+        ),
+        ("viscous_quadratic", 2): 0.2 * rms(v[:, 2] ** 2),
+        ("drift", 3): 0.5 * rms(np.exp(-motion.t / 10.0)),
+        ("asymmetric_friction", 2): 0.2 * rms(v[:, 2]),
+    }
+    assert {(one.name, one.joint): one.size for one in left} == pytest.approx(expected)
+    for one in left:
+        assert one.joint_name == f"joint_{one.joint}"
+        assert one.unit == "N m"
+        assert str(one).replace("--", "- -") in path.read_text()
+    reasons = {(one.name, one.joint): one.reason for one in left}
+    assert "negative (-1), which would drive" in reasons["viscous", 1]
+    assert 'MuJoCo 4 takes it as damping="1 0.2"' in reasons["viscous_quadratic", 2]
+    # It cannot be more than the bound.
+    lack = 0.7 * (np.tanh(v[:, 3] / 0.1) - sign[:, 3])
+    assert rms(lack) <= expected["coulomb", 3]
+
+
+def test_newer_mujoco_reads_quadratic_friction_as_it_is_told(odd, tmp_path):
+    mujoco = pytest.importorskip("mujoco", minversion="4.0")
+    robot, motion, powers = odd
+    path = tmp_path / "robot.xml"
+    (one,) = (x for x in written(robot, path, powers) if x.name == "viscous_quadratic")
+    told = one.reason.split("damping=")[1].split('"')[1]
+    states = np.hstack([motion.q, motion.v, motion.a])
+    before = drive_torques(path, states)
+    tree = ElementTree.parse(path)
+    tree.find(".//joint[@name='joint_2']").set("damping", told)
+    tree.write(path)
+    expected = np.zeros_like(before)
+    expected[:, 2] = 0.2 * motion.v[:, 2] * np.abs(motion.v[:, 2])
+    after = drive_torques(path, states)
+    np.testing.assert_allclose(after - before, expected, atol=1e-9)
+    assert mujoco.__version__
+
+
+def test_sizes_are_unknown_without_a_recording(odd, tmp_path):
+    left = written(odd[0], tmp_path / "robot.xml")
+    assert len(left) == 9
+    known = [one.name for one in left if not np.isnan(one.size)]
+    assert known == []
+    assert "stribeck on joint_0 (unknown)" in (tmp_path / "robot.xml").read_text()
+
+
+def test_left_outs_are_frozen():
+    one = LeftOut(
+        name="ripple", joint=2, joint_name="elbow", size=0.25, unit="N", reason="why"
+    )
+    assert str(one) == "ripple on elbow (0.25 N): why"
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        one.size = 1.0
+
+
+# -- whole identifications -------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return make_robot_recording(
+        duration=20.0,
+        dt=0.01,
+        base_tilt=np.deg2rad([4.0, 2.0]),
+        joint_zero={2: np.deg2rad(3.0)},
+        joint_axis={3: np.deg2rad([2.0, 0.0, 0.0])},
+        torque_gain={1: 1.15},
+        torque_noise=0.01,
+        random_state=3,
+    )
+
+
+@pytest.fixture(scope="module")
+def robot(recording):
+    """Identify a robot with effects of the model, and with others."""
+    robot = RobotIdentifier(
+        recording.urdf,
+        dt=recording.dt,
+        friction=("viscous", "coulomb", "offset", "rotor_inertia"),
+        effects=[
+            BaseTilt(),
+            JointZero(2),
+            JointAxis(3),
+            TorqueGain(1),
+            Spring(4),
+            Stribeck(0, vs=0.3),
+        ],
+    )
+    return robot.fit(recording.q, recording.tau)
+
+
+def without(robot, names):
+    """Copy of a fitted identifier without coefficients of effects."""
+    other = RobotIdentifier(robot.model)
+    other.__dict__.update(robot.__dict__)
+    other.theta_ = robot.theta_.copy()
+    for k, parameter in enumerate(robot.parameter_names_):
+        if any(f":{name}:" in parameter for name in names):
+            other.theta_[k] = 0.0
+    return other
+
+
+@pytest.mark.filterwarnings("ignore:.*outside.*:UserWarning")
+@pytest.mark.parametrize("given", ["path", "model"])
+def test_mujoco_computes_what_predict_does(given, robot, recording, tmp_path):
+    """Gains, a leaning base, an encoder's zero and a turned axis are in the file."""
+    pytest.importorskip("mujoco")
+    path = tmp_path / "identified.xml"
+    if given == "model":
+        other = RobotIdentifier(recording.robot_model())
+        other.__dict__.update(robot.__dict__)
+        other.model = recording.robot_model()
+        left = other.to_mjcf(path)
+    else:
+        left = robot.to_mjcf(path)
+    expressible = [one for one in left if one.name == "stribeck"]
+    assert len(expressible) == 1
+    states = moving_states(np.random.default_rng(0), 200, 6)
+    plain = without(robot, ["stribeck"])
+    dropped = {(one.name, one.joint) for one in left} - {("stribeck", 0)}
+    for name, joint in dropped:
+        # Negative coefficients of what no joint does by itself.
+        at = robot.parameter_names_.index(f"{robot.joint_names_[joint]}:{name}")
+        assert plain.theta_[at] < 0
+        plain.theta_[at] = 0.0
+    expected = plain.predict(states)
+    assert_same(drive_torques(path, states), expected, 1e-6)
+    text = path.read_text()
+    assert 'ref="0.05' in text
+    assert "The base is not level" in text
+    assert "joint_2 reads 1.1" in text
+
+
+def test_urdf_lists_what_it_has_not(robot, tmp_path):
+    path = tmp_path / "identified.urdf"
+    left = robot.to_urdf(path)
+    found = {one.name for one in left}
+    assert {
+        "base_tilt",
+        "joint_zero",
+        "torque_gain",
+        "spring",
+        "stribeck",
+        "offset",
+        "rotor_inertia",
+    } <= found
+    assert "joint_axis" not in found
+    for one in left:
+        assert one.size >= 0
+        assert str(one).replace("--", "- -") in path.read_text()
+    # 15 % of what the channel reads too much.
+    (gain,) = (one for one in left if one.name == "torque_gain")
+    assert gain.joint == 1
+
+
+def test_friction_that_was_found_is_in_the_urdf(recording, tmp_path):
+    """What a search adds counts as what was declared, and both add up."""
+    robot = RobotIdentifier(
+        recording.urdf,
+        dt=recording.dt,
+        friction=("viscous",),
+        effects=[Coulomb(2), Viscous(3), Coulomb(4)],
+    )
+    robot.fit(recording.q, recording.tau)
+    path = tmp_path / "identified.urdf"
+    left = {(one.name, one.joint) for one in robot.to_urdf(path)}
+    values = dict(zip(robot.parameter_names_, robot.theta_))
+    by_name = {j.get("name"): j for j in ElementTree.parse(path).findall("joint")}
+    for joint, name in enumerate(robot.joint_names_):
+        dynamics = by_name[name].find("dynamics")
+        damping = values[f"{name}:viscous"] + values.get(f"{name}:viscous:Fv", 0.0)
+        friction = values.get(f"{name}:coulomb:Fc", 0.0)
+        for kind, key, total in (
+            ("viscous", "damping", damping),
+            ("coulomb", "friction", friction),
+        ):
+            assert float(dynamics.get(key)) == max(total, 0.0)
+            assert ((kind, joint) in left) == (total < 0)
+
+
+def test_sizes_are_those_of_the_fitted_rows(recording, tmp_path):
+    """Root mean squares of torques in rows with weight, of given states."""
+
+    class Cubic(Effect):
+        name = "cubic"
+        coefficients = ("k3",)
+        units = (("N m/rad^3", "N/m^3"),)
+
+        def columns(self, motion):
+            return motion.q[:, [self.joint]] ** 3
+
+    X = recording.states
+    robot = RobotIdentifier(
+        recording.urdf, effects=[Cubic(4), Drift(5, "offset", 7.0)], dt=recording.dt
+    )
+    robot.fit(X, recording.tau)
+    left = robot.to_mjcf(tmp_path / "identified.xml")
+    found = {one.name: one.size for one in left}
+    k3, D = robot.theta_[-2:]
+    moves = np.abs(X[:, 6:12]) > robot.standstill_
+    cubic = (k3 * X[:, 4] ** 3)[moves[:, 4]]
+    decay = (D * np.exp(-recording.dt * np.arange(len(X)) / 7.0))[moves[:, 5]]
+    assert found["cubic"] == pytest.approx(rms(cubic), rel=1e-9)
+    assert found["drift"] == pytest.approx(rms(decay), rel=1e-9)
+    reasons = {one.name: one.reason for one in left}
+    assert reasons["cubic"] == "an effect of the user's own"
+
+
+def test_a_robot_from_a_file_writes_the_same(robot, tmp_path):
+    """Sizes of what is left out are in the file."""
+    saved = tmp_path / "robot.json"
+    robot.save(saved)
+    other = load_identified(saved)
+    for kind in ("urdf", "mjcf"):
+        paths = [tmp_path / f"{name}.{kind}" for name in ("first", "second")]
+        left = [
+            getattr(one, f"to_{kind}")(path) for one, path in zip((robot, other), paths)
+        ]
+        assert left[0] == left[1]
+        assert not any(np.isnan(one.size) for one in left[0])
+        first, second = (path.read_text() for path in paths)
+        # The comments of the first description are not in the model's file.
+        assert first == second or kind == "urdf"
+    again = tmp_path / "again.json"
+    other.save(again)
+    assert again.read_text() == saved.read_text()
+
+
+def test_impossible_bodies_are_not_written(recording, tmp_path):
+    robot = RobotIdentifier(recording.urdf, dt=recording.dt, projector=None)
+    robot.fit(recording.q, recording.tau)
+    with pytest.raises(ValueError, match="not physically consistent, and an MJCF file"):
+        robot.to_mjcf(tmp_path / "out.xml")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,543 @@
+"""Identified robots as files: read back they are the same, and bad files are named."""
+
+import json
+import os
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from sklearn.linear_model import Ridge
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import (  # noqa: E402
+    EffectDiscovery,
+    IdentifiedRobot,
+    RobotIdentifier,
+    load_identified,
+)
+from sklearn_vbjfa._core._whole_files import write_whole  # noqa: E402
+from sklearn_vbjfa.effects import (  # noqa: E402
+    BaseTilt,
+    Counterbalance,
+    Delay,
+    Drift,
+    Effect,
+    JointAxis,
+    JointZero,
+    LoadFriction,
+    Payload,
+    Presliding,
+    Signal,
+    TorqueGain,
+)
+from tests.model._trees import build  # noqa: E402
+from tests.model.test_description_text import with_bodies  # noqa: E402
+
+DT = 0.01
+
+
+class Stiffening(Effect):
+    """Spring that stiffens, with parameters of all kinds that a file can hold."""
+
+    name = "stiffening"
+    coefficients = ("k3",)
+    units = (("N m/rad^3", "N/m^3"),)
+
+    def __init__(self, joint=0, power=3, limits=(-np.inf, 2.5), label="a", odd=True):
+        super().__init__(joint)
+        self.power = power
+        self.limits = limits
+        self.label = label
+        self.odd = odd
+
+    def columns(self, motion):
+        return motion.q[:, [self.joint]] ** self.power
+
+
+def tree_recording(seed=0, n=400):
+    """Robot without a URDF, its joints in another order than URDF has, and its data."""
+    rng = np.random.default_rng(seed)
+    kinds = ["RZ", "PrismaticUnaligned", "RevoluteUnaligned", "RX"]
+    model = pin.Model()
+    made = build(rng, kinds, parents=[0, 1, 1, 3])
+    names = ("z", "y", "b", "a")
+    for j, name in enumerate(names):
+        model.addJoint(
+            made.parents[j + 1], made.joints[j + 1], made.jointPlacements[j + 1], name
+        )
+    model.gravity.linear = np.array([3.0, 0.0, -9.0])
+    with_bodies(model, rng)
+    t = DT * np.arange(n)
+    waves = np.array([2.0, 3.0, 5.0, 7.0])
+    X = np.hstack(
+        [
+            np.sin(np.outer(t, waves)),
+            waves * np.cos(np.outer(t, waves)),
+            -(waves**2) * np.sin(np.outer(t, waves)),
+        ]
+    )
+    data = model.createData()
+    tau = np.array([pin.rnea(model, data, *np.split(x, 3)) for x in X])
+    return model, X, tau + 0.01 * rng.normal(size=tau.shape)
+
+
+def fitted_plain(recording):
+    robot = RobotIdentifier(recording.urdf, dt=DT, friction=("viscous", "coulomb"))
+    return robot.fit(recording.q, recording.tau, groups=recording.groups), {}
+
+
+def fitted_effects(recording):
+    effects = [
+        LoadFriction(joint=1, smoothing=0.1),
+        Counterbalance(joint=2, form="linkage"),
+        Presliding(joint=3),
+        Drift(joint=0, of="offset", time_constant=5.0),
+        Delay(joint=4, delay=0.003),
+        Payload(joint=5, instant=7.0, centre=(0.0, 0.1, 0.0)),
+        Signal(joint=2, signal="warmth", of="viscous", reference=0.3),
+    ]
+    robot = RobotIdentifier(recording.urdf, dt=DT, effects=effects)
+    signals = {"warmth": np.sin(np.arange(len(recording.q)) / 300.0)}
+    robot.fit(recording.q, recording.tau, groups=recording.groups, signals=signals)
+    return robot, {"signals": signals}
+
+
+def fitted_in_model(recording):
+    effects = [BaseTilt(), JointZero(joint=2), JointAxis(joint=3), TorqueGain(joint=1)]
+    robot = RobotIdentifier(recording.urdf, dt=DT, effects=effects)
+    return robot.fit(recording.q, recording.tau, groups=recording.groups), {}
+
+
+def fitted_gains(recording):
+    robot = RobotIdentifier(
+        recording.urdf, dt=DT, gains="unknown", known_masses={"elbow": 4.0}
+    )
+    return robot.fit(recording.q, recording.tau, groups=recording.groups), {}
+
+
+def fitted_states(recording):
+    robot = RobotIdentifier(
+        recording.urdf, dt=DT, friction=("coulomb",), regressor=Ridge(), standstill=None
+    )
+    return robot.fit(recording.states, recording.tau), {}
+
+
+def fitted_online(recording):
+    robot = RobotIdentifier(recording.urdf, standstill=0.05)
+    return robot.partial_fit(recording.states, recording.tau), {}
+
+
+ROBOTS = (
+    fitted_plain,
+    fitted_effects,
+    fitted_in_model,
+    fitted_gains,
+    fitted_states,
+    fitted_online,
+)
+
+
+@pytest.fixture(scope="module", params=ROBOTS, ids=lambda f: f.__name__)
+def fitted(request, simulated):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return request.param(simulated)
+
+
+@pytest.fixture(scope="module")
+def saved(identified, tmp_path_factory):
+    path = tmp_path_factory.mktemp("saved") / "arm.json"
+    identified.save(path)
+    return path
+
+
+def predicted(robot, X, **given):
+    """Torques, and what was said about them."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        torque = robot.predict(X, **given)
+    return torque, [str(one.message) for one in caught]
+
+
+def test_the_robot_in_a_file_is_the_fitted_one(fitted, simulated, tmp_path):
+    robot, given = fitted
+    path = tmp_path / "robot.json"
+    robot.save(path)
+    read = load_identified(path)
+    assert isinstance(read, IdentifiedRobot)
+    queries = [simulated.states, 1.5 * simulated.states]
+    if robot.dt is not None:
+        queries.append(simulated.q)
+    for X in queries:
+        for groups in (None, simulated.groups):
+            known = {"groups": groups} | given
+            expected, said = predicted(robot, X, **known)
+            torque, again = predicted(read, X, **known)
+            np.testing.assert_array_equal(torque, expected)
+            assert again == said
+    again = tmp_path / "again.json"
+    read.save(again)
+    assert again.read_bytes() == path.read_bytes()
+    for name in (
+        "joint_names_",
+        "parameter_names_",
+        "parameter_units_",
+        "theta_",
+        "theta_std_",
+        "identifiable_",
+        "min_eigenvalues_",
+        "noise_floor_",
+        "standstill_",
+        "cutoff_",
+        "dt",
+    ):
+        np.testing.assert_equal(getattr(read, name), getattr(robot, name), name)
+    assert repr(read.effects_) == repr(robot.effects_)
+    np.testing.assert_equal(
+        [vars(one) for one in read.effect_ranges_],
+        [vars(one) for one in robot.effect_ranges_],
+    )
+    if robot.gains_ is not None:
+        for name in ("joint_names", "gain", "std", "reference"):
+            found, expected = (getattr(r.gains_, name) for r in (read, robot))
+            np.testing.assert_array_equal(found, expected)
+        # Not equal as such where something is not known, nan.
+        assert repr(read.gains_.common) == repr(robot.gains_.common)
+    if (robot.min_eigenvalues_ > 0).all():
+        robot.to_urdf(tmp_path / "one.urdf")
+        read.to_urdf(tmp_path / "two.urdf")
+        written = [(tmp_path / f"{n}.urdf").read_text() for n in ("one", "two")]
+        assert written[0] == written[1]
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_robot_without_description(seed, tmp_path):
+    model, X, tau = tree_recording(seed)
+    robot = RobotIdentifier(model, dt=DT, effects=[LoadFriction(joint=1)]).fit(X, tau)
+    robot.save(tmp_path / "tree.json")
+    read = load_identified(tmp_path / "tree.json")
+    assert read.joint_names_ == ("z", "y", "b", "a")
+    expected, _ = predicted(robot, X)
+    torque, _ = predicted(read, X)
+    assert np.abs(torque - expected).max() < 1e-12 * expected.std(axis=0).max()
+    np.testing.assert_array_equal(
+        read.features_.model_.gravity.linear, model.gravity.linear
+    )
+    read.save(tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_text() == (tmp_path / "tree.json").read_text()
+    # What cannot be written of the identifier can of the file.
+    read.to_urdf(tmp_path / "tree.urdf")
+    assert pin.buildModelFromUrdf(str(tmp_path / "tree.urdf")).nv == 4
+
+
+def test_an_effect_of_ones_own(simulated, tmp_path):
+    effects = [Stiffening(joint=2, power=np.int64(3), label="b", odd=False)]
+    robot = RobotIdentifier(simulated.urdf, dt=DT, effects=effects)
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    path = tmp_path / "robot.json"
+    robot.save(path)
+    with pytest.raises(ValueError, match=r"effects\[0\]\.name.*effects=\[\.\.\.\]"):
+        load_identified(path)
+    for given in ([Stiffening], Stiffening, [Stiffening(joint=1)]):
+        read = load_identified(path, effects=given)
+        (effect,) = read.effects_
+        assert effect.get_params() == robot.effects_[0].get_params()
+        np.testing.assert_array_equal(
+            predicted(read, simulated.q)[0], predicted(robot, simulated.q)[0]
+        )
+    with pytest.raises(ValueError, match="classes of effects"):
+        load_identified(path, effects=["stiffening"])
+    robot.effects_[0].set_params(label={"not": "plain"})
+    with pytest.raises(ValueError, match="label of the effect 'stiffening'"):
+        robot.save(tmp_path / "other.json")
+    assert os.listdir(tmp_path) == ["robot.json"]
+
+
+def test_an_effect_under_the_name_of_another(simulated, tmp_path):
+    class Viscous(Effect):
+        name = "viscous"
+        coefficients = ("Fv",)
+        units = (("N m", "N"),)
+
+        def columns(self, motion):
+            return motion.q[:, [self.joint]]
+
+    robot = RobotIdentifier(
+        simulated.urdf, dt=DT, friction=(), effects=[Viscous(joint=1)]
+    )
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    robot.save(tmp_path / "robot.json")
+    with pytest.raises(ValueError, match="give its class"):
+        load_identified(tmp_path / "robot.json")
+    read = load_identified(tmp_path / "robot.json", effects=[Viscous])
+    np.testing.assert_array_equal(
+        predicted(read, simulated.q)[0], predicted(robot, simulated.q)[0]
+    )
+
+
+def test_what_a_discovery_found(simulated, tmp_path):
+    tau = simulated.tau.copy()
+    tau[:, 1] += 3.0 * np.abs(tau[:, 1]) ** 0 * np.exp(-simulated.t / 4.0)
+    loop = EffectDiscovery(
+        RobotIdentifier(simulated.urdf, dt=DT),
+        effects=["coulomb", "drift"],
+        random_state=0,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        robot = loop.fit(simulated.q, tau, groups=simulated.groups).identifier_
+    assert robot.effects_
+    robot.save(tmp_path / "robot.json")
+    read = load_identified(tmp_path / "robot.json")
+    later = {"t": simulated.t + 100.0}
+    expected, said = predicted(robot, simulated.q, **later)
+    torque, again = predicted(read, simulated.q, **later)
+    np.testing.assert_array_equal(torque, expected)
+    assert again == said
+
+
+def test_units_stand_beside_all_parameters(saved, identified):
+    content = json.loads(saved.read_text())
+    told = [(p["name"], p["value"], p["unit"]) for p in content["parameters"]]
+    assert told == list(
+        zip(
+            identified.parameter_names_,
+            identified.theta_.tolist(),
+            identified.parameter_units_,
+        )
+    )
+    assert "\n".join(content["urdf"]).startswith("<robot")
+
+
+def test_the_guide_tells_of_all_keys(saved):
+    guide = (Path(__file__).parents[2] / "docs" / "saved_model.rst").read_text()
+    content = json.loads(saved.read_text())
+    found = [*content, *content["joints"][0], *content["parameters"][0]]
+    for key in found + list(content["fit"]):
+        if not key.endswith("unit"):
+            assert f"``{key}``" in guide, key
+
+
+# -- bad input -------------------------------------------------------------------------
+
+
+def changed(saved, tmp_path, change):
+    """Write another file, its content changed."""
+    content = json.loads(saved.read_text())
+    change(content)
+    path = tmp_path / "changed.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def assign(*keys, value):
+    def change(content):
+        for key in keys[:-1]:
+            content = content[key]
+        content[keys[-1]] = value
+
+    return change
+
+
+def delete(*keys):
+    def change(content):
+        for key in keys[:-1]:
+            content = content[key]
+        del content[keys[-1]]
+
+    return change
+
+
+BAD = {
+    "another format": (assign("format", value="x"), "'format'"),
+    "no format": (delete("format"), "'format'"),
+    "newer": (assign("version", value=2), "'version' is 2, and.*newer"),
+    "version is no number": (assign("version", value="1"), "'version' must be"),
+    "no URDF": (delete("urdf"), "'urdf' is missing"),
+    "no parameter value": (
+        delete("parameters", 3, "value"),
+        r"'parameters\[3\]\.value' is missing",
+    ),
+    "no number": (
+        assign("parameters", 3, "value", value="much"),
+        r"'parameters\[3\]\.value' must hold a number, not 'much'",
+    ),
+    "true is no number": (
+        assign("parameters", 3, "value", value=True),
+        r"'parameters\[3\]\.value' must hold a number, not True",
+    ),
+    "too large": (
+        assign("parameters", 3, "value", value=10**400),
+        r"'parameters\[3\]\.value' holds a number that is too large",
+    ),
+    "nan": (
+        assign("parameters", 5, "value", value="nan"),
+        r"'parameters\[5\]\.value' must hold a finite number",
+    ),
+    "another parameter": (
+        assign("parameters", 0, "name", value="joint_2:m"),
+        r"'parameters\[0\]\.name' is 'joint_2:m' where 'joint_1:m' is expected",
+    ),
+    "too few": (delete("parameters", -1), "'parameters' must hold 72 values"),
+    "no list": (assign("parameters", value=3), "'parameters' must hold a list"),
+    "no object": (assign("fit", value=[]), "'fit' must hold an object"),
+    "broken URDF": (assign("urdf", 0, value="<robot"), "'urdf' holds no such robot"),
+    "no robot": (assign("urdf", value=["<robot/>"]), "'urdf' holds no such robot"),
+    "another joint": (
+        assign("joints", 1, "name", value="elbow"),
+        "'urdf' holds no such robot: the joints joint_1, elbow",
+    ),
+    "joint twice": (
+        assign("joints", 1, "name", value="joint_1"),
+        "'urdf' holds no such robot: the joints joint_1, joint_1",
+    ),
+    "another kind": (
+        assign("joints", 1, "kind", value="prismatic"),
+        r"'joints\[1\]\.kind' is not that of the description",
+    ),
+    "unknown friction": (
+        assign("friction", value=["sticky"]),
+        "'friction' is of no use: .*sticky",
+    ),
+    "gravity": (
+        assign("gravity", "linear", value=[0, 0]),
+        r"'gravity\.linear' must hold 3 values, not 2",
+    ),
+    "no time": (assign("fit", "dt", value=-1.0), r"'fit\.dt' must be greater"),
+    "no text": (assign("saved_with", value=None), "'saved_with' must hold a text"),
+    "known": (
+        assign("parameters", 0, "known", value="perhaps"),
+        r"'parameters\[0\]\.known' must be one of yes",
+    ),
+    "effect": (
+        assign(
+            "effects",
+            value=[{"name": "ripples", "of_library": True, "joint": "joint_1"}],
+        ),
+        r"'effects\[0\]\.name' is 'ripples', which the library",
+    ),
+    "shape": (
+        assign(
+            "effects",
+            value=[
+                {
+                    "name": "ripple",
+                    "of_library": True,
+                    "joint": "joint_1",
+                    "shape": {"periods": 3},
+                }
+            ],
+        ),
+        r"'effects\[0\]\.shape' does not suit 'ripple'",
+    ),
+    "partner": (
+        assign(
+            "effects",
+            value=[
+                {
+                    "name": "coupling",
+                    "of_library": True,
+                    "joint": "joint_2",
+                    "shape": {"other": -2},
+                }
+            ],
+        ),
+        r"'effects\[0\]\.shape\.other' must be another joint",
+    ),
+    "joint of an effect": (
+        assign(
+            "effects",
+            value=[{"name": "ripple", "of_library": True, "joint": "elbow"}],
+        ),
+        r"'effects\[0\]\.joint' must be one of joint_1",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_what_is_wrong_is_named(case, saved, tmp_path):
+    change, message = BAD[case]
+    path = changed(saved, tmp_path, change)
+    with pytest.raises(ValueError, match=message) as found:
+        load_identified(path)
+    assert "changed.json" in str(found.value)
+    assert "\n" not in str(found.value).strip()
+
+
+def keys_of(value, at=()):
+    """All keys of a file, as tuples."""
+    if isinstance(value, dict):
+        for key, inner in value.items():
+            yield (*at, key)
+            yield from keys_of(inner, (*at, key))
+    elif isinstance(value, list):
+        for k, inner in enumerate(value[:1]):
+            yield from keys_of(inner, (*at, k))
+
+
+def test_every_key_is_needed_or_told_beside(simulated, tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        robot, _ = fitted_effects(simulated)
+    path = tmp_path / "robot.json"
+    robot.save(path)
+    content = json.loads(path.read_text())
+    told = {"noise_floor_unit", "standstill_unit", "channel_gain", "shape_units"}
+    for keys in keys_of(content):
+        last = keys[-1]
+        if last in told or last.endswith("unit") or "shape_units" in keys:
+            continue
+        if "shape" in keys[:-1] or (keys[0] == "signals" and len(keys) == 2):
+            continue
+        bad = changed(path, tmp_path, delete(*keys))
+        with pytest.raises(ValueError, match="format" if last == "format" else last):
+            load_identified(bad)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"", "is not JSON"),
+        (b"{", "is not JSON"),
+        (b"\xff\xfe", "is not JSON"),
+        (b"[1, 2", "is not JSON"),
+        (b"[" * 100_000, "is not JSON"),
+        (b'{"format": NaN}', "is not JSON: it holds NaN"),
+        (b"[]", "holds no identified robot"),
+        (b"3", "holds no identified robot"),
+    ],
+)
+def test_what_is_no_file_of_ours(content, message, tmp_path):
+    path = tmp_path / "bad.json"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=message) as found:
+        load_identified(path)
+    assert "bad.json" in str(found.value)
+
+
+def test_no_such_file_and_no_such_folder(identified, tmp_path):
+    with pytest.raises(FileNotFoundError, match=r"no file .*missing\.json"):
+        load_identified(tmp_path / "missing.json")
+    with pytest.raises(FileNotFoundError, match=r"no folder .*nowhere"):
+        identified.save(tmp_path / "nowhere" / "robot.json")
+
+
+def test_an_unfitted_robot_is_not_saved(simulated, tmp_path):
+    with pytest.raises(ValueError, match="not fitted"):
+        RobotIdentifier(simulated.urdf, dt=DT).save(tmp_path / "robot.json")
+
+
+def test_a_file_is_written_as_a_whole(tmp_path, monkeypatch):
+    path = tmp_path / "file.json"
+    write_whole(path, "first")
+
+    def fail(*_):
+        raise OSError("the disk is full")
+
+    monkeypatch.setattr(os, "replace", fail)
+    with pytest.raises(OSError, match="full"):
+        write_whole(path, "second")
+    assert path.read_text() == "first"
+    assert os.listdir(tmp_path) == ["file.json"]

@@ -1,0 +1,276 @@
+"""Windows of a recording: where they begin, their errors, and those that fail."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa import RobotIdentifier, load_identified
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.diagnosis import simulate_windows
+from sklearn_vbjfa.effects import Drift
+from sklearn_vbjfa.simulation import SimulationError
+
+pytest.importorskip("pinocchio")
+
+DT = 0.01
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Two motions of the made-up arm, hardly any noise."""
+    return make_robot_recording(
+        duration=6.0,
+        dt=DT,
+        frequency=1.0,
+        n_recordings=2,
+        torque_noise=0.0,
+        encoder_noise=1e-7,
+        random_state=3,
+    )
+
+
+@pytest.fixture(scope="module")
+def robot(recording):
+    """Identify from true states: as good as the truth."""
+    robot = RobotIdentifier(
+        recording.urdf, dt=DT, friction=("viscous", "coulomb"), cutoff=None
+    )
+    return robot.fit(recording.states, recording.tau, groups=recording.groups)
+
+
+@pytest.fixture(scope="module")
+def found(robot, recording):
+    return simulate_windows(
+        robot, recording.q, recording.tau, recording.groups, window=0.5
+    )
+
+
+def test_windows_follow_one_another_within_recordings(found, recording):
+    rows = found.starts[:, None] + np.arange(51)
+    labels = recording.groups[rows]
+    assert (labels == labels[:, :1]).all()
+    own = np.diff(found.starts)
+    same = np.diff(labels[:, 0]) == 0
+    assert (own[same] == 50).all()
+    for label, part in enumerate(recording.segments):
+        inside = found.starts[labels[:, 0] == label]
+        # Velocities of the very first rows rest on one side only.
+        assert part.start < inside[0] < part.start + 50
+        assert inside[-1] + 2 * 50 >= part.stop - 1
+    np.testing.assert_array_equal(found.positions, recording.q[rows])
+    np.testing.assert_allclose(found.t, DT * rows, atol=1e-12)
+
+
+def test_a_true_robot_stays_at_the_measured_motion(found):
+    assert not found.failed.any()
+    assert found.failures == ()
+    # Torques go straight between rows, with a jump at every turn; the robot's did not.
+    for rival in (found.staying(), found.going_on()):
+        assert np.median(found.errors) < 0.02 * np.median(rival.errors)
+        speeds = np.median(rival.velocity_errors)
+        assert np.median(found.velocity_errors) < 0.02 * speeds
+
+
+def test_errors_are_root_mean_squares_by_hand(found):
+    nv = len(found.joint_names)
+    for k, j in ((0, 0), (3, 4)):
+        own = found.simulated[k, :, j] - found.positions[k, :, j]
+        assert found.errors[k, j] == pytest.approx(np.sqrt(np.mean(own**2)))
+        own = found.simulated[k, :, nv + j] - found.velocities[k, :, j]
+        assert found.velocity_errors[k, j] == pytest.approx(np.sqrt(np.mean(own**2)))
+
+
+def test_rivals_stay_and_go_on(found):
+    nv = len(found.joint_names)
+    since = DT * np.arange(51)
+    q0, v0 = found.start_positions, found.velocities[:, 0]
+    stays, goes_on = found.staying().simulated, found.going_on().simulated
+    np.testing.assert_array_equal(stays[..., :nv], np.repeat(q0[:, None], 51, axis=1))
+    assert not stays[..., nv:].any()
+    np.testing.assert_allclose(
+        goes_on[..., :nv], q0[:, None] + since[:, None] * v0[:, None], atol=1e-12
+    )
+    np.testing.assert_array_equal(goes_on[:, 0, nv : 2 * nv], v0)
+
+
+def test_windows_begin_at_the_smoothed_state(found, robot, recording):
+    nv = recording.nv
+    k = 4
+    np.testing.assert_allclose(found.simulated[k, 0, :nv], found.start_positions[k])
+    np.testing.assert_allclose(found.simulated[k, 0, nv:-nv], found.velocities[k, 0])
+    rows = slice(found.starts[k], found.starts[k] + 51)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        alone = robot.simulate(
+            recording.tau[rows],
+            found.start_positions[k],
+            found.velocities[k, 0],
+            found.t[k],
+        )
+    np.testing.assert_array_equal(found.simulated[k], alone)
+
+
+def test_a_saved_robot_is_simulated_alike(found, robot, recording, tmp_path):
+    robot.save(tmp_path / "arm.json")
+    again = simulate_windows(
+        load_identified(tmp_path / "arm.json"),
+        recording.q,
+        recording.tau,
+        recording.groups,
+        window=0.5,
+    )
+    np.testing.assert_array_equal(again.simulated, found.simulated)
+
+
+def test_some_windows_are_selected(found):
+    chosen = np.zeros(found.n_windows, dtype=bool)
+    chosen[[1, 5]] = True
+    some = found.select(chosen)
+    assert some.n_windows == 2
+    np.testing.assert_array_equal(some.errors, found.errors[[1, 5]])
+    np.testing.assert_array_equal(some.starts, found.starts[[1, 5]])
+
+
+class Failing:
+    """A robot whose simulation ends in an error in some windows."""
+
+    def __init__(self, robot, errors):
+        self._robot, self._errors, self._count = robot, errors, -1
+
+    def __getattr__(self, name):
+        return getattr(self._robot, name)
+
+    def simulate(self, *given, **named):
+        self._count += 1
+        if self._count in self._errors:
+            raise self._errors[self._count]
+        return self._robot.simulate(*given, **named)
+
+
+def part_of(recording, rows):
+    return recording.q[rows], recording.tau[rows]
+
+
+def test_windows_that_fail_are_named_and_the_others_kept(robot, recording):
+    errors = {
+        1: SimulationError("it diverges", 1.25),
+        2: ValueError("q0 lies outside the limits"),
+    }
+    part = part_of(recording, slice(0, 300))
+    found = simulate_windows(Failing(robot, errors), *part, window=0.5)
+    assert found.failed.tolist() == [
+        False,
+        True,
+        True,
+        *[False] * (found.n_windows - 3),
+    ]
+    first, second = found.failures
+    assert (first.window, first.time, first.message) == (1, 1.25, "it diverges")
+    assert (second.window, second.message) == (2, "q0 lies outside the limits")
+    assert np.isnan(found.errors[1:3]).all()
+    assert np.isfinite(found.errors[0]).all()
+    some = found.select(np.arange(found.n_windows) >= 2)
+    (kept,) = some.failures
+    assert (kept.window, kept.message) == (0, "q0 lies outside the limits")
+    # Rivals go on where the simulation did not.
+    assert not found.staying().failed.any()
+
+
+def test_what_no_window_can_begin_with_is_an_error(robot, recording):
+    errors = {k: ValueError("no positive inertia") for k in range(100)}
+    part = part_of(recording, slice(0, 300))
+    with pytest.raises(ValueError, match="no positive inertia"):
+        simulate_windows(Failing(robot, errors), *part, window=0.5)
+
+
+def test_a_robot_that_diverges_in_every_window_is_a_result(robot, recording):
+    errors = {k: SimulationError("it diverges", 0.1) for k in range(100)}
+    part = part_of(recording, slice(0, 300))
+    found = simulate_windows(Failing(robot, errors), *part, window=0.5)
+    assert found.failed.all()
+    assert len(found.failures) == found.n_windows
+
+
+def test_warnings_come_once(robot, recording):
+    class Warning(Failing):
+        def simulate(self, *given, **named):
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore")
+                out = self._robot.simulate(*given, **named)
+            self._count += 1
+            warnings.warn(f"It leaves: at {self._count} s.", UserWarning, stacklevel=1)
+            return out
+
+    part = part_of(recording, slice(0, 300))
+    with pytest.warns(UserWarning, match="It leaves") as caught:
+        found = simulate_windows(Warning(robot, {}), *part, window=0.5)
+    (one,) = caught
+    assert (
+        str(one.message) == f"It leaves: at 0 s (first of {found.n_windows} windows)."
+    )
+
+
+def test_times_are_those_that_are_given(robot, recording):
+    part = part_of(recording, slice(0, 200))
+    t = 7.0 + DT * np.arange(200)
+    found = simulate_windows(robot, *part, t=t, window=0.5)
+    np.testing.assert_array_equal(found.t[:, 0], t[found.starts])
+
+
+def test_effects_of_time_have_the_clock_of_the_fit(recording):
+    robot = RobotIdentifier(
+        recording.urdf,
+        dt=DT,
+        friction=("viscous", "coulomb"),
+        effects=[Drift(joint=1, of="offset", time_constant=3.0)],
+        cutoff=None,
+    )
+    t = 100.0 + DT * np.arange(recording.n_samples)
+    drift = 20.0 * np.exp(-t / 3.0 + 100.0 / 3.0)
+    tau = recording.tau.copy()
+    tau[:, 1] += drift
+    robot.fit(recording.states, tau, groups=recording.groups, t=t)
+    late = slice(300, 600)
+    own = recording.q[late], tau[late]
+    right = simulate_windows(robot, *own, t=t[late], window=0.5)
+    wrong = simulate_windows(robot, *own, window=0.5)
+    assert np.median(right.errors[:, 1]) < 0.2 * np.median(wrong.errors[:, 1])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"window": 0.0}, "window must be a time in seconds, at least the sample"),
+        ({"window": np.nan}, "window must be a time"),
+        ({"window": "long"}, "window must be a time"),
+        (
+            {"window": 7.0},
+            "No recording is as long as a window of 7 s: the longest has",
+        ),
+        (
+            {"y": np.zeros((5, 6))},
+            r"y must hold one row of torques for each of the 1200",
+        ),
+        ({"y": np.zeros((1200, 2))}, r"one column for each joint \(joint_1, "),
+        ({"t": np.zeros(3)}, r"t must hold one time per row, shape \(1200,\)"),
+    ],
+)
+def test_what_cannot_be_is_refused(change, message, robot, recording):
+    given = {"X": recording.q, "y": recording.tau, "groups": recording.groups}
+    with pytest.raises(ValueError, match=message):
+        simulate_windows(robot, **(given | change))
+
+
+def test_torques_that_are_missing_are_refused(robot, recording):
+    tau = recording.tau.copy()
+    tau[17, 2] = np.nan
+    with pytest.raises(ValueError, match="y holds nan in row 17, joint joint_3"):
+        simulate_windows(robot, recording.q, tau)
+
+
+def test_a_robot_without_period_is_refused(recording):
+    robot = RobotIdentifier(recording.urdf, cutoff=None)
+    robot.fit(recording.states, recording.tau, groups=recording.groups)
+    with pytest.raises(ValueError, match="identified without a sample period"):
+        simulate_windows(robot, recording.states, recording.tau)

@@ -81,19 +81,19 @@ def follow(law, torque, q0, v0, t, method="DOP853", breaks=()):
     watched = np.array(law.sticks) | np.array(law.watched)
     while row < len(t):
 
-        def rhs(t, y, way=way, stuck=stuck):
-            a, _, _ = accelerations(law, torque, y[:2], y[2:4], y[4:], t, way, stuck)
-            v = np.where(stuck, 0.0, y[2:4])
-            return [*v, *a, *law.rate(y[:2], v, way, y[4:])]
+        def rhs(t, x, way=way, stuck=stuck):
+            a, _, _ = accelerations(law, torque, x[:2], x[2:4], x[4:], t, way, stuck)
+            v = np.where(stuck, 0.0, x[2:4])
+            return [*v, *a, *law.rate(x[:2], v, way, x[4:])]
 
         def event(j, way=way, stuck=stuck):
-            def turns(t, y):
-                return y[2 + j] * way[j]
+            def turns(t, x):
+                return x[2 + j] * way[j]
 
-            def loosens(t, y):
-                state = y[:2], y[2:4], y[4:], t, way, stuck
+            def loosens(t, x):
+                state = x[:2], x[2:4], x[4:], t, way, stuck
                 _, needed, limit = accelerations(law, torque, *state)
-                return limit[j] * (1 + 1e-9) - abs(needed[j])
+                return limit[j] * (1 + 1e-7) - abs(needed[j])
 
             found = loosens if stuck[j] else turns
             found.terminal, found.direction = True, -1

@@ -102,7 +102,7 @@ def test_predict_of_a_fitted_robot(simulated):
 
 
 def measured(effect, coef, x, t):
-    """What a channel reads of torques x (n,)."""
+    """Read torques x (n,) by a channel."""
     rest = np.zeros((x.size, 1))
     motion = Motion(q=rest, v=rest, a=rest, t=t, load=x[:, None], torque=x[:, None])
     return x + effect.columns(motion) @ coef

@@ -36,7 +36,7 @@ def test_torque_that_is_no_number_is_named_by_row_time_and_joint(bad):
     refused(message, tau, [0, 0])
 
 
-@pytest.mark.parametrize("name, at", [("q0", 1), ("v0", 2)])
+@pytest.mark.parametrize(("name", "at"), [("q0", 1), ("v0", 2)])
 def test_start(name, at):
     start = [[0.0, 0.0], [0.0, 0.0]]
     start[at - 1] = [0.0]
@@ -79,7 +79,9 @@ def test_times():
     refused("t must rise; it goes from 0.03 to 0.02 s in row 4", TAU, [0, 0], t=bad)
     refused("every 0.005 s .*identified at 0.01 s", TAU, [0, 0], t=0.5 * t)
     gap = t + 0.5 * (np.arange(20) > 6)
-    refused("t goes from 0.06 to 0.57 s in row 7, .*rows are missing", TAU, [0, 0], t=gap)
+    refused(
+        "t goes from 0.06 to 0.57 s in row 7, .*rows are missing", TAU, [0, 0], t=gap
+    )
 
 
 def test_no_sample_period():

@@ -111,9 +111,7 @@ def test_pendulum_by_elliptic_functions(q0):
     sn = ellipj(ellipk(k) - rate * t, k)[0]
     # Near the top small errors grow.
     exact = 1e-6 if q0 < 2 else 1e-5 if q0 < 3 else 1e-4
-    np.testing.assert_allclose(
-        states[:, 0], 2 * np.arcsin(np.sqrt(k) * sn), atol=exact
-    )
+    np.testing.assert_allclose(states[:, 0], 2 * np.arcsin(np.sqrt(k) * sn), atol=exact)
 
 
 def chain(rng, n_joints, kinds=("RX", "RY", "RZ")):
@@ -140,7 +138,7 @@ def energies(robot, states):
 
 
 @pytest.mark.parametrize(
-    "n_joints, dt", [*[(n, 0.01) for n in range(1, 8)], (2, 0.001), (6, 0.001)]
+    ("n_joints", "dt"), [*[(n, 0.01) for n in range(1, 8)], (2, 0.001), (6, 0.001)]
 )
 def test_energy_over_ten_seconds_without_friction(n_joints, dt):
     rng = np.random.default_rng(n_joints)
@@ -189,9 +187,7 @@ def test_base_that_leans_turns_gravity():
     moved = np.minimum(
         np.abs(other[:, 0] + lean - one[:, 0]).max(),
         np.abs(
-            other[:, 0]
-            - lean
-            - simulate(upright, nothing(101), [0.5 - lean])[:, 0]
+            other[:, 0] - lean - simulate(upright, nothing(101), [0.5 - lean])[:, 0]
         ).max(),
     )
     assert moved < 1e-9

@@ -158,8 +158,8 @@ class Integrator:
         """Keep what the next step begins with."""
         own = self._dynamics
         self._slope = slope
-        self._begin = _End(0.0, self.v, slope[0], own.needed, own.limit)
-        self._way = np.where(self.v != 0, np.sign(self.v), np.sign(slope[0]))
+        self._begin = 0.0, self.v, slope[0], own.needed, own.limit
+        self._way = own.steps.ways(self.v, slope[0])
 
     def advance(self, tau, after, dt):
         """Go on for a sample period, in which torques go from `tau` to `after`.
@@ -202,7 +202,7 @@ class Integrator:
         slopes = own.by_position, own.by_velocity
         stiff = own.steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
         method = self._implicit if stiff else self._explicit
-        before, after, known = self._begin, None, None
+        before, after, known = None, None, None
         for tries in range(1, _MOST_TRIES + 1):
             q, v, work, slope, error = method(tau, rate, h)
             grown = _RESERVE * max(error, 1e-12) ** (-0.5 if stiff else -0.25)
@@ -224,7 +224,7 @@ class Integrator:
             else:
                 before = end
             if tries < _MOST_TRIES:
-                h = self._first_event(before, after, known)
+                h = self._first_event(before or _End(*self._begin), after, known)
         next_step = h * min(grown, _GROW)
         if h < asked or self._step > asked:
             # It was short for an event, or for the end of the sample period.
@@ -252,18 +252,16 @@ class Integrator:
     def _explicit(self, tau, rate, h):
         """Runge-Kutta step of order four, its error by one of order three."""
         steps, evaluate = self._dynamics.steps, self._evaluate
-        mid, end = tau + (0.5 * h) * rate, tau + h * rate
-        y, (a1, p1) = np.array([self.q, self.v]), self._slope
-        k1 = np.array([self.v, a1])
-        y2 = steps.forward(y, 0.5 * h, k1)
-        a2, p2 = evaluate(*y2, mid, 0.5 * h)
-        k2 = np.array([y2[1], a2])
-        y3 = steps.forward(y, 0.5 * h, k2)
-        a3, p3 = evaluate(*y3, mid, 0.5 * h)
-        k3 = np.array([y3[1], a3])
-        y4 = steps.forward(y, h, k3)
-        a4, p4 = evaluate(*y4, end, h)
-        q, v = steps.runge_kutta(y, h, k1, k2, k3, np.array([y4[1], a4]))
+        half = 0.5 * h
+        mid, end = tau + half * rate, tau + h * rate
+        q, v, (a1, p1) = self.q, self.v, self._slope
+        q2, v2 = steps.forward(q, v, half, v, a1)
+        a2, p2 = evaluate(q2, v2, mid, half)
+        q3, v3 = steps.forward(q, v, half, v2, a2)
+        a3, p3 = evaluate(q3, v3, mid, half)
+        q4, v4 = steps.forward(q, v, h, v3, a3)
+        a4, p4 = evaluate(q4, v4, end, h)
+        q, v = steps.runge_kutta(q, v, h, v2, v3, v4, a1, a2, a3, a4)
         work = (p1 + 2.0 * (p2 + p3) + p4) * h / 6.0
         slope = evaluate(q, v, end, h)
         error = steps.step_error(h, a1, a4, slope[0], self._fast, _TOLERANCE)

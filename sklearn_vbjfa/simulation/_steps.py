@@ -5,14 +5,20 @@ import numpy as np
 _TINY = float(np.finfo(float).tiny)
 
 
-def runge_kutta(y, h, k1, k2, k3, k4):
-    """End of a classical step of order four from slopes (2, nv)."""
-    return y + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
+def runge_kutta(q, v, h, v2, v3, v4, a1, a2, a3, a4):
+    """End of a classical step of order four from slopes, all (nv,)."""
+    q4 = q + (h / 6.0) * (v + 2.0 * (v2 + v3) + v4)
+    return q4, v + (h / 6.0) * (a1 + 2.0 * (a2 + a3) + a4)
 
 
-def forward(y, h, k):
-    """Go a straight way: y + h k."""
-    return y + h * k
+def forward(q, v, h, velocity, acceleration):
+    """Go a straight way from a state."""
+    return q + h * velocity, v + h * acceleration
+
+
+def ways(v, a):
+    """Signs of velocities, and where they are zero those that they are about to have."""
+    return np.where(v != 0.0, np.sign(v), np.sign(a))
 
 
 def step_error(h, a1, a4, a5, fast, tolerance):

@@ -102,7 +102,7 @@ def follow(law, torque, q0, v0, t, method="DOP853", breaks=()):
         events = [event(j) for j in range(2) if watched[j]]
         joints = np.flatnonzero(watched)
         stop = min([b for b in breaks if b > at] + [t[-1] + 1e-9])
-        wanted = np.array([x for x in t[row:] if x <= stop])
+        wanted = np.array([moment for moment in t[row:] if moment <= stop])
         found = solve_ivp(
             rhs,
             (at, stop),
@@ -115,10 +115,10 @@ def follow(law, torque, q0, v0, t, method="DOP853", breaks=()):
         )
         assert found.success, found.message
         end = found.t[-1]
-        for x in wanted[wanted < end]:
-            here = found.sol(x)
+        for moment in wanted[wanted < end]:
+            here = found.sol(moment)
             here[2:4][stuck] = 0.0
-            out[row] = [*here[:4], *rhs(x, here)[2:4]]
+            out[row] = [*here[:4], *rhs(moment, here)[2:4]]
             row += 1
         y, at = found.y[:, -1].copy(), end
         y[2:4][stuck] = 0.0

@@ -82,7 +82,6 @@ def accelerate(
     numbers,
     memory,
     before,
-    out,
 ):
     """Accelerations at one state, see `ForwardDynamics.accelerate`.
 
@@ -102,13 +101,13 @@ def accelerate(
         Table of terms.
     before : ndarray of shape (nv,)
         Accelerations found before.
-    out : ndarray of shape (5, nv)
-        Where to write accelerations, needed dry friction, its limit, derivatives by
-        position and velocity.
 
     Returns
     -------
-    float
+    out : ndarray of shape (5, nv)
+        Accelerations, needed dry friction, its limit, derivatives by position and
+        velocity.
+    power : float
         Power of torques that do not dissipate [W].
     """
     nv = q.size
@@ -178,7 +177,7 @@ def accelerate(
         if stuck[i]:
             # What rounding leaves would be a motion.
             a[i] = 0.0
-    power = 0.0
+    out, power = np.empty((5, nv)), 0.0
     for i in range(nv):
         needed, moved = rhs[i], tau[i] - placed[i]
         for j in range(nv):
@@ -187,4 +186,4 @@ def accelerate(
         out[0, i], out[1, i], out[2, i] = a[i], needed, limit[i]
         out[3, i], out[4, i] = by_position[i], by_velocity[i]
         power += moved * v[i]
-    return power
+    return out, power

@@ -78,6 +78,8 @@ class ForwardDynamics:
         Inertia matrix, rotors included.
     has_dry : ndarray of shape (nv,), bool
         Joints that can stick.
+    changes : bool
+        Whether its torques change with time.
     steps : module
         Arithmetic of a step, compiled where Numba is installed.
     """
@@ -120,6 +122,9 @@ class ForwardDynamics:
         self._plain = not (terms.kinds.size or terms.coupling.any())
         self.has_dry = (terms.dry != 0) | (terms.load_dry != 0)
         self.has_dry[terms.joints[terms.dry_terms()]] = True
+        self._lines = terms.lines
+        self.changes = terms.is_timed or terms.others is not None
+        self._unchanging = terms.inertia, terms.coupling, terms.kinds, terms.joints
         if terms.others is not None:
             self.has_dry |= terms.others.jumps
         # Plain Python reads lists faster than arrays.
@@ -127,11 +132,6 @@ class ForwardDynamics:
         self._rows = self._numbers.tolist()
 
     # -- what changes with time and with what was done before --------------------------
-
-    @property
-    def changes(self):
-        """Whether its torques change with time."""
-        return self.terms.is_timed or self.terms.others is not None
 
     @property
     def instants(self):
@@ -258,15 +258,13 @@ class ForwardDynamics:
 
     def _solved(self, q, v, tau, mode, stuck, M, h, ML, hL, dry):
         """Solve for accelerations; dry (nv,) : dry friction beside the terms'."""
-        terms = self.terms
-        lines = terms.lines
+        lines = self._lines
         if dry is not None and dry.any():
             lines = lines.copy()
             lines[3] += dry
         if self._fast is None:
             return self._solved_plain(q, v, tau, mode, stuck, M, h, ML, hL, lines)
-        out = np.empty((5, q.size))
-        power = self._fast.accelerate(
+        return self._fast.accelerate(
             M,
             h,
             ML,
@@ -278,16 +276,11 @@ class ForwardDynamics:
             mode,
             stuck,
             lines,
-            terms.inertia,
-            terms.coupling,
-            terms.kinds,
-            terms.joints,
+            *self._unchanging,
             self._numbers,
             self._memory,
             self._found[0],
-            out,
         )
-        return out, power
 
     def _solved_plain(self, q, v, tau, mode, stuck, M, h, ML, hL, lines):
         terms = self.terms

@@ -17,7 +17,7 @@ def forward(q, v, h, velocity, acceleration):
 
 
 def ways(v, a):
-    """Signs of velocities, and where they are zero those that they are about to have."""
+    """Signs of velocities; where they are zero, of what they are about to be."""
     return np.where(v != 0.0, np.sign(v), np.sign(a))
 
 

@@ -18,7 +18,7 @@ from sklearn_vbjfa.effects import (
     Stribeck,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.simulation import _dynamics
+from sklearn_vbjfa.simulation import _dynamics, _integrate
 from sklearn_vbjfa.simulation._integrate import Integrator
 from sklearn_vbjfa.simulation._simulate import simulate
 from tests.simulation._machines import Arm, machine, random_machine
@@ -161,6 +161,8 @@ def test_steps_stay_few_where_friction_is_steep():
     assert steps_per_row(still, [0.0, 0.0], [0.4, -0.6]) < 30
     loaded = Arm().robot(effects=[(LoadFriction(j, 1e-6), [1.5]) for j in range(2)])
     assert steps_per_row(loaded, [0.0, 0.0], [0.4, -0.6]) < 30
+    light = Arm().robot({"viscous": [10.0, 1e4]})
+    assert steps_per_row(light, [0.0, 0.0], [0.4, -0.6]) < 30
     dry = Arm().robot({"coulomb": [9.0, 9.0]})
     assert steps_per_row(dry, [0.0, 0.0], [0.4, -0.6]) == 1
 
@@ -178,3 +180,18 @@ def test_random_robots_move_the_same_by_both_twins(monkeypatch):
             other = simulate(robot, tau, q0, v0)
         size = np.abs(one).max()
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-7 * size)
+
+
+def test_order_conditions_of_the_implicit_method():
+    """Those of a W method of order three, for any Jacobian matrix."""
+    A, G = np.zeros((2, 4, 4))
+    A[:, :3], G[:, :3] = _integrate._TO, _integrate._MIXED
+    G += _integrate._GAMMA * np.eye(4)
+    b, lower, one = _integrate._WEIGHTS, _integrate._LOWER, np.ones(4)
+    c = A @ one
+    for weights in (b, lower):
+        expected = [1, 1 / 2, 0]
+        found = [weights @ one, weights @ c, weights @ G @ one]
+        np.testing.assert_allclose(found, expected, atol=1e-14)
+    found = [b @ c**2, b @ A @ c, b @ A @ G @ one, b @ G @ c, b @ G @ G @ one]
+    np.testing.assert_allclose(found, [1 / 3, 1 / 6, 0, 0, 0], atol=1e-14)

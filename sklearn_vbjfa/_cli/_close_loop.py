@@ -13,6 +13,9 @@ from sklearn_vbjfa._cli import _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings
 from sklearn_vbjfa._cli._input import undisturbed
 
+# The robot, as a description, for MuJoCo, and with all that was identified.
+_IDENTIFIED = ("identified.urdf", "identified.xml", "identified.json")
+
 
 def add_to(commands):
     """Add the command to a parser."""
@@ -22,7 +25,8 @@ def add_to(commands):
         description="Identify a robot from a recording, find effects that its model "
         "lacks, add them, and report the error before and after on parts of the "
         "recording that were set aside. Writes report.html, report.json, "
-        "parameters.csv, identified.urdf and identified.json, which simulate reads.",
+        "parameters.csv, identified.urdf, identified.xml for MuJoCo, and "
+        "identified.json, which the command simulate reads.",
     )
     parser.add_argument(
         "recording",
@@ -118,12 +122,15 @@ def run(arguments):
         try:
             # Before anything is printed, as a reader such as head may end the run.
             with undisturbed():
-                written = _write(loop, out)
+                written, left_out = _write(loop, out)
                 arguments.written = True
         except OSError:
             print("\n".join(text))
             raise
     print("\n".join(text))
+    if left_out:
+        print("\nMuJoCo has no place for, and identified.xml goes without:")
+        print("\n".join(f"- {one}" for one in left_out))
     print(f"\nwritten: {', '.join(str(path) for path in written)}")
     say_warnings(caught)
 
@@ -176,7 +183,10 @@ def close(
 
 
 def _write(loop, out):
-    """Write all files or none; each appears complete."""
+    """Write all files or none; each appears complete.
+
+    Returns their paths, and what the MJCF file does not have.
+    """
     from sklearn_vbjfa.robot._known import known_parameters
 
     report = loop.report_
@@ -184,7 +194,7 @@ def _write(loop, out):
         "report.html": report.to_html(),
         "report.json": json.dumps(report.to_dict(), indent=1, allow_nan=False),
     }
-    names = (*texts, "parameters.csv", "identified.urdf", "identified.json")
+    names = (*texts, "parameters.csv", *_IDENTIFIED)
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
         for name, text in texts.items():
@@ -193,10 +203,11 @@ def _write(loop, out):
         path = Path(folder, "parameters.csv")
         _write_parameters(loop.identifier_, known, path)
         loop.identifier_.to_urdf(Path(folder, "identified.urdf"))
+        left_out = loop.identifier_.to_mjcf(Path(folder, "identified.xml"))
         loop.identifier_.save(Path(folder, "identified.json"))
         for name in names:
             os.replace(Path(folder, name), out / name)
-    return [out / name for name in names]
+    return [out / name for name in names], left_out
 
 
 def _write_parameters(robot, known, path):

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sklearn_vbjfa.model._loading import import_pinocchio
+from sklearn_vbjfa.model._regressor import describe
 from sklearn_vbjfa.simulation import _steps
 from sklearn_vbjfa.simulation._terms import Terms, add_terms, remember
 
@@ -78,8 +79,6 @@ class ForwardDynamics:
         Inertia matrix, rotors included.
     has_dry : ndarray of shape (nv,), bool
         Joints that can stick.
-    changes : bool
-        Whether its torques change with time.
     steps : module
         Arithmetic of a step, compiled where Numba is installed.
     """
@@ -90,15 +89,16 @@ class ForwardDynamics:
         known = {} if signals is None else signals.at(0.0)
         self.terms = terms = Terms.of(robot, known)
         self.n_joints = robot.n_joints
-        self._loaded = [
-            (-np.inf, with_bodies(robot.model, robot.bodies, terms.armature))
-        ]
-        bodies = robot.bodies.copy()
+        every = [(-np.inf, robot.bodies)]
         for instant, change in terms.payloads:
-            bodies[-1] = bodies[-1] + change
-            loaded = with_bodies(robot.model, bodies, terms.armature)
-            self._loaded.append((instant, loaded))
-        self.model = self._loaded[0][1]
+            bodies = every[-1][1].copy()
+            bodies[-1] += change
+            every.append((instant, bodies))
+        self._loaded = [
+            (instant, bodies, with_bodies(robot.model, bodies, terms.armature))
+            for instant, bodies in every
+        ]
+        self.model = self._loaded[0][2]
         self._data = self.model.createData()
         # For other orders of a tree's joints Pinocchio's algorithm of composite bodies
         # is wrong.
@@ -106,9 +106,11 @@ class ForwardDynamics:
         if not _is_depth_first(self.model):
             self._inertia = functools.partial(_inertia_by_columns, pin)
         self._load_model = None
+        self._load_bodies = robot.bodies if robot.load is None else robot.load.bodies
+        self._tree = describe(self.model, np.array(self.model.parents.tolist()[1:]) - 1)
+        self._set_robot(robot.bodies)
         if terms.of_load or terms.others is not None:
-            own = robot.bodies if robot.load is None else robot.load.bodies
-            self._load_model = with_bodies(robot.model, own)
+            self._load_model = with_bodies(robot.model, self._load_bodies)
             self._load_data = self._load_model.createData()
         self._fast = compiled()
         self.steps = _steps if self._fast is None else self._fast
@@ -122,9 +124,6 @@ class ForwardDynamics:
         self._plain = not (terms.kinds.size or terms.coupling.any())
         self.has_dry = (terms.dry != 0) | (terms.load_dry != 0)
         self.has_dry[terms.joints[terms.dry_terms()]] = True
-        self._lines = terms.lines
-        self.changes = terms.is_timed or terms.others is not None
-        self._unchanging = terms.inertia, terms.coupling, terms.kinds, terms.joints
         if terms.others is not None:
             self.has_dry |= terms.others.jumps
         # Plain Python reads lists faster than arrays.
@@ -134,15 +133,31 @@ class ForwardDynamics:
     # -- what changes with time and with what was done before --------------------------
 
     @property
+    def changes(self):
+        """Whether its torques change with time."""
+        return self.terms.is_timed or self.terms.others is not None
+
+    @property
     def instants(self):
         """Times [s] at which its bodies change, tuple of float."""
-        return tuple(instant for instant, _ in self._loaded[1:])
+        return tuple(instant for instant, _, _ in self._loaded[1:])
 
     def start(self, q):
         """Begin a motion at positions q (nv,), with the memory of a joint at rest."""
-        self._memory = self.terms.memory(q)
+        terms = self.terms
+        self._memory = terms.memory(q)
         if self._fast is None:
             self._memory = self._memory.tolist()
+        self._table = (
+            self._of_load,
+            terms.lines,
+            terms.inertia,
+            terms.coupling,
+            terms.kinds,
+            terms.joints,
+            self._numbers,
+            self._memory,
+        )
 
     def set_time(self, t):
         """Set torques that change with time to what they are at t [s]."""
@@ -153,11 +168,16 @@ class ForwardDynamics:
 
     def set_bodies(self, t):
         """Set the bodies to what they are at t [s]; return whether they change."""
-        model = [model for instant, model in self._loaded if t >= instant][-1]
+        _, bodies, model = [own for own in self._loaded if t >= own[0]][-1]
         if model is self.model:
             return False
         self.model, self._data = model, model.createData()
+        self._set_robot(bodies)
         return True
+
+    def _set_robot(self, bodies):
+        """Put together what compiled steps take of the robot."""
+        self._robot = self._tree, bodies, self.terms.armature, self._load_bodies
 
     def remember(self, q):
         """Move memory on to positions q (nv,), to which no joint turned round."""
@@ -169,16 +189,6 @@ class ForwardDynamics:
         else:
             own = self._kinds, self._joints, self._rows, self._memory
             remember(*own, q.tolist())
-
-    def copied_memory(self):
-        """Return the memory, to go back to with `restore`."""
-        if isinstance(self._memory, list):
-            return [row.copy() for row in self._memory]
-        return self._memory.copy()
-
-    def restore(self, memory):
-        """Go back to the memory of `copied_memory`."""
-        self._memory = memory
 
     # -- what was found last -----------------------------------------------------------
 
@@ -236,6 +246,22 @@ class ForwardDynamics:
             self._with_others(*state, M, h, ML, hL)
         return self._found[0]
 
+    @property
+    def is_compiled(self):
+        """Whether `explicit_step` can be used: Numba, and no torques of other code."""
+        return self._fast is not None and not self.changes
+
+    def explicit_step(self, q, v, a, power, *step):
+        """Do a compiled step; (q, v, work, (a, power), error) at its end.
+
+        Arguments are those of `explicit_step` in `_compiled_dynamics`, but the robot.
+        """
+        q, v, work, power, error, self._found, self.mass = self._fast.explicit_step(
+            q, v, a, power, *step, *self._robot, *self._table
+        )
+        self.power = power
+        return q, v, work, (self._found[0], power), error
+
     def _with_others(self, q, v, tau, mode, stuck, M, h, ML, hL):
         """Find accelerations with effects that are not of the library."""
         known = {} if self._signals is None else self._signals.at(self._time)
@@ -258,13 +284,15 @@ class ForwardDynamics:
 
     def _solved(self, q, v, tau, mode, stuck, M, h, ML, hL, dry):
         """Solve for accelerations; dry (nv,) : dry friction beside the terms'."""
-        lines = self._lines
+        terms = self.terms
+        lines = terms.lines
         if dry is not None and dry.any():
             lines = lines.copy()
             lines[3] += dry
         if self._fast is None:
             return self._solved_plain(q, v, tau, mode, stuck, M, h, ML, hL, lines)
-        return self._fast.accelerate(
+        out = np.empty((5, q.size))
+        power = self._fast.accelerate(
             M,
             h,
             ML,
@@ -276,11 +304,16 @@ class ForwardDynamics:
             mode,
             stuck,
             lines,
-            *self._unchanging,
+            terms.inertia,
+            terms.coupling,
+            terms.kinds,
+            terms.joints,
             self._numbers,
             self._memory,
             self._found[0],
+            out,
         )
+        return out, power
 
     def _solved_plain(self, q, v, tau, mode, stuck, M, h, ML, hL, lines):
         terms = self.terms

@@ -30,7 +30,7 @@ References
    21(5), 1994. :doi:`10.1016/0305-0548(94)90106-6`
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
@@ -86,8 +86,7 @@ class Diverged(ArithmeticError):
         self.time, self.joint = time, joint
 
 
-@dataclass(frozen=True)
-class _End:
+class _End(NamedTuple):
     """What is known at an end of a step: its time, velocities, dry friction."""
 
     time: float
@@ -133,8 +132,9 @@ class Integrator:
         self._watched = dynamics.has_dry | terms.remembers | terms.bends
         self._way = np.sign(v)
         self._fast = np.maximum(np.abs(v), SLOWEST)
+        self._exact = _TOLERANCE * self._fast
         self._step = np.inf
-        self._stops = np.zeros(nv, dtype=int)
+        self._stops, self._stops_often = np.zeros(nv, dtype=int), False
         self._time = t
         dynamics.start(self.q)
         self.settle(tau)
@@ -181,8 +181,8 @@ class Integrator:
         """Keep what the next step begins with."""
         own = self._dynamics
         self._slope = slope
-        self._begin = 0.0, self.v, slope[0], own.needed, own.limit
-        self._way = own.steps.ways(self.v, slope[0])
+        self._begin = _End(0.0, self.v, slope[0], own.needed, own.limit)
+        self._way = own.steps.directions(self.v, slope[0])
 
     def advance(self, tau, after, dt):
         """Go on for a sample period, in which torques go from `tau` to `after`.
@@ -193,9 +193,9 @@ class Integrator:
             If the numbers do not stay finite, or steps become ever shorter.
         """
         rate = (after - tau) / dt
-        if self._stops.any():
+        if self._stops_often:
             barred = (self._stops > _MOST_STOPS).any()
-            self._stops[:] = 0
+            self._stops[:], self._stops_often = 0, False
             if barred:
                 self.settle(tau)
         start, done, shortest = self._time, 0.0, _SHORTEST * dt
@@ -225,7 +225,7 @@ class Integrator:
         slopes = own.by_position, own.by_velocity
         stiff = own.steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
         method = self._implicit if stiff else self._explicit
-        before, after, known = None, None, None
+        before, after, known = self._begin, None, None
         for tries in range(1, _MOST_TRIES + 1):
             q, v, work, slope, error = method(tau, rate, h)
             grown = _RESERVE * max(error, 1e-12) ** (-1.0 / 3.0 if stiff else -0.25)
@@ -233,12 +233,14 @@ class Integrator:
                 self._step = h * (max(grown, _SHRINK) if grown < 1 else _SHRINK)
                 return 0.0, None
             past = self._past(v)
-            hit = past > 0
-            beyond = hit.any()
+            beyond = past.max() > 0
             if not beyond:
                 if after is None:
+                    hit = None
                     break
                 hit = known & ~self._stuck & (past >= -1)
+            else:
+                hit = past > 0
             if hit.any() and (past <= 1).all():
                 break
             end = _End(h, v, slope[0], own.needed, own.limit)
@@ -247,7 +249,7 @@ class Integrator:
             else:
                 before = end
             if tries < _MOST_TRIES:
-                h = self._first_event(before or _End(*self._begin), after, known)
+                h = self._first_event(before, after, known)
         next_step = h * min(grown, _GROW)
         if h < asked or self._step > asked:
             # It was short for an event, or for the end of the sample period.
@@ -263,31 +265,38 @@ class Integrator:
         self.work += work
         self.steps += 1
         np.maximum(self._fast, np.abs(self.v), out=self._fast)
+        np.multiply(_TOLERANCE, self._fast, out=self._exact)
         self._dynamics.remember(self.q)
-        if not hit.any():
+        if hit is None:
             self._arrive(slope)
             return
         turned = hit & ~self._stuck
         self.v[turned] = 0.0
         self._stops += turned
+        self._stops_often = True
         self.settle(tau)
 
     def _explicit(self, tau, rate, h):
         """Runge-Kutta step of order four, its error by one of order three."""
-        steps, evaluate = self._dynamics.steps, self._evaluate
-        half = 0.5 * h
-        mid, end = tau + half * rate, tau + h * rate
+        own, evaluate = self._dynamics, self._evaluate
+        if own.is_compiled:
+            state = self.q, self.v, *self._slope, tau, rate, h
+            modes = self._mode, self._stuck
+            return own.explicit_step(*state, *modes, self._fast, _TOLERANCE)
         q, v, (a1, p1) = self.q, self.v, self._slope
-        q2, v2 = steps.forward(q, v, half, v, a1)
-        a2, p2 = evaluate(q2, v2, mid, half)
-        q3, v3 = steps.forward(q, v, half, v2, a2)
-        a3, p3 = evaluate(q3, v3, mid, half)
-        q4, v4 = steps.forward(q, v, h, v3, a3)
-        a4, p4 = evaluate(q4, v4, end, h)
-        q, v = steps.runge_kutta(q, v, h, v2, v3, v4, a1, a2, a3, a4)
-        work = (p1 + 2.0 * (p2 + p3) + p4) * h / 6.0
+        half, mid, end = 0.5 * h, tau + (0.5 * h) * rate, tau + h * rate
+        v2 = v + half * a1
+        a2, p2 = evaluate(q + half * v, v2, mid, half)
+        v3 = v + half * a2
+        a3, p3 = evaluate(q + half * v2, v3, mid, half)
+        v4 = v + h * a3
+        a4, p4 = evaluate(q + h * v3, v4, end, h)
+        sixth = h / 6.0
+        q = q + sixth * (v + 2.0 * (v2 + v3) + v4)
+        v = v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        work = sixth * (p1 + 2.0 * (p2 + p3) + p4)
         slope = evaluate(q, v, end, h)
-        error = steps.step_error(h, a1, a4, slope[0], self._fast, _TOLERANCE)
+        error = own.steps.step_error(h, a1, a4, slope[0], self._fast, _TOLERANCE)
         return q, v, work, slope, float(error)
 
     def _implicit(self, tau, rate, h):
@@ -327,16 +336,19 @@ class Integrator:
 
     def _past(self, v):
         """How far joints are past events, in units of what they may be (nv,)."""
-        own = self._dynamics
+        own, stuck = self._dynamics, self._stuck
+        if self._stops_often:
+            stuck = stuck & (self._stops <= _MOST_STOPS)
         return own.steps.past_events(
             self._watched,
             self._way,
             v,
-            _TOLERANCE * self._fast,
-            self._stuck & (self._stops <= _MOST_STOPS),
+            self._exact,
+            stuck,
             own.needed,
-            (1 + _HOLDS) * own.limit,
-            _LOOSE * own.limit,
+            own.limit,
+            1 + _HOLDS,
+            _LOOSE,
         )
 
     def _first_event(self, before, after, known):

@@ -12,8 +12,8 @@ from sklearn_vbjfa.simulation._terms import LEFT_OUT
 
 # Time stamps may differ from whole periods by this share of one.
 _JITTER = 0.01
-# Energy may exceed what was put in by this share.
-_EXCESS = 0.01
+# Energy may exceed what was put in by this share; looked at every so many rows.
+_EXCESS, _EVERY = 0.01, 8
 # Of this share of the potential energy nothing is known.
 _ROUNDING = 1e-9
 # A start may lie outside the limits by this share of the range: noise, or a zero.
@@ -113,23 +113,25 @@ def _run(robot, dynamics, tau, q0, v0, t):
     energy = _Energy(robot, dynamics)
     with np.errstate(all="ignore"):
         dynamics.set_bodies(t[0])
+        instants = dynamics.instants
         motion = Integrator(dynamics, q0, v0, tau[0], t[0])
         for i in range(n):
             if i:
-                _follow(robot, dynamics, motion, energy, i, t, tau)
+                _follow(robot, dynamics, motion, energy, i, t, tau, instants)
             states[i, :nv], states[i, nv : 2 * nv] = motion.q, motion.v
             states[i, 2 * nv :] = motion.a
-            energy.check(motion, t[i])
+            if i % _EVERY == 0 or i + 1 == n:
+                energy.check(motion, t[i])
     return states
 
 
-def _follow(robot, dynamics, motion, energy, i, t, tau):
+def _follow(robot, dynamics, motion, energy, i, t, tau, instants):
     """Move on to row i from the one before, through the instants between them."""
     since, start, period = t[i - 1], tau[i - 1], t[i] - t[i - 1]
-    between = {x for x in dynamics.instants if t[i - 1] < x <= t[i]}
-    for until in sorted(between | {t[i]}):
+    between = [x for x in instants if since < x <= t[i]]
+    for until in sorted({*between, t[i]}) if between else (t[i],):
         left = (t[i] - until) / period
-        end = tau[i] - left * (tau[i] - tau[i - 1])
+        end = tau[i] if left == 0 else tau[i] - left * (tau[i] - tau[i - 1])
         try:
             motion.advance(start, end, until - since)
         except Diverged as found:
@@ -144,11 +146,13 @@ def _follow(robot, dynamics, motion, energy, i, t, tau):
 
 def _diverged(robot, motion, time, row, joint):
     """Say when and where a motion diverges."""
+    unit = "m/s" if is_prismatic(robot.model)[joint] else "rad/s"
     return SimulationError(
         f"The simulation diverges at t = {time:.6g} s (before row {row}): "
-        f"{robot.joint_names[joint]} has the velocity {motion.v[joint]:.3g}. Friction "
-        "that drives a joint, or bodies that the recording does not determine, do "
-        "that; look at the signs of the friction, and identify with more motion.",
+        f"{robot.joint_names[joint]} has the velocity {motion.v[joint]:.3g} {unit}. "
+        "Torques or a start in another unit do that, friction with a negative "
+        "coefficient, or bodies that the recording does not determine: check the "
+        "units, look at the parameters of this joint, and identify with more motion.",
         time,
     )
 

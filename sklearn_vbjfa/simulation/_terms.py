@@ -640,6 +640,8 @@ class StateTorques:
         there = self.torque(a, ML @ a + hL)
         if not self.accelerates:
             return there, None
-        moved = a + np.eye(a.size)
-        slopes = np.column_stack([self.torque(b, ML @ b + hL) - there for b in moved])
+        step = _SLOPE * (1.0 + np.abs(a).max())
+        moved = a + step * np.eye(a.size)
+        slopes = [(self.torque(b, ML @ b + hL) - there) / step for b in moved]
+        slopes = np.column_stack(slopes)
         return there - slopes @ a, slopes

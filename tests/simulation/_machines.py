@@ -81,19 +81,19 @@ class Arm:
     def robot(self, friction=None, effects=(), gravity=GRAVITY, **other):
         """`TorqueModel` of the arm."""
         bodies = [
-            point(m, (0.0, 0.0, -c), own)
-            for m, c, own in zip(self.masses, self.centres, self.inertias)
+            point(m, (0.0, 0.0, -c), i)
+            for m, c, i in zip(self.masses, self.centres, self.inertias)
         ]
         return machine(self.model(gravity), bodies, friction, effects, **other)
 
     def mass(self, q, payload=0.0):
         """Inertia matrix; the payload is a point mass at the end of the arm."""
-        (m1, m2), (c1, c2), (own1, own2) = self.masses, self.centres, self.inertias
+        (m1, m2), (c1, c2), (I1, I2) = self.masses, self.centres, self.inertias
         l1, l2 = self.lengths
         moment = m2 * c2 + payload * l2
-        far = own2 + m2 * c2**2 + payload * l2**2
+        far = I2 + m2 * c2**2 + payload * l2**2
         cross = l1 * moment * np.cos(q[1])
-        near = own1 + m1 * c1**2 + (m2 + payload) * l1**2
+        near = I1 + m1 * c1**2 + (m2 + payload) * l1**2
         return np.array([[near + far + 2 * cross, far + cross], [far + cross, far]])
 
     def bias(self, q, v, payload=0.0, gravity=GRAVITY):

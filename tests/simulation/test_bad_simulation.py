@@ -114,8 +114,8 @@ def test_negative_friction_is_found_by_its_energy():
     error = refused(
         message, np.zeros((100, 1)), [0.0], [1.0], robot=robot, error=SimulationError
     )
-    # Of the kinetic energy that it started with 1 % more is there after 10 ms.
-    assert 0 < error.time <= 0.03
+    # More than 1 % is there after 10 ms, and looked for every few rows.
+    assert 0 < error.time <= 0.1
 
 
 def test_ripple_with_a_negative_coefficient_is_no_friction():

@@ -55,8 +55,9 @@ def _hold(A, b, stuck):
     n = b.size
     for j in range(n):
         if stuck[j]:
+            # Its column as well: rounding would set the joint in motion.
             for c in range(n):
-                A[j, c] = 0.0
+                A[j, c] = A[c, j] = 0.0
             A[j, j] = 1.0
             b[j] = 0.0
 

@@ -519,7 +519,11 @@ def _without_blank_rows(table: Table, layout, notes):
     ]
     if not used or any(values.dtype.kind != "f" for values in used):
         return table
-    blank = np.isnan(np.column_stack(used)).all(axis=1)
+    blank = np.isnan(used[0])
+    for values in used[1:]:
+        if not blank.any():
+            return table
+        blank &= np.isnan(values)
     if not blank.any() or blank.all():
         return table
     rows = np.flatnonzero(~blank)

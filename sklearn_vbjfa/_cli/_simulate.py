@@ -15,8 +15,10 @@ import numpy as np
 
 from sklearn_vbjfa._cli import _close_loop, _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings
-from sklearn_vbjfa._cli._input import undisturbed
+from sklearn_vbjfa._cli._stopping import undisturbed
 
+# What a run writes beside pictures.
+_TABLE = "simulation.csv"
 # Share of every recording that is identified; the rest is simulated.
 _SHARE = 0.7
 # Sample periods may differ by this share.
@@ -74,6 +76,7 @@ def add_to(commands):
         metavar="DIR",
         help="folder for the files; by default the name of RECORDING plus -simulation",
     )
+    _options.add_force(parser)
     _options.add_model(parser)
     parser.add_argument(
         "--effects",
@@ -114,9 +117,13 @@ def run(arguments):
     from sklearn_vbjfa.robot._windows import simulate_windows
 
     _check(arguments)
-    source = Path(arguments.recording or "demo")
-    out = Path(arguments.out or f"{source.stem or 'recording'}-simulation")
+    source = _input.path(arguments.recording or "demo")
+    out = _input.path(arguments.out or f"{source.stem or 'recording'}-simulation")
     _input.check_folder(out)
+    if not arguments.force:
+        given = (arguments.urdf, arguments.model)
+        inputs = (source, *map(_input.path, filter(None, given)))
+        _input.check_overwriting(out, (_TABLE,), inputs, (".png",))
     draws = importlib.util.find_spec("matplotlib") is not None
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -142,7 +149,7 @@ def run(arguments):
         except ValueError as error:
             raise ValueError(f"{source}: {error}") from error
         text = _report(task, windows, arguments.window)
-        files = {"simulation.csv": _table(task, windows).encode("utf-8")}
+        files = {_TABLE: _table(task, windows).encode("utf-8")}
         left = ""
         if draws:
             pictures, left = _pictures(task, windows)
@@ -226,7 +233,7 @@ def _saved(arguments, source, folder):
     """Take a saved robot and the whole recording."""
     from sklearn_vbjfa import load_identified
 
-    robot = load_identified(arguments.model)
+    robot = load_identified(_input.path(arguments.model))
     names = robot.joint_names_
     joints = _input.joint_names(arguments.joints)
     if joints and set(joints) != set(names):
@@ -276,7 +283,7 @@ def _identified(arguments, source, folder):
         recording = load_demo_recording()
         urdf = recording.urdf
     else:
-        urdf, held = _input.robot(Path(arguments.urdf), joints, folder)
+        urdf, held = _input.robot(_input.path(arguments.urdf), joints, folder)
         recording = _input.read(source, arguments.dt, urdf, joints)
         _check_channels(recording, urdf, source)
         signals = _input.signals(arguments.signals, recording, source)
@@ -502,7 +509,7 @@ def _table(task, windows):
                 row = [label, name, f"{begin:.6g}", f"{end:.6g}", joint, units[j]]
                 numbers = errors[k, j], speeds[k, j], stays[k, j], goes_on[k, j]
                 row += ["" if np.isnan(x) else f"{x:.6g}" for x in numbers]
-                table.writerow([*row, why.get(k, "")])
+                table.writerow(map(_input.no_formula, [*row, why.get(k, "")]))
     return file.getvalue()
 
 

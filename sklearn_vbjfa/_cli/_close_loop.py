@@ -14,9 +14,11 @@ from sklearn_vbjfa._cli import _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings, told
 from sklearn_vbjfa._cli._stopping import undisturbed
 
+# The robot, as a description, for MuJoCo, and with all that was identified.
+_IDENTIFIED = ("identified.urdf", "identified.xml", "identified.json")
 # What a run writes, the page first.
 _PAGE = "report.html"
-_FILES = (_PAGE, "report.json", "parameters.csv", "identified.urdf", "identified.json")
+_FILES = (_PAGE, "report.json", "parameters.csv", *_IDENTIFIED)
 
 
 def add_to(commands):
@@ -27,7 +29,8 @@ def add_to(commands):
         description="Identify a robot from a recording, find effects that its model "
         "lacks, add them, and report the error before and after on parts of the "
         "recording that were set aside. Writes report.html, report.json, "
-        "parameters.csv, identified.urdf and identified.json, which simulate reads.",
+        "parameters.csv, identified.urdf, identified.xml for MuJoCo, and "
+        "identified.json, which the command simulate reads.",
     )
     parser.add_argument(
         "recording",
@@ -138,12 +141,15 @@ def run(arguments):
             )
             report = Report(replace(loop.report_.outcome, provenance=provenance))
             with undisturbed():
-                written = _write(loop, report, out)
+                written, left_out = _write(loop, report, out)
                 arguments.written = True
         except OSError:
             print("\n".join(text))
             raise
     print("\n".join(text))
+    if left_out:
+        print("\nMuJoCo has no place for, and identified.xml goes without:")
+        print("\n".join(f"- {one}" for one in left_out))
     print(f"\nwritten: {', '.join(str(path) for path in written)}")
     say_warnings(caught)
 
@@ -196,7 +202,10 @@ def close(
 
 
 def _write(loop, report, out):
-    """Write all files or none; each appears complete."""
+    """Write all files or none; each appears complete.
+
+    Returns their paths, and what the MJCF file does not have.
+    """
     from sklearn_vbjfa.robot._known import known_parameters
 
     texts = {
@@ -211,10 +220,11 @@ def _write(loop, report, out):
         path = Path(folder, "parameters.csv")
         _write_parameters(loop.identifier_, known, path)
         loop.identifier_.to_urdf(Path(folder, "identified.urdf"))
+        left_out = loop.identifier_.to_mjcf(Path(folder, "identified.xml"))
         loop.identifier_.save(Path(folder, "identified.json"))
         for name in _FILES:
             os.replace(Path(folder, name), out / name)
-    return [out / name for name in _FILES]
+    return [out / name for name in _FILES], left_out
 
 
 def _write_parameters(robot, known, path):

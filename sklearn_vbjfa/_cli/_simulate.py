@@ -1,11 +1,7 @@
 """The command ``simulate``: the identified robot in motion, beside the measured one."""
 
-import csv
-import importlib
 import importlib.util
-import io
 import os
-import re
 import tempfile
 import warnings
 from dataclasses import dataclass
@@ -15,6 +11,12 @@ import numpy as np
 
 from sklearn_vbjfa._cli import _close_loop, _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings
+from sklearn_vbjfa._cli._simulated import (
+    Simulated,
+    errors_table,
+    errors_text,
+    pictures,
+)
 from sklearn_vbjfa._cli._stopping import undisturbed
 
 # What a run writes beside pictures.
@@ -23,9 +25,6 @@ _TABLE = "simulation.csv"
 _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
-# Most pictures, and most windows that failed and are named.
-_MOST_PICTURES, _MOST_NAMED = 12, 5
-_RESOLUTION = 120  # dots per inch
 # Options of an identification, and what they are where none is given.
 _DEFAULTS = {"friction": "viscous,coulomb", "effects": "none", "cutoff": "auto"}
 _OF_IDENTIFICATION = ("urdf", *_DEFAULTS, "gain", "known_mass")
@@ -135,25 +134,29 @@ def run(arguments):
         # Saved models have a clock of their own.
         times = None if arguments.model else recording.clock()[rows]
         part = recording.q[rows], recording.tau[rows], recording.groups[rows]
+        windows, first = {}, None
         try:
-            windows = {
-                label: simulate_windows(
+            for label, robot in task.robots.items():
+                windows[label] = simulate_windows(
                     robot,
                     *part,
                     times,
                     window=arguments.window,
                     signals=task.signals,
+                    beside=first,
                 )
-                for label, robot in task.robots.items()
-            }
+                first = first or windows[label]
         except ValueError as error:
             raise ValueError(f"{source}: {error}") from error
-        text = _report(task, windows, arguments.window)
-        files = {_TABLE: _table(task, windows).encode("utf-8")}
+        found = Simulated(
+            recording=recording, rows=rows, windows=windows, told=task.told
+        )
+        text = errors_text(found, arguments.window)
+        files = {_TABLE: errors_table(found).encode("utf-8")}
         left = ""
         if draws:
-            pictures, left = _pictures(task, windows)
-            files |= pictures
+            drawn, left = pictures(found)
+            files |= drawn
         try:
             with undisturbed():
                 _write(files, out)
@@ -379,166 +382,7 @@ def _at(signals, rows):
     return {name: x[rows] for name, x in signals.items()}
 
 
-# -- what is said ----------------------------------------------------------------------
-
-
-def _scales(windows):
-    """Factors (nv,) to degrees and mm, and these units."""
-    slides = windows.prismatic
-    units = tuple("mm" if sliding else "degrees" for sliding in slides)
-    return np.where(slides, 1e3, 180 / np.pi), units
-
-
-def _report(task, windows, seconds):
-    """Errors joint by joint, and what became of the windows."""
-    one = next(iter(windows.values()))
-    whole = ~np.any([own.failed for own in windows.values()], axis=0)
-    scale, units = _scales(one)
-    rivals = {"stays": one.staying(), "goes on": one.going_on()}
-    positions, velocities = {"": one.joint_names, "unit": units}, {}
-    velocities |= {"": one.joint_names, "unit": [f"{unit}/s" for unit in units]}
-    for label, own in (windows | rivals).items():
-        errors = own.errors[whole] * scale
-        positions[label] = _numbers(_rms(errors))
-        if label in windows:
-            # Heads differ in blanks where two models are simulated.
-            head = f"median{' ' * list(windows).index(label)}"
-            positions[head] = _numbers(_median(errors))
-        velocities[label] = _numbers(_rms(own.velocity_errors[whole] * scale))
-    which = "all" if whole.all() else f"{whole.sum()} of"
-    lines = [
-        str(task.recording),
-        task.told,
-        "",
-        f"position error over windows of {seconds:g} s, root mean square",
-        _tabulated(positions),
-        "",
-        "velocity error",
-        _tabulated(velocities),
-        "",
-        f"{which} {whole.size} windows, each from the measured state at its start and "
-        "driven by the",
-        "measured torques. median: of the windows' position errors; stays, goes on: a",
-        "robot that stays where it was, and one that keeps its velocity.",
-    ]
-    for label, own in windows.items():
-        if own.failures:
-            lines.append(_failed(task, label if len(windows) > 1 else "", own))
-    return "\n".join(lines)
-
-
-def _tabulated(columns):
-    """Write columns of text, the first two of them words, as a table."""
-    from tabulate import tabulate
-
-    return tabulate(
-        list(zip(*columns.values())),
-        headers=[head.strip() for head in columns],
-        disable_numparse=True,
-        colalign=("left", "left", *["right"] * (len(columns) - 2)),
-    )
-
-
-def _rms(errors):
-    """Root mean square over windows, (nv,); nan without any."""
-    if not len(errors):
-        return np.full(errors.shape[1], np.nan)
-    return np.sqrt(np.mean(errors**2, axis=0))
-
-
-def _median(errors):
-    """Median over windows, (nv,); nan without any."""
-    if not len(errors):
-        return np.full(errors.shape[1], np.nan)
-    return np.median(errors, axis=0)
-
-
-def _numbers(values):
-    """Write errors, none of which is negative, with three digits."""
-    return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in values]
-
-
-def _failed(task, label, windows):
-    """Name windows that were not simulated to their end, and why."""
-    count = len(windows.failures)
-    who = f"{label}: " if label else ""
-    lines = [f"{who}{count} of {windows.n_windows} windows failed:"]
-    for one in windows.failures[:_MOST_NAMED]:
-        name, begin, end = _place(task, windows, one.window)
-        lines.append(f"- {name}, {begin:.3f} to {end:.3f} s: {one.message}")
-    if count > _MOST_NAMED:
-        lines.append(f"- and {count - _MOST_NAMED} more; see simulation.csv")
-    return "\n".join(lines)
-
-
-def _place(task, windows, k):
-    """Return the recording of a window, and its times since the start of that [s]."""
-    recording = task.recording
-    row = task.rows[windows.starts[k]]
-    label = recording.groups[row]
-    begin = (row - recording.segments[label].start) * recording.dt
-    length = windows.t[k, -1] - windows.t[k, 0]
-    return _name(recording, label), begin, begin + length
-
-
-def _name(recording, label):
-    """Name of one of the recordings; that of the file if it holds a single one."""
-    names = recording.group_names
-    return recording.name if len(names) == 1 else names[label]
-
-
 # -- files -----------------------------------------------------------------------------
-
-
-def _table(task, windows):
-    """Return a table with one row per window and joint, as CSV."""
-    one = next(iter(windows.values()))
-    scale, units = _scales(one)
-    stays, goes_on = one.staying().errors * scale, one.going_on().errors * scale
-    file = io.StringIO(newline="")
-    table = csv.writer(file, lineterminator="\n")
-    heads = ["model", "recording", "from_s", "to_s", "joint", "unit"]
-    heads += ["position_error", "velocity_error_per_s", "stays", "goes_on", "failed"]
-    table.writerow(heads)
-    for label, own in windows.items():
-        errors, speeds = own.errors * scale, own.velocity_errors * scale
-        why = {one.window: one.message for one in own.failures}
-        for k in range(own.n_windows):
-            name, begin, end = _place(task, own, k)
-            for j, joint in enumerate(own.joint_names):
-                row = [label, name, f"{begin:.6g}", f"{end:.6g}", joint, units[j]]
-                numbers = errors[k, j], speeds[k, j], stays[k, j], goes_on[k, j]
-                row += ["" if np.isnan(x) else f"{x:.6g}" for x in numbers]
-                table.writerow(map(_input.no_formula, [*row, why.get(k, "")]))
-    return file.getvalue()
-
-
-def _pictures(task, windows):
-    """Draw each recording; name -> PNG file, and what is to be said of the others."""
-    from sklearn_vbjfa.diagnosis import SimulationDisplay
-
-    # Files are drawn, no windows opened.
-    os.environ.setdefault("MPLBACKEND", "Agg")
-    pyplot = importlib.import_module("matplotlib.pyplot")
-    one = next(iter(windows.values()))
-    labels = task.recording.groups[task.rows[one.starts]]
-    found = {}
-    shown = np.unique(labels)
-    for label in shown[:_MOST_PICTURES]:
-        own = {name: w.select(labels == label) for name, w in windows.items()}
-        display = SimulationDisplay(windows=own).plot()
-        file = io.BytesIO()
-        display.figure_.savefig(file, format="png", dpi=_RESOLUTION)
-        pyplot.close(display.figure_)
-        name = re.sub(r"[^\w-]+", "_", _name(task.recording, label))[:60]
-        name = f"{name}.png"
-        if name in found:
-            name = f"{label + 1}_{name}"
-        found[name] = file.getvalue()
-    left = ""
-    if shown.size > _MOST_PICTURES:
-        left = f" (pictures of {_MOST_PICTURES} of {shown.size} recordings)"
-    return found, left
 
 
 def _write(files, out):

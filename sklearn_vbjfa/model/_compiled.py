@@ -1,24 +1,24 @@
 """The loop over samples of `sklearn_vbjfa.model._regressor`, compiled by Numba.
 
-Numba is optional, and this module with `sklearn_vbjfa.model._lanes` the only one to
-import it. Some samples go through together, one in each lane of the processor's
-vectors. Vectors in space are tuples, of numbers or of lanes, which the compiler, unlike
-arrays, knows not to overlap.
+Numba is optional. Some samples go through together, one in each lane of the processor's
+vectors.
 """
 
 import math
 
-import numba
 import numpy as np
 
+from sklearn_vbjfa.model._compiled_vectors import (
+    axpy,
+    combine,
+    compiled,
+    cross,
+    dot,
+    turn,
+    vector,
+)
 from sklearn_vbjfa.model._lanes import WIDTH, load, spread, store
 
-# The machine code is kept on disk: only the first use after an installation takes the
-# seconds of the compilation. Fused multiplications and additions round once instead of
-# twice.
-_compiled = numba.njit(
-    nogil=True, cache=True, error_model="numpy", fastmath={"contract"}
-)
 # First rows of what is known of a body: its three axes, origin, the origin's
 # acceleration, angular velocity and acceleration, and its joint's screw: three rows by
 # which forces do work, then three for moments.
@@ -32,45 +32,7 @@ _PI_1, _PI_2 = 3.141592502593994, 1.5099578831723193e-07
 _PI_3 = 1.0780605716316238e-14
 
 
-@_compiled
-def _vector(x):
-    """Return three numbers as a tuple."""
-    return x[0], x[1], x[2]
-
-
-@_compiled
-def _cross(x, y):
-    """Cross product of two vectors."""
-    return (
-        x[1] * y[2] - x[2] * y[1],
-        x[2] * y[0] - x[0] * y[2],
-        x[0] * y[1] - x[1] * y[0],
-    )
-
-
-@_compiled
-def _dot(x, y):
-    """Scalar product of two vectors."""
-    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
-
-
-@_compiled
-def _axpy(a, x, y):
-    """Return a x + y."""
-    return a * x[0] + y[0], a * x[1] + y[1], a * x[2] + y[2]
-
-
-@_compiled
-def _combine(a, x, y, z):
-    """Return a_1 x + a_2 y + a_3 z."""
-    return (
-        a[0] * x[0] + a[1] * y[0] + a[2] * z[0],
-        a[0] * x[1] + a[1] * y[1] + a[2] * z[1],
-        a[0] * x[2] + a[1] * y[2] + a[2] * z[2],
-    )
-
-
-@_compiled
+@compiled
 def _read(array, row, column):
     """Return three rows of lanes as a vector."""
     return (
@@ -80,7 +42,7 @@ def _read(array, row, column):
     )
 
 
-@_compiled
+@compiled
 def _write(array, row, vector):
     """Write a vector of lanes to three rows."""
     store(array, row, 0, vector[0])
@@ -88,13 +50,13 @@ def _write(array, row, vector):
     store(array, row + 2, 0, vector[2])
 
 
-@_compiled
+@compiled
 def _nearest(x):
     """Return the nearest whole number: what is left where one has no more digits."""
     return (x + _WHOLE) - _WHOLE
 
 
-@_compiled
+@compiled
 def _cosine_sine(angle):
     """Return cosine and sine of an angle, to 3e-16."""
     # Those of half the angle less half turns, by the polynomials of the Cephes
@@ -117,59 +79,46 @@ def _cosine_sine(angle):
     return sign * (1.0 - 2.0 * (sine * sine)), sign * (2.0 * (sine * cosine))
 
 
-@_compiled
-def _turn(axis, cosine, sine):
-    """Return the axes of a frame turned about an axis, in that frame, by rows."""
-    u, v, w = axis
-    rest = 1.0 - cosine
-    x, y, z = rest * u, rest * v, rest * w
-    return (
-        (x * u + cosine, x * v + w * sine, x * w - v * sine),
-        (y * u - w * sine, y * v + cosine, y * w + u * sine),
-        (z * u + v * sine, z * v - u * sine, z * w + cosine),
-    )
-
-
-@_compiled
+@compiled
 def _forces_and_moments(p, x, y, z, field, w, dw):
     """Return a body's forces by m, mc, and moments about the origin by all ten."""
     # Acceleration of the tip of an axis relative to its tail: M e_k with
     # M = [dw]x + w w' - |w|^2, by its columns.
-    square = _dot(w, w)
+    square = dot(w, w)
     m1 = w[0] * w[0] - square, w[0] * w[1] + dw[2], w[0] * w[2] - dw[1]
     m2 = w[0] * w[1] - dw[2], w[1] * w[1] - square, w[1] * w[2] + dw[0]
     m3 = w[0] * w[2] + dw[1], w[1] * w[2] - dw[0], w[2] * w[2] - square
-    dx = _combine(x, m1, m2, m3)
-    dy = _combine(y, m1, m2, m3)
-    dz = _combine(z, m1, m2, m3)
-    of_m = _cross(p, field)
-    of_x = _axpy(1.0, _cross(p, dx), _cross(x, field))
-    of_y = _axpy(1.0, _cross(p, dy), _cross(y, field))
-    of_z = _axpy(1.0, _cross(p, dz), _cross(z, field))
+    dx = combine(x, m1, m2, m3)
+    dy = combine(y, m1, m2, m3)
+    dz = combine(z, m1, m2, m3)
+    of_m = cross(p, field)
+    of_x = axpy(1.0, cross(p, dx), cross(x, field))
+    of_y = axpy(1.0, cross(p, dy), cross(y, field))
+    of_z = axpy(1.0, cross(p, dz), cross(z, field))
     # A moment of inertia sums the squares of the other two coordinates, a product of
     # inertia is a mixed second moment times minus one.
-    xx, yy, zz = _cross(x, dx), _cross(y, dy), _cross(z, dz)
-    half = _combine((0.5, 0.5, 0.5), xx, yy, zz)
-    of_xx = _axpy(-1.0, xx, half)
-    of_yy = _axpy(-1.0, yy, half)
-    of_zz = _axpy(-1.0, zz, half)
-    of_xy = _axpy(1.0, _cross(dx, y), _cross(dy, x))
-    of_xz = _axpy(1.0, _cross(dx, z), _cross(dz, x))
-    of_yz = _axpy(1.0, _cross(dy, z), _cross(dz, y))
+    xx, yy, zz = cross(x, dx), cross(y, dy), cross(z, dz)
+    half = combine((0.5, 0.5, 0.5), xx, yy, zz)
+    of_xx = axpy(-1.0, xx, half)
+    of_yy = axpy(-1.0, yy, half)
+    of_zz = axpy(-1.0, zz, half)
+    of_xy = axpy(1.0, cross(dx, y), cross(dy, x))
+    of_xz = axpy(1.0, cross(dx, z), cross(dz, x))
+    of_yz = axpy(1.0, cross(dy, z), cross(dz, y))
     moments = of_m, of_x, of_y, of_z, of_xx, of_xy, of_yy, of_xz, of_yz, of_zz
     return (field, dx, dy, dz), moments
 
 
-@_compiled
+@compiled
 def _project(state, screw, forces, moments, places, out, sample):
     """Write the torques of a joint by the parameters of a body that it carries."""
     f, m = _read(state, screw, 0), _read(state, screw + 3, 0)
     for k in range(10):
         place = places[k]
         if place >= 0:
-            torque = _dot(m, moments[k])
+            torque = dot(m, moments[k])
             if k < 4:
-                torque = torque + _dot(f, forces[k])
+                torque = torque + dot(f, forces[k])
             store(out, place, sample, torque)
 
 
@@ -202,7 +151,7 @@ def fill(q, v, a, tree, places, out):
     _fill(q, v, a, tree, places, out)
 
 
-@_compiled
+@compiled
 def _fill(q, v, a, tree, places, out):
     """Do so from arrays (nv, n), with n at least `WIDTH`."""
     nv, n = q.shape
@@ -224,29 +173,29 @@ def _fill(q, v, a, tree, places, out):
             position = load(q, j, sample)
             velocity, acceleration = load(v, j, sample), load(a, j, sample)
             # Axes of the joint at zero, about or along one direction of which it moves.
-            x = _combine(_vector(tree.frames[j, 0]), e1, e2, e3)
-            y = _combine(_vector(tree.frames[j, 1]), e1, e2, e3)
-            z = _combine(_vector(tree.frames[j, 2]), e1, e2, e3)
-            direction = _vector(tree.axes[j])
-            axis = _combine(direction, x, y, z)
-            turned = _turn(direction, *_cosine_sine(turns * position))
+            x = combine(vector(tree.frames[j, 0]), e1, e2, e3)
+            y = combine(vector(tree.frames[j, 1]), e1, e2, e3)
+            z = combine(vector(tree.frames[j, 2]), e1, e2, e3)
+            direction = vector(tree.axes[j])
+            axis = combine(direction, x, y, z)
+            turned = turn(direction, *_cosine_sine(turns * position))
             x, y, z = (
-                _combine(turned[0], x, y, z),
-                _combine(turned[1], x, y, z),
-                _combine(turned[2], x, y, z),
+                combine(turned[0], x, y, z),
+                combine(turned[1], x, y, z),
+                combine(turned[2], x, y, z),
             )
-            offset = _combine(_vector(tree.offsets[j]), e1, e2, e3)
-            offset = _axpy(slides * position, axis, offset)
-            p = _axpy(1.0, _read(state, above + _ORIGIN, 0), offset)
-            across = _cross(w, axis)
-            field = _axpy(1.0, _read(state, above + _FIELD, 0), _vector(tree.base[j]))
-            field = _axpy(1.0, _cross(w, _cross(w, offset)), field)
-            field = _axpy(1.0, _cross(dw, offset), field)
-            field = _axpy(2.0 * slides * velocity, across, field)
-            field = _axpy(slides * acceleration, axis, field)
-            w = _axpy(turns * velocity, axis, w)
-            dw = _axpy(turns * acceleration, axis, dw)
-            dw = _axpy(turns * velocity, across, dw)
+            offset = combine(vector(tree.offsets[j]), e1, e2, e3)
+            offset = axpy(slides * position, axis, offset)
+            p = axpy(1.0, _read(state, above + _ORIGIN, 0), offset)
+            across = cross(w, axis)
+            field = axpy(1.0, _read(state, above + _FIELD, 0), vector(tree.base[j]))
+            field = axpy(1.0, cross(w, cross(w, offset)), field)
+            field = axpy(1.0, cross(dw, offset), field)
+            field = axpy(2.0 * slides * velocity, across, field)
+            field = axpy(slides * acceleration, axis, field)
+            w = axpy(turns * velocity, axis, w)
+            dw = axpy(turns * acceleration, axis, dw)
+            dw = axpy(turns * velocity, across, dw)
             _write(state, own + _AXES, x)
             _write(state, own + _AXES + 3, y)
             _write(state, own + _AXES + 6, z)
@@ -255,9 +204,9 @@ def _fill(q, v, a, tree, places, out):
             _write(state, own + _SPEED, w)
             _write(state, own + _GAIN, dw)
             none = spread(0.0), spread(0.0), spread(0.0)
-            force = _axpy(slides, axis, none)
-            _write(state, own + _SCREW, _axpy(turns, _cross(p, axis), force))
-            _write(state, own + _SCREW + 3, _axpy(turns, axis, none))
+            force = axpy(slides, axis, none)
+            _write(state, own + _SCREW, axpy(turns, cross(p, axis), force))
+            _write(state, own + _SCREW + 3, axpy(turns, axis, none))
             forces, moments = _forces_and_moments(p, x, y, z, field, w, dw)
             # The joint itself and all those above it.
             i = j

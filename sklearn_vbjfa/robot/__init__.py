@@ -4,6 +4,7 @@ from sklearn_vbjfa.robot._exports import LeftOut
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._output_error import SimulationCriteria
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 from sklearn_vbjfa.robot._states import StateEstimator
 from sklearn_vbjfa.robot._time_effects import EffectOfTime
@@ -14,6 +15,7 @@ __all__ = [
     "LeftOut",
     "RigidBodyFeatures",
     "RobotIdentifier",
+    "SimulationCriteria",
     "StateEstimator",
     "TorqueResiduals",
 ]

@@ -25,7 +25,9 @@ from sklearn_vbjfa.recording._recording import (
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot import _model_file
+from sklearn_vbjfa.robot._closed_loop import refine_controlled
 from sklearn_vbjfa.robot._column_powers import ColumnPowers
+from sklearn_vbjfa.robot._controller import check_reference
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
@@ -58,6 +60,7 @@ from sklearn_vbjfa.robot._model_values import (
     tell_unsettled,
 )
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
+from sklearn_vbjfa.robot._output_error import check_criterion, refine
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
     Plan,
@@ -213,6 +216,19 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         Masses [kg] of bodies by their names, or of a ``"payload"``, which an effect
         `Payload` has; for unknown gains. A mass that the recording determines fixes the
         gain that all channels have in common.
+    criterion : {"torque", "simulation"}, default="torque"
+        ``"torque"``: least squares of the torques. ``"simulation"``: their result is
+        refined by output error, until simulated positions are closest to the measured
+        ones; see Notes and ``docs/output_error.rst``.
+    window : "auto" or float, default="auto"
+        Length [s] of the windows that are simulated, each from its measured state.
+        ``"auto"``: five times as long as friction takes to slow the slowest joint to
+        1 / e, but at least five periods of the fastest motion, and so that there are at
+        least eight windows. A controller simulates whole recordings.
+    controller : PositionController or None, default=None
+        Controller of the recording, for ``criterion="simulation"``: the closed loop is
+        simulated with the `reference` given to `fit`. None drives the robot with the
+        measured torques.
 
     Attributes
     ----------
@@ -278,6 +294,10 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         Fitted transformer from states to the regressor.
     estimator_ : JointTorqueRegressor
         Fitted regressor of the parameters.
+    criteria_ : SimulationCriteria
+        Errors of positions and torques before and after the refinement, ``(nv,)`` each,
+        number and length of the windows, number of steps and whether they converged.
+        Only with ``criterion="simulation"``.
     n_features_in_ : int
         nv or 3 nv.
 
@@ -292,6 +312,22 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     are merged until neighbours are nearly uncorrelated or sixteen remain. Residuals
     that stay correlated over a tenth of the recordings or longer still make it too
     small.
+
+    With ``criterion="simulation"`` bodies, friction and coefficients of effects are
+    refined by steps of Gauss and Newton on the sensitivities of simulated positions,
+    damped in the metric of the torque fit, so that what the simulation does not
+    determine stays as it was, and projected onto the consistent parameters; the
+    criterion never rises. Start states of the windows are estimated as well, with their
+    measurement noise as prior. `theta_std_` is then a sandwich estimate with windows as
+    blocks. Shapes of effects and the values of those in the model stay. With a
+    `controller` it is DIDIM [1]_: least squares of the measured torques on the
+    regressor of simulated states, repeated.
+
+    References
+    ----------
+    .. [1] M. Gautier, A. Janot, P.-O. Vandanjon, "A new closed-loop output error method
+       for parameter identification of robot dynamics", IEEE Trans. Control Syst.
+       Technol. 21(2), 2013. :doi:`10.1109/TCST.2012.2185697`
 
     Examples
     --------
@@ -325,6 +361,9 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         forgetting=1.0,
         gains=None,
         known_masses=None,
+        criterion="torque",
+        window="auto",
+        controller=None,
     ):
         self.model = model
         self.dt = dt
@@ -344,8 +383,20 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.forgetting = forgetting
         self.gains = gains
         self.known_masses = known_masses
+        self.criterion = criterion
+        self.window = window
+        self.controller = controller
 
-    def fit(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
+    def fit(
+        self,
+        X,
+        y,
+        groups=None,
+        sample_weight=None,
+        t=None,
+        signals=None,
+        reference=None,
+    ):
         """Identify the robot.
 
         Parameters
@@ -372,6 +423,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             Columns recorded beside the motion, such as a temperature, by name (or a
             data frame), for effects that vary with them (`effects.Signal`). Columns of
             a data frame X that are no channel of a joint are taken as well.
+        reference : array-like of shape (n_samples, nv), default=None
+            Commanded positions [rad or m], for `controller`.
 
         Returns
         -------
@@ -383,10 +436,15 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         ValueError
             If an argument does not suit the robot, or a signal is missing, constant,
             no finite numbers, or a position, velocity, torque or time by another name.
+        SimulationError
+            A ValueError; with ``criterion="simulation"``, if the motion that is
+            simulated with the parameters of the torque fit diverges.
         """
         self._online = None
+        check_criterion(self)
         self._declare()
         recording = self._take(X, y, groups, sample_weight, t, signals)
+        reference = check_reference(self.controller, reference, recording.tau, self.dt)
         periods = measure_periods(self, recording, self.effects_)
         plan, recording, states = self._prepare(recording, periods)
         self._adopt(plan)
@@ -416,7 +474,41 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             known = clock, recording.signals
             facts = noise_of(self, X, recording.tau, recording.segments, *known)
             tell_noise(self, facts)
+        if self.criterion == "simulation":
+            self._refine(recording, states, reference)
         return self
+
+    def _refine(self, recording, states, reference):
+        """Refine the parameters of the torque fit by simulation; set `criteria_`."""
+        predictor = self._predictor()
+
+        def estimate_from(states):
+            known = {"theta": self._load}
+            made = segments(recording, states, self._plan, self.features_, **known)
+            return self._estimate(made)
+
+        # Values of effects in the model have no columns there.
+        found = replace(estimate_from(states), std=self.theta_std_)
+        names = ("identifiable_", "effect_ranges_", "_powers")
+        kept = {name: getattr(self, name) for name in names}
+        known = predictor, found, recording, states
+        if self.controller is None:
+            refined = refine(*known, self)
+        else:
+            refined = refine_controlled(
+                *known, self.controller, reference, estimate_from
+            )
+        self._set(
+            replace(
+                found,
+                theta=refined.theta,
+                theta_unconstrained=refined.unconstrained,
+                std=refined.std,
+            )
+        )
+        for name, value in kept.items():
+            setattr(self, name, value)
+        self.criteria_ = refined.criteria
 
     def _known_torque(self, effects):
         """Parameters that a fit with some effects gives the load of the next."""
@@ -767,6 +859,11 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
     def _begin_online(self):
         """Prepare for rows from a running robot."""
+        if self.criterion == "simulation":
+            raise ValueError(
+                "partial_fit cannot refine by simulation, which needs recordings in "
+                "time order: fit them, or set criterion='torque'."
+            )
         known = getattr(self, "standstill_", None)
         fastest = getattr(getattr(self, "_plan", None), "fastest_period", None)
         self._declare()
@@ -1183,6 +1280,11 @@ def saved_of(identifier):
 
 def declare(identifier):
     """Load an identifier's model; set the names of joints and parameters."""
+    if identifier.criterion != "torque":
+        raise ValueError(
+            "Second moments alone cannot be refined by simulation, which needs the "
+            "recordings themselves: set criterion='torque', or use fit."
+        )
     identifier._online = None
     identifier._declare()
 

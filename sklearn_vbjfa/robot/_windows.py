@@ -96,6 +96,18 @@ class SimulatedWindows:
         nv = len(self.joint_names)
         return _rms(self.simulated[..., nv : 2 * nv] - self.velocities, 1)
 
+    @property
+    def run_away(self):
+        """Joints that ran away in windows, (n_windows, nv), bool.
+
+        Those with a larger error than a robot that stays or goes on has on this joint
+        in any window.
+        """
+        worst = [
+            rival.errors.max(axis=0) for rival in (self.staying(), self.going_on())
+        ]
+        return self.errors > np.max(worst, axis=0)
+
     def staying(self):
         """Return the same windows of a robot that stays where it was."""
         return self._moving(np.zeros_like(self.velocities[:, 0]))
@@ -132,7 +144,9 @@ class SimulatedWindows:
         return replace(self, simulated=states, failures=())
 
 
-def simulate_windows(robot, X, y, groups=None, t=None, *, window=1.0, signals=None):
+def simulate_windows(
+    robot, X, y, groups=None, t=None, *, window=1.0, signals=None, beside=None
+):
     """Simulate windows of a recording, each from the measured state at its start.
 
     Windows follow one another without gap, within each recording; the last row of one
@@ -157,6 +171,10 @@ def simulate_windows(robot, X, y, groups=None, t=None, *, window=1.0, signals=No
         Length of a window [s].
     signals : mapping of str to array-like of shape (n_samples,), default=None
         Columns recorded beside the motion, for effects that vary with them.
+    beside : SimulatedWindows, default=None
+        The same rows simulated with another robot, to compare both: its windows, times
+        and start states are taken over, and `window` and `t` are not used. Robots that
+        were fitted one by one smooth a little differently.
 
     Returns
     -------
@@ -197,15 +215,11 @@ def simulate_windows(robot, X, y, groups=None, t=None, *, window=1.0, signals=No
             "The robot was identified without a sample period; give RobotIdentifier "
             "one as dt, which windows are counted with."
         )
-    dt = check_dt(predictor.plan.dt)
-    asked = predictor.ask(X, groups, t, signals=signals)
-    clock = _times(t, len(X))
-    if clock is None:
-        clock = predictor.clock(None, len(X))
-    states, _ = predictor.query(X, groups)
-    rows = _rows(asked, predictor.plan.standstill, _length(window, dt), dt)
-    starts = rows[:, 0]
-    q0, v0 = states[starts, :nv], states[starts, nv : 2 * nv]
+    if beside is None:
+        made = _measured(predictor, X, groups, t, signals, window)
+    else:
+        made = _taken_over(beside, X, names)
+    rows = made.starts[:, None] + np.arange(made.t.shape[1])
     simulated = np.full((*rows.shape, 3 * nv), np.nan)
     failures, refusals = [], []
     with warnings.catch_warnings(record=True) as caught:
@@ -214,7 +228,11 @@ def simulate_windows(robot, X, y, groups=None, t=None, *, window=1.0, signals=No
             given = {name: values[own] for name, values in (signals or {}).items()}
             try:
                 simulated[k] = robot.simulate(
-                    y[own], q0[k], v0[k], clock[own], signals=given or None
+                    y[own],
+                    made.start_positions[k],
+                    made.velocities[k, 0],
+                    made.t[k],
+                    signals=given or None,
                 )
             except SimulationError as error:
                 failures.append(
@@ -224,22 +242,47 @@ def simulate_windows(robot, X, y, groups=None, t=None, *, window=1.0, signals=No
                 # A start that cannot be: this window's fault, unless it is everyone's.
                 refusals.append(error)
                 failures.append(
-                    FailedWindow(window=k, time=clock[own[0]], message=str(error))
+                    FailedWindow(window=k, time=float(made.t[k, 0]), message=str(error))
                 )
     if len(refusals) == len(rows):
         raise refusals[0]
     _tell(caught)
+    return replace(made, simulated=simulated, failures=tuple(failures))
+
+
+def _measured(predictor, X, groups, t, signals, window):
+    """Cut a recording into windows that nothing has been simulated in yet."""
+    nv, dt = len(predictor.joint_names), check_dt(predictor.plan.dt)
+    asked = predictor.ask(X, groups, t, signals=signals)
+    clock = _times(t, len(X))
+    if clock is None:
+        clock = predictor.clock(None, len(X))
+    states, _ = predictor.query(X, groups)
+    rows = _rows(asked, predictor.plan.standstill, _length(window, dt), dt)
     return SimulatedWindows(
-        joint_names=names,
+        joint_names=predictor.joint_names,
         prismatic=np.array(is_prismatic(predictor.features.model_)),
-        starts=starts,
+        starts=rows[:, 0],
         t=clock[rows],
         positions=X[rows][..., :nv],
         velocities=states[rows][..., nv : 2 * nv],
-        start_positions=q0,
-        simulated=simulated,
-        failures=tuple(failures),
+        start_positions=states[rows[:, 0], :nv],
+        simulated=np.full((*rows.shape, 3 * nv), np.nan),
     )
+
+
+def _taken_over(beside, X, names):
+    """Check that windows are those of the same rows and robot."""
+    rows = beside.starts[:, None] + np.arange(beside.t.shape[1])
+    nv = len(names)
+    same = beside.joint_names == names and rows.max() < len(X)
+    if not (same and np.array_equal(beside.positions, X[rows][..., :nv])):
+        raise ValueError(
+            "beside must be windows of the same joints and rows of X; it holds "
+            f"{beside.n_windows} windows of {', '.join(beside.joint_names)} with other "
+            "positions."
+        )
+    return beside
 
 
 def _torques(y, names, n_samples):

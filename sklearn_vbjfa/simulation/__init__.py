@@ -4,7 +4,8 @@ Everything here takes a `TorqueModel`, which is what an identification leaves wh
 and estimator are put away.
 """
 
+from sklearn_vbjfa.simulation._controller import PositionController
 from sklearn_vbjfa.simulation._simulate import SimulationError
 from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
 
-__all__ = ["Load", "SimulationError", "TorqueModel"]
+__all__ = ["Load", "PositionController", "SimulationError", "TorqueModel"]

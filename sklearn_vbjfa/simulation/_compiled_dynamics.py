@@ -8,17 +8,17 @@ import numba
 import numpy as np
 
 from sklearn_vbjfa.simulation import _steps, _terms
+from sklearn_vbjfa.simulation._compiled_bodies import bodies_at
 
 # The machine code is kept on disk: only the first use after an installation takes the
 # seconds of the compilation.
 _compiled = numba.njit(nogil=True, cache=True, error_model="numpy")
 _add_terms = _compiled(_terms.add_terms)
 remember = _compiled(_terms.remember)
-runge_kutta = _compiled(_steps.runge_kutta)
-forward = _compiled(_steps.forward)
 step_error = _compiled(_steps.step_error)
 is_stiff = _compiled(_steps.is_stiff)
-events = _compiled(_steps.events)
+directions = _compiled(_steps.directions)
+past_events = _compiled(_steps.past_events)
 # Times that the signs of loads are found anew, for friction in proportion to them.
 _MOST_SIGNS = 8
 
@@ -55,8 +55,9 @@ def _hold(A, b, stuck):
     n = b.size
     for j in range(n):
         if stuck[j]:
+            # Its column as well: rounding would set the joint in motion.
             for c in range(n):
-                A[j, c] = 0.0
+                A[j, c] = A[c, j] = 0.0
             A[j, j] = 1.0
             b[j] = 0.0
 
@@ -114,6 +115,7 @@ def accelerate(
     placed, smooth = lines[1] + lines[2] * q, lines[0] * v
     dry, load_smooth = lines[3].copy(), np.zeros(nv)
     by_position, by_velocity = lines[2].copy(), lines[0].copy()
+    load_by_velocity = np.zeros(nv)
     for i in range(nv):
         for j in range(nv):
             placed[i] += coupling[i, j] * v[j]
@@ -131,6 +133,7 @@ def accelerate(
         load_smooth,
         by_position,
         by_velocity,
+        load_by_velocity,
     )
     A, rhs = np.empty((nv, nv)), np.empty(nv)
     for i in range(nv):
@@ -166,10 +169,15 @@ def accelerate(
         for i in range(nv):
             rhs[i] -= size[i] * abs(L[i])
             limit[i] += lines[4, i] * abs(L[i])
+            by_velocity[i] += load_by_velocity[i] * abs(L[i])
     else:
         B = A.copy()
         _hold(B, a, stuck)
         _eliminate(B, a)
+    for i in range(nv):
+        if stuck[i]:
+            # What rounding leaves would be a motion.
+            a[i] = 0.0
     power = 0.0
     for i in range(nv):
         needed, moved = rhs[i], tau[i] - placed[i]
@@ -180,3 +188,118 @@ def accelerate(
         out[3, i], out[4, i] = by_position[i], by_velocity[i]
         power += moved * v[i]
     return power
+
+
+@_compiled
+def explicit_step(
+    q,
+    v,
+    a,
+    power,
+    tau,
+    rate,
+    h,
+    mode,
+    stuck,
+    fast,
+    tolerance,
+    tree,
+    bodies,
+    armature,
+    loaded,
+    of_load,
+    lines,
+    inertia,
+    coupling,
+    kinds,
+    joints,
+    numbers,
+    memory,
+):
+    """Runge-Kutta step of order four, its error by one of order three.
+
+    Parameters
+    ----------
+    q, v, a : ndarray of shape (nv,)
+        State at the beginning.
+    power : float
+        Power there, as of `accelerate`.
+    tau, rate : ndarray of shape (nv,)
+        Torques at the beginning, and what they change by in a second.
+    h : float
+        Length of the step [s].
+    mode, stuck, fast : ndarray of shape (nv,)
+        Modes of friction, and fastest speeds, for the tolerance.
+    tolerance : float
+        Error that is allowed, in units of the fastest speeds.
+    tree, bodies, armature
+        Robot, see `bodies_at`.
+    loaded : ndarray of shape (nv, 10)
+        Bodies that load the joints, for friction in proportion to it.
+    of_load, ..., memory
+        As for `accelerate`.
+
+    Returns
+    -------
+    q, v : ndarray of shape (nv,)
+        Positions and velocities at the end.
+    work : float
+        Work of torques that do not dissipate [J].
+    power : float
+        Power at the end.
+    error : float
+        Error in units of what is allowed.
+    found : ndarray of shape (5, nv)
+        What `accelerate` writes, at the end.
+    M : ndarray of shape (nv, nv)
+        Inertia matrix at the end.
+    """
+    nv = q.size
+    M, ML, before = np.empty((nv, nv)), np.empty((nv, nv)), a
+    effects, load = np.empty(nv), np.empty(nv)
+    none = np.zeros(nv)
+    found = np.empty((5, 5, nv))
+    speeds, powers = np.empty((5, nv)), np.empty(5)
+    speeds[0], powers[0] = v, power
+    found[0, 0] = a
+    new_q, new_v = q, v
+    for k in range(1, 5):
+        # Stages in the middle, in the middle, at the end; and the end itself.
+        step = 0.5 * h if k < 3 else h
+        if k < 4:
+            new_q = q + step * speeds[k - 1]
+            new_v = v + step * found[k - 1, 0]
+        else:
+            sixth = h / 6.0
+            new_q = q + sixth * (speeds[0] + 2.0 * (speeds[1] + speeds[2]) + speeds[3])
+            new_v = v + sixth * (
+                found[0, 0] + 2.0 * (found[1, 0] + found[2, 0]) + found[3, 0]
+            )
+        bodies_at(new_q, new_v, tree, bodies, armature, M, effects)
+        if of_load:
+            bodies_at(new_q, new_v, tree, loaded, none, ML, load)
+        powers[k] = accelerate(
+            M,
+            effects,
+            ML,
+            load,
+            of_load,
+            tau + step * rate,
+            new_q,
+            new_v,
+            mode,
+            stuck,
+            lines,
+            inertia,
+            coupling,
+            kinds,
+            joints,
+            numbers,
+            memory,
+            before,
+            found[k],
+        )
+        before, speeds[k] = found[k, 0], new_v
+    work = (powers[0] + 2.0 * (powers[1] + powers[2]) + powers[3]) * h / 6.0
+    error = step_error(h, a, found[3, 0], found[4, 0], fast, tolerance)
+    return new_q, new_v, work, powers[4], error, found[4].copy(), M

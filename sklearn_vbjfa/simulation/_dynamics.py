@@ -6,11 +6,14 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sklearn_vbjfa.model._loading import import_pinocchio
+from sklearn_vbjfa.model._regressor import describe
 from sklearn_vbjfa.simulation import _steps
 from sklearn_vbjfa.simulation._terms import Terms, add_terms, remember
 
 # Times that the signs of loads are found anew, for friction in proportion to them.
 _MOST_SIGNS = 8
+# Times that other effects are linearised anew, up to this change of accelerations.
+_MOST_TANGENTS, _SETTLED = 20, 1e-11
 
 
 @functools.cache
@@ -41,6 +44,20 @@ def with_bodies(model, bodies, armature=None):
     return out
 
 
+def _inertia_by_columns(pin, model, data, q):
+    """Inertia matrix (nv, nv) by unit accelerations."""
+    none = np.zeros(model.nv)
+    still = pin.rnea(model, data, q, none, none).copy()
+    units = np.eye(model.nv)
+    return np.array([pin.rnea(model, data, q, none, a) - still for a in units]).T
+
+
+def _is_depth_first(model):
+    """Whether the joints of every subtree are numbered one after the other."""
+    subtrees = [list(own) for own in model.subtrees[1:]]
+    return all(own[-1] - own[0] == len(own) - 1 for own in subtrees)
+
+
 class ForwardDynamics:
     """Accelerations of a `TorqueModel`, with its friction, one state at a time.
 
@@ -69,22 +86,31 @@ class ForwardDynamics:
     def __init__(self, robot, signals=None):
         pin = import_pinocchio()
         self._pin, self._signals = pin, signals
-        self.terms = terms = Terms.of(robot)
+        known = {} if signals is None else signals.at(0.0)
+        self.terms = terms = Terms.of(robot, known)
         self.n_joints = robot.n_joints
-        self._loaded = [
-            (-np.inf, with_bodies(robot.model, robot.bodies, terms.armature))
-        ]
-        bodies = robot.bodies.copy()
+        every = [(-np.inf, robot.bodies)]
         for instant, change in terms.payloads:
-            bodies[-1] = bodies[-1] + change
-            loaded = with_bodies(robot.model, bodies, terms.armature)
-            self._loaded.append((instant, loaded))
-        self.model = self._loaded[0][1]
+            bodies = every[-1][1].copy()
+            bodies[-1] += change
+            every.append((instant, bodies))
+        self._loaded = [
+            (instant, bodies, with_bodies(robot.model, bodies, terms.armature))
+            for instant, bodies in every
+        ]
+        self.model = self._loaded[0][2]
         self._data = self.model.createData()
+        # For other orders of a tree's joints Pinocchio's algorithm of composite bodies
+        # is wrong.
+        self._inertia = pin.crba
+        if not _is_depth_first(self.model):
+            self._inertia = functools.partial(_inertia_by_columns, pin)
         self._load_model = None
+        self._load_bodies = robot.bodies if robot.load is None else robot.load.bodies
+        self._tree = describe(self.model, np.array(self.model.parents.tolist()[1:]) - 1)
+        self._set_robot(robot.bodies)
         if terms.of_load or terms.others is not None:
-            own = robot.bodies if robot.load is None else robot.load.bodies
-            self._load_model = with_bodies(robot.model, own)
+            self._load_model = with_bodies(robot.model, self._load_bodies)
             self._load_data = self._load_model.createData()
         self._fast = compiled()
         self.steps = _steps if self._fast is None else self._fast
@@ -98,11 +124,9 @@ class ForwardDynamics:
         self._plain = not (terms.kinds.size or terms.coupling.any())
         self.has_dry = (terms.dry != 0) | (terms.load_dry != 0)
         self.has_dry[terms.joints[terms.dry_terms()]] = True
-        self._set_table()
-
-    def _set_table(self):
-        """Put the table into lists, which plain Python reads faster than arrays."""
-        terms = self.terms
+        if terms.others is not None:
+            self.has_dry |= terms.others.jumps
+        # Plain Python reads lists faster than arrays.
         self._kinds, self._joints = terms.kinds.tolist(), terms.joints.tolist()
         self._rows = self._numbers.tolist()
 
@@ -110,26 +134,50 @@ class ForwardDynamics:
 
     @property
     def changes(self):
-        """Whether anything of it changes with time."""
-        return self.terms.is_timed or len(self._loaded) > 1
+        """Whether its torques change with time."""
+        return self.terms.is_timed or self.terms.others is not None
+
+    @property
+    def instants(self):
+        """Times [s] at which its bodies change, tuple of float."""
+        return tuple(instant for instant, _, _ in self._loaded[1:])
 
     def start(self, q):
         """Begin a motion at positions q (nv,), with the memory of a joint at rest."""
-        self._memory = self.terms.memory(q)
+        terms = self.terms
+        self._memory = terms.memory(q)
         if self._fast is None:
             self._memory = self._memory.tolist()
+        self._table = (
+            self._of_load,
+            terms.lines,
+            terms.inertia,
+            terms.coupling,
+            terms.kinds,
+            terms.joints,
+            self._numbers,
+            self._memory,
+        )
 
     def set_time(self, t):
-        """Set what changes with time to what it is at t [s]."""
+        """Set torques that change with time to what they are at t [s]."""
         self._time = t
         if self.terms.is_timed:
-            self.terms.set_levels(self._numbers, t, self._signals)
-            self._set_table()
-        for instant, model in self._loaded[::-1]:
-            if t >= instant:
-                if model is not self.model:
-                    self.model, self._data = model, model.createData()
-                break
+            rows = self._rows if self._fast is None else self._numbers
+            self.terms.set_levels(rows, t, self._signals)
+
+    def set_bodies(self, t):
+        """Set the bodies to what they are at t [s]; return whether they change."""
+        _, bodies, model = [own for own in self._loaded if t >= own[0]][-1]
+        if model is self.model:
+            return False
+        self.model, self._data = model, model.createData()
+        self._set_robot(bodies)
+        return True
+
+    def _set_robot(self, bodies):
+        """Put together what compiled steps take of the robot."""
+        self._robot = self._tree, bodies, self.terms.armature, self._load_bodies
 
     def remember(self, q):
         """Move memory on to positions q (nv,), to which no joint turned round."""
@@ -141,16 +189,6 @@ class ForwardDynamics:
         else:
             own = self._kinds, self._joints, self._rows, self._memory
             remember(*own, q.tolist())
-
-    def copied_memory(self):
-        """Return the memory, to go back to with `restore`."""
-        if isinstance(self._memory, list):
-            return [row.copy() for row in self._memory]
-        return self._memory.copy()
-
-    def restore(self, memory):
-        """Go back to the memory of `copied_memory`."""
-        self._memory = memory
 
     # -- what was found last -----------------------------------------------------------
 
@@ -195,68 +233,106 @@ class ForwardDynamics:
         mode (nv,) : signs of dry friction; stuck (nv,), bool : joints that stick.
         """
         pin, data = self._pin, self._data
-        self.mass = M = pin.crba(self.model, data, q)
+        self.mass = M = self._inertia(self.model, data, q)
         h = pin.nonLinearEffects(self.model, data, q, v)
         ML, hL = M, h
         if self._load_model is not None:
-            ML = pin.crba(self._load_model, self._load_data, q)
+            ML = self._inertia(self._load_model, self._load_data, q)
             hL = pin.nonLinearEffects(self._load_model, self._load_data, q, v)
-        others = None
-        if self.terms.others is not None:
-            known = {} if self._signals is None else self._signals.at(self._time)
-            load = ML @ self.a + hL
-            others, slopes = self.terms.others.at(q, v, self._time, load, known)
-            M = M if slopes is None else M + slopes
-            h = h + others
-        if self._fast is not None:
-            terms, out = self.terms, np.empty((5, q.size))
-            self.power = self._fast.accelerate(
-                M,
-                h,
-                ML,
-                hL,
-                self._of_load,
-                tau,
-                q,
-                v,
-                mode,
-                stuck,
-                terms.lines,
-                terms.inertia,
-                terms.coupling,
-                terms.kinds,
-                terms.joints,
-                self._numbers,
-                self._memory,
-                self._found[0],
-                out,
-            )
-            self._found = out
+        state = q, v, tau, mode, stuck
+        if self.terms.others is None:
+            self._found, self.power = self._solved(*state, M, h, ML, hL, None)
         else:
-            self._found, self.power = self._accelerate_plain(
-                q, v, tau, mode, stuck, M, h, ML, hL
-            )
-        if others is not None:
-            self.power -= float(others @ v)
+            self._with_others(*state, M, h, ML, hL)
         return self._found[0]
 
-    def _accelerate_plain(self, q, v, tau, mode, stuck, M, h, ML, hL):
+    @property
+    def is_compiled(self):
+        """Whether `explicit_step` can be used: Numba, and no torques of other code."""
+        return self._fast is not None and not self.changes
+
+    def explicit_step(self, q, v, a, power, *step):
+        """Do a compiled step; (q, v, work, (a, power), error) at its end.
+
+        Arguments are those of `explicit_step` in `_compiled_dynamics`, but the robot.
+        """
+        q, v, work, power, error, self._found, self.mass = self._fast.explicit_step(
+            q, v, a, power, *step, *self._robot, *self._table
+        )
+        self.power = power
+        return q, v, work, (self._found[0], power), error
+
+    def _with_others(self, q, v, tau, mode, stuck, M, h, ML, hL):
+        """Find accelerations with effects that are not of the library."""
+        known = {} if self._signals is None else self._signals.at(self._time)
+        own = self.terms.others.at(q, v, self._time, known, mode, stuck)
+        a = self.a
+        for _ in range(_MOST_TANGENTS):
+            torque, slopes = own.tangent(a, ML, hL)
+            dry = own.dry(a, ML @ a + hL)
+            inner = M if slopes is None else M + slopes
+            self._found, self.power = self._solved(
+                q, v, tau, mode, stuck, inner, h + torque, ML, hL, dry
+            )
+            before, a = a, self.a
+            change = np.abs(a - before).max()
+            if slopes is None or change <= _SETTLED * (1.0 + np.abs(a).max()):
+                break
+        if slopes is not None:
+            torque = torque + slopes @ a
+        self.power -= float(torque @ v)
+
+    def _solved(self, q, v, tau, mode, stuck, M, h, ML, hL, dry):
+        """Solve for accelerations; dry (nv,) : dry friction beside the terms'."""
         terms = self.terms
+        lines = terms.lines
+        if dry is not None and dry.any():
+            lines = lines.copy()
+            lines[3] += dry
+        if self._fast is None:
+            return self._solved_plain(q, v, tau, mode, stuck, M, h, ML, hL, lines)
+        out = np.empty((5, q.size))
+        power = self._fast.accelerate(
+            M,
+            h,
+            ML,
+            hL,
+            self._of_load,
+            tau,
+            q,
+            v,
+            mode,
+            stuck,
+            lines,
+            terms.inertia,
+            terms.coupling,
+            terms.kinds,
+            terms.joints,
+            self._numbers,
+            self._memory,
+            self._found[0],
+            out,
+        )
+        return out, power
+
+    def _solved_plain(self, q, v, tau, mode, stuck, M, h, ML, hL, lines):
+        terms = self.terms
+        dry = lines[3]
         placed = terms.stiffness * q + terms.constant
         smooth = terms.viscous * v
-        dry, load_smooth = terms.dry, None
+        load_smooth = None
         by_position, by_velocity = terms.stiffness, terms.viscous
         if not self._plain:
             # A coupling need not take energy: its work is counted with the drives'.
             placed += terms.coupling @ v
             by_velocity = by_velocity + terms.coupling.diagonal()
-            lists = [placed, smooth, dry, 0.0 * dry, by_position, by_velocity]
+            none = np.zeros(v.size)
+            lists = [placed, smooth, dry, none, by_position, by_velocity, none]
             lists = [values.tolist() for values in lists]
             table = self._kinds, self._joints, self._rows, self._memory
             add_terms(*table, q.tolist(), v.tolist(), *lists)
-            placed, smooth, dry, load_smooth, by_position, by_velocity = map(
-                np.array, lists
-            )
+            placed, smooth, dry, load_smooth, *slopes = map(np.array, lists)
+            by_position, by_velocity, load_by_velocity = slopes
         A = M + terms.inertia if self._asymmetric else M
         rhs = tau - h - placed - smooth - dry * mode
         limit = dry
@@ -274,6 +350,8 @@ class ForwardDynamics:
                 sign = np.sign(L)
             rhs = rhs - size * np.abs(L)
             limit = dry + terms.load_dry * np.abs(L)
+            if load_smooth is not None:
+                by_velocity = by_velocity + load_by_velocity * np.abs(L)
         else:
             a = _solve(A, rhs, stuck)
         moved = tau - placed

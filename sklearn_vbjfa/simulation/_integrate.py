@@ -25,7 +25,12 @@ References
 .. [1] J. G. Verwer, E. J. Spee, J. G. Blom, W. Hundsdorfer, "A second-order Rosenbrock
    method applied to photochemical dispersion problems", SIAM J. Sci. Comput. 20(4),
    1999. :doi:`10.1137/S1064827597326651`
+.. [2] J. J. Judice, F. M. Pires, "A block principal pivoting algorithm for large-scale
+   strictly monotone linear complementarity problems", Computers & Operations Research
+   21(5), 1994. :doi:`10.1016/0305-0548(94)90106-6`
 """
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
@@ -43,9 +48,11 @@ _GAMMA = 1.0 - np.sqrt(0.5)
 _SHORTEST, _MOST_STEPS = 1e-12, 20_000
 # So many times a joint may stop within a sample period; then it sticks until its end.
 _MOST_STOPS = 20
-# Beyond what holds a joint by this share it breaks loose; looked at this share of a
-# step later than friction is found to have reached its limit.
-_HOLDS, _LATER = 1e-9, 0.01
+# Beyond what holds a joint by this share it breaks loose, which is found to this share.
+_HOLDS, _LOOSE = 1e-9, 1e-6
+# Most steps in search of one event, and most changes of joints between sticking and
+# sliding at one instant.
+_MOST_TRIES, _MOST_PIVOTS = 12, 100
 
 
 class Diverged(ArithmeticError):
@@ -54,6 +61,16 @@ class Diverged(ArithmeticError):
     def __init__(self, time, joint):
         super().__init__("the motion diverges")
         self.time, self.joint = time, joint
+
+
+class _End(NamedTuple):
+    """What is known at an end of a step: its time, velocities, dry friction."""
+
+    time: float
+    v: np.ndarray
+    a: np.ndarray
+    needed: np.ndarray
+    limit: np.ndarray
 
 
 class Integrator:
@@ -92,9 +109,10 @@ class Integrator:
         self._watched = dynamics.has_dry | terms.remembers | terms.bends
         self._way = np.sign(v)
         self._fast = np.maximum(np.abs(v), SLOWEST)
+        self._exact = _TOLERANCE * self._fast
         self._step = np.inf
-        self._stops = np.zeros(nv, dtype=int)
-        dynamics.set_time(t)
+        self._stops, self._stops_often = np.zeros(nv, dtype=int), False
+        self._time = t
         dynamics.start(self.q)
         self.settle(tau)
 
@@ -103,46 +121,45 @@ class Integrator:
         """Present accelerations, ndarray (nv,)."""
         return self._slope[0]
 
-    def _evaluate(self, q, v, tau):
-        """Accelerations and power at a state."""
+    def _evaluate(self, q, v, tau, ahead=0.0):
+        """Accelerations and power at a state, some time ahead of the present one."""
         own = self._dynamics
+        if own.changes:
+            own.set_time(self._time + ahead)
         return own.accelerate(q, v, tau, self._mode, self._stuck), own.power
 
     def settle(self, tau):
-        """Find which joints at rest stick, and all accelerations."""
+        """Find which joints at rest stick, and all accelerations.
+
+        Friction and accelerations of joints at rest solve a linear complementarity
+        problem: a joint sticks within its limit, or slides the way it is pushed.
+        Changing the first joint that does neither, again and again, ends at the one
+        solution, whatever the (positive definite) inertia matrix [2]_.
+        """
         own = self._dynamics
-        candidates = own.has_dry & ((self.v == 0) | self._stuck)
-        self.v[candidates] = 0.0
-        self._mode[candidates] = 0.0
-        self._stuck[:] = candidates
-        held = self._stops > _MOST_STOPS
+        at_rest = own.has_dry & ((self.v == 0) | self._stuck)
+        self.v[at_rest] = 0.0
+        self._mode[at_rest] = 0.0
+        self._stuck[:] = at_rest
+        free = at_rest & (self._stops <= _MOST_STOPS)
         slope = self._evaluate(self.q, self.v, tau)
-        while (self._stuck & ~held).any():
-            excess = np.abs(own.needed) - self._most(own.limit)
-            excess[~self._stuck | held] = -np.inf
-            j = int(np.argmax(excess))
-            if not excess[j] > 0:
+        for _ in range(_MOST_PIVOTS if free.any() else 0):
+            loose = self._stuck & (np.abs(own.needed) > (1 + _HOLDS) * own.limit)
+            wrong = free & (loose | (slope[0] * self._mode < 0))
+            if not wrong.any():
                 break
-            self._stuck[j], self._mode[j] = False, np.sign(own.needed[j])
+            j = int(np.argmax(wrong))
+            self._mode[j] = np.sign(own.needed[j]) if self._stuck[j] else 0.0
+            self._stuck[j] = self._mode[j] == 0
             slope = self._evaluate(self.q, self.v, tau)
-            if slope[0][j] * self._mode[j] < 0:
-                # Others that were let go before move it the other way.
-                self._stuck[j], self._mode[j], held[j] = True, 0.0, True
-                slope = self._evaluate(self.q, self.v, tau)
         self._arrive(slope)
 
     def _arrive(self, slope):
         """Keep what the next step begins with."""
+        own = self._dynamics
         self._slope = slope
-        self._held = self._dynamics.needed, self._dynamics.limit
-        self._way = np.where(self.v != 0, np.sign(self.v), np.sign(slope[0]))
-
-    def refresh(self, tau):
-        """Find the accelerations anew, after something else has changed."""
-        if self._stuck.any():
-            self.settle(tau)
-        else:
-            self._arrive(self._evaluate(self.q, self.v, tau))
+        self._begin = _End(0.0, self.v, slope[0], own.needed, own.limit)
+        self._way = own.steps.directions(self.v, slope[0])
 
     def advance(self, tau, after, dt):
         """Go on for a sample period, in which torques go from `tau` to `after`.
@@ -153,20 +170,22 @@ class Integrator:
             If the numbers do not stay finite, or steps become ever shorter.
         """
         rate = (after - tau) / dt
-        if self._stops.any():
+        if self._stops_often:
             barred = (self._stops > _MOST_STOPS).any()
-            self._stops[:] = 0
+            self._stops[:], self._stops_often = 0, False
             if barred:
                 self.settle(tau)
-        done, shortest = 0.0, _SHORTEST * dt
+        start, done, shortest = self._time, 0.0, _SHORTEST * dt
         for _ in range(_MOST_STEPS):
             left = dt - done
             if not left > shortest:
+                self._time = start + dt
                 return
             h = left if self._step >= left else min(self._step, 0.5 * left)
             taken, new = self._attempt(tau + done * rate, rate, max(h, shortest))
             if new is not None:
                 done += taken
+                self._time = start + done
                 self._accept(new, tau + done * rate)
             elif h <= shortest:
                 break
@@ -179,24 +198,35 @@ class Integrator:
 
         There is no result where the error is too large: the next step is shorter.
         """
-        asked, hit = h, None
-        for _ in range(3):
-            own = self._dynamics
-            slopes = own.by_position, own.by_velocity
-            stiff = own.steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
-            method = self._implicit if stiff else self._explicit
+        own, asked = self._dynamics, h
+        slopes = own.by_position, own.by_velocity
+        stiff = own.steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
+        method = self._implicit if stiff else self._explicit
+        before, after, known = self._begin, None, None
+        for tries in range(1, _MOST_TRIES + 1):
             q, v, work, slope, error = method(tau, rate, h)
             grown = _RESERVE * max(error, 1e-12) ** (-0.5 if stiff else -0.25)
             if not error <= 1:
                 self._step = h * (max(grown, _SHRINK) if grown < 1 else _SHRINK)
                 return 0.0, None
-            event = self._event(v, slope, h)
-            if event is None:
+            past = self._past(v)
+            beyond = past.max() > 0
+            if not beyond:
+                if after is None:
+                    hit = None
+                    break
+                hit = known & ~self._stuck & (past >= -1)
+            else:
+                hit = past > 0
+            if hit.any() and (past <= 1).all():
                 break
-            share, hit = event
-            if not share < 1.0 - 1e-9:
-                break
-            h *= share
+            end = _End(h, v, slope[0], own.needed, own.limit)
+            if beyond:
+                after, known = end, hit
+            else:
+                before = end
+            if tries < _MOST_TRIES:
+                h = self._first_event(before, after, known)
         next_step = h * min(grown, _GROW)
         if h < asked or self._step > asked:
             # It was short for an event, or for the end of the sample period.
@@ -212,34 +242,38 @@ class Integrator:
         self.work += work
         self.steps += 1
         np.maximum(self._fast, np.abs(self.v), out=self._fast)
+        np.multiply(_TOLERANCE, self._fast, out=self._exact)
         self._dynamics.remember(self.q)
         if hit is None:
-            self._slope = slope
-            self._held = self._dynamics.needed, self._dynamics.limit
+            self._arrive(slope)
             return
         turned = hit & ~self._stuck
-        self.v = np.where(turned, 0.0, self.v)
+        self.v[turned] = 0.0
         self._stops += turned
+        self._stops_often = True
         self.settle(tau)
 
     def _explicit(self, tau, rate, h):
         """Runge-Kutta step of order four, its error by one of order three."""
-        steps, evaluate = self._dynamics.steps, self._evaluate
-        mid, end = tau + (0.5 * h) * rate, tau + h * rate
-        y, (a1, p1) = np.array([self.q, self.v]), self._slope
-        k1 = np.array([self.v, a1])
-        y2 = steps.forward(y, 0.5 * h, k1)
-        a2, p2 = evaluate(*y2, mid)
-        k2 = np.array([y2[1], a2])
-        y3 = steps.forward(y, 0.5 * h, k2)
-        a3, p3 = evaluate(*y3, mid)
-        k3 = np.array([y3[1], a3])
-        y4 = steps.forward(y, h, k3)
-        a4, p4 = evaluate(*y4, end)
-        q, v = steps.runge_kutta(y, h, k1, k2, k3, np.array([y4[1], a4]))
-        work = (p1 + 2.0 * (p2 + p3) + p4) * h / 6.0
-        slope = evaluate(q, v, end)
-        error = steps.step_error(h, a1, a4, slope[0], self._fast, _TOLERANCE)
+        own, evaluate = self._dynamics, self._evaluate
+        if own.is_compiled:
+            state = self.q, self.v, *self._slope, tau, rate, h
+            modes = self._mode, self._stuck
+            return own.explicit_step(*state, *modes, self._fast, _TOLERANCE)
+        q, v, (a1, p1) = self.q, self.v, self._slope
+        half, mid, end = 0.5 * h, tau + (0.5 * h) * rate, tau + h * rate
+        v2 = v + half * a1
+        a2, p2 = evaluate(q + half * v, v2, mid, half)
+        v3 = v + half * a2
+        a3, p3 = evaluate(q + half * v2, v3, mid, half)
+        v4 = v + h * a3
+        a4, p4 = evaluate(q + h * v3, v4, end, h)
+        sixth = h / 6.0
+        q = q + sixth * (v + 2.0 * (v2 + v3) + v4)
+        v = v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
+        work = sixth * (p1 + 2.0 * (p2 + p3) + p4)
+        slope = evaluate(q, v, end, h)
+        error = own.steps.step_error(h, a1, a4, slope[0], self._fast, _TOLERANCE)
         return q, v, work, slope, float(error)
 
     def _implicit(self, tau, rate, h):
@@ -267,41 +301,48 @@ class Integrator:
             pushed[free] = lapack.dgesv(inner, rate[free])[2]
         end = tau + h * rate
         k1q, k1v = solve(v, a + g * pushed)
-        a2, _ = self._evaluate(q + h * k1q, v + h * k1v, end)
+        a2, _ = self._evaluate(q + h * k1q, v + h * k1v, end, h)
         k2q, k2v = solve(v + h * k1v - 2 * k1q, a2 - 2 * k1v - g * pushed)
         k1v[stuck] = k2v[stuck] = 0.0
         error_q, error_v = 0.5 * h * (k1q + k2q), 0.5 * h * (k1v + k2v)
         q = q + h * k1q + error_q
         v = v + h * k1v + error_v
-        slope = self._evaluate(q, v, end)
+        slope = self._evaluate(q, v, end, h)
         scale = _STIFF_TOLERANCE * np.maximum(self._fast, h * np.abs(a))
         error = float((np.abs(error_v) / scale).max())
         return q, v, 0.5 * h * (p + slope[1]), slope, error
 
-    def _most(self, limit):
-        """Dry friction (nv,) that holds joints; no limit where they stop too often."""
-        return np.where(self._stops > _MOST_STOPS, np.inf, (1 + _HOLDS) * limit)
-
-    def _event(self, v, slope, h):
-        """First event in a step, (share of it, joints (nv,) of bool); or None."""
-        own = self._dynamics
-        turned, loose = own.steps.events(
-            self._watched, self._way, v, self._stuck, own.needed, self._most(own.limit)
+    def _past(self, v):
+        """How far joints are past events, in units of what they may be (nv,)."""
+        own, stuck = self._dynamics, self._stuck
+        if self._stops_often:
+            stuck = stuck & (self._stops <= _MOST_STOPS)
+        return own.steps.past_events(
+            self._watched,
+            self._way,
+            v,
+            self._exact,
+            stuck,
+            own.needed,
+            own.limit,
+            1 + _HOLDS,
+            _LOOSE,
         )
-        if not (turned.any() or loose.any()):
-            return None
-        shares = np.full(v.size, np.inf)
-        for j in np.flatnonzero(turned):
-            ends = self.v[j], v[j], h * self._slope[0][j], h * slope[0][j]
-            shares[j] = _root(*ends)
-        before, limit = self._held
-        for j in np.flatnonzero(loose):
-            over = abs(own.needed[j]) - own.limit[j]
-            under = max(limit[j] - abs(before[j]), 0.0)
-            # A little later, so that it is loose.
-            shares[j] = min(under / (under + over) + _LATER, 1.0)
-        first = shares.min()
-        return first, shares <= first * (1 + 1e-9)
+
+    def _first_event(self, before, after, known):
+        """Time of the first event of joints `known` between two ends of a step."""
+        width, shares = after.time - before.time, []
+        for j in np.flatnonzero(known):
+            if self._stuck[j]:
+                under = (1 + _HOLDS) * before.limit[j] - abs(before.needed[j])
+                over = abs(after.needed[j]) - after.limit[j]
+                # A little later, so that it is loose.
+                later = 0.5 * _LOOSE * after.limit[j]
+                shares.append((max(under, 0.0) + later) / (max(under, 0.0) + over))
+            else:
+                slopes = width * before.a[j], width * after.a[j]
+                shares.append(_root(before.v[j], after.v[j], *slopes))
+        return before.time + width * min(max(min(shares), 1e-9), 1.0)
 
 
 def _root(v0, v1, a0, a1):

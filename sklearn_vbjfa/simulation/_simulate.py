@@ -12,8 +12,8 @@ from sklearn_vbjfa.simulation._terms import LEFT_OUT
 
 # Time stamps may differ from whole periods by this share of one.
 _JITTER = 0.01
-# Energy may exceed what was put in by this share.
-_EXCESS = 0.01
+# Energy may exceed what was put in by this share; looked at every so many rows.
+_EXCESS, _EVERY = 0.01, 8
 # Of this share of the potential energy nothing is known.
 _ROUNDING = 1e-9
 # A start may lie outside the limits by this share of the range: noise, or a zero.
@@ -97,8 +97,8 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     tau = _torques(robot, tau)
     t = _times(robot, t, len(tau))
     signals = Recorded(_signals(signals, len(tau)), t)
-    _tell_left_out(robot)
     dynamics = ForwardDynamics(robot, signals)
+    _tell_left_out(robot, dynamics)
     _check_inertia(robot, dynamics, q0)
     torque = true_torques(robot, tau, t)
     states = _run(robot, dynamics, torque, q0, v0, t)
@@ -112,32 +112,49 @@ def _run(robot, dynamics, tau, q0, v0, t):
     states = np.empty((n, 3 * nv))
     energy = _Energy(robot, dynamics)
     with np.errstate(all="ignore"):
+        dynamics.set_bodies(t[0])
+        instants = dynamics.instants
         motion = Integrator(dynamics, q0, v0, tau[0], t[0])
         for i in range(n):
+            if i:
+                _follow(robot, dynamics, motion, energy, i, t, tau, instants)
             states[i, :nv], states[i, nv : 2 * nv] = motion.q, motion.v
             states[i, 2 * nv :] = motion.a
-            before = energy.check(motion, t[i])
-            if i + 1 == n:
-                return states
-            dt = t[i + 1] - t[i]
-            if dynamics.changes:
-                # What changes with time has its value in the middle of the period.
-                dynamics.set_time(t[i] + 0.5 * dt)
-                motion.refresh(tau[i])
-                energy.jump(before, motion)
-            try:
-                motion.advance(tau[i], tau[i + 1], dt)
-            except Diverged as found:
-                time = t[i] + found.time
-                name = robot.joint_names[found.joint]
-                raise SimulationError(
-                    f"The simulation diverges at t = {time:.6g} s (row {i}): "
-                    f"{name} has the velocity {motion.v[found.joint]:.3g}. Friction "
-                    "that drives a joint, or bodies that the recording does not "
-                    "determine, do that; look at the signs of the friction, and "
-                    "identify with more motion.",
-                    time,
-                ) from None
+            if i % _EVERY == 0 or i + 1 == n:
+                energy.check(motion, t[i])
+    return states
+
+
+def _follow(robot, dynamics, motion, energy, i, t, tau, instants):
+    """Move on to row i from the one before, through the instants between them."""
+    since, start, period = t[i - 1], tau[i - 1], t[i] - t[i - 1]
+    between = [x for x in instants if since < x <= t[i]]
+    for until in sorted({*between, t[i]}) if between else (t[i],):
+        left = (t[i] - until) / period
+        end = tau[i] if left == 0 else tau[i] - left * (tau[i] - tau[i - 1])
+        try:
+            motion.advance(start, end, until - since)
+        except Diverged as found:
+            raise _diverged(robot, motion, since + found.time, i, found.joint) from None
+        if until in between:
+            before = energy.present(motion)
+            dynamics.set_bodies(until)
+            motion.settle(end)
+            energy.jump(before, motion)
+        since, start = until, end
+
+
+def _diverged(robot, motion, time, row, joint):
+    """Say when and where a motion diverges."""
+    unit = "m/s" if is_prismatic(robot.model)[joint] else "rad/s"
+    return SimulationError(
+        f"The simulation diverges at t = {time:.6g} s (before row {row}): "
+        f"{robot.joint_names[joint]} has the velocity {motion.v[joint]:.3g} {unit}. "
+        "Torques or a start in another unit do that, friction with a negative "
+        "coefficient, or bodies that the recording does not determine: check the "
+        "units, look at the parameters of this joint, and identify with more motion.",
+        time,
+    )
 
 
 class _Energy:
@@ -148,7 +165,8 @@ class _Energy:
         self._start, self._least = None, 0.0
         self._largest, self._moved, self._work = 0.0, 0.0, 0.0
 
-    def _present(self, motion):
+    def present(self, motion):
+        """Kinetic and potential energy [J]."""
         kinetic = self._dynamics.kinetic_energy(motion.v)
         self._largest = max(self._largest, kinetic)
         energy = kinetic + self._dynamics.potential_energy(motion.q)
@@ -160,11 +178,11 @@ class _Energy:
 
     def jump(self, before, motion):
         """Take over what a change of the robot itself does to its energy."""
-        self._start += self._present(motion) - before
+        self._start += self.present(motion) - before
 
     def check(self, motion, t):
-        """Refuse energy that nothing has put in; return the present energy [J]."""
-        energy = self._present(motion)
+        """Refuse energy that nothing has put in."""
+        energy = self.present(motion)
         if self._start is None:
             self._start = energy
         self._moved += abs(motion.work - self._work)
@@ -177,13 +195,12 @@ class _Energy:
                 f"{100 * excess / size:.2g} % of all energy: {self._reason()}.",
                 t,
             )
-        return energy
 
     def _reason(self):
         """Say where energy can come from."""
         terms = self._dynamics.terms
         driving = (terms.viscous < 0) | (terms.dry < 0) | (terms.load_dry < 0)
-        driving[terms.joints[terms.numbers[:, 0] < 0]] = True
+        driving[terms.joints[terms.is_friction & (terms.numbers[:, 0] < 0)]] = True
         names = [n for n, bad in zip(self._robot.joint_names, driving) if bad]
         if names:
             return (
@@ -334,15 +351,17 @@ def _check_inertia(robot, dynamics, q0):
         )
 
 
-def _tell_left_out(robot):
+def _tell_left_out(robot, dynamics):
     """Warn of effects that a simulation does not have."""
-    names = robot.joint_names
+    names, others = robot.joint_names, dynamics.terms.others
     left = [
-        f"{effect.name} on {names[effect.joint]} ({LEFT_OUT[type(effect)]})"
+        (effect, LEFT_OUT[type(effect)])
         for effect in robot.effects
         if type(effect) in LEFT_OUT
     ]
+    left += [] if others is None else others.left_out
     if left:
+        left = [f"{e.name} on {names[e.joint]} ({reason})" for e, reason in left]
         warnings.warn(
             f"The simulation goes without {'; '.join(left)}.", UserWarning, stacklevel=4
         )

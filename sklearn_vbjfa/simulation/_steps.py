@@ -2,15 +2,7 @@
 
 import numpy as np
 
-
-def runge_kutta(y, h, k1, k2, k3, k4):
-    """End of a classical step of order four from slopes (2, nv)."""
-    return y + (h / 6.0) * (k1 + 2.0 * (k2 + k3) + k4)
-
-
-def forward(y, h, k):
-    """Go a straight way: y + h k."""
-    return y + h * k
+_TINY = float(np.finfo(float).tiny)
 
 
 def step_error(h, a1, a4, a5, fast, tolerance):
@@ -31,12 +23,19 @@ def is_stiff(h, mass, by_position, by_velocity, stuck, most):
     return h * max(rate, np.sqrt(np.max(np.abs(by_position) * free))) > most
 
 
-def events(watched, way, v, stuck, needed, most):
-    """Joints that turned in a step, and joints that broke loose; (2, nv) of bool.
+def directions(v, a):
+    """Ways that joints go (nv,): signs of velocities, or of accelerations at rest."""
+    return np.where(v != 0.0, np.sign(v), np.sign(a))
 
-    most (nv,) : dry friction that holds joints.
+
+def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
+    """How far joints are past an event, in units of what they may be, (nv,).
+
+    Those that slide turn round; exact (nv,) : velocities that count as zero. Those that
+    stick break loose beyond `holds` times the limit of their friction; an excess of
+    `loose` times the limit counts as none. Negative before the event, -inf for joints
+    without any.
     """
-    out = np.zeros((2, v.size), dtype=np.bool_)
-    out[0] = watched & (way * v < 0.0)
-    out[1] = stuck & (np.abs(needed) > most)
-    return out
+    out = np.where(watched & ~stuck, -way * v / exact, -np.inf)
+    excess = (np.abs(needed) - holds * limit) / np.maximum(loose * limit, _TINY)
+    return np.where(stuck, excess, out)

@@ -15,6 +15,7 @@ Effects that the library does not know are evaluated by their own columns, see
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +50,8 @@ from sklearn_vbjfa.model._loading import is_prismatic
 _STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH = 0, 1, 2, 3, 4
 _HARMONICS, _LINKAGE, _RIPPLE, _PRESLIDING, _BACKLASH = 5, 6, 7, 8, 9
 _COUPLED_DRY, _LEVEL, _LEVEL_DRY, _LEVEL_VISCOUS = 10, 11, 12, 13
+_FRICTION = (_STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH, _PRESLIDING)
+_FRICTION += (_LEVEL_DRY, _LEVEL_VISCOUS)
 # Parameters of a term in the table.
 _WIDTH = 5
 # Torques of the channels, before the robot; and what a simulation cannot do.
@@ -59,6 +62,10 @@ LEFT_OUT = {
 }
 # Below this speed the sign of a coupled speed turns, where no other is known.
 _SLOW = 1e-3
+# What other effects depend on is seen on so many rows, so far apart in time [s]. Their
+# torque jumps if that between these speeds on both sides of zero is at least this share
+# of that between -1 and 1.
+_ROWS, _PERIOD, _TURNS, _JUMP = 5, 0.01, 1e-12, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,6 +125,11 @@ class Terms:
         return bool(self.load_dry.any() or (self.kinds == _LOAD_TANH).any())
 
     @property
+    def is_friction(self):
+        """Which terms of the table are friction, ndarray of bool."""
+        return np.isin(self.kinds, _FRICTION)
+
+    @property
     def lines(self):
         """What needs no table, ndarray (5, nv)."""
         return self._lines
@@ -136,8 +148,12 @@ class Terms:
         return bool(self.leveled)
 
     @classmethod
-    def of(cls, robot):
-        """Sort the friction and effects of a `TorqueModel`."""
+    def of(cls, robot, known=None):
+        """Sort the friction and effects of a `TorqueModel`.
+
+        known : mapping of str to float
+            Values of recorded signals, one of each.
+        """
         nv = robot.n_joints
         made = _Table(nv, None if robot.rest is None else robot.rest.speed, robot.since)
         declared = dict(zip(robot.friction_names, robot.friction.T))
@@ -159,7 +175,9 @@ class Terms:
                 continue
             if not made.take(effect, coef):
                 others.append((effect, np.asarray(coef)))
-        return made.finished(OtherEffects(robot, others) if others else None)
+        return made.finished(
+            OtherEffects(robot, others, known or {}) if others else None
+        )
 
     def memory(self, q):
         """Start the memory of joints at positions q (nv,): (n_terms, 2)."""
@@ -169,10 +187,10 @@ class Terms:
             out[k, 1] = q[self.joints[k]] if self.kinds[k] == _BACKLASH else 0.0
         return out
 
-    def set_levels(self, numbers, t, signals):
-        """Write the present sizes of terms that change with time into a table."""
+    def set_levels(self, rows, t, signals):
+        """Write the present sizes of terms that change with time into rows."""
         for k, level in zip(self.leveled, self.levels):
-            numbers[k, 0] = level(t, signals)
+            rows[k][0] = level(t, signals)
 
 
 class _Table:
@@ -371,6 +389,7 @@ def add_terms(
     load_smooth,
     by_position,
     by_velocity,
+    load_by_velocity,
 ):
     """Add the torques of a table of terms at one state.
 
@@ -387,9 +406,9 @@ def add_terms(
         What depends on the position and time alone or couples joints, and may do work;
         smooth friction; the size of dry friction; and smooth friction over the load.
         Added to.
-    by_position, by_velocity : mutable sequence of shape (nv,)
-        Derivatives of the smooth torques by the joint's own position and velocity.
-        Added to.
+    by_position, by_velocity, load_by_velocity : mutable sequence of shape (nv,)
+        Derivatives of the smooth torques by the joint's own position and velocity, and
+        that of smooth friction over the load. Added to.
     """
     for i in range(len(kinds)):
         kind, j = kinds[i], joints[i]
@@ -409,7 +428,9 @@ def add_terms(
             smooth[j] += size * s
             by_velocity[j] += size * (1.0 - s * s) / row[1]
         elif kind == 4:  # tanh, over the load
-            load_smooth[j] += size * math.tanh(v[j] / row[1])
+            s = math.tanh(v[j] / row[1])
+            load_smooth[j] += size * s
+            load_by_velocity[j] += size * (1.0 - s * s) / row[1]
         elif kind == 5:  # two harmonics
             c, s = math.cos(q[j]), math.sin(q[j])
             c2, s2 = c * c - s * s, 2.0 * s * c
@@ -472,30 +493,88 @@ def remember(kinds, joints, numbers, memory, q):
 class OtherEffects:
     """Effects that are not of the library, by their own columns at one state.
 
-    Their torque may depend on accelerations, on a straight line: it is then evaluated
-    at zero and at unit accelerations.
+    Their torque may depend on accelerations and loads, and may jump where a joint
+    turns, which is dry friction of that joint. What depends on several rows (a memory,
+    a derivative) has no torque at one state: it is left out.
+
+    Parameters
+    ----------
+    robot : TorqueModel
+        Robot.
+    effects : sequence of (Effect, ndarray)
+        Effects and their coefficients.
+    known : mapping of str to float
+        Values of recorded signals, one of each.
+
+    Attributes
+    ----------
+    left_out : tuple of (Effect, str)
+        Effects that are left out, and why.
+    jumps : ndarray of shape (nv,), bool
+        Joints whose torque jumps where they turn.
     """
 
-    def __init__(self, robot, effects):
-        self._effects = effects
+    def __init__(self, robot, effects, known):
         self._nv = robot.n_joints
         self._prismatic = is_prismatic(robot.model)
+        self._since = robot.since
         rng = np.random.default_rng(0)
-        q, v = rng.normal(size=(2, self._nv))
-        rest = self._torque(q, v, np.zeros(self._nv), 0.0, np.ones(self._nv), {})
-        moved = self._torque(q, v, np.ones(self._nv), 0.0, np.ones(self._nv), {})
-        self._of_acceleration = bool((rest != moved).any())
+        q, v, a, load = rng.normal(size=(4, _ROWS, self._nv))
+        t = _PERIOD * np.arange(_ROWS) + (robot.since or 0.0)
+        tried = q, v, a, t, load, known
+        self._effects, left_out = [], []
+        for effect, coef in effects:
+            reason = effect.applies(self._motion(*tried))
+            if reason:
+                raise ValueError(
+                    f"effects holds {effect.name} on joint {effect.joint}: {reason}."
+                )
+            if self._looks_around(effect, *tried):
+                left_out.append((effect, "its torque depends on other rows"))
+            else:
+                self._effects.append((effect, coef))
+        self.left_out = tuple(left_out)
+        one = [values[0] for values in (q, v)]
+        torque = self._torque(*one, a[0], t[0], load[0], known)
+        moved = self._torque(*one, a[1], t[0], load[1], known)
+        self._accelerates = not np.array_equal(torque, moved, equal_nan=True)
+        self.jumps = np.zeros(self._nv, dtype=bool)
+        for j in range(self._nv):
+            sides = []
+            for speed in (-1.0, -_TURNS, _TURNS, 1.0):
+                v[0, j] = speed
+                sides.append(self._torque(q[0], v[0], a[0], t[0], load[0], known)[j])
+            far, near = sides[3] - sides[0], sides[2] - sides[1]
+            self.jumps[j] = abs(near) > _JUMP * abs(far)
 
-    def _torque(self, q, v, a, t, load, signals):
-        motion = Motion(
-            q=q[None],
-            v=v[None],
-            a=a[None],
-            t=np.array([t]),
-            load=load[None],
-            torque=load[None],
+    def _motion(self, q, v, a, t, load, known):
+        """Make a `Motion` of rows."""
+        return Motion(
+            q=q,
+            v=v,
+            a=a,
+            t=t,
+            load=load,
+            torque=load,
             prismatic=self._prismatic,
-            signals={name: np.array([value]) for name, value in signals.items()},
+            since=self._since,
+            signals={name: np.full(t.size, value) for name, value in known.items()},
+        )
+
+    def _looks_around(self, effect, q, v, a, t, load, known):
+        """Whether the columns of rows differ when they are looked at one by one."""
+        whole = effect.columns(self._motion(q, v, a, t, load, known))
+        rows = [slice(i, i + 1) for i in range(t.size)]
+        single = [
+            effect.columns(self._motion(q[i], v[i], a[i], t[i], load[i], known))
+            for i in rows
+        ]
+        return not np.allclose(np.concatenate(single), whole, equal_nan=True)
+
+    def _torque(self, q, v, a, t, load, known):
+        """Torque at one state (nv,)."""
+        motion = self._motion(
+            q[None], v[None], a[None], np.array([t]), load[None], known
         )
         out = np.zeros(self._nv)
         for effect, coef in self._effects:
@@ -506,14 +585,59 @@ class OtherEffects:
                 out[effect.joint] += torque
         return out
 
-    def at(self, q, v, t, load, signals):
-        """Torque without acceleration (nv,), and by accelerations (nv, nv) or None."""
-        zero = np.zeros(self._nv)
-        torque = self._torque(q, v, zero, t, load, signals)
-        if not self._of_acceleration:
-            return torque, None
-        slopes = [
-            self._torque(q, v, unit, t, load, signals) - torque
-            for unit in np.eye(self._nv)
-        ]
-        return torque, np.column_stack(slopes)
+    def at(self, q, v, t, known, mode, stuck):
+        """Torques at a state, `StateTorques`.
+
+        mode (nv,) : signs of dry friction; stuck (nv,), bool : joints that stick.
+        """
+        turning = self.jumps & ~stuck & (v * mode <= 0)
+        v = np.where(turning, _TURNS * mode, v)
+        held = self.jumps & stuck
+        if not held.any():
+            return StateTorques(
+                lambda a, load: self._torque(q, v, a, t, load, known),
+                lambda a, load: np.zeros(self._nv),
+                self._accelerates,
+            )
+
+        def sides(a, load):
+            return [
+                self._torque(q, np.where(held, way * _TURNS, v), a, t, load, known)
+                for way in (-1.0, 1.0)
+            ]
+
+        return StateTorques(
+            lambda a, load: 0.5 * sum(sides(a, load)),
+            lambda a, load: np.where(held, 0.5 * np.subtract(*sides(a, load)[::-1]), 0),
+            self._accelerates,
+        )
+
+
+@dataclass(frozen=True)
+class StateTorques:
+    """Torques of other effects at one state.
+
+    Attributes
+    ----------
+    torque, dry : callable
+        (a, load) -> torque (nv,), and the size of dry friction of joints that stick.
+    accelerates : bool
+        Whether they depend on the accelerations or the load.
+    """
+
+    torque: Callable
+    dry: Callable
+    accelerates: bool
+
+    def tangent(self, a, ML, hL):
+        """Torque at no acceleration, and by accelerations, as they are around `a`.
+
+        ML, hL : inertia matrix and nonlinear effects of the load. Returns ndarrays
+        (nv,) and (nv, nv); None for the latter where there is nothing.
+        """
+        there = self.torque(a, ML @ a + hL)
+        if not self.accelerates:
+            return there, None
+        moved = a + np.eye(a.size)
+        slopes = np.column_stack([self.torque(b, ML @ b + hL) - there for b in moved])
+        return there - slopes @ a, slopes

@@ -61,9 +61,9 @@ def timed(robot, tau, q0, v0, rounds=ROUNDS):
     """Simulate; return states (n, 3 nv) and the time for one row [s]."""
     taken = []
     for _ in range(rounds):
-        started = time.perf_counter()
+        started = time.process_time()
         states = simulated(robot, tau, np.array(q0), np.array(v0))
-        taken.append(time.perf_counter() - started)
+        taken.append(time.process_time() - started)
     # the first one compiles
     return states, min(taken) / len(tau)
 
@@ -605,8 +605,8 @@ def main(argv=None):
         [
             "Largest error over all rows of each simulation. Torques that change do so "
             "along a straight line. Chains have random axes, placements and starts, "
-            f"seed {SEED}; microseconds a row are the fastest of {ROUNDS} runs. Commit "
-            f"{commit()}.",
+            f"seeds from {SEED} on; microseconds a row are processor time, the fastest "
+            f"of up to {ROUNDS} runs. Commit {commit()}.",
             rst_table([row(answer) for answer in answers], HEADERS, n_labels=3),
         ]
     )

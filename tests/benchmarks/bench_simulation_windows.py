@@ -257,7 +257,7 @@ def rms(error):
     return np.sqrt((error**2).mean(axis=0))
 
 
-def judge(recording, split, states, models, seconds=SECONDS, margin=MARGIN):
+def judge(recording, split, states, models, seconds=None, margin=MARGIN):
     """Simulate all windows of a split.
 
     Parameters
@@ -271,7 +271,7 @@ def judge(recording, split, states, models, seconds=SECONDS, margin=MARGIN):
     models : dict of str to callable
         As of `simulators`.
     seconds, margin : float
-        As for `windows`.
+        As for `windows`; `SECONDS` by default.
 
     Returns
     -------
@@ -280,7 +280,7 @@ def judge(recording, split, states, models, seconds=SECONDS, margin=MARGIN):
         joints) [rad or m], nan for a window that failed; ``failures``: label -> list of
         [window, message]; ``seconds``: label -> time taken.
     """
-    cut = windows(split.judged, recording.dt, seconds, margin)
+    cut = windows(split.judged, recording.dt, seconds or SECONDS, margin)
     nv = recording.nv
     labels = [*TRIVIAL, *models]
     errors = {label: np.full((len(cut), nv), np.nan) for label in labels}
@@ -292,7 +292,7 @@ def judge(recording, split, states, models, seconds=SECONDS, margin=MARGIN):
         errors[STAYS][k] = rms(q - q0)
         errors[GOES_ON][k] = rms(q - q0 - np.outer(t - t[0], v0))
         for label, run in models.items():
-            started = time.perf_counter()
+            started = time.process_time()
             try:
                 found = np.asarray(run(tau, q0, v0, t))
             except FAILURES as error:
@@ -302,7 +302,7 @@ def judge(recording, split, states, models, seconds=SECONDS, margin=MARGIN):
                     errors[label][k] = rms(found[:, :nv] - q)
                 else:
                     failures[label].append([k, "the simulated states are not finite"])
-            taken[label] += time.perf_counter() - started
+            taken[label] += time.process_time() - started
     return {
         "recordings": [name for name, _ in cut],
         "starts": [float(split.clock[rows.start]) for _, rows in cut],
@@ -334,12 +334,12 @@ def run(task, data_home=None, models=None):
         # are in the figures.
         warnings.simplefilter("ignore", UserWarning)
         if kept is not None and kept.exists():
-            fits = joblib.load(kept)
+            fits = Fits(**joblib.load(kept))
         else:
             fits = fit(recording, identifier, split.fitted)
             if kept is not None:
                 kept.parent.mkdir(parents=True, exist_ok=True)
-                joblib.dump(fits, kept)
+                joblib.dump(vars(fits), kept)
         smoother = fits.declared.state_estimator_
         states = smoother.transform(recording.q, groups=recording.groups)
         every = simulators(name, recording, fits, split.fitted)
@@ -546,7 +546,7 @@ def main(argv=None):
         "--models",
         default=None,
         metavar="DIR",
-        help="fitted models so far, so that another simulator needs no new fit",
+        help="fitted models so far, for another simulator of a package that fits alike",
     )
     arguments = arguments.parse_args(argv)
     known = STAGES[arguments.sets]

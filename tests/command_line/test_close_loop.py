@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 import warnings
+import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -23,8 +24,8 @@ from sklearn_vbjfa.model._loading import load_model
 
 pinocchio = pytest.importorskip("pinocchio")
 
-FILES = ["identified.json", "identified.urdf", "parameters.csv"]
-FILES += ["report.html", "report.json"]
+FILES = ["identified.json", "identified.urdf", "identified.xml"]
+FILES += ["parameters.csv", "report.html", "report.json"]
 LINK = """
 <link name="{name}"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/>
   <inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/>
@@ -137,6 +138,13 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     # The robot without its data, its spring included.
     saved = load_identified(folder / "identified.json")
     assert [(one.name, one.joint) for one in saved.effects_] == [("spring", 0)]
+    # MuJoCo has springs: nothing is left out.
+    assert "identified.xml goes without" not in captured.out
+    root = ElementTree.parse(folder / "identified.xml").getroot()
+    joints = {x.get("name"): x for x in root.iter("joint") if x.get("name")}
+    assert list(joints) == ["shoulder", "elbow"]
+    found = effect["parameters"]["k"]
+    assert float(joints["shoulder"].get("stiffness")) == pytest.approx(found)
     # What was identified is a description to begin with.
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -168,6 +176,23 @@ def test_parameters_are_a_table(good, urdf, capsys):
     text = Path("here/there/identified.urdf").read_text()
     assert "does not determine the masses of" in text
     assert all(row["std"] for row in rows if row["identifiable"] == "yes")
+
+
+def test_what_mujoco_has_no_place_for_is_said(good, urdf, recording, capsys):
+    made = make_robot_recording(
+        str(urdf),
+        duration=15.0,
+        undeclared={"load_friction": (0, 0.4)},
+        random_state=1,
+    )
+    write_csv(good, made)
+    options = ["--effects", "load_friction", "--no-ceiling"]
+    assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    at = lines.index("MuJoCo has no place for, and identified.xml goes without:")
+    assert lines[at + 1].startswith("- load_friction on shoulder (")
+    text = Path("arm-report/identified.xml").read_text(encoding="utf-8")
+    assert "load_friction" in text[: text.index("-->")]
 
 
 def test_undetermined_parameters_have_no_deviation(tmp_path):

@@ -212,6 +212,39 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     assert all(row["stays"] for row in failed)
 
 
+def test_joints_that_run_away_are_named(good, saved, capsys, monkeypatch):
+    from sklearn_vbjfa import IdentifiedRobot
+
+    calls = []
+
+    def away(self, tau, q0, v0, t, signals=None):
+        calls.append(1)
+        states = np.zeros((len(tau), 6))
+        states[:, :2] = q0
+        if len(calls) == 2:
+            states[1:, 1] = 1e3
+        return states
+
+    monkeypatch.setattr(IdentifiedRobot, "simulate", away)
+    lines = run(capsys, good, "--model", saved).splitlines()
+    (at,) = [k for k, line in enumerate(lines) if "joints ran away" in line]
+    assert lines[at].startswith(f"in 1 of {len(calls)} windows")
+    assert re.fullmatch(r"- arm, \S+ to \S+ s: elbow", lines[at + 1])
+
+
+def test_a_run_that_is_interrupted_leaves_nothing(good, saved, capsys, monkeypatch):
+    from sklearn_vbjfa import IdentifiedRobot
+
+    def interrupted(self, *given, **named):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(IdentifiedRobot, "simulate", interrupted)
+    assert main(["simulate", str(good), "--model", str(saved)]) == 130
+    captured = capsys.readouterr()
+    assert captured.err == "sklearn-vbjfa: interrupted, nothing was written\n"
+    assert [path.name for path in good.parent.iterdir()] == ["arm.csv"]
+
+
 def test_nothing_but_failures_is_said(good, saved, capsys, monkeypatch):
     from sklearn_vbjfa import IdentifiedRobot
 
@@ -248,6 +281,29 @@ def test_every_recording_has_a_picture(urdf, saved, recording, tmp_path, capsys)
         rows = list(csv.DictReader(file))
     assert len({row["recording"] for row in rows}) == 2
     assert max(float(row["to_s"]) for row in rows) <= 5.0
+
+
+def test_prismatic_joints_are_in_mm(urdf, tmp_path, capsys):
+    # The elbow becomes a slide.
+    first, second = URDF.split("</joint>", 1)
+    slide = tmp_path / "slide.urdf"
+    slide.write_text(first + "</joint>" + second.replace("revolute", "prismatic"))
+    made = make_robot_recording(str(slide), duration=8.0, dt=0.01, random_state=4)
+    source = write_csv(tmp_path / "slide.csv", made)
+    out = tmp_path / "out"
+    text = run(capsys, source, "--urdf", slide, "--window", "0.3", "--out", out)
+    units = re.findall(r"^(shoulder|elbow) +(\S+) ", text, flags=re.M)
+    assert units == [
+        ("shoulder", "degrees"),
+        ("elbow", "mm"),
+        ("shoulder", "degrees/s"),
+        ("elbow", "mm/s"),
+    ]
+    robot = RobotIdentifier(str(slide), dt=0.01, friction=("viscous", "coulomb"))
+    robot.fit(made.q[:560], made.tau[:560])
+    found = simulate_windows(robot, made.q[560:], made.tau[560:], window=0.3)
+    expected = 1e3 * np.sqrt(np.mean(found.errors[:, 1] ** 2))
+    assert tables(text)[0]["elbow"][0] == pytest.approx(expected, rel=2e-2)
 
 
 def test_the_demo_needs_no_arguments(tmp_path, monkeypatch, capsys):

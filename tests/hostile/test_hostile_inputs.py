@@ -23,7 +23,7 @@ CASES = [
     for case in family.cases()
 ]
 FILES = {"parameters.csv", "report.html", "report.json"}
-FILES |= {"identified.json", "identified.urdf"}
+FILES |= {"identified.json", "identified.urdf", "identified.xml"}
 # Longer lines are read by nobody.
 LONGEST = 1200
 
@@ -94,7 +94,8 @@ def check_report(out):
     assert verdict(out / "report.json")
     page = (out / "report.html").read_text(encoding="utf-8")
     assert page.endswith("</html>\n")
-    ElementTree.parse(out / "identified.urdf")
+    for name in ("identified.urdf", "identified.xml"):
+        ElementTree.parse(out / name)
     assert json.loads((out / "identified.json").read_text(encoding="utf-8"))
 
 

@@ -3,6 +3,7 @@
 import json
 import os
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -308,6 +309,15 @@ def test_units_stand_beside_all_parameters(saved, identified):
         )
     )
     assert "\n".join(content["urdf"]).startswith("<robot")
+
+
+def test_the_guide_tells_of_all_keys(saved):
+    guide = (Path(__file__).parents[2] / "docs" / "saved_model.rst").read_text()
+    content = json.loads(saved.read_text())
+    found = [*content, *content["joints"][0], *content["parameters"][0]]
+    for key in found + list(content["fit"]):
+        if not key.endswith("unit"):
+            assert f"``{key}``" in guide, key
 
 
 # -- bad input -------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Windows of a recording: where they begin, their errors, and those that fail."""
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -94,6 +95,15 @@ def test_rivals_stay_and_go_on(found):
     np.testing.assert_array_equal(goes_on[:, 0, nv : 2 * nv], v0)
 
 
+def test_joints_that_run_away_are_marked(found):
+    assert not found.run_away.any()
+    simulated = found.simulated.copy()
+    simulated[3, -1, 2] += 1e3
+    simulated[5] = np.nan
+    away = replace(found, simulated=simulated).run_away
+    assert np.argwhere(away).tolist() == [[3, 2]]
+
+
 def test_windows_begin_at_the_smoothed_state(found, robot, recording):
     nv = recording.nv
     k = 4
@@ -121,6 +131,25 @@ def test_a_saved_robot_is_simulated_alike(found, robot, recording, tmp_path):
         window=0.5,
     )
     np.testing.assert_array_equal(again.simulated, found.simulated)
+
+
+def test_robots_are_compared_on_the_same_windows(found, recording):
+    poor = RobotIdentifier(recording.urdf, dt=DT, friction=(), cutoff=3.0)
+    poor.fit(recording.q, recording.tau, groups=recording.groups)
+    given = recording.q, recording.tau, recording.groups
+    alone = simulate_windows(poor, *given, window=0.5)
+    assert not np.array_equal(alone.start_positions, found.start_positions)
+    other = simulate_windows(poor, *given, beside=found)
+    for name in ("starts", "t", "positions", "velocities", "start_positions"):
+        np.testing.assert_array_equal(getattr(other, name), getattr(found, name))
+    assert np.median(other.errors) > 3 * np.median(found.errors)
+
+
+def test_windows_of_other_rows_are_no_measure(found, robot, recording):
+    for rows in (slice(0, 300), slice(3, None)):
+        part = recording.q[rows], recording.tau[rows]
+        with pytest.raises(ValueError, match="beside must be windows of the same join"):
+            simulate_windows(robot, *part, beside=found)
 
 
 def test_some_windows_are_selected(found):

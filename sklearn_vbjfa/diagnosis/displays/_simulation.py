@@ -102,12 +102,12 @@ class SimulationDisplay(Display):
         ValueError
             As `simulate_windows` does.
         """
-        windows = {
-            label: simulate_windows(
-                robot, X, y, groups, t, window=window, signals=signals
+        windows, first = {}, None
+        for label, robot in cls._robots(estimator).items():
+            windows[label] = simulate_windows(
+                robot, X, y, groups, t, window=window, signals=signals, beside=first
             )
-            for label, robot in cls._robots(estimator).items()
-        }
+            first = first or windows[label]
         return cls(windows=windows)
 
     @classmethod

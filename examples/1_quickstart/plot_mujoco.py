@@ -1,0 +1,208 @@
+"""
+============================
+From a log to a MuJoCo model
+============================
+
+A recording goes in, a file for a simulator comes out: an arm is identified, the loop
+finds what its model lacks, and the result is written for MuJoCo. Both simulators, the
+package's own and MuJoCo, are then driven by measured torques and compared with the
+measured motion.
+"""
+
+# %%
+# The robot
+# ---------
+# The recording that comes with the package: two motions of a simulated six-axis arm.
+# The first one is identified, the second kept. The friction of the second joint depends
+# on its load, which the declared model does not know.
+
+import importlib.util
+import tempfile
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa.diagnosis import simulate_windows
+
+recording = load_demo_recording()
+fitted, kept = recording.groups == 0, recording.groups == 1
+declared = RobotIdentifier(
+    recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")
+)
+loop = EffectDiscovery(declared, ceiling=False, random_state=0)
+loop.fit(recording.q[fitted], recording.tau[fitted])
+models = {"declared": loop.declared_, "completed": loop.identifier_}
+for effect in loop.effects_:
+    print(f"{effect.joint_name}: {effect.name} {effect.parameters}")
+
+# %%
+# The files
+# ---------
+# Bodies, damping, dry friction and rotor inertias have a place in MuJoCo. Friction in
+# proportion to the load has none: it is left out, and ``to_mjcf`` says so, in the file
+# and by what it returns, with the root mean square of its torque in the recording.
+
+folder = Path(tempfile.mkdtemp())
+files = {}
+for name, robot in models.items():
+    files[name] = folder / f"{name}.xml"
+    left_out = robot.to_mjcf(files[name])
+    print(f"{name}: {len(left_out)} left out")
+    for one in left_out:
+        print(f"  {one.joint_name} {one.name}: {one.size:.3g} {one.unit}, {one.reason}")
+
+# %%
+# Beside the torques of the second joint this is no trifle. The declared model has
+# nothing that is left out: its Coulomb friction stands in for the mean of the missing
+# one.
+
+print(f"spread of the torque: {recording.tau[fitted, 1].std():.3g} N m")
+
+# %%
+# The package's simulation
+# ------------------------
+# Windows of half a second of the second motion, each from the measured state at its
+# start. Beside them two robots without any model: one that stays where it was, and one
+# that keeps its velocity.
+
+WINDOW = 0.5
+q, tau = recording.q[kept][:1700], recording.tau[kept][:1700]
+one = simulate_windows(models["declared"], q, tau, window=WINDOW)
+windows = {
+    name: simulate_windows(robot, q, tau, beside=one) for name, robot in models.items()
+}
+
+
+def table(errors):
+    """Root mean square over the windows, joint by joint."""
+    for name, found in errors.items():
+        size = np.rad2deg(np.sqrt(np.nanmean(found**2, axis=0)))
+        print(f"{name:22s}", " ".join(f"{x:7.2f}" for x in size), "degrees")
+
+
+table({f"{name}, package": own.errors for name, own in windows.items()})
+table({"stays": one.staying().errors, "goes on": one.going_on().errors})
+
+# %%
+# MuJoCo
+# ------
+# The same windows, driven by the same torques. A motor of the file takes what the
+# torque channel reads; joints are found by name. The time step divides the sample
+# period. Without MuJoCo (``pip install "sklearn-vbjfa[mujoco]"``) its curves are
+# missing here.
+
+
+def by_mujoco(path, found):
+    """Simulate windows with MuJoCo: positions (n_windows, m, nv)."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    joints = [model.joint(name) for name in found.joint_names]
+    places = [joint.qposadr[0] for joint in joints]
+    speeds = [joint.dofadr[0] for joint in joints]
+    steps = round(recording.dt / model.opt.timestep)
+    out = np.empty_like(found.positions)
+    for k, start in enumerate(found.starts):
+        mujoco.mj_resetData(model, data)
+        data.qpos[places] = found.start_positions[k]
+        data.qvel[speeds] = found.velocities[k, 0]
+        out[k, 0] = found.start_positions[k]
+        for i in range(1, out.shape[1]):
+            before, after = tau[start + i - 1], tau[start + i]
+            for step in range(steps):
+                share = (step + 0.5) / steps
+                data.ctrl[:] = before + share * (after - before)
+                mujoco.mj_step(model, data)
+            out[k, i] = data.qpos[places]
+    return out
+
+
+other = {}
+if importlib.util.find_spec("mujoco"):
+    other = {name: by_mujoco(path, one) for name, path in files.items()}
+    errors = {
+        f"{name}, MuJoCo": np.sqrt(np.mean((x - one.positions) ** 2, axis=1))
+        for name, x in other.items()
+    }
+    table(errors)
+else:
+    print("MuJoCo is not installed: its curves are missing.")
+
+# %%
+# How far the simulators get from each other, at most, tells what a file lacks: nothing
+# that matters for the declared model, the friction over the load for the completed one.
+
+for name, positions in other.items():
+    apart = np.abs(positions - windows[name].simulated[..., :6]).max(axis=(0, 1))
+    print(f"{name:10s}", " ".join(f"{x:7.2f}" for x in np.rad2deg(apart)), "degrees")
+
+# %%
+# Measured and simulated
+# ----------------------
+# The second joint and the one after it, which feels what the second does. Left, the
+# declared model: both simulators agree, and both are wrong. Right, the completed one:
+# the package follows the measured motion, and MuJoCo, without the friction over the
+# load, does not.
+
+shown = slice(2, 6)
+figure, axes = plt.subplots(
+    2, 2, sharex=True, sharey="row", layout="constrained", figsize=(9.5, 5.5)
+)
+gap = np.full((one.t[shown].shape[0], 1), np.nan)
+
+
+def curve(values):
+    """Degrees in the windows shown as one line, broken between them."""
+    return np.hstack([np.rad2deg(values[shown]), gap]).ravel()
+
+
+time = np.hstack([one.t[shown], gap]).ravel()
+for column, (name, own) in zip(axes.T, windows.items()):
+    column[0].set_title(f"{name} model")
+    for axis, j in zip(column, (1, 2)):
+        for start in one.t[shown, 0]:
+            axis.axvline(start, color="0.88", lw=0.8, zorder=0)
+        axis.plot(
+            time,
+            curve(one.positions[..., j]),
+            color="0.3",
+            lw=3,
+            alpha=0.4,
+            label="measured",
+        )
+        axis.plot(
+            time,
+            curve(own.simulated[..., j]),
+            color="tab:blue",
+            lw=1.5,
+            label="package",
+        )
+        if name in other:
+            axis.plot(
+                time,
+                curve(other[name][..., j]),
+                "--",
+                color="tab:red",
+                lw=1.5,
+                label="MuJoCo",
+            )
+        axis.set_ylabel(f"{recording.joint_names[j]} [degrees]")
+    column[-1].set_xlabel("time [s]")
+axes[0, 0].legend()
+plt.show()
+
+# %%
+# What to take from it
+# --------------------
+# - What a file lacks is listed with its size. Compare the size with the torques, and
+#   with the residual: if it is small, the completed model is the better file.
+# - If it is large, as here, a simulator without the effect is better served by a model
+#   that was identified without it: the terms that the simulator has then take over as
+#   much as they can.
+# - Where nothing is left out, both simulators move alike: MuJoCo's soft friction and
+#   fixed time step make no difference that could be seen here.
+# - MuJoCo stops joints at their limits, the package does not: it warns.

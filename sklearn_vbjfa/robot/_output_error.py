@@ -1,0 +1,555 @@
+r"""Output error: parameters whose simulated motion is the measured one.
+
+A recording is divided into windows. In each, the robot is simulated from the measured
+state of its first row, driven by the measured torques, and its positions are compared
+with the measured ones. The errors of a window are integrals of one another, so that a
+window counts as one observation of each joint, of unknown variance. With the mean
+square e_j of the errors of joint j over all rows of W windows, minus twice the
+logarithm of the likelihood is, but for a constant,
+
+.. math::
+
+    J(\theta, z) = W \sum_j \log(e_j(\theta, z) + \epsilon_j^2) + \sum_w z_w^\top z_w,
+
+where epsilon_j is the noise of the encoder, below which no error matters, and z_w what
+the start state of a window is moved by, in units of its measurement noise. Starts are
+eliminated in every step of Gauss and Newton, as each belongs to one window alone.
+"""
+
+import warnings
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa.robot._estimate import project
+from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH
+from sklearn_vbjfa.robot._sensitivities import held_parameters, propagate, slopes
+from sklearn_vbjfa.simulation._simulate import SimulationError, simulate
+
+# A window is so many times as long as the slowest joint takes to forget a velocity.
+_FORGETS = 5.0
+# There are at least so many windows, the blocks of time of the covariance.
+_LEAST_WINDOWS = 8
+_LEAST_ROWS = 20
+# Steps end when the mean squared error falls by less than this share.
+TOLERANCE = 1e-4
+_MOST_STEPS = 30
+# Damping in units of the largest information of the simulation over the torque fit's.
+_FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-8, 1e6
+# Errors below this share of a joint's range are rounding.
+_ROUNDING = 1e-9
+# Memory of the sensitivities that are held together.
+_BYTES = 128 << 20
+# Student's t has a deviation from three degrees of freedom on.
+_LEAST_FREEDOM = 3.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulationCriteria:
+    """Errors of an identified robot before and after its refinement by simulation.
+
+    Attributes
+    ----------
+    position_before, position_after : ndarray of shape (nv,)
+        Root mean square of simulated minus measured positions [rad or m]: with the
+        parameters of the torque fit, and at last. Before, windows start from the
+        measured states; after, from the estimated ones.
+    torque_before, torque_after : ndarray of shape (nv,)
+        Root mean square of the torque residuals of the fit, behind its low-pass
+        [N m or N]. The torque fit minimises them, so that after they are larger. With
+        a controller: of its simulated minus the measured torques.
+    n_windows : int
+        Number of windows; of recordings with a controller.
+    window : float
+        Their length [s]; of the longest recording with a controller.
+    n_iterations : int
+        Steps that were taken.
+    converged : bool
+        Whether they ended at the tolerance.
+    """
+
+    position_before: np.ndarray
+    position_after: np.ndarray
+    torque_before: np.ndarray
+    torque_after: np.ndarray
+    n_windows: int
+    window: float
+    n_iterations: int
+    converged: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Refined:
+    """Parameters after a refinement.
+
+    Attributes
+    ----------
+    theta, unconstrained, std : ndarray of shape (p,)
+        Parameters; those of the last step before its projection; deviations.
+    criteria : SimulationCriteria
+        Errors before and after.
+    """
+
+    theta: np.ndarray
+    unconstrained: np.ndarray
+    std: np.ndarray
+    criteria: SimulationCriteria
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Windows:
+    """Windows of a recording, W of L rows.
+
+    Attributes
+    ----------
+    recording : Recording
+        Their rows, one segment each, with clock, torques and signals.
+    measured : ndarray of shape (W, L, nv)
+        Positions [rad or m].
+    weight : ndarray of shape (W, L, nv)
+        Weights of the positions; their sum is 1 in each window of a joint that has any.
+    start : ndarray of shape (W, 2 * nv)
+        Measured state of each first row.
+    noise : ndarray of shape (2 * nv,)
+        Standard deviations of its noise.
+    """
+
+    recording: object
+    measured: np.ndarray
+    weight: np.ndarray
+    start: np.ndarray
+    noise: np.ndarray
+
+    @property
+    def count(self):
+        """Number of windows."""
+        return self.measured.shape[0]
+
+    @property
+    def observations(self):
+        """Number of windows in which each joint has positions, (nv,)."""
+        return (self.weight > 0).any(axis=1).sum(axis=0)
+
+    @classmethod
+    def of(cls, predictor, recording, states, rows):
+        """Cut a recording into windows of some number of rows.
+
+        states : `RecordingStates`. What remains of a recording is left out, half of it
+        at each end; recordings shorter than a window are left out.
+        """
+        nv = predictor.features.n_joints_
+        picked, start = [], []
+        for part, own in zip(recording.segments, states.own):
+            n = part.stop - part.start
+            first = (n % rows) // 2
+            for at in range(first, n - rows + 1, rows):
+                picked.append(np.arange(part.start + at, part.start + at + rows))
+                start.append(own[slice(at, at + 1)].reshape(-1)[: 2 * nv])
+        index = np.concatenate(picked)
+        weight = np.ones((index.size, nv))
+        if recording.weight is not None:
+            weight = (recording.weight[index] > 0).astype(float)
+        weight = weight.reshape(-1, rows, nv)
+        total = weight.sum(axis=1, keepdims=True)
+        clock = predictor.plan.clock(recording)
+        chosen = predictor.recording(
+            recording.inputs[index],
+            recording.tau[index],
+            np.repeat(np.arange(len(picked)), rows),
+            None,
+            None if clock is None else clock[index],
+            {name: values[index] for name, values in recording.signals.items()},
+        )
+        return cls(
+            recording=chosen,
+            measured=recording.q[index].reshape(-1, rows, nv),
+            weight=np.divide(weight, total, out=np.zeros_like(weight), where=total > 0),
+            start=np.array(start),
+            noise=_start_noise(predictor.plan.state_estimator, nv),
+        )
+
+    def part(self, chosen):
+        """Return the recording of a slice of windows."""
+        nv = self.measured.shape[2]
+        index = np.arange(self.measured[:, :, 0].size).reshape(self.measured.shape[:2])
+        index = index[chosen].ravel()
+        own = self.recording
+        return replace(
+            own,
+            q=np.zeros((index.size, nv)),
+            states=None,
+            tau=own.tau[index],
+            t=None if own.t is None else own.t[index],
+            groups=own.groups[index] - own.groups[index[0]],
+            group_names=own.group_names[: index.size // self.measured.shape[1]],
+            signals={name: values[index] for name, values in own.signals.items()},
+        )
+
+
+def _start_noise(estimator, nv):
+    """Deviations (2 nv,) of the noise of smoothed states; zero for given states."""
+    if estimator is None:
+        return np.zeros(2 * nv)
+    encoder = np.sqrt(np.nan_to_num(estimator.noise_variance_))
+    return np.concatenate([encoder, estimator.velocity_noise()])
+
+
+def window_rows(window, predictor, recording, states):
+    """Return the number of rows of a window, from the parameter `window` [s].
+
+    "auto" is five times as long as friction takes to slow the slowest joint to 1 / e:
+    after that a joint has forgotten with which velocity it started, and the errors show
+    what friction and gravity lack rather than the noise of the start. It is at least
+    five periods of the fastest motion, and leaves at least eight windows.
+    """
+    dt, lengths = recording.dt, [s.stop - s.start for s in recording.segments]
+    longest = max(lengths)
+    if not isinstance(window, str):
+        rows = round(float(window) / dt) + 1
+        if rows > longest:
+            raise ValueError(
+                f"window={window:g} s is longer than the longest recording "
+                f"({(longest - 1) * dt:.6g} s)."
+            )
+        return rows
+    plan = predictor.plan
+    period = CUTOFF_PER_BANDWIDTH / plan.cutoff
+    if not np.isfinite(plan.cutoff) and plan.fastest_period is not None:
+        period = float(np.max(plan.fastest_period))
+    needed = _FORGETS * max(period, _slowest(predictor, recording, states))
+    most = min(longest, sum(lengths) // _LEAST_WINDOWS)
+    return max(min(int(np.ceil(needed / dt)), most), min(_LEAST_ROWS, longest))
+
+
+def _slowest(predictor, recording, states):
+    """Longest time [s] in which friction slows a joint to 1 / e; 0 without friction."""
+    part, own = recording.segments[0], states.own[0]
+    seen = np.ascontiguousarray(own[:])
+    clock = predictor.plan.clock(recording)
+    first = predictor.recording(
+        seen,
+        t=None if clock is None else clock[part],
+        signals={name: x[part] for name, x in recording.signals.items()},
+    )
+    found = slopes(predictor, first, seen)
+    mass = np.einsum("njj->j", found.mass)
+    damping = np.einsum("njj->j", found.damping)
+    times = mass[damping > 0] / damping[damping > 0]
+    return float(times.max()) if times.size else 0.0
+
+
+def check_criterion(settings):
+    """Refuse settings of an identifier that simulation cannot follow."""
+    if settings.criterion not in ("torque", "simulation"):
+        raise ValueError(
+            f"criterion must be 'torque' or 'simulation'; got {settings.criterion!r}."
+        )
+    if settings.criterion == "torque":
+        if settings.controller is not None:
+            raise ValueError("controller is given: it needs criterion='simulation'.")
+        return
+    _check_window(settings.window)
+    if settings.dt is None:
+        raise ValueError(
+            "criterion='simulation' needs the sample period: give dt in seconds."
+        )
+    if settings.period is not None:
+        raise ValueError(
+            "criterion='simulation' simulates recordings as they are, and cannot take "
+            "the mean of their periods: set period to None."
+        )
+
+
+def _check_window(window):
+    """Refuse a window that is neither "auto" nor a positive time."""
+    if isinstance(window, str):
+        good = window == "auto"
+    else:
+        try:
+            good = np.isfinite(float(window)) and float(window) > 0
+        except (TypeError, ValueError):
+            good = False
+    if not good:
+        raise ValueError(
+            f"window must be 'auto' or a positive time in s; got {window!r}."
+        )
+
+
+# -- simulation and criterion ----------------------------------------------------------
+
+
+def run_windows(predictor, windows, starts):
+    """Simulate windows from starts (W, 2 nv); states (W, L, 3 nv).
+
+    The robot has no joint limits here: it was where the recording says.
+    """
+    robot = predictor.torque_model()
+    model = robot.model.copy()
+    nv = model.nv
+    model.lowerPositionLimit = np.full(nv, -np.inf)
+    model.upperPositionLimit = np.full(nv, np.inf)
+    robot = replace(robot, model=model)
+    recording, L = windows.recording, windows.measured.shape[1]
+    clock = recording.clock(stamped=predictor.plan.timed)
+    out = np.empty((windows.count, L, 3 * nv))
+    for w, start in enumerate(starts):
+        rows = slice(w * L, (w + 1) * L)
+        out[w] = simulate(
+            robot,
+            recording.tau[rows],
+            start[:nv],
+            start[nv:],
+            clock[rows] if predictor.plan.timed else None,
+            signals={name: x[rows] for name, x in recording.signals.items()},
+        )
+    return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """Simulated windows of some parameters and starts.
+
+    Attributes
+    ----------
+    predictor : TorquePredictor
+        Robot with its parameters.
+    z : ndarray of shape (W, 2 * nv)
+        What starts are moved by, in units of their noise.
+    states : ndarray of shape (W, L, 3 * nv)
+        Simulated states.
+    errors : ndarray of shape (W, L, nv)
+        Simulated minus measured positions.
+    """
+
+    predictor: object
+    z: np.ndarray
+    states: np.ndarray
+    errors: np.ndarray
+
+    @classmethod
+    def of(cls, predictor, windows, z):
+        """Simulate the windows."""
+        states = run_windows(predictor, windows, windows.start + z * windows.noise)
+        errors = states[:, :, : windows.measured.shape[2]] - windows.measured
+        return cls(predictor=predictor, z=z, states=states, errors=errors)
+
+    def position_errors(self, windows):
+        """Root mean square of the errors of each joint, (nv,)."""
+        squares = (windows.weight * self.errors**2).sum(axis=(0, 1))
+        return np.sqrt(squares / np.maximum(windows.observations, 1))
+
+    def scale(self, windows):
+        """Units of the errors (nv,): their present size, with the encoders' noise."""
+        nv = self.errors.shape[2]
+        span = np.ptp(windows.measured, axis=(0, 1))
+        least = np.maximum(windows.noise[:nv], _ROUNDING * np.where(span > 0, span, 1))
+        return np.hypot(self.position_errors(windows), least)
+
+    def criterion(self, windows):
+        """Value of the criterion."""
+        size = 2.0 * np.log(self.scale(windows))
+        return float(windows.observations @ size + (self.z**2).sum())
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Normal:
+    """Normal equations of each window, half the derivatives of the criterion.
+
+    Attributes
+    ----------
+    H : ndarray of shape (p, p)
+        Gauss-Newton matrix of the parameters, starts eliminated.
+    g : ndarray of shape (W, p)
+        Gradients of the windows, starts eliminated.
+    cross : ndarray of shape (W, 2 * nv, p)
+        Changes of z by parameters.
+    step : ndarray of shape (W, 2 * nv)
+        Changes of z for the present parameters.
+    """
+
+    H: np.ndarray
+    g: np.ndarray
+    cross: np.ndarray
+    step: np.ndarray
+
+    @classmethod
+    def of(cls, fit, windows):
+        """Differentiate the criterion at simulated windows."""
+        scale = fit.scale(windows)
+        W, L, nv = windows.measured.shape
+        p = fit.predictor.theta.size
+        H, g = np.zeros((p, p)), np.empty((W, p))
+        cross, step = np.empty((W, 2 * nv, p)), np.empty((W, 2 * nv))
+        per_window = 8 * L * nv * (4 * p + 8 * nv)
+        size = max(1, int(_BYTES // per_window))
+        for begin in range(0, W, size):
+            chosen = slice(begin, min(begin + size, W))
+            states = fit.states[chosen]
+            found = slopes(
+                fit.predictor, windows.part(chosen), states.reshape(-1, 3 * nv)
+            )
+            S = propagate(found, states, windows.recording.dt)
+            S[..., p:] *= windows.noise
+            root = (np.sqrt(windows.weight[chosen]) / scale).transpose(1, 0, 2)
+            S *= root[..., None]
+            e = root * fit.errors[chosen].transpose(1, 0, 2)
+            for k, w in enumerate(range(chosen.start, chosen.stop)):
+                own = S[:, k].reshape(L * nv, -1)
+                full, slope = own.T @ own, own.T @ e[:, k].ravel()
+                inner = full[p:, p:] + np.eye(2 * nv)
+                slope[p:] += fit.z[w]
+                cross[w] = -np.linalg.solve(inner, full[p:, :p])
+                step[w] = -np.linalg.solve(inner, slope[p:])
+                H += full[:p, :p] + full[:p, p:] @ cross[w]
+                g[w] = slope[:p] + full[:p, p:] @ step[w]
+        return cls(H=0.5 * (H + H.T), g=g, cross=cross, step=step)
+
+
+# -- refinement ------------------------------------------------------------------------
+
+
+def refine(predictor, found, recording, states, settings):
+    """Refine the parameters of a torque fit by output error.
+
+    Steps of Gauss and Newton, damped after Levenberg and Marquardt in the metric of
+    the torque fit, each projected onto the physically consistent parameters in its own
+    metric, and taken only where the criterion falls.
+
+    predictor : `TorquePredictor` of the torque fit; found : its `Estimate`; recording,
+    states : what was fitted; settings : has `window` and `projector`. Returns
+    `Refined`.
+    """
+    rows = window_rows(settings.window, predictor, recording, states)
+    windows = Windows.of(predictor, recording, states, rows)
+    with warnings.catch_warnings():
+        # The robot may leave limits on the way; effects that are left out are told
+        # of by `simulate` of the user's own.
+        warnings.simplefilter("ignore", UserWarning)
+        return _refine(predictor, found, windows, settings.projector)
+
+
+def _refine(predictor, found, windows, projector):
+    """Refine on windows; see `refine`."""
+    nv = predictor.features.n_joints_
+    fit = Fit.of(predictor, windows, np.zeros((windows.count, 2 * nv)))
+    before = fit.position_errors(windows)
+    value, count = fit.criterion(windows), windows.observations.sum()
+    held = held_parameters(predictor)
+    metric = np.where(np.outer(~held, ~held), found.metric, 0.0)
+    normal = Normal.of(fit, windows)
+    largest = _largest(normal.H, metric)
+    damping, unconstrained = _FIRST_DAMPING, found.theta_unconstrained
+    taken, converged = 0, False
+    for _ in range(_MOST_STEPS):
+        if not largest > 0 or damping > _MOST_DAMPING:
+            converged = True
+            break
+        own = normal.H + damping * largest * metric
+        raw, theta = _step(fit.predictor, found, normal, own, held, projector)
+        trial = _try(fit, normal, theta, windows)
+        after = np.inf if trial is None else trial.criterion(windows)
+        if not after < value:
+            damping *= 10.0
+            continue
+        fell = value - after
+        fit, value, unconstrained = trial, after, raw
+        taken += 1
+        damping = max(0.1 * damping, _LEAST_DAMPING)
+        normal = Normal.of(fit, windows)
+        if fell < TOLERANCE * count:
+            converged = True
+            break
+    theta = fit.predictor.theta
+    torque = [_torque_errors(found.moments, x) for x in (predictor.theta, theta)]
+    criteria = SimulationCriteria(
+        position_before=before,
+        position_after=fit.position_errors(windows),
+        torque_before=torque[0],
+        torque_after=torque[1],
+        n_windows=windows.count,
+        window=(windows.measured.shape[1] - 1) * windows.recording.dt,
+        n_iterations=taken,
+        converged=converged,
+    )
+    std = deviations(normal, metric, _LEAST_DAMPING * largest, found.std)
+    return Refined(
+        theta=theta,
+        unconstrained=unconstrained,
+        std=np.where(held, found.std, std),
+        criteria=criteria,
+    )
+
+
+def _largest(H, metric):
+    """Largest information of the simulation in units of the torque fit's."""
+    root = scaled_eigen(metric).inverse_root()
+    if not root.size:
+        return 0.0
+    return float(linalg.eigvalsh(root.T @ H @ root)[-1])
+
+
+def _step(predictor, found, normal, own, held, projector):
+    """Parameters after a step in the metric `own`: as solved, and projected."""
+    change = scaled_eigen(own).solve(-normal.g.sum(axis=0))
+    change[held] = 0.0
+    raw = predictor.theta + change
+    asked = replace(found, theta=raw, theta_unconstrained=raw, metric=own)
+    theta = project(asked, projector, predictor.features).theta
+    return raw, np.where(held, predictor.theta, theta)
+
+
+def _try(fit, normal, theta, windows):
+    """Simulate with other parameters, starts following; None where it fails."""
+    change = theta - fit.predictor.theta
+    z = fit.z + normal.step + normal.cross @ change
+    try:
+        return Fit.of(replace(fit.predictor, theta=theta), windows, z)
+    except (SimulationError, ValueError):
+        # Diverging motion, or a robot without positive inertia.
+        return None
+
+
+def _torque_errors(moments, theta):
+    """Root mean square of the torque residuals of each joint, (nv,)."""
+    squares = moments.residual_squares(theta)
+    return np.sqrt(
+        np.divide(
+            squares, moments.n, out=np.full(squares.size, np.nan), where=moments.n > 0
+        )
+    )
+
+
+def deviations(normal, metric, damping, before):
+    r"""Find the standard deviations (p,) of refined parameters.
+
+    With H the Gauss-Newton matrix, G the metric of the torque fit and a small damping
+    mu, the covariance is
+
+    .. math::
+
+        A^{-1} \Big(\tfrac{W}{W - r} \sum_w g_w g_w^\top\Big) A^{-1} + T C T^\top,
+        \quad A = H + \mu G, \quad T = 1 - A^{-1} H,
+
+    the sandwich of the gradients of the windows, whatever their errors are correlated
+    like within a window; where the simulation does not determine parameters (T = 1)
+    they keep the deviations of the torque fit, in its covariance C. r counts the
+    directions that the simulation determines; with Student's t for what remains of W.
+    """
+    W = normal.g.shape[0]
+    A = scaled_eigen(normal.H + damping * metric)
+    inverse = A.inverse()
+    shrunk = inverse @ normal.H
+    rank = float(np.trace(shrunk))
+    freedom = max(W - rank, _LEAST_FREEDOM)
+    centred = normal.g - normal.g.mean(axis=0)
+    meat = centred.T @ centred * W / (freedom - 2.0)
+    own = inverse @ meat @ inverse
+    plain = scaled_eigen(metric).inverse()
+    size = np.sqrt(np.maximum(np.diagonal(plain), 0.0))
+    wider = np.divide(before, size, out=np.ones_like(size), where=size > 0)
+    wider = np.where(np.isfinite(wider), wider, 1.0)
+    rest = np.eye(len(A.scale)) - shrunk
+    kept = rest @ (plain * np.outer(wider, wider)) @ rest.T
+    return np.sqrt(np.maximum(np.diagonal(own + kept), 0.0))

@@ -1,0 +1,78 @@
+"""Simulated motion of an identified robot under a controller."""
+
+import numpy as np
+
+from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
+from sklearn_vbjfa.simulation._integrate import Diverged, Integrator
+from sklearn_vbjfa.simulation._simulate import Recorded, SimulationError
+
+
+def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
+    """Simulate a robot whose torques a controller sets, and holds until it does again.
+
+    Parameters
+    ----------
+    robot : TorqueModel
+        Robot.
+    control : callable
+        (row, q, v) -> torques (nv,) as the channels read them [N m or N]; row is a
+        float, such as 3.5 between rows 3 and 4.
+    q0, v0 : ndarray of shape (nv,)
+        Start [rad or m, and per s].
+    t : ndarray of shape (n,)
+        Times of the rows [s].
+    signals : mapping of str to ndarray of shape (n,), default=None
+        What was recorded beside the motion.
+    updates : int, default=1
+        How often the controller sets torques in a sample period.
+
+    Returns
+    -------
+    states : ndarray of shape (n, 3 * nv)
+        States [q | v | a].
+    tau : ndarray of shape (n, nv)
+        Torques of the controller.
+
+    Raises
+    ------
+    SimulationError
+        If the loop diverges.
+    """
+    n, nv = t.size, robot.n_joints
+    dynamics = ForwardDynamics(robot, Recorded(signals or {}, t))
+    states, tau = np.empty((n, 3 * nv)), np.empty((n, nv))
+    drive = control(0.0, q0, v0)
+    with np.errstate(all="ignore"):
+        dynamics.set_bodies(t[0])
+        motion = Integrator(dynamics, q0, v0, drive / robot.gains, t[0])
+        for i in range(n):
+            for part in range(updates):
+                own = control(i + part / updates, motion.q, motion.v)
+                drive = own / robot.gains
+                length = 0.0 if i + 1 == n else (t[i + 1] - t[i]) / updates
+                time = t[i] + part * length
+                dynamics.set_bodies(time)
+                motion.settle(drive)
+                if part == 0:
+                    tau[i] = own
+                    states[i] = np.concatenate([motion.q, motion.v, motion.a])
+                if i + 1 == n:
+                    break
+                _advance(robot, motion, drive, length, time, i)
+    return states, tau
+
+
+def _advance(robot, motion, drive, length, time, row):
+    """Go on under torques that are held, saying where that fails."""
+    try:
+        motion.advance(drive, drive, length)
+    except Diverged as found:
+        time += found.time
+        raise SimulationError(
+            f"The controlled robot diverges at t = {time:.6g} s (row {row}), joint "
+            f"{robot.joint_names[found.joint]}: with these gains the loop is not "
+            "stable. Check their units and signs, that the reference is the commanded "
+            "position, and the period of the controller, which may be shorter than "
+            "that of the recording.",
+            time,
+        ) from None

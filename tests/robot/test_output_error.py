@@ -1,0 +1,463 @@
+"""Output error recovers simulated robots, and its sensitivities are derivatives."""
+
+import copy
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.effects import (  # noqa: E402
+    AsymmetricFriction,
+    Coulomb,
+    Ripple,
+    Spring,
+    Stribeck,
+)
+from sklearn_vbjfa.physical import is_consistent  # noqa: E402
+from sklearn_vbjfa.robot._identified import torque_model  # noqa: E402
+from sklearn_vbjfa.robot._identifier import declare  # noqa: E402
+from sklearn_vbjfa.robot._output_error import Windows, run_windows  # noqa: E402
+from sklearn_vbjfa.robot._prediction import predictor_of  # noqa: E402
+from sklearn_vbjfa.robot._sensitivities import propagate, slopes  # noqa: E402
+from sklearn_vbjfa.robot._states import RecordingStates  # noqa: E402
+from sklearn_vbjfa.simulation import PositionController  # noqa: E402
+from sklearn_vbjfa.simulation._closed_loop import simulate_controlled  # noqa: E402
+from sklearn_vbjfa.simulation._simulate import simulate  # noqa: E402
+from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+
+DT = 0.01
+VISCOUS, COULOMB = np.array([1.5, 0.8, 0.6]), np.array([1.0, 0.7, 0.3])
+FRICTION = ("viscous", "coulomb")
+# States as they are, all rows, no filter.
+EXACT = {"dt": DT, "friction": FRICTION, "cutoff": None, "standstill": None}
+
+
+def planned(model, duration=12.0, seed=3):
+    """Time, states, and torques of the rigid bodies and friction."""
+    t, states = motion(model.nv, duration=duration, dt=DT, seed=seed)
+    v = states[:, model.nv : 2 * model.nv]
+    tau = inverse_dynamics(model, states)
+    return t, states, tau + VISCOUS[: model.nv] * v + COULOMB[: model.nv] * np.sign(v)
+
+
+def identified(model, effects=(), duration=6.0, **given):
+    """Fit a robot to its own torques."""
+    _, states, tau = planned(model, duration)
+    robot = RobotIdentifier(model, effects=effects, **{**EXACT, **given})
+    return robot.fit(states, tau), states, tau
+
+
+def windows_of(robot, states, tau, rows):
+    predictor = predictor_of(robot)
+    recording = predictor.recording(states, tau)
+    own = RecordingStates.of_rows(recording.segments, states)
+    return predictor, Windows.of(predictor, recording, own, rows)
+
+
+# -- sensitivities ---------------------------------------------------------------------
+
+ROBOTS = {
+    "pendulum": ("Y", ()),
+    "arm": ("ZY", ()),
+    "slide": ("zY", ()),
+    "springs and ripple": ("ZY", (Spring(1), Ripple(0, period=0.7))),
+    "friction of speed": ("ZY", (Stribeck(0, vs=0.3), AsymmetricFriction(1))),
+    "smooth friction": ("ZY", (Coulomb(1, smoothing=0.05),)),
+}
+
+
+def sensitivities(robot, states, tau, rows=60):
+    """Positions of windows as a function of parameters, and their derivatives."""
+    predictor, windows = windows_of(robot, states, tau, rows)
+
+    def positions(theta, starts=windows.start):
+        made = run_windows(replace(predictor, theta=theta), windows, starts)
+        return made[:, :, : predictor.features.n_joints_]
+
+    made = run_windows(predictor, windows, windows.start)
+    nv = predictor.features.n_joints_
+    found = slopes(predictor, windows.part(slice(None)), made.reshape(-1, 3 * nv))
+    return predictor, windows, made, propagate(found, made, DT), positions
+
+
+@pytest.mark.parametrize("case", ROBOTS)
+def test_sensitivities_are_derivatives_of_the_simulation(case):
+    axes, effects = ROBOTS[case]
+    friction = ("viscous",) if case == "smooth friction" else FRICTION
+    model = arm(axes)
+    robot, states, tau = identified(model, effects, friction=friction)
+    robot.theta_ = robot.theta_.copy()
+    # Effects of some size, which the torques did not have.
+    robot.theta_[robot.features_.n_parameters_ :] = 0.4
+    predictor, windows, _, S, positions = sensitivities(robot, states, tau)
+    theta, nv = predictor.theta, model.nv
+    p = theta.size
+    for k in range(p):
+        step = 1e-4 * max(abs(theta[k]), 0.1)
+        up, down = theta.copy(), theta.copy()
+        up[k] += step
+        down[k] -= step
+        expected = (positions(up) - positions(down)) / (2 * step)
+        own = S[..., k].transpose(1, 0, 2)
+        # Where a joint turns round or sticks between two rows, the rule is of order
+        # one; nearly all windows agree closely.
+        size = max(np.abs(expected).max(), 1e-4)
+        gap = np.abs(own - expected).max(axis=(1, 2)) / size
+        assert np.median(gap) < 0.03, robot.parameter_names_[k]
+        assert np.sqrt(np.mean((own - expected) ** 2)) < 0.05 * size
+    for k in range(2 * nv):
+        up, down = windows.start.copy(), windows.start.copy()
+        up[:, k] += 1e-5
+        down[:, k] -= 1e-5
+        expected = (positions(theta, up) - positions(theta, down)) / 2e-5
+        own = S[..., p + k].transpose(1, 0, 2)
+        gap = np.abs(own - expected).max(axis=(1, 2)) / np.abs(expected).max()
+        assert np.median(gap) < 0.01
+
+
+def test_a_joint_that_sticks_has_no_sensitivity():
+    model = arm("z", gravity=0.0)
+    robot, *_ = identified(model)
+    still = np.zeros((50, 3))
+    push = np.full((50, 1), 0.5 * COULOMB[0])
+    *_, made, S, _ = sensitivities(robot, still, push, rows=50)
+    assert_array_equal(made[..., 1:], 0.0)
+    # But for where it stands.
+    assert_array_equal(S[..., :-2], 0.0)
+    assert_array_equal(S[..., -2], 1.0)
+
+
+def test_a_turn_multiplies_the_sensitivity_by_the_accelerations_after_and_before():
+    """A sliding mass m is thrown against force and friction, F = T + C sign(v)."""
+    model = arm("z", gravity=0.0)
+    robot, _, _ = identified(model)
+    m = robot.theta_[0]
+    C, push, v0, n = 1.0, -3.0, 0.5, 200
+    theta = np.zeros_like(robot.theta_)
+    theta[:10], theta[11] = robot.theta_[:10], C
+    robot.theta_ = theta
+    states = np.tile([0.0, v0, 0.0], (n, 1))
+    *_, made, S, _ = sensitivities(robot, states, np.full((n, 1), push), rows=n)
+    # v0 / (before) is the time until it turns, in which a velocity grows the way by t.
+    before, after = (push - C) / m, (push + C) / m
+    turn = -v0 / before
+    t = DT * np.arange(n)
+    expected = np.where(t < turn, t, turn + after / before * (t - turn))
+    assert made[0, -1, 1] < 0
+    assert_allclose(S[:, 0, 0, -1], expected, atol=0.02 * expected.max())
+
+
+# -- recovery --------------------------------------------------------------------------
+
+
+def simulated(model, duration=12.0, seed=3, noise=2e-4, torque_noise=0.0):
+    """Noisy positions of a robot that is driven by torques; and its true states."""
+    truth, *_ = identified(model)
+    t, states, tau = planned(model, duration, seed)
+    nv = model.nv
+    rng = np.random.default_rng(seed)
+    made = np.empty_like(states)
+    # Torques hold the motion near the plan for some seconds: start again then.
+    groups = np.arange(t.size) // 200
+    for g in np.unique(groups):
+        rows = groups == g
+        start = states[rows][0]
+        made[rows] = simulate(
+            torque_model(truth), tau[rows], start[:nv], start[nv : 2 * nv]
+        )
+    q = made[:, :nv] + noise * rng.normal(size=(t.size, nv))
+    return q, tau + torque_noise * rng.normal(size=tau.shape), groups, truth, made
+
+
+SETTINGS = {"dt": DT, "friction": FRICTION, "criterion": "simulation", "window": 1.0}
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Fit torques, and refine, on the same noisy recording of an arm."""
+    q, tau, groups, truth, made = simulated(arm("ZY"), duration=24.0)
+    plain = RobotIdentifier(arm("ZY"), dt=DT, friction=FRICTION)
+    refined = RobotIdentifier(arm("ZY"), **SETTINGS)
+    plain.fit(q, tau, groups)
+    return plain, refined.fit(q, tau, groups), truth, made, (q, tau, groups)
+
+
+def test_torque_is_the_default_and_changes_nothing(pair):
+    plain, refined, *_, data = pair
+    assert plain.criterion == "torque"
+    assert not hasattr(plain, "criteria_")
+    q, tau, groups = data
+    other = RobotIdentifier(arm("ZY"), dt=DT, friction=FRICTION, window=3.0)
+    assert_array_equal(other.fit(q, tau, groups).theta_, plain.theta_)
+    assert (refined.theta_ != plain.theta_).any()
+
+
+def test_the_robot_is_recovered_from_noisy_positions(pair):
+    plain, refined, truth, made, _ = pair
+    told = refined.criteria_
+    # Positions err by little more than the encoders.
+    assert (told.position_after < 5e-4).all()
+    assert (told.position_after <= told.position_before).all()
+    assert told.converged
+    exact = truth.predict(made)
+    size = exact.std(axis=0)
+    errors = [(r.predict(made) - exact).std(axis=0) / size for r in (plain, refined)]
+    assert (errors[1] < 0.05).all()
+    assert (errors[1] < errors[0] + 0.005).all()
+
+
+def test_what_is_left_is_within_the_deviations(pair):
+    _, refined, truth, _, _ = pair
+    known = refined.identifiable_
+    off = (refined.theta_ - truth.theta_)[known] / refined.theta_std_[known]
+    assert np.isfinite(refined.theta_std_).all()
+    assert np.abs(off).max() < 6
+    assert np.sqrt(np.mean(off**2)) < 3
+
+
+def test_bodies_are_consistent(pair):
+    refined = pair[1]
+    bodies = refined.theta_.reshape(2, -1)[:, :10]
+    assert (refined.min_eigenvalues_ > 0).all()
+    assert all(is_consistent(body) for body in bodies)
+
+
+def test_the_report_of_errors_is_that_of_simulations(pair):
+    plain, refined, _, _, (q, tau, groups) = pair
+    told = refined.criteria_
+    assert told.window == pytest.approx(1.0)
+    assert told.n_windows == 12
+    errors = []
+    for rows in range(0, q.shape[0], 200):
+        states = plain.state_estimator_.transform(q[rows : rows + 200])
+        first = rows + (200 % 101) // 2
+        start = states[first - rows]
+        made = plain.simulate(tau[first : first + 101], start[:2], start[2:4])
+        errors.append(made[:, :2] - q[first : first + 101])
+    expected = np.sqrt(np.mean(np.concatenate(errors) ** 2, axis=0))
+    assert_allclose(told.position_before, expected, rtol=1e-6)
+    residuals = plain.residuals(q, tau, groups)
+    assert_allclose(told.torque_before, residuals.rms(), rtol=1e-3)
+    # The torque fit minimises them.
+    assert (told.torque_after > 0.999 * told.torque_before).all()
+
+
+def test_the_criterion_never_rises(pair):
+    told = pair[1].criteria_
+    # Both joints have the same number of windows.
+    product = np.prod(told.position_after / told.position_before)
+    assert product < 1.0
+    assert told.n_iterations > 0
+
+
+def test_the_unit_of_the_torques_does_not_matter(pair):
+    _, refined, _, _, (q, tau, groups) = pair
+    other = RobotIdentifier(arm("ZY"), **SETTINGS).fit(q, 1e3 * tau, groups)
+    told, expected = other.criteria_, refined.criteria_
+    assert_allclose(told.position_after, expected.position_after, rtol=0.02)
+    known = refined.identifiable_
+    gap = np.abs(other.theta_ / 1e3 - refined.theta_)[known]
+    assert (gap < 0.3 * refined.theta_std_[known]).all()
+    assert_allclose(other.theta_std_[known] / 1e3, refined.theta_std_[known], rtol=0.1)
+
+
+def test_the_order_of_the_recordings_does_not_matter(pair):
+    _, refined, _, _, (q, tau, groups) = pair
+    order = np.concatenate(
+        [np.flatnonzero(groups == g) for g in np.unique(groups)[::-1]]
+    )
+    other = RobotIdentifier(arm("ZY"), **SETTINGS)
+    other.fit(q[order], tau[order], groups[order])
+    known = refined.identifiable_
+    gap = np.abs(other.theta_ - refined.theta_)[known]
+    assert (gap < 0.1 * refined.theta_std_[known]).all()
+
+
+def test_effects_are_refined_and_their_shapes_stay():
+    model = arm("z", gravity=0.0)
+    t, states, tau = planned(model, 20.0)
+    robot, *_ = identified(model)
+    spring = 3.0
+    tau = tau + spring * states[:, :1]
+    truth = torque_model(robot)
+    truth = replace(
+        truth, effects=(Spring(0),), coefficients=(np.array([spring, 0.5]),)
+    )
+    made = simulate(truth, tau, *states[0, :2, None])
+    q = made[:, :1] + 1e-4 * np.random.default_rng(0).normal(size=(t.size, 1))
+    found = RobotIdentifier(model, effects=[Spring(0)], **SETTINGS).fit(q, tau)
+    expected = [*robot.theta_[[0, 10, 11]], spring, 0.5]
+    at = [0, 10, 11, 12, 13]
+    off = (found.theta_[at] - expected) / found.theta_std_[at]
+    assert np.abs(off).max() < 6
+    assert_allclose(found.theta_[at], expected, rtol=0.05)
+    assert found.criteria_.position_after[0] < 2e-4
+
+
+def test_what_the_simulation_does_not_see_stays():
+    """A mass that never accelerates in the windows keeps its torque fit."""
+    model = arm("z", gravity=0.0)
+    t, states, tau = planned(model, 20.0)
+    robot, *_ = identified(model)
+    made = simulate(torque_model(robot), tau, *states[0, :2, None])
+    settings = {**SETTINGS, "friction": (*FRICTION, "rotor_inertia")}
+    plain = RobotIdentifier(model, **{**settings, "criterion": "torque"})
+    q = made[:, :1] + 1e-4 * np.random.default_rng(1).normal(size=(t.size, 1))
+    plain.fit(q, tau)
+    found = RobotIdentifier(model, **settings).fit(q, tau)
+    # Neither torques nor positions tell the mass from the rotor's.
+    assert not found.identifiable_[[0, 12]].any()
+    assert found.theta_[[0, 12]].sum() == pytest.approx(robot.theta_[0], rel=0.01)
+    moved = found.theta_[[0, 12]] - plain.theta_[[0, 12]]
+    assert_allclose(moved[0], moved[1], atol=0.01)
+
+
+# -- closed loop -----------------------------------------------------------------------
+
+CONTROLLER = PositionController(
+    stiffness=(400.0, 300.0), damping=(40.0, 20.0), period=1e-3
+)
+
+
+def controlled(model, duration=16.0, noise=2e-4, torque_noise=0.3, feedforward=False):
+    """Make a robot follow a reference: positions, torques, reference, truth."""
+    truth, *_ = identified(model)
+    t, states, _ = planned(model, duration)
+    nv = model.nv
+    controller = copy.copy(CONTROLLER).set_params(feedforward=feedforward)
+    q_ref = states[:, :nv]
+    v_ref = np.gradient(q_ref, DT, axis=0)
+
+    def control(row, q, v):
+        here = [[np.interp(row * DT, t, x) for x in y.T] for y in (q_ref, v_ref)]
+        return controller.torque(*np.array(here), q, v)
+
+    start = states[0, :nv], states[0, nv : 2 * nv]
+    made, tau = simulate_controlled(torque_model(truth), control, *start, t, updates=10)
+    rng = np.random.default_rng(2)
+    q = made[:, :nv] + noise * rng.normal(size=(t.size, nv))
+    tau = tau + torque_noise * rng.normal(size=tau.shape)
+    return q, tau, q_ref, truth, made, controller
+
+
+@pytest.mark.parametrize("feedforward", [False, True])
+def test_a_closed_loop_is_recovered(feedforward):
+    model = arm("ZY")
+    q, tau, q_ref, truth, made, controller = controlled(model, feedforward=feedforward)
+    robot = RobotIdentifier(
+        model,
+        dt=DT,
+        friction=FRICTION,
+        criterion="simulation",
+        controller=controller,
+    ).fit(q, tau, reference=q_ref)
+    told = robot.criteria_
+    assert (told.position_after < 5e-4).all()
+    assert told.n_windows == 1
+    exact = truth.predict(made)
+    errors = (robot.predict(made) - exact).std(axis=0) / exact.std(axis=0)
+    assert (errors < 0.03).all()
+    assert (robot.min_eigenvalues_ > 0).all()
+    weight = robot.estimator_.joint_weights_
+    assert weight @ told.torque_after**2 <= weight @ told.torque_before**2
+
+
+def test_the_controller_sets_the_torque():
+    controller = PositionController(stiffness=[2.0, 3.0], damping=0.5)
+    q_ref, v_ref = np.array([1.0, 1.0]), np.array([4.0, 4.0])
+    q, v = np.array([0.5, 2.0]), np.array([1.0, -1.0])
+    assert_allclose(controller.torque(q_ref, v_ref, q, v), [0.5, -2.5])
+    controller.feedforward = True
+    assert_allclose(controller.torque(q_ref, v_ref, q, v), [2.5, -0.5])
+
+
+def test_a_controlled_mass_follows_the_solution_of_its_equation():
+    """Without friction: m q'' = K (q_ref - q) - D q', a step of the reference."""
+    model = arm("z", gravity=0.0)
+    robot, *_ = identified(model)
+    m = robot.theta_[0]
+    quiet = torque_model(robot)
+    quiet = replace(quiet, friction=0.0 * quiet.friction)
+    K, D = 4.0 * m, 2.0 * m  # poles at -1 +- i sqrt(3)
+    loop = PositionController(K, D)
+    t = 1e-3 * np.arange(3000)
+
+    def control(i, q, v):
+        return loop.torque(np.ones(1), np.zeros(1), q, v)
+
+    made, tau = simulate_controlled(quiet, control, np.zeros(1), np.zeros(1), t)
+    w = np.sqrt(3.0)
+    expected = 1.0 - np.exp(-t) * (np.cos(w * t) + np.sin(w * t) / w)
+    # Torques are held for a sample period.
+    assert_allclose(made[:, 0], expected, atol=2e-3)
+    assert_allclose(tau[:, 0], K * (1 - made[:, 0]) - D * made[:, 1], rtol=1e-12)
+
+
+# -- bad input -------------------------------------------------------------------------
+
+BAD = {
+    "criterion": ({"criterion": "position"}, {}, "criterion must be 'torque' or"),
+    "window": ({"window": -1.0}, {}, "window must be 'auto' or a positive"),
+    "window in words": ({"window": "long"}, {}, "window must be 'auto'"),
+    "long window": ({"window": 100.0}, {}, "longer than the longest recording"),
+    "dt": ({"dt": None}, {}, "give dt in seconds"),
+    "period": ({"period": 1.0}, {}, "set period to None"),
+    "controller of torque": (
+        {"criterion": "torque", "controller": CONTROLLER},
+        {},
+        "needs criterion='simulation'",
+    ),
+    "no controller": ({"controller": "pd"}, {}, "must be a PositionController"),
+    "no reference": ({"controller": CONTROLLER}, {}, "needs the commanded positions"),
+    "reference alone": ({}, {"reference": np.zeros((4, 2))}, "without a controller"),
+    "width": (
+        {"controller": CONTROLLER},
+        {"reference": np.zeros((7, 2))},
+        r"shape \(1200, 2\); got \(7, 2\)",
+    ),
+    "nan": (
+        {"controller": CONTROLLER},
+        {"reference": np.full((1200, 2), np.nan)},
+        "reference holds nan in row 0",
+    ),
+    "gains": (
+        {"controller": PositionController([1.0, 2.0, 3.0], 1.0)},
+        {"reference": np.zeros((1200, 2))},
+        "stiffness must be one finite number or 2",
+    ),
+    "period of the controller": (
+        {"controller": PositionController(1.0, 1.0, period=0.1)},
+        {"reference": np.zeros((1200, 2))},
+        "at most the sample period of 0.01 s",
+    ),
+    "negative gains": (
+        {"controller": PositionController(1.0, -1.0)},
+        {"reference": np.zeros((1200, 2))},
+        "damping is negative",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_named(case):
+    settings, given, message = BAD[case]
+    _, states, tau = planned(arm("ZY"))
+    robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, **settings})
+    with pytest.raises(ValueError, match=message):
+        robot.fit(states, tau, **given)
+
+
+def test_second_moments_are_not_simulated():
+    with pytest.raises(ValueError, match="needs the recordings themselves"):
+        declare(RobotIdentifier(arm("ZY"), **SETTINGS))
+
+
+def test_rows_of_a_running_robot_are_not_simulated():
+    _, states, tau = planned(arm("ZY"))
+    robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, "standstill": None})
+    with pytest.raises(ValueError, match="criterion='torque'"):
+        robot.partial_fit(states, tau)

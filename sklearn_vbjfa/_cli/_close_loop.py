@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import sys
 import tempfile
 import warnings
 from dataclasses import replace
@@ -150,7 +151,8 @@ def run(arguments):
     if left_out:
         print("\nMuJoCo has no place for, and identified.xml goes without:")
         print("\n".join(f"- {one}" for one in left_out))
-    print(f"\nwritten: {', '.join(str(path) for path in written)}")
+    names = ", ".join(map(str, written))
+    print(f"\n{_input.wrapped(f'written: {names}', sys.stdout)}")
     say_warnings(caught)
 
 

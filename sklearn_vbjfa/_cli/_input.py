@@ -195,13 +195,9 @@ def check_overwriting(out, names, inputs, endings=()):
 
 
 def _beside(out):
-    """Name a folder that does not exist, for a message."""
-    name = out.resolve().name or "recording"
-    return next(
-        found
-        for k in itertools.count()
-        if not (found := out / f"{name}-report{f'-{k}' if k else ''}").exists()
-    )
+    """Name a folder in it that does not exist, for a message."""
+    names = itertools.chain(["report"], (f"report-{k}" for k in itertools.count(2)))
+    return next(out / name for name in names if not (out / name).exists())
 
 
 def check_folder(out):

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import sys
 import tempfile
 import warnings
 from dataclasses import dataclass
@@ -165,7 +166,8 @@ def run(arguments):
             print(text)
             raise
     print(text)
-    print(f"\nwritten: {', '.join(str(out / name) for name in files)}{left}")
+    names = ", ".join(str(out / name) for name in files)
+    print(f"\n{_input.wrapped(f'written: {names}{left}', sys.stdout)}")
     say_warnings(caught)
     if not draws:
         _say_no_pictures()

@@ -44,7 +44,7 @@ def test_files_of_others_are_refused_by_name(out, names):
     with pytest.raises(ValueError, match=r"out holds notes\.txt, which no run") as told:
         _input.check_overwriting(out, OURS, [])
     assert "--force" in str(told.value)
-    assert f"--out {out / 'out-report'}," in str(told.value)
+    assert f"--out {out / 'report'}," in str(told.value)
 
 
 def test_many_files_of_others_are_counted(out):

@@ -439,6 +439,12 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         SimulationError
             A ValueError; with ``criterion="simulation"``, if the motion that is
             simulated with the parameters of the torque fit diverges.
+
+        Warns
+        -----
+        UserWarning
+            With ``criterion="simulation"``, if there are fewer than two windows of
+            joints for each direction of the parameters that they determine.
         """
         self._online = None
         check_criterion(self)

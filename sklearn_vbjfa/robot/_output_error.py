@@ -33,6 +33,9 @@ _FORGETS = 5.0
 # There are at least so many windows, the blocks of time of the covariance.
 _LEAST_WINDOWS = 8
 _LEAST_ROWS = 20
+# Fewer observations than so many for each direction that they determine are fitted
+# rather than explained: half of their errors are gone for nothing.
+_LEAST_OBSERVATIONS = 2.0
 # Steps end when the mean squared error falls by less than this share.
 TOLERANCE = 1e-4
 _MOST_STEPS = 30
@@ -90,12 +93,15 @@ class Refined:
         Parameters; those of the last step before its projection; deviations.
     criteria : SimulationCriteria
         Errors before and after.
+    determined : float
+        Number of directions of the parameters that the simulation determined.
     """
 
     theta: np.ndarray
     unconstrained: np.ndarray
     std: np.ndarray
     criteria: SimulationCriteria
+    determined: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -427,7 +433,18 @@ def refine(predictor, found, recording, states, settings):
         # The robot may leave limits on the way; effects that are left out are told
         # of by `simulate` of the user's own.
         warnings.simplefilter("ignore", UserWarning)
-        return _refine(predictor, found, windows, settings.projector)
+        refined = _refine(predictor, found, windows, settings.projector)
+    count = int(windows.observations.sum())
+    if count < _LEAST_OBSERVATIONS * refined.determined:
+        warnings.warn(
+            f"The simulation has {count} windows of joints and determined "
+            f"{refined.determined:.0f} directions of the parameters by them: they "
+            "follow these windows and not the robot. Give shorter windows (window) or "
+            "a longer recording, and compare on one that is not fitted.",
+            UserWarning,
+            stacklevel=4,
+        )
+    return refined
 
 
 def _refine(predictor, found, windows, projector):
@@ -473,13 +490,21 @@ def _refine(predictor, found, windows, projector):
         n_iterations=taken,
         converged=converged,
     )
-    std = deviations(normal, metric, _LEAST_DAMPING * largest, found.std)
+    least = _LEAST_DAMPING * largest
+    std = deviations(normal, metric, least, found.std)
     return Refined(
         theta=theta,
         unconstrained=unconstrained,
         std=np.where(held, found.std, std),
         criteria=criteria,
+        determined=float(np.trace(_shares(normal, metric, least))),
     )
+
+
+def _shares(normal, metric, damping):
+    """Return what of each change of parameters the simulation determines, (p, p)."""
+    A = scaled_eigen(normal.H + damping * metric)
+    return A.inverse() @ normal.H
 
 
 def _largest(H, metric):
@@ -539,8 +564,7 @@ def deviations(normal, metric, damping, before):
     """
     W = normal.g.shape[0]
     A = scaled_eigen(normal.H + damping * metric)
-    inverse = A.inverse()
-    shrunk = inverse @ normal.H
+    inverse, shrunk = A.inverse(), _shares(normal, metric, damping)
     rank = float(np.trace(shrunk))
     freedom = max(W - rank, _LEAST_FREEDOM)
     centred = normal.g - normal.g.mean(axis=0)

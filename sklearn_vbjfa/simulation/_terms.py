@@ -66,6 +66,8 @@ _SLOW = 1e-3
 # torque jumps if that between these speeds on both sides of zero is at least this share
 # of that between -1 and 1.
 _ROWS, _PERIOD, _TURNS, _JUMP = 5, 0.01, 1e-12, 1e-3
+# Their derivatives are differences over this share of the accelerations.
+_SLOPE = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -638,6 +640,8 @@ class StateTorques:
         there = self.torque(a, ML @ a + hL)
         if not self.accelerates:
             return there, None
-        moved = a + np.eye(a.size)
-        slopes = np.column_stack([self.torque(b, ML @ b + hL) - there for b in moved])
+        step = _SLOPE * (1.0 + np.abs(a).max())
+        moved = a + step * np.eye(a.size)
+        slopes = [(self.torque(b, ML @ b + hL) - there) / step for b in moved]
+        slopes = np.column_stack(slopes)
         return there - slopes @ a, slopes

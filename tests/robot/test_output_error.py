@@ -298,6 +298,15 @@ def test_effects_are_refined_and_their_shapes_stay():
     assert found.criteria_.position_after[0] < 2e-4
 
 
+def test_few_windows_are_told():
+    _, states, tau = planned(arm("ZY"), 3.0)
+    robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, **EXACT, "window": 1.4})
+    noisy = tau + 0.05 * np.random.default_rng(0).normal(size=tau.shape)
+    with pytest.warns(UserWarning, match="has 4 windows of joints and determined"):
+        robot.fit(states, noisy)
+    assert robot.criteria_.n_windows == 2
+
+
 def test_what_the_simulation_does_not_see_stays():
     """A mass that never accelerates in the windows keeps its torque fit."""
     model = arm("z", gravity=0.0)

@@ -1,0 +1,131 @@
+"""Motion of the arm with two links, by SciPy's solvers and laws written literally.
+
+Nothing of the simulator is used: the rigid bodies are those of `Arm` in closed form,
+and times at which joints stop or break loose are events of `solve_ivp`.
+"""
+
+import itertools
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from tests.simulation._machines import GRAVITY, Arm
+
+NONE = np.zeros(2)
+
+
+@dataclass
+class Law:
+    """Torques that the drives of the arm must produce beside its bodies'.
+
+    smooth : (q, v, t, way, z) -> (2,), where way is the sign of the velocities since
+    they last turned, and z are states of its own; dry : (v, t) -> (2,), sizes of dry
+    friction; mu : friction over the load (2,); inertia : (2, 2); rate : (q, v, way, z)
+    -> dz/dt; turned : (joint, q), called where a joint turns; payload : (t) -> mass.
+    """
+
+    smooth: object = lambda q, v, t, way, z: NONE
+    dry: object = lambda v, t: NONE
+    sticks: tuple = (False, False)
+    watched: tuple = (False, False)
+    mu: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    inertia: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
+    z0: tuple = ()
+    rate: object = lambda q, v, way, z: ()
+    turned: object = lambda joint, q: None
+    payload: object = lambda t: 0.0
+    gravity: float = GRAVITY
+
+
+def accelerations(law, torque, q, v, z, t, way, stuck):
+    """Accelerations, friction that joints need, and what they have, (2,) each."""
+    arm = Arm()
+    M = arm.mass(q, law.payload(t))
+    h = arm.bias(q, v, law.payload(t), law.gravity)
+    dry, smooth = law.dry(v, t), law.smooth(q, v, t, way, z)
+    moving = np.where(stuck, 0.0, way)
+    free = ~stuck
+    for signs in itertools.product((1.0, -1.0), repeat=2):
+        pressed = np.eye(2) + np.diag(law.mu * moving * signs)
+        A = pressed @ M + law.inertia
+        b = torque(t) - pressed @ h - smooth - dry * moving
+        a = np.zeros(2)
+        a[free] = np.linalg.solve(A[np.ix_(free, free)], b[free])
+        load = M @ a + h
+        if (signs * load >= -1e-9).all():
+            return a, b - A @ a, dry + law.mu * np.abs(load)
+    raise AssertionError("no signs of the loads fit")
+
+
+def rests(law, torque, y, t, way):
+    """Modes of joints at rest, by trying all of them: way and stuck, (2,) each."""
+    q, v, z = y[:2], y[2:4], y[4:]
+    still = np.array(law.sticks) & (v == 0)
+    choices = [(-1.0, 0.0, 1.0) if s else (w,) for s, w in zip(still, way)]
+    for modes in itertools.product(*choices):
+        modes = np.array(modes)
+        stuck = still & (modes == 0)
+        a, needed, limit = accelerations(law, torque, q, v, z, t, modes, stuck)
+        held = np.abs(needed) <= limit * (1 + 1e-9) + 1e-12
+        if np.where(stuck, held, ~still | (a * modes > 0)).all():
+            return np.where(still | (v != 0), modes, np.sign(a)), stuck
+    raise AssertionError("no modes fit")
+
+
+def follow(law, torque, q0, v0, t, method="DOP853", breaks=()):
+    """States (n, 6), [q | v | a], at times t; breaks are times of jumps."""
+    y = np.array([*q0, *v0, *law.z0], dtype=float)
+    way, stuck = rests(law, torque, y, t[0], np.sign(v0))
+    at, out, row = t[0], np.empty((len(t), 6)), 0
+    watched = np.array(law.sticks) | np.array(law.watched)
+    while row < len(t):
+
+        def rhs(t, x, way=way, stuck=stuck):
+            a, _, _ = accelerations(law, torque, x[:2], x[2:4], x[4:], t, way, stuck)
+            v = np.where(stuck, 0.0, x[2:4])
+            return [*v, *a, *law.rate(x[:2], v, way, x[4:])]
+
+        def event(j, way=way, stuck=stuck):
+            def turns(t, x):
+                return x[2 + j] * way[j]
+
+            def loosens(t, x):
+                state = x[:2], x[2:4], x[4:], t, way, stuck
+                _, needed, limit = accelerations(law, torque, *state)
+                return limit[j] * (1 + 1e-7) - abs(needed[j])
+
+            found = loosens if stuck[j] else turns
+            found.terminal, found.direction = True, -1
+            return found
+
+        events = [event(j) for j in range(2) if watched[j]]
+        joints = np.flatnonzero(watched)
+        stop = min([b for b in breaks if b > at] + [t[-1] + 1e-9])
+        wanted = np.array([moment for moment in t[row:] if moment <= stop])
+        found = solve_ivp(
+            rhs,
+            (at, stop),
+            y,
+            method=method,
+            events=events,
+            dense_output=True,
+            rtol=1e-11,
+            atol=1e-12,
+        )
+        assert found.success, found.message
+        end = found.t[-1]
+        for moment in wanted[wanted < end]:
+            here = found.sol(moment)
+            here[2:4][stuck] = 0.0
+            out[row] = [*here[:4], *rhs(moment, here)[2:4]]
+            row += 1
+        y, at = found.y[:, -1].copy(), end
+        y[2:4][stuck] = 0.0
+        for j, times in zip(joints, found.t_events or ()):
+            if len(times) and not stuck[j]:
+                y[2 + j] = 0.0
+                law.turned(j, y[:2])
+        if row < len(t):
+            way, stuck = rests(law, torque, y, at, np.where(y[2:4] == 0, 0, way))
+    return out

@@ -1,0 +1,132 @@
+"""What `predict` says of simulated states is the torque that drove them."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.effects import (
+    AsymmetricFriction,
+    Backlash,
+    Counterbalance,
+    Coupling,
+    Delay,
+    Drift,
+    LoadFriction,
+    Motion,
+    Presliding,
+    Ripple,
+    RotorInertia,
+    Spring,
+    Stribeck,
+    TorqueFilter,
+    ViscousQuadratic,
+)
+from sklearn_vbjfa.simulation._channels import true_torques
+from sklearn_vbjfa.simulation._dynamics import with_bodies
+from sklearn_vbjfa.simulation._simulate import simulate
+from tests.simulation._machines import random_machine, wheel
+
+pin = pytest.importorskip("pinocchio")
+
+
+def some_effects(rng, nv):
+    """Effects of random kinds and sizes on random joints."""
+    j = int(rng.integers(nv))
+    effects = [
+        (Stribeck(j, 0.2, int(rng.integers(1, 3))), [0.5]),
+        (LoadFriction(j), [0.1]),
+        (AsymmetricFriction(j), [0.2, 0.05]),
+        (ViscousQuadratic(j), [0.02]),
+        (Presliding(j, 0.05), [0.5]),
+        (Backlash(j, 0.02), [2.0, 0.1]),
+        (Spring(j), [3.0, 0.2]),
+        (Counterbalance(j), [0.5, -0.3, 0.2, 0.1, 0.3]),
+        (Ripple(j, 0.5), [0.1, 0.2]),
+        (RotorInertia(j), [0.2]),
+        (Drift(j, "viscous", 2.0), [0.2]),
+    ]
+    if nv > 1:
+        effects.append((Coupling(j, (j + 1) % nv, "other"), [0.05, 0.1, 0.01]))
+    return [effects[i] for i in np.flatnonzero(rng.random(len(effects)) < 0.5)]
+
+
+def inverse(robot, states, t):
+    """Torques of simulated states by bodies, declared friction and columns."""
+    q, v, a = np.split(states, 3, axis=1)
+    model = with_bodies(robot.model, robot.bodies)
+    data = model.createData()
+    load = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+    declared = dict(zip(robot.friction_names, robot.friction.T))
+    tau = load + declared["viscous"] * v + declared["coulomb"] * np.sign(v)
+    motion = Motion(q=q, v=v, a=a, t=t, load=load, torque=load)
+    for effect, coef in zip(robot.effects, robot.coefficients):
+        tau[:, effect.joint] += effect.columns(motion) @ coef
+    return tau
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(seed=st.integers(0, 99), nv=st.integers(1, 7))
+def test_inverse_dynamics_of_simulated_states(seed, nv):
+    rng = np.random.default_rng([seed, nv])
+    friction = {"viscous": rng.uniform(0.2, 1, nv), "coulomb": rng.uniform(0.2, 2, nv)}
+    robot = random_machine(rng, nv, friction, some_effects(rng, nv), dt=0.002)
+    t = 0.002 * np.arange(60)
+    tau = 5 * np.sin(np.outer(t, rng.uniform(5, 20, nv)) + rng.uniform(0, 6, nv))
+    states = simulate(robot, tau, rng.normal(size=nv), rng.normal(size=nv))
+    v = states[:, nv : 2 * nv]
+    # Where a joint turned between two rows its memory turned there, not in a row.
+    moves = (np.abs(v) > 1e-2).all(axis=1)
+    turned = np.abs(np.diff(np.sign(v), axis=0)).sum(axis=1) > 0
+    moves[np.argmax(turned) + 1 if turned.any() else len(t) :] = False
+    expected = inverse(robot, states, t)[moves]
+    size = np.abs(expected).max(initial=1.0)
+    np.testing.assert_allclose(tau[moves], expected, rtol=0, atol=1e-9 * size)
+
+
+def test_predict_of_a_fitted_robot(simulated):
+    robot = RobotIdentifier(
+        simulated.urdf, dt=simulated.dt, friction=("viscous", "coulomb", "offset")
+    )
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    states = simulated.states[200:300]
+    nv = states.shape[1] // 3
+    tau = simulated.tau[200:300]
+    found = robot.simulate(tau, states[0, :nv], states[0, nv : 2 * nv])
+    # Above the speeds at which `predict` holds a joint for standing.
+    moves = np.abs(found[:, nv : 2 * nv]) > 0.3
+    wrong = (robot.predict(found) - tau)[moves]
+    assert moves.sum() > 50
+    assert np.abs(wrong).max() < 1e-8 * np.abs(tau).max()
+
+
+def measured(effect, coef, x, t):
+    """Read torques x (n,) by a channel."""
+    rest = np.zeros((x.size, 1))
+    motion = Motion(q=rest, v=rest, a=rest, t=t, load=x[:, None], torque=x[:, None])
+    return x + effect.columns(motion) @ coef
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        Delay(0, 0.004),
+        Delay(0, -0.004),
+        TorqueFilter(0, "lag", "torque", 0.004),
+        TorqueFilter(0, "smooth", "torque", 0.004),
+        TorqueFilter(0, "lag", "position", 0.004),
+    ],
+)
+def test_channels_are_taken_back(effect):
+    """What is left is of third order in the filter, (2 pi f T)^3, or of sampling."""
+    t, gain = 0.001 * np.arange(2000), 1.3
+    x = 2.0 * np.sin(2 * np.pi * 2.0 * t) + 1.0
+    size = effect.delay if isinstance(effect, Delay) else effect.time_constant
+    read = gain * measured(effect, np.array([size]), x, t)
+    robot = wheel(effects=[(effect, [size])], gains=np.array([gain]), dt=0.001)
+    back = true_torques(robot, read[:, None], t)[:, 0]
+    inner = slice(100, -100)
+    order = 2 * (2 * np.pi * 2.0 * 0.004) ** 3
+    assert np.abs(back - x)[inner].max() < 2 * order
+    assert np.abs(read / gain - x)[inner].max() > 2 * order

@@ -1,0 +1,177 @@
+"""What is refused, and what is warned of: every message says when and where."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.effects import Elastic, Jerk, Ripple, Signal, Spring
+from sklearn_vbjfa.simulation import SimulationError
+from sklearn_vbjfa.simulation._simulate import simulate
+from tests.simulation._machines import Arm, machine, pendulum, point, slider, wheel
+
+TAU = np.zeros((20, 2))
+
+
+def refused(message, *args, robot=None, error=ValueError, **keywords):
+    robot = Arm().robot() if robot is None else robot
+    with pytest.raises(error, match=message) as caught:
+        simulate(robot, *args, **keywords)
+    return caught.value
+
+
+@pytest.mark.parametrize(
+    "tau",
+    [np.zeros(20), np.zeros((20, 3)), np.zeros((0, 2)), np.zeros((2, 20, 2)), 1.0],
+)
+def test_shape_of_torques(tau):
+    refused(r"one column per joint .shoulder, elbow., shape .n, 2.; got", tau, [0, 0])
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_torque_that_is_no_number_is_named_by_row_time_and_joint(bad):
+    tau = TAU.copy()
+    tau[7, 1] = tau[9, 0] = bad
+    message = rf"holds {bad} in row 7 .0.07 s after the start., joint elbow; 2 value"
+    refused(message, tau, [0, 0])
+
+
+@pytest.mark.parametrize(("name", "at"), [("q0", 1), ("v0", 2)])
+def test_start(name, at):
+    start = [[0.0, 0.0], [0.0, 0.0]]
+    start[at - 1] = [0.0]
+    refused(rf"{name} must hold one value .*got shape \(1,\)", TAU, *start)
+    start[at - 1] = [0.0, np.nan]
+    refused(f"{name} holds nan for elbow", TAU, *start)
+
+
+def limited(low, high):
+    robot = Arm().robot()
+    robot.model.lowerPositionLimit = np.array([low, -np.inf])
+    robot.model.upperPositionLimit = np.array([high, np.inf])
+    return robot
+
+
+def test_start_outside_the_limits_says_both():
+    message = r"limits of shoulder: 1.5 rad, limits -1 to 1 rad. Check the zero"
+    refused(message, TAU, [1.5, 0.0], robot=limited(-1.0, 1.0))
+
+
+def test_a_joint_that_leaves_its_limits_is_a_warning():
+    with pytest.warns(UserWarning, match=r"limits: shoulder at t = 0.[0-9]* s"):
+        states = simulate(limited(-1.0, 1.0), TAU, [0.9, 0.0], [6.0, 0.0])
+    assert states.shape == (20, 6)
+
+
+def test_nothing_is_said_of_a_robot_within_its_limits():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        simulate(limited(-1.0, 1.0), TAU, [0.1, 0.0])
+
+
+def test_times():
+    t = 0.01 * np.arange(20)
+    refused(r"tau has 20 rows and t has shape \(19,\)", TAU, [0, 0], t=t[:-1])
+    bad = t.copy()
+    bad[4] = np.nan
+    refused("t holds nan in row 4", TAU, [0, 0], t=bad)
+    bad[4] = t[2]
+    refused("t must rise; it goes from 0.03 to 0.02 s in row 4", TAU, [0, 0], t=bad)
+    refused("every 0.005 s .*identified at 0.01 s", TAU, [0, 0], t=0.5 * t)
+    gap = t + 0.5 * (np.arange(20) > 6)
+    refused(
+        "t goes from 0.06 to 0.57 s in row 7, .*rows are missing", TAU, [0, 0], t=gap
+    )
+
+
+def test_no_sample_period():
+    robot = Arm().robot(dt=None)
+    refused("without a sample period; give the times", TAU, [0, 0], robot=robot)
+    assert simulate(robot, TAU, [0, 0], t=0.02 * np.arange(20)).shape == (20, 6)
+
+
+def test_one_joint_takes_torques_in_a_row():
+    one = simulate(wheel(), np.ones(20), [0.0])
+    np.testing.assert_array_equal(one, simulate(wheel(), np.ones((20, 1)), [0.0]))
+
+
+def test_one_row():
+    states = simulate(wheel(0.5), [[2.0]], [0.3], [0.1])
+    np.testing.assert_allclose(states, [[0.3, 0.1, 4.0]])
+
+
+def test_signals():
+    robot = Arm().robot(effects=[(Signal(1, "grease", "offset"), [0.4])])
+    refused("recorded signal 'grease'", TAU, [0, 0], robot=robot)
+    for bad in (np.zeros(19), np.full(20, np.nan)):
+        message = r"signals\['grease'\] must hold one finite value per row"
+        refused(message, TAU, [0, 0], robot=robot, signals={"grease": bad})
+
+
+def test_negative_friction_is_found_by_its_energy():
+    robot = slider(2.0, {"viscous": -1.0})
+    message = "J more than was put in.* friction of rail has a negative coefficient"
+    error = refused(
+        message, np.zeros((100, 1)), [0.0], [1.0], robot=robot, error=SimulationError
+    )
+    # More than 1 % is there after 10 ms, and looked for every few rows.
+    assert 0 < error.time <= 0.1
+
+
+def test_ripple_with_a_negative_coefficient_is_no_friction():
+    effects = [(Ripple(0, 0.1), [-2.0, -1.0])]
+    states = simulate(slider(2.0, effects=effects), np.ones((100, 1)), [0.0], [1.0])
+    assert np.isfinite(states).all()
+
+
+def test_negative_inertia():
+    robot = Arm().robot({"rotor_inertia": [0.0, -1.0]})
+    refused("inertia of elbow at q0 is not positive", TAU, [0, 0], robot=robot)
+
+
+def test_mass_that_is_not_positive():
+    model = Arm().model()
+    robot = machine(model, [point(1.0, inertia=0.1), np.zeros(10)])
+    refused("body of elbow has the mass 0 kg", TAU, [0, 0], robot=robot)
+
+
+def test_divergence_says_when_and_where():
+    robot = slider(2.0, effects=[(Spring(), [-1e9, 0.0])])
+    error = refused(
+        "diverges at t = .*rail has the velocity",
+        np.zeros((100, 1)),
+        [1e-3],
+        robot=robot,
+        error=SimulationError,
+    )
+    assert 0 < error.time < 1.0
+
+
+@pytest.mark.parametrize("effect", [Elastic(0), Jerk(0)])
+def test_effects_without_forward_dynamics_are_left_out_with_a_warning(effect):
+    robot = pendulum(effects=[(effect, [0.01])])
+    with pytest.warns(UserWarning, match=f"goes without {effect.name} on pendulum"):
+        found = simulate(robot, np.zeros((20, 1)), [0.5])
+    bare = simulate(pendulum(), np.zeros((20, 1)), [0.5])
+    np.testing.assert_array_equal(found, bare)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_of_the_torques_is_no_energy_from_nothing(seed):
+    """No false alarm, whatever passive effects there are and the torque does."""
+    from tests.simulation.test_invariance import EFFECTS, FRICTION
+
+    rng = np.random.default_rng(seed)
+    chosen = [EFFECTS[i] for i in np.flatnonzero(rng.random(len(EFFECTS)) < 0.5)]
+    tau = rng.choice([0.1, 10.0]) * rng.normal(size=(100, 2))
+    robot = Arm().robot(FRICTION if seed % 2 else None, chosen)
+    states = simulate(robot, tau, rng.normal(size=2), rng.normal(size=2))
+    assert np.isfinite(states).all()
+
+
+def test_a_robot_that_rests_is_no_energy_from_nothing():
+    robot = pendulum()
+    for q0 in (0.0, np.pi):
+        simulate(robot, np.zeros((200, 1)), [q0])
+    held = Arm().robot({"coulomb": [30.0, 10.0]})
+    simulate(held, TAU, [1.0, 1.0])

@@ -1,0 +1,234 @@
+"""Motions whose solutions are known."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.special import ellipj, ellipk
+
+from sklearn_vbjfa.effects import Payload, RotorInertia, Spring
+from sklearn_vbjfa.simulation._dynamics import with_bodies
+from sklearn_vbjfa.simulation._simulate import simulate
+from tests.model._robots import random_body
+from tests.model._trees import random_placement
+from tests.simulation._machines import (
+    GRAVITY,
+    machine,
+    pendulum,
+    point,
+    slider,
+    wheel,
+)
+
+
+def nothing(n, nv=1):
+    return np.zeros((n, nv))
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.01, 0.07])
+@pytest.mark.parametrize("way", [-1, 1])
+def test_mass_with_coulomb_friction_stops(dt, way):
+    mass, Fc, v0 = 2.0, 3.0, 1.5 * way
+    states = simulate(slider(mass, {"coulomb": Fc}, dt=dt), nothing(40), [0.2], [v0])
+    t = np.minimum(dt * np.arange(40), mass * abs(v0) / Fc)
+    q = 0.2 + v0 * t - way * 0.5 * Fc / mass * t**2
+    np.testing.assert_allclose(states[:, 0], q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(states[:, 1], v0 - way * Fc / mass * t, atol=1e-12)
+    rests = dt * np.arange(40) > mass * abs(v0) / Fc
+    assert (states[rests, 1:] == 0).all()
+
+
+def test_spring_with_coulomb_friction_turns_nearer_by_twice_the_band():
+    mass, Fc, k, q0, dt = 2.0, 3.0, 200.0, 0.5, 0.001
+    robot = slider(mass, {"coulomb": Fc}, [(Spring(), [k, 0.0])], dt=dt)
+    half = np.pi * np.sqrt(mass / k)
+    band = Fc / k
+    turns = int(np.ceil((q0 / band - 1) / 2))
+    t = dt * np.arange(int((turns + 0.5) * half / dt))
+    states = simulate(robot, nothing(t.size), [q0])
+    number = np.minimum((t / half).astype(int), turns)
+    way = (-1.0) ** number
+    size = np.where(number < turns, q0 - band - 2 * band * number, 0.0)
+    rests = way * (q0 - 2 * band * number)
+    q = np.where(
+        number < turns,
+        size * np.cos(np.pi * t / half) + way * band,
+        rests,
+    )
+    np.testing.assert_allclose(states[:, 0], q, rtol=0, atol=1e-7)
+    assert (states[number == turns, 1] == 0).sum() > 50
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.01])
+@pytest.mark.parametrize("way", [-1, 1])
+def test_breaks_loose_under_a_ramp(dt, way):
+    inertia, Fc, slope = 0.5, 3.1, 4.0 * way
+    t = dt * np.arange(int(2 / dt) + 1)
+    robot = wheel(inertia, {"coulomb": Fc}, dt=dt)
+    states = simulate(robot, slope * t[:, None], [0.3])
+    past = np.maximum(t - Fc / abs(slope), 0)
+    expected = [slope * past**3 / 6 / inertia + 0.3, slope * past**2 / 2 / inertia]
+    np.testing.assert_allclose(states[:, :2].T, expected, rtol=0, atol=1e-10)
+    assert (states[past == 0, 1:] == 0).all()
+    assert (states[past == 0, 0] == 0.3).all()
+
+
+def test_sticks_below_breakaway_under_any_torque():
+    rng = np.random.default_rng(0)
+    tau = rng.uniform(-3.0, 3.0, size=(500, 1))
+    states = simulate(wheel(0.5, {"coulomb": 3.0}), tau, [0.7])
+    assert (states == [0.7, 0.0, 0.0]).all()
+
+
+@pytest.mark.parametrize("rate", [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6])
+def test_viscous_decay(rate):
+    t = 0.01 * np.arange(101)
+    robot = wheel(0.5, {"viscous": 0.5 * rate})
+    states = simulate(robot, nothing(t.size), [0.0], [1.0])
+    np.testing.assert_allclose(states[:, 1], np.exp(-rate * t), atol=1e-7)
+    gone = -np.expm1(-rate * t) / rate
+    np.testing.assert_allclose(states[:, 0], gone, atol=1e-7 / rate)
+
+
+@pytest.mark.parametrize("rate", [1e2, 1e4, 1e6])
+def test_forced_viscous_motion(rate):
+    """Torque linear in time, friction from soft to stiff."""
+    inertia, slope = 0.5, 2.0
+    t = 0.01 * np.arange(101)
+    robot = wheel(inertia, {"viscous": inertia * rate})
+    states = simulate(robot, slope * t[:, None], [0.0])
+    final = slope / inertia / rate
+    v = final * (t + np.expm1(-rate * t) / rate)
+    np.testing.assert_allclose(states[:, 1], v, rtol=0, atol=1e-7 * final + 1e-12)
+
+
+@pytest.mark.parametrize("q0", [0.1, 1.0, 2.5, 3.1])
+def test_pendulum_by_elliptic_functions(q0):
+    m, length, own = 1.5, 0.4, 0.02
+    rate = np.sqrt(m * GRAVITY * length / (own + m * length**2))
+    k = np.sin(0.5 * q0) ** 2
+    t = 0.01 * np.arange(501)
+    states = simulate(pendulum(m, length, own), nothing(t.size), [q0])
+    sn = ellipj(ellipk(k) - rate * t, k)[0]
+    # Near the top small errors grow.
+    exact = 1e-6 if q0 < 2 else 1e-5 if q0 < 3 else 1e-4
+    np.testing.assert_allclose(states[:, 0], 2 * np.arcsin(np.sqrt(k) * sn), atol=exact)
+
+
+def chain(rng, n_joints, kinds=("RX", "RY", "RZ")):
+    """Robot whose joints follow one another, of moderate size."""
+    model, bodies = pin.Model(), []
+    for j in range(n_joints):
+        joint = getattr(pin, f"JointModel{rng.choice(kinds)}")()
+        placement = random_placement(rng)
+        placement.translation *= 0.3
+        model.addJoint(j, joint, placement, f"joint_{j}")
+        bodies.append(random_body(rng))
+    return model, bodies
+
+
+def energies(robot, states):
+    """Kinetic and potential energy (n,) by Pinocchio."""
+    model = with_bodies(robot.model, robot.bodies)
+    data, nv = model.createData(), robot.n_joints
+    kinetic = [
+        pin.computeKineticEnergy(model, data, x[:nv], x[nv : 2 * nv]) for x in states
+    ]
+    potential = [pin.computePotentialEnergy(model, data, x[:nv]) for x in states]
+    return np.array(kinetic), np.array(potential)
+
+
+@pytest.mark.parametrize(
+    ("n_joints", "dt"), [*[(n, 0.01) for n in range(1, 8)], (2, 0.001), (6, 0.001)]
+)
+def test_energy_over_ten_seconds_without_friction(n_joints, dt):
+    rng = np.random.default_rng(n_joints)
+    model, bodies = chain(rng, n_joints)
+    robot = machine(model, bodies, dt=dt)
+    start = rng.normal(size=(2, n_joints))
+    states = simulate(robot, nothing(int(10 / dt) + 1, n_joints), *start)
+    kinetic, potential = energies(robot, states)
+    total = kinetic + potential
+    assert np.abs(total - total[0]).max() < 1e-6 * kinetic.max()
+
+
+def test_tree_of_revolute_and_prismatic_joints_numbered_in_any_order():
+    """Joints 0 and 1 branch off the base; 2 and 3 hang on them crosswise."""
+    rng = np.random.default_rng(3)
+    model, bodies = pin.Model(), []
+    for j, (parent, kind) in enumerate([(0, "RX"), (0, "RY"), (1, "RZ"), (2, "RX")]):
+        joint = getattr(pin, f"JointModel{kind}")()
+        model.addJoint(parent, joint, random_placement(rng), f"joint_{j}")
+        bodies.append(random_body(rng))
+    robot = machine(model, bodies)
+    states = simulate(robot, nothing(201, 4), *rng.normal(size=(2, 4)))
+    kinetic, potential = energies(robot, states)
+    total = kinetic + potential
+    assert np.abs(total - total[0]).max() < 1e-7 * kinetic.max()
+
+
+def test_prismatic_joint_falls():
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
+    robot = machine(model, [point(3.0)])
+    t = 0.01 * np.arange(101)
+    states = simulate(robot, np.full((101, 1), 6.0), [1.0], [2.0])
+    a = 6.0 / 3.0 - GRAVITY
+    np.testing.assert_allclose(states[:, 0], 1 + 2 * t + 0.5 * a * t**2, atol=1e-12)
+    np.testing.assert_allclose(states[:, 2], a)
+
+
+def test_base_that_leans_turns_gravity():
+    lean = 0.3
+    upright, leaning = pendulum(), pendulum()
+    turned = np.array([-np.sin(lean), 0.0, -np.cos(lean)]) * GRAVITY
+    leaning.model.gravity.linear = turned
+    one = simulate(upright, nothing(101), [0.5 + lean])
+    other = simulate(leaning, nothing(101), [0.5])
+    moved = np.minimum(
+        np.abs(other[:, 0] + lean - one[:, 0]).max(),
+        np.abs(
+            other[:, 0] - lean - simulate(upright, nothing(101), [0.5 - lean])[:, 0]
+        ).max(),
+    )
+    assert moved < 1e-9
+
+
+def test_rotor_inertia_slows_a_pendulum():
+    m, length, own, rotor = 1.5, 0.4, 0.02, 0.3
+    one = simulate(
+        pendulum(m, length, own, effects=[(RotorInertia(), [rotor])]),
+        nothing(101),
+        [0.9],
+    )
+    other = simulate(
+        pendulum(m, length, own, {"rotor_inertia": rotor}), nothing(101), [0.9]
+    )
+    same = simulate(pendulum(m, length, own + rotor), nothing(101), [0.9])
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(one, same, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("instant", [0.5, 0.512])
+def test_payload_that_appears_changes_the_acceleration_at_once(instant):
+    mass, added = 3.0, 1.5
+    model = pin.Model()
+    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "rail")
+    effect = Payload(0, instant)
+    robot = machine(
+        model, [point(mass)], effects=[(effect, [added, 0, 0, 0, 0])], dt=0.01
+    )
+    t = 0.01 * np.arange(101)
+    states = simulate(robot, np.full((101, 1), 6.0), [0.0], None, t)
+    a1, a2 = 6 / mass, 6 / (mass + added)
+    late = np.maximum(t - instant, 0)
+    first = np.minimum(t, instant)
+    v = a1 * first + a2 * late
+    q = 0.5 * a1 * first**2 + a1 * instant * late + 0.5 * a2 * late**2
+    np.testing.assert_allclose(states[:, 0], q, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(states[:, 1], v, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(states[:, 2], np.where(t >= instant, a2, a1))
+
+
+def test_no_gravity_keeps_a_wheel_turning():
+    states = simulate(wheel(), nothing(1001), [0.0], [2.0])
+    np.testing.assert_allclose(states[-1], [20.0, 2.0, 0.0], rtol=1e-13)

@@ -1,0 +1,197 @@
+"""What must not change a motion: twins, order, scale, time, the sample period."""
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.effects import (
+    AsymmetricFriction,
+    Backlash,
+    Coulomb,
+    Counterbalance,
+    Coupling,
+    Drift,
+    LoadFriction,
+    Presliding,
+    Ripple,
+    RotorInertia,
+    Spring,
+    Stribeck,
+    ViscousQuadratic,
+)
+from sklearn_vbjfa.simulation import _dynamics, _integrate
+from sklearn_vbjfa.simulation._integrate import Integrator
+from sklearn_vbjfa.simulation._simulate import simulate
+from tests.simulation._machines import Arm, machine, random_machine
+
+FRICTION = {"viscous": [0.3, 0.1], "coulomb": [1.0, 0.4], "offset": [0.1, 0.0]}
+EFFECTS = [
+    (Stribeck(0, 0.2, 2), [0.6]),
+    (Coulomb(1, 0.05), [0.3]),
+    (LoadFriction(0), [0.1]),
+    (LoadFriction(1, 0.02), [0.1]),
+    (AsymmetricFriction(0), [0.2, 0.05]),
+    (ViscousQuadratic(1), [0.02]),
+    (Presliding(0, 0.02), [0.5]),
+    (Backlash(1, 0.05), [4.0, 0.2]),
+    (Spring(0), [4.0, 0.3]),
+    (Counterbalance(0), [1.0, -0.5, 0.2, 0.1, 0.3]),
+    (Counterbalance(1, "linkage", 0.6, 0.3), [-1.0, 1.5]),
+    (Ripple(1, 0.3), [0.1, 0.2]),
+    (RotorInertia(0), [0.2]),
+    (Coupling(1, 0, "sum"), [0.05, 0.1, 0.02]),
+    (Drift(0, "coulomb", 2.0), [0.5]),
+    (Drift(1, "offset", 1.0), [0.3]),
+]
+T = 0.01 * np.arange(101)
+TAU = np.column_stack([6 * np.sin(5 * T), 2 * np.cos(8 * T)])
+START = [0.4, -0.6], [1.0, -2.0]
+
+
+@pytest.fixture(params=["compiled", "plain"])
+def twin(request, monkeypatch):
+    """Both ways to compute accelerations."""
+    if request.param == "plain":
+        monkeypatch.setattr(_dynamics, "compiled", lambda: None)
+    else:
+        pytest.importorskip("numba")
+
+
+def accelerations(robot, q, v, tau, mode, stuck):
+    dynamics = _dynamics.ForwardDynamics(robot)
+    dynamics.set_time(0.4)
+    dynamics.start(q - 0.03)
+    dynamics.accelerate(q, v, tau, mode, stuck)
+    own = dynamics
+    found = [own.a, own.needed, own.limit, own.by_position, own.by_velocity]
+    return np.array([*found, np.full(q.size, own.power)])
+
+
+@pytest.mark.parametrize("effects", [[], *[[e] for e in EFFECTS], EFFECTS])
+def test_twins_agree_at_single_states(effects, monkeypatch):
+    pytest.importorskip("numba")
+    rng = np.random.default_rng(0)
+    robot = Arm().robot(FRICTION, effects)
+    for _ in range(10):
+        q, v, tau = rng.normal(size=(3, 2))
+        stuck = rng.random(2) < 0.3
+        v[stuck] = 0.0
+        state = robot, q, v, 5 * tau, np.where(stuck, 0.0, np.sign(v)), stuck
+        one = accelerations(*state)
+        with monkeypatch.context() as patched:
+            patched.setattr(_dynamics, "compiled", lambda: None)
+            other = accelerations(*state)
+        size = 1 + np.abs(one).max()
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * size)
+
+
+@pytest.mark.parametrize("effects", [[], EFFECTS])
+def test_twins_agree_on_motions(effects, monkeypatch):
+    pytest.importorskip("numba")
+    robot = Arm().robot(FRICTION, effects)
+    one = simulate(robot, TAU[:30], *START)
+    monkeypatch.setattr(_dynamics, "compiled", lambda: None)
+    other = simulate(robot, TAU[:30], *START)
+    np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-9)
+
+
+def test_order_of_effects(twin):
+    one = simulate(Arm().robot(FRICTION, EFFECTS), TAU, *START)
+    other = simulate(Arm().robot(FRICTION, EFFECTS[::-1]), TAU, *START)
+    np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("factor", [1e-4, 1e4])
+def test_scale_of_masses_and_torques(factor, twin):
+    """A robot and its torques in another unit of mass."""
+    robot = Arm().robot(FRICTION)
+    scaled = machine(
+        robot.model,
+        factor * robot.bodies,
+        {name: factor * np.array(own) for name, own in FRICTION.items()},
+    )
+    one = simulate(robot, TAU, *START)
+    other = simulate(scaled, factor * TAU, *START)
+    np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-8)
+
+
+def test_time_shift_of_a_robot_that_does_not_change_with_time():
+    robot = Arm().robot(FRICTION)
+    one = simulate(robot, TAU, *START, T)
+    other = simulate(robot, TAU, *START, T + 1000.0)
+    np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-7)
+
+
+BENT = Coupling, Backlash
+
+
+@pytest.mark.parametrize(
+    "effects", [[], [pair for pair in EFFECTS if not isinstance(pair[0], BENT)]]
+)
+def test_half_the_sample_period_with_torques_between(effects):
+    fine = 0.005 * np.arange(201)
+    tau = np.column_stack([np.interp(fine, T, own) for own in TAU.T])
+    one = simulate(Arm().robot(FRICTION, effects, dt=0.01), TAU, *START)
+    other = simulate(Arm().robot(FRICTION, effects, dt=0.005), tau, *START)
+    np.testing.assert_allclose(one[:, :4], other[::2, :4], rtol=0, atol=1e-4)
+
+
+def test_a_motion_goes_on_from_its_middle():
+    """Without memory, the second half alone is the same."""
+    robot = Arm().robot(FRICTION)
+    whole = simulate(robot, TAU, *START)
+    row = 40
+    rest = simulate(robot, TAU[row:], whole[row, :2], whole[row, 2:4])
+    np.testing.assert_allclose(rest[:, :4], whole[row:, :4], rtol=0, atol=1e-6)
+
+
+def steps_per_row(robot, tau, q0, v0=None, rows=100):
+    """Mean number of steps in a sample period."""
+    dynamics = _dynamics.ForwardDynamics(robot)
+    tau = np.asarray(tau, dtype=float)
+    v0 = np.zeros(len(q0)) if v0 is None else np.array(v0)
+    motion = Integrator(dynamics, np.array(q0), v0, tau, 0.0)
+    for _ in range(rows):
+        motion.advance(tau, tau, robot.dt)
+    return motion.steps / rows
+
+
+def test_steps_stay_few_where_friction_is_steep():
+    """Each limit is far below what stability of explicit steps would ask for."""
+    still = Arm().robot(effects=[(Coulomb(j, 1e-6), [9.0]) for j in range(2)])
+    assert steps_per_row(still, [0.0, 0.0], [0.4, -0.6]) < 30
+    loaded = Arm().robot(effects=[(LoadFriction(j, 1e-6), [1.5]) for j in range(2)])
+    assert steps_per_row(loaded, [0.0, 0.0], [0.4, -0.6]) < 30
+    light = Arm().robot({"viscous": [10.0, 1e4]})
+    assert steps_per_row(light, [0.0, 0.0], [0.4, -0.6]) < 30
+    dry = Arm().robot({"coulomb": [9.0, 9.0]})
+    assert steps_per_row(dry, [0.0, 0.0], [0.4, -0.6]) == 1
+
+
+def test_random_robots_move_the_same_by_both_twins(monkeypatch):
+    pytest.importorskip("numba")
+    for n in range(1, 8):
+        rng = np.random.default_rng(n)
+        robot = random_machine(rng, n, {"viscous": 1.0, "coulomb": 2.0})
+        tau = 5 * rng.normal(size=(20, n))
+        q0, v0 = rng.normal(size=(2, n))
+        one = simulate(robot, tau, q0, v0)
+        with monkeypatch.context() as patched:
+            patched.setattr(_dynamics, "compiled", lambda: None)
+            other = simulate(robot, tau, q0, v0)
+        size = np.abs(one).max()
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-7 * size)
+
+
+def test_order_conditions_of_the_implicit_method():
+    """Those of a W method of order three, for any Jacobian matrix."""
+    A, G = np.zeros((2, 4, 4))
+    A[:, :3], G[:, :3] = _integrate._TO, _integrate._MIXED
+    G += _integrate._GAMMA * np.eye(4)
+    b, lower, one = _integrate._WEIGHTS, _integrate._LOWER, np.ones(4)
+    c = A @ one
+    for weights in (b, lower):
+        expected = [1, 1 / 2, 0]
+        found = [weights @ one, weights @ c, weights @ G @ one]
+        np.testing.assert_allclose(found, expected, atol=1e-14)
+    found = [b @ c**2, b @ A @ c, b @ A @ G @ one, b @ G @ c, b @ G @ G @ one]
+    np.testing.assert_allclose(found, [1 / 3, 1 / 6, 0, 0, 0], atol=1e-14)

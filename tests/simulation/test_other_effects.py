@@ -1,0 +1,136 @@
+"""Effects of a user, which the simulator knows by their columns alone."""
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.effects import (
+    Coulomb,
+    Effect,
+    LoadFriction,
+    Presliding,
+    RotorInertia,
+    Signal,
+    Spring,
+    Viscous,
+)
+from sklearn_vbjfa.simulation._simulate import simulate
+from tests.simulation._machines import Arm, pendulum, slider, wheel
+
+
+class OwnSpring(Spring):
+    """A spring that the library does not know."""
+
+
+class OwnRotor(RotorInertia):
+    """A rotor that the library does not know."""
+
+
+class OwnCoulomb(Coulomb):
+    """Dry friction that the library does not know."""
+
+
+class OwnLoadFriction(LoadFriction):
+    """Friction over the load that the library does not know."""
+
+
+class OwnSignal(Signal):
+    """A signal that the library does not know."""
+
+
+class OwnMemory(Presliding):
+    """Hysteresis that the library does not know."""
+
+
+class Everywhere(Effect):
+    """Viscous friction of all joints, with one coefficient."""
+
+    name = "everywhere"
+    coefficients = ("F",)
+    units = (("", ""),)
+    whole_robot = True
+
+    def columns(self, motion):
+        return motion.v[:, :, None]
+
+
+class Rotors(Effect):
+    """Inertia that grows with acceleration, tau = c a^3."""
+
+    name = "cubed"
+    coefficients = ("c",)
+    units = (("", ""),)
+
+    def columns(self, motion):
+        return motion.a[:, [self.joint]] ** 3
+
+
+def same(one, other, exact=1e-10, **keywords):
+    """Compare the arm with effects of its own and with those of the library."""
+    t = 0.01 * np.arange(101)
+    tau = np.column_stack([4 * np.sin(6 * t), 2 * np.cos(9 * t)])
+    friction = {"viscous": [0.3, 0.1]}
+    found = [
+        simulate(Arm().robot(friction, own), tau, [0.4, -0.6], [1.0, -2.0], **keywords)
+        for own in (one, other)
+    ]
+    found = [states[:, :4] for states in found]
+    np.testing.assert_allclose(*found, rtol=0, atol=exact)
+    return found[0]
+
+
+def test_spring():
+    same([(OwnSpring(1), [3.0, 0.2])], [(Spring(1), [3.0, 0.2])])
+
+
+def test_rotor_inertia_and_its_energy():
+    same([(OwnRotor(1), [0.5])], [(RotorInertia(1), [0.5])], 1e-9)
+
+
+def test_whole_robot():
+    same([(Everywhere(), [0.2])], [(Viscous(j), [0.2]) for j in range(2)])
+
+
+def test_dry_friction_stops_and_sticks():
+    states = same([(OwnCoulomb(0), [4.0])], [(Coulomb(0), [4.0])], 1e-8)
+    assert (states[:, 2] == 0).sum() > 3
+    robot = slider(2.0, effects=[(OwnCoulomb(), [3.0])])
+    states = simulate(robot, np.zeros((150, 1)), [0.0], [1.5])
+    assert (states[101:, 1:] == 0).all()
+    assert states[-1, 0] == pytest.approx(0.75, abs=1e-10)
+
+
+def test_load_friction():
+    same([(OwnLoadFriction(0), [0.3])], [(LoadFriction(0), [0.3])], 1e-5)
+
+
+def test_signal():
+    signals = {"grease": np.linspace(1.0, 2.0, 101)}
+    own = OwnSignal(1, "grease", "offset"), Signal(1, "grease", "offset")
+    same(*[[(one, [0.4])] for one in own], 1e-9, signals=signals)
+
+
+def test_signal_that_is_missing():
+    robot = wheel(effects=[(OwnSignal(0, "grease", "offset"), [0.4])])
+    with pytest.raises(ValueError, match="needs the recorded signal 'grease'"):
+        simulate(robot, np.zeros((10, 1)), [0.0])
+
+
+def test_torque_that_is_not_linear_in_acceleration():
+    robot = wheel(1.0, effects=[(Rotors(), [0.5])])
+    states = simulate(robot, np.full((20, 1), 3.0), [0.0])
+    (a,) = [x.real for x in np.roots([0.5, 0, 1, -3]) if abs(x.imag) < 1e-9]
+    np.testing.assert_allclose(states[:, 2], a, rtol=1e-7)
+
+
+def test_memory_is_left_out_with_a_warning():
+    robot = wheel(effects=[(OwnMemory(), [0.5]), (OwnSpring(), [2.0, 0.0])])
+    with pytest.warns(UserWarning, match="without presliding on wheel .its torque"):
+        states = simulate(robot, np.zeros((20, 1)), [0.1])
+    bare = simulate(wheel(effects=[(Spring(), [2.0, 0.0])]), np.zeros((20, 1)), [0.1])
+    np.testing.assert_allclose(states, bare, rtol=0, atol=1e-12)
+
+
+def test_pendulum_held_by_friction_of_its_own():
+    robot = pendulum(effects=[(OwnCoulomb(), [10.0])])
+    states = simulate(robot, np.zeros((30, 1)), [1.0])
+    assert (states == [1.0, 0.0, 0.0]).all()

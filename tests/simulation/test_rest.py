@@ -1,0 +1,108 @@
+"""Joints that stop, stick and break loose, alone and coupled."""
+
+import itertools
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from sklearn_vbjfa.effects import Coulomb, LoadFriction, Stribeck
+from sklearn_vbjfa.simulation._dynamics import with_bodies
+from sklearn_vbjfa.simulation._simulate import simulate
+from tests.simulation._machines import pendulum, random_machine, wheel
+
+
+def all_solutions(M, push, Fc):
+    """Accelerations from rest by every combination of modes that is consistent."""
+    found = []
+    for modes in itertools.product((-1, 0, 1), repeat=len(push)):
+        modes = np.array(modes)
+        free = np.flatnonzero(modes)
+        a = np.zeros(len(push))
+        if free.size:
+            rhs = (push - Fc * modes)[free]
+            a[free] = np.linalg.solve(M[np.ix_(free, free)], rhs)
+        friction = push - M @ a
+        held = np.abs(friction) <= Fc * (1 + 1e-9)
+        if ((a * modes > 0) | ((modes == 0) & held)).all():
+            found.append(a)
+    return found
+
+
+@pytest.mark.parametrize("n_joints", [2, 3, 4])
+def test_which_joints_break_loose_is_the_only_consistent_answer(n_joints):
+    several = 0
+    for seed in range(100):
+        rng = np.random.default_rng([n_joints, seed])
+        Fc = rng.uniform(0, 30, n_joints)
+        robot = random_machine(rng, n_joints, {"coulomb": Fc})
+        q, tau = rng.normal(size=n_joints), 40 * rng.normal(size=n_joints)
+        model = with_bodies(robot.model, robot.bodies)
+        data, none = model.createData(), np.zeros(n_joints)
+        bias = pin.rnea(model, data, q, none, none).copy()
+        M = np.array(
+            [pin.rnea(model, data, q, none, e) - bias for e in np.eye(n_joints)]
+        )
+        (expected,) = all_solutions(M, tau - bias, Fc)
+        found = simulate(robot, tau[None], q)[0, 2 * n_joints :]
+        size = 1 + np.abs(expected).max()
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * size)
+        assert ((found == 0) == (expected == 0)).all()
+        several += 0 < (expected == 0).sum() < n_joints
+    assert several > 20
+
+
+def test_joints_at_rest_never_tremble():
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        robot = random_machine(rng, 3, {"viscous": 2.0, "coulomb": 8.0})
+        t = 0.01 * np.arange(150)
+        tau = 20 * np.sin(np.outer(t, rng.uniform(3, 8, 3)) + rng.uniform(0, 6, 3))
+        states = simulate(robot, tau, rng.normal(size=3))
+        q, v, a = np.split(states, 3, axis=1)
+        rests = v == 0
+        assert (a[rests & np.roll(rests, 1, 0) & np.roll(rests, -1, 0)] == 0).all()
+        both = rests[1:] & rests[:-1] & (a[1:] == 0) & (a[:-1] == 0)
+        assert (q[1:][both] == q[:-1][both]).all()
+        # The way changes no more often than the torque does.
+        for own, push in zip(v.T, tau.T):
+            turns = (np.diff(np.sign(own[own != 0])) != 0).sum()
+            assert turns <= 4 * (np.diff(np.sign(push)) != 0).sum() + 4
+
+
+def test_noise_of_the_torque_does_not_free_a_joint():
+    rng = np.random.default_rng(1)
+    robot = pendulum(friction={"coulomb": 4.0})
+    hold = 1.5 * 9.81 * 0.4 * np.sin(0.5)
+    tau = hold + rng.uniform(-3.9, 3.9, size=(300, 1))
+    states = simulate(robot, tau, [0.5])
+    assert (states == [0.5, 0.0, 0.0]).all()
+
+
+def test_static_friction_of_stribeck_holds():
+    effects = [(Stribeck(0, 0.1), [1.0])]
+    tau = np.full((50, 1), 2.9)
+    states = simulate(wheel(0.5, {"coulomb": 2.0}, effects), tau, [0.0])
+    assert (states[:, 1] == 0).all()
+    tau[:] = 3.1
+    states = simulate(wheel(0.5, {"coulomb": 2.0}, effects), tau, [0.0])
+    assert states[-1, 1] > 0.5
+
+
+def test_load_friction_holds_its_share_of_the_load():
+    """A joint whose friction exceeds its load stays whatever the angle."""
+    robot = pendulum(effects=[(LoadFriction(0), [1.05])])
+    states = simulate(robot, np.zeros((50, 1)), [1.0])
+    assert (states == [1.0, 0.0, 0.0]).all()
+    robot = pendulum(effects=[(LoadFriction(0), [0.95])])
+    assert simulate(robot, np.zeros((50, 1)), [1.0])[-1, 1] < 0
+
+
+@pytest.mark.parametrize("smoothing", [1e-2, 1e-4, 1e-6])
+def test_smoothed_friction_creeps_without_changing_its_way(smoothing):
+    Fc, push = 3.0, 1.0
+    robot = wheel(0.5, effects=[(Coulomb(0, smoothing), [Fc])])
+    states = simulate(robot, np.full((200, 1), push), [0.0])
+    creeps = smoothing * np.arctanh(push / Fc)
+    np.testing.assert_allclose(states[100:, 1], creeps, rtol=1e-4)
+    assert (states[1:, 1] > 0).all()

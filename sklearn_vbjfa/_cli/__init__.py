@@ -7,7 +7,7 @@ import signal
 import sys
 import textwrap
 
-from sklearn_vbjfa._cli._stopping import Stopped, open_streams, stoppable
+from sklearn_vbjfa._cli._stopping import Stopped, open_streams, stoppable, stopped_by
 
 # Longest message [characters].
 _LONGEST = 900
@@ -42,16 +42,7 @@ def main(argv=None):
         # The reader (head, less) has seen enough.
         _no_more_output()
     except (KeyboardInterrupt, Stopped) as stop:
-        number = getattr(stop, "number", signal.SIGINT)
-        how = "interrupted" if number == signal.SIGINT else f"stopped ({stop})"
-        written = arguments is not None and arguments.written
-        _clear_progress()
-        print(
-            f"sklearn-vbjfa: {how}, "
-            f"{'all files were' if written else 'nothing was'} written",
-            file=sys.stderr,
-        )
-        return 128 + number
+        return _tell_stop(getattr(stop, "number", signal.SIGINT), arguments)
     except MemoryError:
         print(
             "sklearn-vbjfa: not enough memory; give a shorter recording or fewer "
@@ -60,9 +51,25 @@ def main(argv=None):
         )
         return 2
     except (ValueError, OSError, ImportError) as error:
+        if stopped_by() is not None:
+            return _tell_stop(stopped_by(), arguments)
         _say(one_line(error))
         return 2
     return 0
+
+
+def _tell_stop(number, arguments):
+    """Say that a signal has stopped the run; the exit code."""
+    name = signal.Signals(number).name
+    how = "interrupted" if number == signal.SIGINT else f"stopped ({name})"
+    written = arguments is not None and arguments.written
+    _clear_progress()
+    print(
+        f"sklearn-vbjfa: {how}, {'all files were' if written else 'nothing was'} "
+        "written",
+        file=sys.stderr,
+    )
+    return 128 + number
 
 
 def program():

@@ -48,12 +48,26 @@ def _handlers(handle):
             signal.signal(number, old)
 
 
+# Signals that came since a run began.
+_CAME = []
+
+
 def _stop(number, frame):
+    _CAME.append(number)
     raise Stopped(number)
+
+
+def stopped_by():
+    """Return the number of the signal that has stopped the run, or None.
+
+    Compiled modules may turn the exception into an error of their own.
+    """
+    return _CAME[0] if _CAME else None
 
 
 def stoppable():
     """Let signals end a run like an exception, so that it tidies up."""
+    _CAME.clear()
     return _handlers(_stop)
 
 

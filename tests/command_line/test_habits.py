@@ -270,8 +270,26 @@ def test_a_reader_that_leaves_before_the_help_is_no_error():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
-@pytest.mark.parametrize("seconds", [0.15, 0.4, 0.8])
-def test_an_interrupt_at_any_moment_is_at_most_one_line(seconds):
+def test_a_library_that_turns_a_stop_into_an_error_of_its_own(monkeypatch, capsys):
+    def run(arguments):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except BaseException:
+            # As compiled modules do while they are imported.
+            raise ImportError("a library is missing") from None
+
+    monkeypatch.setattr(_cli, "_effects", run)
+    assert main(["effects"]) == 128 + signal.SIGTERM
+    told = "sklearn-vbjfa: stopped (SIGTERM), nothing was written\n"
+    assert capsys.readouterr().err == told
+    # the next run has not been stopped
+    monkeypatch.undo()
+    assert main(["effects"]) == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("seconds", [0.15, 0.4])
+def test_an_interrupt_soon_after_the_start_is_one_line(seconds):
     process = subprocess.Popen(
         [
             sys.executable,

@@ -1,19 +1,23 @@
 """Linear models with noisy inputs and outputs, made for robot identification."""
 
-from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
-from sklearn_vbjfa.physical import PhysicalProjector
-from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
-from sklearn_vbjfa.regression._jfa import JFARegressor
-from sklearn_vbjfa.regression._locally_weighted import LocallyWeightedRegressor
-from sklearn_vbjfa.regression._replicates import NoiseCovariance, replicate_noise
-from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
-from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
-from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._identified import IdentifiedRobot, load_identified
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._states import StateEstimator
+import importlib
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
+    from sklearn_vbjfa.physical import PhysicalProjector
+    from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
+    from sklearn_vbjfa.regression._jfa import JFARegressor
+    from sklearn_vbjfa.regression._locally_weighted import LocallyWeightedRegressor
+    from sklearn_vbjfa.regression._replicates import NoiseCovariance, replicate_noise
+    from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
+    from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
+    from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
+    from sklearn_vbjfa.robot._features import RigidBodyFeatures
+    from sklearn_vbjfa.robot._identified import IdentifiedRobot, load_identified
+    from sklearn_vbjfa.robot._identifier import RobotIdentifier
+    from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+    from sklearn_vbjfa.robot._states import StateEstimator
 
 __version__ = "0.2.0.dev0"
 __all__ = [
@@ -34,3 +38,53 @@ __all__ = [
     "load_identified",
     "replicate_noise",
 ]
+
+# Where each name is. It is imported when it is first asked for: a program is at work at
+# once, and can be stopped while the rest is loaded.
+_MODULES = {
+    "EffectDiscovery": "diagnosis._discovery",
+    "IdentifiedRobot": "robot._identified",
+    "InstrumentalVariables": "regression._instrumental_variables",
+    "JFARegressor": "regression._jfa",
+    "JointTorqueRegressor": "robot._joint_torque",
+    "LocallyWeightedRegressor": "regression._locally_weighted",
+    "NoiseCovariance": "regression._replicates",
+    "PhysicalProjector": "physical",
+    "RigidBodyFeatures": "robot._features",
+    "RobotIdentifier": "robot._identifier",
+    "StateEstimator": "robot._states",
+    "StepwiseRegressor": "regression._stepwise",
+    "TotalLeastSquares": "regression._total_least_squares",
+    "VBJFARegressor": "regression._vbjfa",
+    "load_identified": "robot._identified",
+    "replicate_noise": "regression._replicates",
+}
+_ROOMS = (
+    "datasets",
+    "diagnosis",
+    "distributed",
+    "effects",
+    "inspection",
+    "model",
+    "physical",
+    "recording",
+    "regression",
+    "robot",
+    "simulation",
+)
+
+
+def __getattr__(name):
+    """Import what is asked for."""
+    if name in _MODULES:
+        module = importlib.import_module(f"{__name__}.{_MODULES[name]}")
+        found = globals()[name] = getattr(module, name)
+        return found
+    if name in _ROOMS:
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__():
+    """Names of the package, imported or not."""
+    return sorted({*globals(), *_MODULES, *_ROOMS})

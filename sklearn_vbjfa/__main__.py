@@ -2,7 +2,7 @@
 
 import sys
 
-from sklearn_vbjfa._cli import main
+from sklearn_vbjfa._cli import program
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(program())

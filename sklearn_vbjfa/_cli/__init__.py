@@ -3,8 +3,12 @@
 import argparse
 import os
 import shlex
+import shutil
 import signal
 import sys
+import textwrap
+
+from sklearn_vbjfa._cli._stopping import Stopped, open_streams, stoppable, stopped_by
 
 # Longest message [characters].
 _LONGEST = 900
@@ -24,30 +28,22 @@ def main(argv=None):
         Exit code: 0 for success; 2 for bad input, with one line on stderr; 128 plus
         the signal's number if the run was stopped, so 130 for an interrupt.
     """
-    from sklearn_vbjfa._cli._input import Stopped, stoppable
-    from sklearn_vbjfa.physical._threads import one_blas_thread
-
-    parser = _parser()
-    arguments = parser.parse_args(argv)
+    arguments = None
     try:
-        # The matrices are small: threads would only wait for each other.
-        with stoppable(), one_blas_thread():
-            arguments.run(arguments)
-            sys.stdout.flush()
+        with stoppable():
+            # Imports take a second, in which a run may be stopped as well.
+            arguments = _arguments(argv)
+            from sklearn_vbjfa.physical._threads import one_blas_thread
+
+            # The matrices are small: threads would only wait for each other.
+            with one_blas_thread():
+                arguments.run(arguments)
+            _flush()
     except BrokenPipeError:
         # The reader (head, less) has seen enough.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _no_more_output()
     except (KeyboardInterrupt, Stopped) as stop:
-        number = getattr(stop, "number", signal.SIGINT)
-        how = "interrupted" if number == signal.SIGINT else f"stopped ({stop})"
-        state = "all files" if arguments.written else "nothing"
-        _clear_progress()
-        print(
-            f"sklearn-vbjfa: {how}, {state} {'were' if arguments.written else 'was'} "
-            "written",
-            file=sys.stderr,
-        )
-        return 128 + number
+        return _tell_stop(getattr(stop, "number", signal.SIGINT), arguments)
     except MemoryError:
         print(
             "sklearn-vbjfa: not enough memory; give a shorter recording or fewer "
@@ -56,9 +52,10 @@ def main(argv=None):
         )
         return 2
     except (ValueError, OSError, ImportError) as error:
+        if stopped_by() is not None:
+            return _tell_stop(stopped_by(), arguments)
         line = one_line(getattr(error, "reason", error))
-        remedy = _command(argv, getattr(error, "options", None))
-        print(f"sklearn-vbjfa: {line}{remedy}", file=sys.stderr)
+        _say(line, _command(argv, getattr(error, "options", None)))
         return 2
     return 0
 
@@ -88,14 +85,82 @@ def _command(argv, options):
             next(given, None)
     for option, value in changed.items():
         words += [option, value]
-    return f"; this would work: python -m sklearn_vbjfa {shlex.join(words)}"
+    return f"python -m sklearn_vbjfa {shlex.join(words)}"
+
+
+def _tell_stop(number, arguments):
+    """Say that a signal has stopped the run; the exit code."""
+    name = signal.Signals(number).name
+    how = "interrupted" if number == signal.SIGINT else f"stopped ({name})"
+    written = arguments is not None and arguments.written
+    _clear_progress()
+    print(
+        f"sklearn-vbjfa: {how}, {'all files were' if written else 'nothing was'} "
+        "written",
+        file=sys.stderr,
+    )
+    return 128 + number
+
+
+def program():
+    """Run the command line as a program of its own.
+
+    Returns
+    -------
+    int
+        Exit code of `main`.
+    """
+    try:
+        open_streams()
+        return main()
+    except KeyboardInterrupt:
+        # Before or after a run takes care of it.
+        print("sklearn-vbjfa: interrupted", file=sys.stderr)
+        return 128 + signal.SIGINT
+    finally:
+        # What is left is to end.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _arguments(argv):
+    """Parse arguments; what a parser prints may meet a reader that has left."""
+    try:
+        return _parser().parse_args(argv)
+    finally:
+        _flush()
+
+
+def _flush():
+    # A process without a standard output has none.
+    if sys.stdout is not None:
+        sys.stdout.flush()
+
+
+def _no_more_output():
+    """Let what is still printed go nowhere."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _say(message, command=""):
+    """Print a refusal: one line, which a terminal gets wrapped but for a command."""
+    text = f"sklearn-vbjfa: {message}"
+    if command:
+        text += "; this would work:"
+    if sys.stderr is not None and sys.stderr.isatty():
+        width = max(shutil.get_terminal_size().columns, 40)
+        lines = [textwrap.fill(text, width, break_on_hyphens=False), command]
+        text = "\n".join(filter(None, lines))
+    elif command:
+        text += f" {command}"
+    print(text, file=sys.stderr)
 
 
 def one_line(message):
-    """Return a message as one line, the middle of a long one left out."""
+    """Return a message as one line; of a huge one the middle is left out, and said."""
     text = " ".join(str(message).split())
     if len(text) > _LONGEST:
-        text = f"{text[: _LONGEST - 300]} ... {text[-300:]}"
+        left = len(text) - _LONGEST
+        text = f"{text[:-300][: _LONGEST - 300]} ({left} characters) {text[-300:]}"
     return text
 
 
@@ -107,7 +172,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _clear_progress():
-    if sys.stderr.isatty():
+    if sys.stderr is not None and sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr)
 
 
@@ -179,4 +244,4 @@ def _datasets(arguments):
     for name, protocol in protocols().items():
         summary = (protocol.load.__doc__ or "").strip().splitlines()[0]
         rows.append([name, summary])
-    print(tabulate(rows, headers=["name", "recording"]))
+    print(tabulate(rows, headers=["name", "recording"], maxcolwidths=[None, 56]))

@@ -3,18 +3,23 @@
 import csv
 import json
 import os
+import sys
 import tempfile
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from sklearn_vbjfa._cli import _input, _options
-from sklearn_vbjfa._cli._identify import say_warnings
-from sklearn_vbjfa._cli._input import undisturbed
+from sklearn_vbjfa._cli._identify import say_warnings, told
+from sklearn_vbjfa._cli._stopping import undisturbed
 
 # The robot, as a description, for MuJoCo, and with all that was identified.
 _IDENTIFIED = ("identified.urdf", "identified.xml", "identified.json")
+# What a run writes, the page first.
+_PAGE = "report.html"
+_FILES = (_PAGE, "report.json", "parameters.csv", *_IDENTIFIED)
 
 
 def add_to(commands):
@@ -36,6 +41,7 @@ def add_to(commands):
         metavar="DIR",
         help="folder for the files; by default the name of RECORDING plus -report",
     )
+    _options.add_force(parser)
     _options.add_model(parser)
     parser.add_argument(
         "--effects",
@@ -63,12 +69,18 @@ def add_to(commands):
 def run(arguments):
     """Close the loop on a user's recording and write the files."""
     from sklearn_vbjfa import effects
+    from sklearn_vbjfa.diagnosis import Report
+    from sklearn_vbjfa.diagnosis.search._findings import Provenance
     from sklearn_vbjfa.effects import _declared
     from sklearn_vbjfa.physical import ProjectionError
 
-    source, urdf = Path(arguments.recording), Path(arguments.urdf)
-    out = Path(arguments.out) if arguments.out else _input.default_folder(source)
+    source, urdf = map(_input.path, (arguments.recording, arguments.urdf))
+    out = _input.path(arguments.out) if arguments.out else None
+    out = out or _input.default_folder(source)
     _input.check_folder(out)
+    if not arguments.force:
+        _input.check_overwriting(out, _FILES, (source, urdf))
+    given = urdf
     friction = _input.names("--friction", arguments.friction, _declared.available())
     library = arguments.effects
     if library != "all":
@@ -111,8 +123,16 @@ def run(arguments):
             text.insert(1, f"held at zero: {', '.join(held)}")
         try:
             # Before anything is printed, as a reader such as head may end the run.
+            provenance = Provenance(
+                file=str(source),
+                description=str(given),
+                held=tuple(held),
+                warnings=told(caught),
+                files=tuple(name for name in _FILES if name != _PAGE),
+            )
+            report = Report(replace(loop.report_.outcome, provenance=provenance))
             with undisturbed():
-                written, left_out = _write(loop, out)
+                written, left_out = _write(loop, report, out)
                 arguments.written = True
         except OSError:
             print("\n".join(text))
@@ -121,7 +141,8 @@ def run(arguments):
     if left_out:
         print("\nMuJoCo has no place for, and identified.xml goes without:")
         print("\n".join(f"- {one}" for one in left_out))
-    print(f"\nwritten: {', '.join(str(path) for path in written)}")
+    names = ", ".join(map(str, written))
+    print(f"\n{_input.wrapped(f'written: {names}', sys.stdout)}")
     say_warnings(caught)
 
 
@@ -172,19 +193,17 @@ def close(
     return loop.fit(recording.q, recording.tau, **given)
 
 
-def _write(loop, out):
+def _write(loop, report, out):
     """Write all files or none; each appears complete.
 
     Returns their paths, and what the MJCF file does not have.
     """
     from sklearn_vbjfa.robot._known import known_parameters
 
-    report = loop.report_
     texts = {
-        "report.html": report.to_html(),
+        _PAGE: report.to_html(),
         "report.json": json.dumps(report.to_dict(), indent=1, allow_nan=False),
     }
-    names = (*texts, "parameters.csv", *_IDENTIFIED)
     out.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
         for name, text in texts.items():
@@ -195,9 +214,9 @@ def _write(loop, out):
         loop.identifier_.to_urdf(Path(folder, "identified.urdf"))
         left_out = loop.identifier_.to_mjcf(Path(folder, "identified.xml"))
         loop.identifier_.save(Path(folder, "identified.json"))
-        for name in names:
+        for name in _FILES:
             os.replace(Path(folder, name), out / name)
-    return [out / name for name in names], left_out
+    return [out / name for name in _FILES], left_out
 
 
 def _write_parameters(robot, known, path):
@@ -213,7 +232,7 @@ def _write_parameters(robot, known, path):
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(heads)
-        for name, value, unit, std, alone, told in zip(
+        for name, value, unit, std, alone, measured in zip(
             robot.parameter_names_,
             robot.theta_,
             robot.parameter_units_,
@@ -225,5 +244,5 @@ def _write_parameters(robot, known, path):
             alone = "yes" if alone else "no"
             if relative and unit.startswith(("N", "kg")):
                 unit = f"{unit}, times the gain of {relative}"
-            row = [name, repr(float(value)), unit, deviation, alone, told]
-            table.writerow(row)
+            row = [name, repr(float(value)), unit, deviation, alone, measured]
+            table.writerow(map(_input.no_formula, row))

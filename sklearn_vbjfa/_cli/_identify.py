@@ -5,6 +5,8 @@ import warnings
 
 import numpy as np
 
+from sklearn_vbjfa._cli import _input
+
 
 def run(arguments):
     """Identify a recording and compare methods on its held-out part."""
@@ -60,19 +62,25 @@ def _progress():
 
 def say_warnings(caught):
     """Show warnings as notes on stderr, each once."""
-    from sklearn.exceptions import ConvergenceWarning
-
     if sys.stderr.isatty():
         print("\r\033[K", end="", file=sys.stderr)
-    seen = set()
-    for warning in caught:
-        text = " ".join(str(warning.message).split())
-        # Convergence of the rivals does not concern the user; the data do.
-        if warning.category is ConvergenceWarning or text in seen:
-            continue
-        if issubclass(warning.category, UserWarning):
-            seen.add(text)
-            print(f"note: {text}", file=sys.stderr)
+    for text in told(caught):
+        print(_input.wrapped(f"note: {text}", sys.stderr), file=sys.stderr)
+
+
+def told(caught):
+    """Texts of the warnings that concern a user, each once, a tuple of str."""
+    from sklearn.exceptions import ConvergenceWarning
+
+    # Convergence of the rivals does not concern the user; the data do.
+    return tuple(
+        dict.fromkeys(
+            " ".join(str(warning.message).split())
+            for warning in caught
+            if issubclass(warning.category, UserWarning)
+            and warning.category is not ConvergenceWarning
+        )
+    )
 
 
 def _report(recording, protocol, results, fitted):

@@ -1,77 +1,23 @@
-"""Input of the command line: arguments, files and signals.
+"""Input of the command line: arguments and files.
 
 Each function returns a checked value, or refuses it in one line that names the option
-or the file. A signal ends a run like an exception, so that files are written completely
-or not at all.
+or the file.
 """
 
 import contextlib
+import itertools
 import math
 import os
-import signal
+import shutil
 import sys
 import tempfile
-import threading
+import textwrap
 from pathlib import Path
 
 import numpy as np
 
-# Of these, SIGINT raises KeyboardInterrupt already; Windows has no SIGHUP.
-_STOPS = [
-    getattr(signal, name)
-    for name in ("SIGINT", "SIGTERM", "SIGHUP")
-    if hasattr(signal, name)
-]
-
-
-class Stopped(BaseException):
-    """The process was asked to end by a signal, whose number is given."""
-
-    def __init__(self, number):
-        super().__init__(signal.Signals(number).name)
-        self.number = int(number)
-
-
-@contextlib.contextmanager
-def _handlers(handle):
-    """Handle all stop signals by a function; possible in the main thread only."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    # A signal that is ignored, as under nohup, stays ignored.
-    before = {
-        number: signal.getsignal(number)
-        for number in _STOPS
-        if signal.getsignal(number) is not signal.SIG_IGN
-    }
-    for number in before:
-        signal.signal(number, handle)
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
-
-
-def _stop(number, frame):
-    raise Stopped(number)
-
-
-def stoppable():
-    """Let signals end a run like an exception, so that it tidies up."""
-    return _handlers(_stop)
-
-
-@contextlib.contextmanager
-def undisturbed():
-    """Postpone signals until a few files are written."""
-    waiting = []
-    with _handlers(lambda number, frame: waiting.append(number)):
-        yield
-    if waiting:
-        signal.raise_signal(waiting[0])
-
-
+# How a cell begins that a spreadsheet computes.
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # Fewer consecutive samples show nothing.
 _MIN_SAMPLES = 64
 
@@ -147,7 +93,7 @@ def read(arguments, urdf, joints, gains):
     from sklearn_vbjfa.datasets import read_recording
     from sklearn_vbjfa.recording._refusal import RecordingRefused
 
-    source = arguments.recording
+    source = path(arguments.recording)
     recording = read_recording(
         source,
         dt=arguments.dt,
@@ -219,12 +165,83 @@ def signals(text, recording, source):
         raise ValueError(f"{source}: {error}") from None
 
 
+def path(text):
+    """Return a path in which ~ is the home folder, as shells have it."""
+    found = Path(text)
+    try:
+        return found.expanduser()
+    except RuntimeError:
+        # There is no such user; a file may be called so.
+        return found
+
+
+def no_formula(cell):
+    """Return a cell of a table that a spreadsheet does not take for a formula.
+
+    One that begins like a formula gets an apostrophe in front, unless it is a number.
+    """
+    text = str(cell)
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}" if text.startswith(_FORMULA) else text
+    return text
+
+
+def wrapped(text, stream):
+    """Return a text wrapped to the width of a terminal; as it is for other streams."""
+    if not stream.isatty():
+        return text
+    width = shutil.get_terminal_size().columns
+    return textwrap.fill(text, max(width, 40), break_on_hyphens=False)
+
+
+def check_overwriting(out, names, inputs, endings=()):
+    """Refuse, before the work begins, to write over or among files of others.
+
+    names : what a run writes to the folder; endings : of further files that are its
+    own where one of `names` is there.
+    """
+    if not out.is_dir():
+        return
+    for name in names:
+        for given in inputs:
+            if (out / name).exists() and given.exists() and given.samefile(out / name):
+                raise ValueError(
+                    f"{given} is read by this run, which would write over it; give "
+                    f"another folder, such as --out {_beside(out)}, or --force to "
+                    "lose it."
+                )
+    # Hidden files are those of folders and editors.
+    held = {p.name for p in out.iterdir() if not p.name.startswith(".")}
+    ours = held.intersection(names)
+    foreign = sorted(
+        name for name in held - ours if not (ours and name.endswith(endings))
+    )
+    if foreign:
+        more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
+        raise ValueError(
+            f"{out} holds {', '.join(foreign[:3])}{more}, which no run has written; "
+            f"give a folder of its own, such as --out {_beside(out)}, or --force to "
+            "write beside what is there."
+        )
+
+
+def _beside(out):
+    """Name a folder in it that does not exist, for a message."""
+    names = itertools.chain(["report"], (f"report-{k}" for k in itertools.count(2)))
+    return next(out / name for name in names if not (out / name).exists())
+
+
 def check_folder(out):
     """Refuse, before the work begins, a folder that cannot be written to."""
     for folder in (out, *out.parents):
         if folder.exists():
             if not folder.is_dir():
-                raise ValueError(f"{folder} is a file; --out must name a folder.")
+                raise ValueError(
+                    f"{folder} is a file; --out must name a folder, such as "
+                    f"{folder.with_name(f'{folder.stem}-report')}."
+                )
             if not os.access(folder, os.W_OK):
                 raise ValueError(f"{folder} cannot be written to; give another --out.")
             return

@@ -28,7 +28,7 @@ def run(arguments):
     """Read a recording and describe it."""
     from sklearn_vbjfa.inspection import inspect_recording, motion_of
 
-    source, urdf = arguments.recording, Path(arguments.urdf)
+    source, urdf = arguments.recording, _input.path(arguments.urdf)
     joints = _input.joint_names(arguments.joints)
     gains = _input.gains(arguments.gain)
     with (

@@ -103,3 +103,12 @@ def add_model(parser):
         help="cut-off of the low-pass for torques and regressors; by default auto, "
         "from the motion; none for no low-pass",
     )
+
+
+def add_force(parser):
+    """Add the option that lets files be overwritten."""
+    parser.add_argument(
+        "--force",
+        action="store_true",
+        help="write to --out even if it holds files of others, or an input of this run",
+    )

@@ -2,6 +2,7 @@
 
 import importlib.util
 import os
+import sys
 import tempfile
 import warnings
 from dataclasses import dataclass
@@ -11,14 +12,16 @@ import numpy as np
 
 from sklearn_vbjfa._cli import _close_loop, _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings
-from sklearn_vbjfa._cli._input import undisturbed
 from sklearn_vbjfa._cli._simulated import (
     Simulated,
     errors_table,
     errors_text,
     pictures,
 )
+from sklearn_vbjfa._cli._stopping import undisturbed
 
+# What a run writes beside pictures.
+_TABLE = "simulation.csv"
 # Share of every recording that is identified; the rest is simulated.
 _SHARE = 0.7
 # Sample periods may differ by this share.
@@ -72,6 +75,7 @@ def add_to(commands):
         metavar="DIR",
         help="folder for the files; by default the name of RECORDING plus -simulation",
     )
+    _options.add_force(parser)
     _options.add_model(parser)
     parser.add_argument(
         "--effects",
@@ -112,9 +116,13 @@ def run(arguments):
     from sklearn_vbjfa.robot._windows import simulate_windows
 
     _check(arguments)
-    source = Path(arguments.recording or "demo")
-    out = Path(arguments.out or f"{source.stem or 'recording'}-simulation")
+    source = _input.path(arguments.recording or "demo")
+    out = _input.path(arguments.out or f"{source.stem or 'recording'}-simulation")
     _input.check_folder(out)
+    if not arguments.force:
+        given = (arguments.urdf, arguments.model)
+        inputs = (source, *map(_input.path, filter(None, given)))
+        _input.check_overwriting(out, (_TABLE,), inputs, (".png",))
     draws = importlib.util.find_spec("matplotlib") is not None
     with (
         tempfile.TemporaryDirectory() as folder,
@@ -144,7 +152,7 @@ def run(arguments):
             recording=recording, rows=rows, windows=windows, told=task.told
         )
         text = errors_text(found, arguments.window)
-        files = {"simulation.csv": errors_table(found).encode("utf-8")}
+        files = {_TABLE: errors_table(found).encode("utf-8")}
         left = ""
         if draws:
             drawn, left = pictures(found)
@@ -157,7 +165,8 @@ def run(arguments):
             print(text)
             raise
     print(text)
-    print(f"\nwritten: {', '.join(str(out / name) for name in files)}{left}")
+    names = ", ".join(str(out / name) for name in files)
+    print(f"\n{_input.wrapped(f'written: {names}{left}', sys.stdout)}")
     say_warnings(caught)
     if not draws:
         _say_no_pictures()
@@ -228,7 +237,7 @@ def _saved(arguments, source, folder):
     """Take a saved robot and the whole recording."""
     from sklearn_vbjfa import load_identified
 
-    robot = load_identified(arguments.model)
+    robot = load_identified(_input.path(arguments.model))
     names = robot.joint_names_
     joints = _input.joint_names(arguments.joints)
     if joints and set(joints) != set(names):
@@ -282,7 +291,7 @@ def _identified(arguments, source, folder):
         recording = load_demo_recording()
         urdf = recording.urdf
     else:
-        urdf, held = _input.robot(Path(arguments.urdf), joints, folder)
+        urdf, held = _input.robot(_input.path(arguments.urdf), joints, folder)
         recording = _input.read(arguments, urdf, joints, gains)
         urdf, held = _input.hold_others(urdf, recording, held, folder)
         _check_channels(recording, urdf, source)

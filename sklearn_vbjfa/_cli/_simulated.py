@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa._cli._input import no_formula
+
 # Most pictures, and most windows that failed and are named.
 _MOST_PICTURES, _MOST_NAMED = 12, 5
 _RESOLUTION = 120  # dots per inch
@@ -194,7 +196,7 @@ def errors_table(simulated):
                 row = [label, name, f"{begin:.6g}", f"{end:.6g}", joint, units[j]]
                 numbers = errors[k, j], speeds[k, j], stays[k, j], goes_on[k, j]
                 row += ["" if np.isnan(x) else f"{x:.6g}" for x in numbers]
-                table.writerow([*row, why.get(k, "")])
+                table.writerow(map(no_formula, [*row, why.get(k, "")]))
     return file.getvalue()
 
 

@@ -191,6 +191,13 @@ class Effect(TransformerMixin, BaseEstimator):
     curved : bool
         Whether the columns do so in another way than along a straight line, so that
         less lies between what is known and what is not.
+    seen_over : {"", "position", "speed", "acceleration", "load", "time", "signal"}
+        What a picture of it has on its horizontal axis: a signal of its joint, the
+        time, or the recorded signal that it uses (the first of `recorded`). Empty for
+        its own torque, where no single signal shows it.
+    with_motion : bool
+        Whether that picture counts torques in the direction of the motion, as of a
+        friction that has the same size both ways.
     memory : {"none", "past", "future"}
         What else than its own row a row of the columns depends on: nothing, rows
         before it (a hysteresis, a lag), or rows after it too (a derivative by central
@@ -242,6 +249,8 @@ class Effect(TransformerMixin, BaseEstimator):
     nonnegative = ()
     depends = ()
     curved = False
+    seen_over = ""
+    with_motion = False
     memory = "none"
     visible = "the joint moves"
     record = ""

@@ -49,6 +49,7 @@ class RotorInertia(JointEffect):
     coefficients = ("Ir",)
     nonnegative = ("Ir",)
     units = (INERTIA,)
+    seen_over = "acceleration"
     visible = "acceleration in poses with different link inertia"
     record = "fast acceleration in several poses"
 

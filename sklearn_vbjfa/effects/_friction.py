@@ -56,6 +56,7 @@ class Viscous(JointEffect):
     nonnegative = ("Fv",)
     units = (VISCOSITY,)
     depends = ("speed",)
+    seen_over = "speed"
     visible = "motion at several speeds"
     record = "motion at several speeds"
 
@@ -100,6 +101,7 @@ class Coulomb(_Smoothed, JointEffect):
     nonnegative = ("Fc",)
     units = (TORQUE,)
     depends = ("direction",)
+    seen_over = "speed"
     visible = "the joint reverses"
     record = "many reversals"
 
@@ -143,6 +145,7 @@ class AsymmetricFriction(Effect):
     units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
     depends = ("speed", "direction")
+    seen_over = "speed"
     visible = "both directions of motion, at several speeds"
     record = "both directions at several speeds"
 
@@ -193,6 +196,7 @@ class Stribeck(Effect):
     shape_units = (("vs", SPEED), ("k", ("", "")))
     positive = ("vs",)
     depends = ("direction",)
+    seen_over = "speed"
     visible = "slow motion without standing still, and fast motion"
     record = "slow and fast motion"
 
@@ -248,6 +252,7 @@ class ViscousQuadratic(Effect):
     contains = ("viscous", "coulomb")
     depends = ("speed",)
     curved = True
+    seen_over = "speed"
     visible = "slow and fast motion"
     record = "slow and fast motion"
 
@@ -292,6 +297,8 @@ class LoadFriction(_Smoothed):
     contains = ("coulomb", "viscous")
     needs = ("load",)
     depends = ("load", "direction")
+    seen_over = "load"
+    with_motion = True
     visible = "reversals under different loads"
     record = "reversals at two loads"
 

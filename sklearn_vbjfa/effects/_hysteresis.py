@@ -146,6 +146,7 @@ class Backlash(Effect):
     positive = ("width",)
     depends = ("position",)
     memory = "past"
+    seen_over = "position"
     visible = "many reversals, at several positions"
     record = "reversals at several positions"
 

@@ -317,6 +317,7 @@ class JointZero(ModelEffect):
     idle = (0.0,)
     whole_robot = True
     precedence = 1
+    seen_over = "position"
     visible = "weight or inertia moved on either side of the joint"
     record = "the joint at a mechanical reference, or moves of its neighbours"
 
@@ -469,6 +470,7 @@ class TorqueGain(ModelEffect):
     units = (_NONE,)
     tangent = ("gain",)
     idle = (1.0,)
+    seen_over = "load"
     visible = "torque of bodies that other joints move as well"
     record = "a known mass picked up, or moves of the joints before and behind"
 

@@ -40,6 +40,7 @@ class Offset(JointEffect):
     formula = r"c"
     coefficients = ("c",)
     units = (TORQUE,)
+    seen_over = "position"
     visible = "any motion, unless gravity is constant on the joint as well"
     record = "motion with and against gravity"
 
@@ -82,6 +83,7 @@ class Spring(Effect):
     named_units = (("k", STIFFNESS), ("q0", POSITION))
     contains = ("offset",)
     depends = ("position",)
+    seen_over = "position"
     visible = "a wide range of positions"
     record = "a wide range of positions"
 
@@ -154,6 +156,7 @@ class Counterbalance(Effect):
     cyclic = ("angle",)
     depends = ("position",)
     curved = True
+    seen_over = "position"
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
 
@@ -271,6 +274,7 @@ class Ripple(Effect):
     positive = ("period",)
     depends = ("position",)
     curved = True
+    seen_over = "position"
     visible = "motion across several periods, slow enough for the low-pass"
     record = "slow motion over the whole range"
 

@@ -64,6 +64,7 @@ class Signal(Effect):
     contains = ("offset", "coulomb", "viscous")
     needs = ("signals",)
     apart = ("signal", "of")
+    seen_over = "signal"
     visible = "the same motion at several values of the signal, which rises and falls"
     record = "the same motion at several values of the signal, in mixed order"
 
@@ -84,6 +85,11 @@ class Signal(Effect):
     def trend(self):
         """Whether the signal alone is a torque; see `Effect.trend`."""
         return self.of == "offset"
+
+    @property
+    def with_motion(self):
+        """Whether what varies is a friction; see `Effect.with_motion`."""
+        return self.of != "offset"
 
     @property
     def recorded(self):

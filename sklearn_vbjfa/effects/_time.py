@@ -63,6 +63,7 @@ class Drift(Effect):
     positive = ("time_constant",)
     slow = True
     afterwards = "fades on"
+    seen_over = "time"
     visible = "the same motion early and late"
     record = "the same motion cold and warm"
 
@@ -70,6 +71,11 @@ class Drift(Effect):
         super().__init__(joint)
         self.of = of
         self.time_constant = time_constant
+
+    @property
+    def with_motion(self):
+        """Whether what drifts is a friction; see `Effect.with_motion`."""
+        return self.of != "offset"
 
     @classmethod
     def describe(cls, shape, joint_label):
@@ -160,6 +166,7 @@ class Payload(Effect):
     tangent = ("centre",)
     slow = True
     afterwards = "stays"
+    seen_over = "time"
     visible = "motion against gravity before and after the change"
     record = "motion against gravity with and without payload"
     whole_robot = True

@@ -186,7 +186,9 @@ def test_effects_are_listed(capsys):
 def test_datasets_are_listed(capsys):
     assert main(["datasets"]) == 0
     captured = capsys.readouterr()
-    listed = {line.split()[0] for line in captured.out.splitlines()[2:]}
+    lines = captured.out.splitlines()
+    assert max(map(len, lines)) <= 80
+    listed = {line.split()[0] for line in lines[2:] if line[0] != " "}
     assert listed == set(protocols())
     assert captured.err == ""
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import EffectDiscovery, load_identified
-from sklearn_vbjfa._cli import _close_loop, _input, main
+from sklearn_vbjfa._cli import _close_loop, _input, _stopping, main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model._loading import load_model
 
@@ -125,7 +125,7 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     folder = tmp_path / "swing-report"
     assert sorted(path.name for path in folder.iterdir()) == FILES
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    assert report["schema_version"] == 5
+    assert report["schema_version"] == 6
     (effect,) = report["effects"]
     assert (effect["name"], effect["joint"]) == ("spring", 0)
     low, high = effect["intervals"]["k"]
@@ -133,6 +133,13 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert page.startswith("<!DOCTYPE html>")
     assert "shoulder" in page
+    links = set(re.findall(r'href="([^"]+)"', page))
+    assert links == {name for name in FILES if name != "report.html"}
+    # a spring is seen over the position, and each joint has its torque over time
+    assert page.count('<figure class="wide">') == 1 + 2
+    assert re.search(r'class="x-name">position of [^<]*shoulder[^<]* \[rad\]<', page)
+    assert report["provenance"]["file"] == str(source)
+    assert report["recorded"]["rate"] == pytest.approx(200.0)
     for matrix in identified(folder / "identified.urdf"):
         assert np.linalg.eigvalsh(matrix).min() > 0
     # The robot without its data, its spring included.
@@ -558,9 +565,9 @@ def test_a_run_that_is_killed_leaves_no_half_a_file(good, urdf):
 
 
 def test_signals_are_left_to_a_program_that_calls_main(capsys):
-    before = [signal.getsignal(number) for number in _input._STOPS]
+    before = [signal.getsignal(number) for number in _stopping._STOPS]
     assert main(["effects"]) == 0
-    assert [signal.getsignal(number) for number in _input._STOPS] == before
+    assert [signal.getsignal(number) for number in _stopping._STOPS] == before
     codes = []
     thread = threading.Thread(target=lambda: codes.append(main(["effects"])))
     thread.start()

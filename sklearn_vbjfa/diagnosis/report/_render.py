@@ -1,5 +1,6 @@
 """Sections of a report as text, as Markdown and as pages; nothing is computed here."""
 
+import importlib.resources
 import re
 import textwrap
 from functools import lru_cache
@@ -7,10 +8,18 @@ from itertools import zip_longest
 
 from tabulate import tabulate
 
+from sklearn_vbjfa.diagnosis.report import _charts
 from sklearn_vbjfa.diagnosis.report._pictures import HEIGHT, WIDTH
 
 # Characters of a terminal's line, and of the longest word that a table leaves whole.
 _TERMINAL, _LONG = 80, 20
+# Frames of the pictures.
+_SIZES = {
+    "width": WIDTH,
+    "height": HEIGHT,
+    "chart_width": _charts.WIDTH,
+    "chart_height": _charts.HEIGHT,
+}
 # How the entries of a list begin.
 _MARKS = ("- ", "? ")
 # Spaces at which no line is broken.
@@ -84,16 +93,35 @@ def markdown(sections):
 
 def page(sections):
     """Write the sections as a whole page."""
+    zooms = any(section.template == "figures" for section in sections)
     return _template("page.html.j2").render(
-        sections=sections, width=WIDTH, height=HEIGHT
+        sections=sections,
+        zooms=zooms,
+        library=_vendored() if zooms else {},
+        **_SIZES,
     )
 
 
 def fragment(sections):
     """Write the sections as what a page holds, with its style, for notebooks."""
     return _template("fragment.html.j2").render(
-        sections=sections, width=WIDTH, height=HEIGHT
+        sections=sections, zooms=False, **_SIZES
     )
+
+
+@lru_cache
+def _vendored():
+    """Return the library that zooms pictures: its script and style as they are.
+
+    Both are uPlot's (MIT licence, beside them), which a page holds as it is to work
+    without a network.
+    """
+    folder = importlib.resources.files("sklearn_vbjfa.diagnosis.report") / "vendor"
+    return {
+        "script": (folder / "uPlot.iife.min.js").read_text(encoding="utf-8"),
+        "style": (folder / "uPlot.min.css").read_text(encoding="utf-8"),
+        "licence": (folder / "LICENSE-uPlot").read_text(encoding="utf-8"),
+    }
 
 
 @lru_cache

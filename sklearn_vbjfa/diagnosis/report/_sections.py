@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import (
+    _evidence,
     _gains,
     _limits,
     _plain,
@@ -31,6 +32,8 @@ from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
 _SENTENCES = 6
 # Candidates of a step that are listed; to_dict() has all.
 _TRIED = 8
+# Bars end at this many times the error of the middle joint, or one would flatten all.
+_FAR = 8.0
 _COLOURS = {
     "complete": "good",
     "nothing": "good",
@@ -124,6 +127,7 @@ class Headline:
     text: str
     totals: tuple
     causes: str
+    files: tuple
 
 
 def _headline(outcome, verdict):
@@ -157,6 +161,7 @@ def _headline(outcome, verdict):
             text=verdict.headline,
             totals=tuple((words.percent(value), name) for value, name in totals),
             causes=causes,
+            files=outcome.provenance.files if outcome.provenance else (),
         ),
     )
 
@@ -166,14 +171,14 @@ def _headline(outcome, verdict):
 
 @dataclass(frozen=True, kw_only=True)
 class JointBars:
-    """A joint's errors as bars; places are per cent of the longest bar."""
+    """A joint's errors as bars; places are per cent of the scale."""
 
     label: str
     # The verdict on the joint, how to colour it, and what else is known.
     text: str
     colour: str
     note: str
-    # ("before" or "after", length or None, text beside the bar)
+    # ("before" or "after", length or None, text beside the bar, whether it is cut)
     bars: tuple
     # Where the interval of the error after begins and how long it is, or empty.
     reach: tuple
@@ -216,13 +221,14 @@ def _joints(outcome, verdict):
 
 
 def _bars(outcome, joints):
-    ends = np.ravel(outcome.intervals.get("after", []))
-    errors = np.r_[outcome.error_before, outcome.error_after, outcome.floor, ends]
-    longest = np.max(errors, where=np.isfinite(errors), initial=0.0) or 1.0
+    longest = _scale(outcome)
 
     def place(value):
         share = 100 * float(np.clip(value / longest, 0.0, 1.0))
         return share if np.isfinite(share) else None
+
+    def bar(kind, value, text):
+        return kind, place(value), text, bool(value > longest)
 
     found = []
     for v in joints:
@@ -245,14 +251,26 @@ def _bars(outcome, joints):
                 text=v.text,
                 note=note,
                 bars=(
-                    ("before", place(before), words.percent(before)),
-                    ("after", place(after), text),
+                    bar("before", before, words.percent(before)),
+                    bar("after", after, text),
                 ),
-                reach=(place(low), place(max(high - low, 0.0))) if known else (),
+                reach=(place(low), place(high) - place(low)) if known else (),
                 floor=place(outcome.floor[j]),
             )
         )
     return tuple(found)
+
+
+def _scale(outcome):
+    """Error at the end of the bars: a few joints far above the others are cut off."""
+    sizes = np.fmax.reduce([outcome.error_before, outcome.error_after, outcome.floor])
+    ends = np.ravel(outcome.intervals.get("after", []))
+    everything = np.r_[sizes, ends]
+    longest = np.max(everything, where=np.isfinite(everything), initial=0.0)
+    sizes = np.sort(sizes[np.isfinite(sizes) & (sizes > 0)])
+    if sizes.size:
+        longest = min(longest, _FAR * sizes[(sizes.size - 1) // 2])
+    return longest or 1.0
 
 
 def _reach_text(outcome, joint):
@@ -583,9 +601,53 @@ def _channels(outcome, verdict):
 # -- evidence ---------------------------------------------------------------------
 
 
+def _effect_pictures(outcome, verdict):
+    return Section(
+        heading="Effects in the torque",
+        note="What the rest of the completed model leaves of the torque, without and "
+        "with the effect, on all rows in which the joint moves; the parameters are "
+        "those of the files. The errors above are of the untouched part instead.",
+        template="figures",
+        drawn=_evidence.effect_figures(outcome),
+    )
+
+
+def _torques(outcome, verdict):
+    return Section(
+        heading="Measured and predicted torque",
+        note="Behind the low-pass of the fit. Both models were fitted to what is not "
+        "shaded.",
+        template="figures",
+        drawn=_evidence.torque_figures(outcome),
+    )
+
+
+def _parameters(outcome, verdict):
+    return Section(
+        heading="Identified parameters",
+        note="Of the model in the files, fitted to all data. Only with others: torques "
+        "depend on it, but not on it alone; the value agrees with them and with the "
+        "robot description, but is one of many, and no interval is its own.",
+        template="parameters",
+        drawn=_evidence.parameter_groups(outcome),
+    )
+
+
+def _provenance(outcome, verdict):
+    rows = _evidence.provenance_rows(outcome)
+    given = outcome.provenance
+    return Section(
+        heading="Provenance",
+        table=_table((), rows),
+        terminal=(),
+        template="provenance",
+        drawn=_evidence.Files(files=tuple(given.files)) if given else None,
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Residuals:
-    """Pictures of the residuals, (label, torque at the edge, Picture), and ticks."""
+    """Pictures of the residuals: label, torque at the edge, its unit, and Picture."""
 
     pictures: tuple
     axis: tuple
@@ -602,9 +664,7 @@ def _residuals(outcome, verdict):
         picture = residual_picture(curves, v.joint, floor[v.joint])
         if picture is not None:
             unit = outcome.torque_units[v.joint]
-            found.append(
-                (v.label, f"+-{words.number(picture.limit, 2)} {unit}", picture)
-            )
+            found.append((v.label, words.number(picture.limit, 2), unit, picture))
     axis = time_axis(curves)
     time = "Untouched part in the order of its samples"
     if axis:
@@ -805,6 +865,7 @@ SECTIONS = (
     _recordings,
     _projection,
     _effects,
+    _effect_pictures,
     _corrections,
     _outside,
     _unexplained,
@@ -813,7 +874,10 @@ SECTIONS = (
     _channel_gains,
     _masses,
     _channels,
+    _torques,
     _residuals,
+    _parameters,
     _steps,
     _settings,
+    _provenance,
 )

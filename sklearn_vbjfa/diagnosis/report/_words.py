@@ -219,6 +219,13 @@ def plural(count, noun):
     return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
+def without_markup(text):
+    """Return a sentence of a docstring without the marks of reStructuredText."""
+    text = re.sub(r":\w+:`([^`]*)`", r"\1", text)
+    text = re.sub(r" ?\[\d+\]_", "", text)
+    return re.sub(r"`+([^`]*)`+", r"\1", text)
+
+
 def capital(text):
     """Begin a sentence."""
     return text[0].upper() + text[1:]

@@ -8,10 +8,36 @@ from sklearn_vbjfa.diagnosis.search._band import Band
 from sklearn_vbjfa.diagnosis.search._contradictions import Contradictions
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
 from sklearn_vbjfa.diagnosis.search._evidence import Evidence
+from sklearn_vbjfa.diagnosis.search._identified import ParameterValue, RecordedMotion
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
 from sklearn_vbjfa.effects import EffectRange
 from sklearn_vbjfa.robot._corrections import Corrections
 from sklearn_vbjfa.robot._gains import ChannelGains
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """Where a report comes from, as the program that ran the search knows it.
+
+    Attributes
+    ----------
+    file : str
+        Recording.
+    description : str
+        File of the robot description.
+    held : tuple of str
+        Joints that were held at zero.
+    warnings : tuple of str
+        What the run warned of.
+    files : tuple of str
+        Files beside the page, which links to them.
+    """
+
+    file: str = ""
+    description: str = ""
+    held: tuple = ()
+    warnings: tuple = ()
+    files: tuple = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -320,7 +346,8 @@ class Outcome:
         Masses of the model that is handed over, and which of them are known.
     curves : dict
         Residuals and signals for pictures; "seconds" is the time in the untouched
-        part, its recordings joined [s]; "maps" has a `Map` of some joints.
+        part, its recordings joined [s]; "maps" has a `Map` of some joints, "effects"
+        an `EffectCurves` or None of each effect, "line" the `TimeLine`.
     outside : tuple of OutsideRange
         Where the untouched part leaves what the judged model was fitted on.
     gains : ChannelGains or None
@@ -329,6 +356,12 @@ class Outcome:
     corrections : Corrections
         What effects in the model that is handed over ask for: of the base, of encoders,
         of axes, of torque channels.
+    parameters : tuple of ParameterValue
+        Parameters of the model that is handed over.
+    recorded : RecordedMotion or None
+        What was recorded.
+    provenance : Provenance or None
+        File, joints held and warnings, as the program that ran the search knows them.
     """
 
     declared: dict
@@ -362,6 +395,9 @@ class Outcome:
     outside: tuple = ()
     gains: ChannelGains | None = None
     corrections: Corrections = field(default_factory=Corrections)
+    parameters: tuple[ParameterValue, ...] = ()
+    recorded: RecordedMotion | None = None
+    provenance: Provenance | None = None
 
 
 def named_beside(effect, chosen, names):

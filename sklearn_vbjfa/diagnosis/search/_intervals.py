@@ -121,6 +121,19 @@ class FinalFit:
         at = self.declared.theta_.size
         return np.split(theta[at:], np.cumsum(widths)[:-1]) if widths else []
 
+    def effect_torques(self):
+        """Torque that each effect adds, a list of ndarray (m, nv) [N m or N].
+
+        Of an effect in the robot model to first order, by its derivatives.
+        """
+        found = []
+        for effect, own, coef in zip(
+            self.effects, self._columns, self._split(self.identifier.theta_)
+        ):
+            idle = effect.idle if effect.in_model else 0.0
+            found.append(own @ (coef - np.asarray(idle)))
+        return found
+
     def residuals(self):
         """Residuals before and after, a pair of TorqueResiduals."""
         theta = linear_part(self.declared, self.declared.theta_)

@@ -35,6 +35,8 @@ class Judgement:
     ----------
     before, after : TorqueResiduals
         In the band of the fit.
+    searched : tuple of TorqueResiduals
+        The same on the search part, to which both models were fitted.
     wide : tuple of ndarray of shape (nv,) or None
         Root mean squares before and after in a wider band [N m or N].
     wide_cutoff : float
@@ -64,6 +66,7 @@ class Judgement:
 
     before: TorqueResiduals
     after: TorqueResiduals
+    searched: tuple
     wide: tuple | None
     wide_cutoff: float
     spread: np.ndarray
@@ -136,6 +139,7 @@ def judge(declared, completed, found, split, whole):
     return Judgement(
         before=before,
         after=after,
+        searched=searched,
         wide=wide,
         wide_cutoff=wide_cutoff,
         spread=spread,

@@ -11,6 +11,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._ceiling import ceilings
 from sklearn_vbjfa.diagnosis.search._contradictions import contradictions
+from sklearn_vbjfa.diagnosis.search._drawn import effect_curves, time_line
 from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis.search._findings import (
     Afterwards,
@@ -21,6 +22,10 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     named_beside,
 )
 from sklearn_vbjfa.diagnosis.search._gaps import hidden, too_short, unexplained
+from sklearn_vbjfa.diagnosis.search._identified import (
+    parameter_values,
+    recorded_motion,
+)
 from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, quantile
 from sklearn_vbjfa.diagnosis.search._motion import motion_limits
 from sklearn_vbjfa.diagnosis.search._search import STEP_UP
@@ -85,10 +90,12 @@ def make_outcome(search, models, judgement, channels, asked, recordings=()):
         recordings=recordings,
         motion_limits=motion_limits(models.final.view),
         contradictions=contradictions(models.final, spread, float(asked["alpha"])),
-        curves=_curves(models.judged, judgement.before, judgement.after, maps),
+        curves=_curves(models, judgement, maps),
         outside=judgement.outside,
         gains=models.final.identifier.gains_,
         corrections=corrections_of(models.final.identifier),
+        parameters=parameter_values(models.final.identifier),
+        recorded=recorded_motion(models.final.view.states.shape[0], robot.dt),
     )
 
 
@@ -304,8 +311,10 @@ def _ceiling(model, rest, names, asked):
     return ceilings(model, joints, names, asked["alpha"], asked["random_state"])
 
 
-def _curves(judged, before, after, maps):
+def _curves(models, judgement, maps):
     """Residuals of the untouched part with their signals, thinned for pictures."""
+    judged, before, after = models.judged, judgement.before, judgement.after
+    view = models.final.view
     m = before.torque.shape[0]
     rows = np.arange(0, m, max(1, m // _POINTS))
     # Without a sample period, rows need not be equidistant.
@@ -320,4 +329,6 @@ def _curves(judged, before, after, maps):
         "weight": before.weight[rows],
         "torque": before.torque[rows],
         "maps": maps,
+        "effects": effect_curves(models.final),
+        "line": time_line(judgement, view.clock, [p.start for p in view.parts]),
     }

@@ -332,7 +332,7 @@ def test_dict_round_trip(outcome):
     data = Report(outcome).to_dict()
     text = json.dumps(data, allow_nan=False)
     assert json.loads(text) == data
-    assert data["schema_version"] == 5
+    assert data["schema_version"] == 6
     assert "curves" not in data
     assert len(data["effects"]) == len(outcome.effects)
     assert len(data["error_before"]) == len(outcome.joint_names)
@@ -413,11 +413,11 @@ def test_residuals_have_a_time_axis(length, texts):
 
 def test_the_page_has_an_axis_where_time_is_known():
     outcome = make_outcome(nv=2)
-    assert 'class="axis"' not in Report(outcome).to_html()
+    assert 'class="axis' not in Report(outcome).to_html()
     seconds = 0.02 * outcome.curves["index"]
     curves = outcome.curves | {"seconds": seconds}
     html = Report(make_outcome(nv=2, curves=curves)).to_html()
-    assert html.count('class="axis"') == 2
+    assert html.count('class="axis below"') == 2
     assert ">30 s<" in html
     assert "time in seconds" in html
 

@@ -1,0 +1,205 @@
+"""Sections of a page that show what was measured: figures, parameters, provenance."""
+
+import importlib.metadata
+import inspect
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._charts import effect_figure, torque_figure
+from sklearn_vbjfa.diagnosis.search._findings import Provenance
+from sklearn_vbjfa.effects import available
+
+_KNOWN = {
+    "yes": "yes",
+    "in combination": "only with others",
+    "no": "no",
+}
+# Share of the largest value of a body that rounding leaves of a zero.
+_ROUNDING = 1e-9
+
+
+# -- figures ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figures:
+    """Figures of a section."""
+
+    figures: tuple
+
+
+def effect_figures(outcome):
+    """Draw each effect over its own signal; None where there is nothing to draw."""
+    found = []
+    for effect, curves in zip(outcome.effects, outcome.curves.get("effects", ())):
+        if curves is None:
+            continue
+        joint = words.joint_label(outcome.joint_names, curves.joint)
+        unit = outcome.torque_units[curves.joint]
+        kind = effect.effect
+        title = words.capital(
+            words.effect_at(outcome, effect.name, effect.joint, effect.parameters)
+        )
+        if curves.joint != effect.joint or (kind is not None and kind.whole_robot):
+            title += f", seen on {joint}"
+        found.append(
+            effect_figure(
+                curves,
+                title=title,
+                x_label=_signal_label(curves, joint),
+                y_label=f"residual [{unit}]",
+                about=() if kind is None else _about(type(kind)),
+                link=documentation_of(effect.name),
+            )
+        )
+    return Figures(figures=tuple(found)) if found else None
+
+
+def _signal_label(curves, joint):
+    """Name the horizontal axis of an effect, with its unit."""
+    if curves.kind == "signal":
+        return curves.signal
+    what = {"time": "time", "": f"torque of the effect on {joint}"}
+    what = what.get(curves.kind, f"{curves.kind} of {joint}")
+    return f"{what} [{curves.unit}]"
+
+
+def _about(kind):
+    """Return what a class says it is: its docstring up to the parameters."""
+    text = inspect.getdoc(kind) or ""
+    paragraphs = text.split("\n\nParameters\n")[0].split("\n\n")
+    plain = (" ".join(paragraph.split()) for paragraph in paragraphs)
+    return tuple(words.without_markup(paragraph) for paragraph in plain if paragraph)
+
+
+def documentation_of(name):
+    """Address of an effect's page; empty where the package names no documentation."""
+    if name not in available():
+        return ""
+    try:
+        given = importlib.metadata.metadata("sklearn-vbjfa").get_all("Project-URL", [])
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+    for entry in given:
+        label, _, address = entry.partition(",")
+        if label.strip().lower() == "documentation":
+            return f"{address.strip().rstrip('/')}/effects.html#{name}"
+    return ""
+
+
+def torque_figures(outcome):
+    """Draw the torques of each joint over time; None where they are not known."""
+    line = outcome.curves.get("line")
+    if line is None:
+        return None
+    found = []
+    for one in line.torques:
+        unit = outcome.torque_units[one.joint]
+        what = "torque" if unit == "N m" else "force"
+        joint = words.joint_label(outcome.joint_names, one.joint)
+        title, label = f"{words.capital(what)} of {joint}", f"{what} [{unit}]"
+        found.append(torque_figure(one, line, title=title, y_label=label))
+    return Figures(figures=tuple(found))
+
+
+# -- parameters -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterGroup:
+    """Parameters of a joint: its label, what is known of them, and rows of cells."""
+
+    label: str
+    summary: str
+    rows: tuple
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameters:
+    """Groups of parameters."""
+
+    groups: tuple
+
+
+def parameter_groups(outcome):
+    """Parameters of each joint beside the robot description; None without any."""
+    by_joint = {}
+    for one in outcome.parameters:
+        joint = _joint_of(one.name, outcome.joint_names)
+        by_joint.setdefault(joint, []).append(one)
+    groups = []
+    for joint, own in by_joint.items():
+        known = sum(one.known == "yes" for one in own)
+        label = (
+            "robot" if joint is None else words.joint_label(outcome.joint_names, joint)
+        )
+        groups.append(
+            ParameterGroup(
+                label=words.capital(label),
+                summary=f"{known} of {len(own)} determined by the recording",
+                rows=tuple(_cells(one, own, outcome, joint) for one in own),
+            )
+        )
+    return Parameters(groups=tuple(groups)) if groups else None
+
+
+def _joint_of(name, names):
+    """Joint that a parameter's name begins with, from zero; None for none."""
+    found = [j for j, joint in enumerate(names) if name.startswith(f"{joint}:")]
+    return max(found, key=lambda j: len(names[j]), default=None)
+
+
+def _cells(one, group, outcome, joint):
+    """Cells of a parameter: name, value, nominal value, unit, whether it is known."""
+    name = one.name
+    if joint is not None:
+        name = name.removeprefix(f"{outcome.joint_names[joint]}:")
+    largest = max((abs(p.value) for p in group if p.unit == one.unit), default=0.0)
+    value = 0.0 if abs(one.value) < _ROUNDING * largest else one.value
+    interval = one.interval if one.known == "yes" else None
+    nominal = words.number(one.nominal) if np.isfinite(one.nominal) else ""
+    return (
+        name,
+        words.with_error(value, interval),
+        nominal,
+        one.unit,
+        _KNOWN[one.known],
+    )
+
+
+# -- provenance -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Files:
+    """Names of files beside the page."""
+
+    files: tuple
+
+
+def provenance_rows(outcome):
+    """Cells that say where the report comes from, (what, which)."""
+    given = outcome.provenance or Provenance()
+    recorded = outcome.recorded
+    length = rate = ""
+    if recorded is not None:
+        length = words.plural(recorded.samples, "sample")
+        if np.isfinite(recorded.seconds):
+            length += f", {words.number(recorded.seconds, 4)} s"
+            rate = f"{words.number(recorded.rate, 4)} Hz"
+        count = len(outcome.recordings)
+        if count > 1:
+            length += f", {count} recordings ({words.join(outcome.recordings, 8)})"
+    version = outcome.settings.get("versions", {}).get("sklearn_vbjfa", "")
+    rows = (
+        ("Recording", given.file),
+        ("Length", length),
+        ("Sample rate", rate),
+        ("Robot description", given.description),
+        ("Joints held at zero", ", ".join(given.held)),
+        ("Package", f"sklearn_vbjfa {version}" if version else ""),
+        ("Warnings", tuple(given.warnings)),
+    )
+    return tuple(row for row in rows if row[1])

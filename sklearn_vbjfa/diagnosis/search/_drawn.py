@@ -1,0 +1,330 @@
+"""What pictures of a finished search need of the recording, thinned to what they show.
+
+Of each effect the torque that the rest of the model leaves to it, over the signal that
+its class names (`Effect.seen_over`); of each joint measured and predicted torques over
+time.
+"""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+# Most points of a cloud, and of a curve over time (lowest and highest of each
+# interval), and of all of them together, which have to fit into one page.
+_CLOUD, _CURVE, _TOGETHER = 1500, 2000, 20_000
+# Bins that may be needed to follow a law, the fewest first, and rows in one to count.
+_BINS, _FEWEST = (24, 48, 96, 192), 8
+# Share of the law's variance that may be lost between the bins.
+_LOST = 0.05
+# Quantiles at the ends of a signal: beyond them the bins would be empty.
+_ENDS = (0.001, 0.999)
+# Rows that are farther apart than this many usual steps have something between them.
+_GAP = 2.5
+# Kinds of a signal that the state of a joint has.
+_OF_STATE = {"position": "q", "speed": "v", "acceleration": "a", "load": "load"}
+_UNITS = {
+    "position": ("rad", "m"),
+    "speed": ("rad/s", "m/s"),
+    "acceleration": ("rad/s^2", "m/s^2"),
+    "load": ("N m", "N"),
+    "": ("N m", "N"),
+    "time": ("s", "s"),
+    "signal": ("", ""),
+}
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EffectCurves:
+    """Torques of a joint without and with an effect, over the effect's own signal.
+
+    The other parameters are those of the completed model.
+
+    Attributes
+    ----------
+    joint : int
+        Joint whose torque is shown, from zero.
+    kind : str
+        What is on the horizontal axis, as in `Effect.seen_over`.
+    signal : str
+        Name of the recorded signal; empty for others.
+    unit : str
+        Unit of the horizontal axis; empty where it is not known.
+    with_motion : bool
+        Whether torques count in the direction of the motion.
+    x, without, after : ndarray of shape (k,)
+        Points of the cloud, x rising: what the model leaves without and with the
+        effect [N m or N].
+    law : ndarray of shape (k,)
+        Torque of the effect there.
+    center : ndarray of shape (n_bins,)
+        Middle of the bins in which there is something.
+    mean, deviation : ndarray of shape (2, n_bins)
+        Weighted mean and standard deviation in them, without and with the effect.
+    law_mean : ndarray of shape (n_bins,)
+        Mean of the effect's torque.
+    """
+
+    joint: int
+    kind: str
+    signal: str
+    unit: str
+    with_motion: bool
+    x: np.ndarray
+    without: np.ndarray
+    after: np.ndarray
+    law: np.ndarray
+    center: np.ndarray
+    mean: np.ndarray
+    deviation: np.ndarray
+    law_mean: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TorqueCurves:
+    """Measured and predicted torque of a joint over the whole recording.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    seconds : ndarray of shape (k,)
+        Time [s], or the number of the row where it is not known.
+    measured, before, after : ndarray of shape (k,)
+        Behind the low-pass; predicted by the declared and by the completed model, both
+        fitted to the search part [N m or N]. They are nan where rows are missing.
+    """
+
+    joint: int
+    seconds: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimeLine:
+    """The recording from its beginning to its end.
+
+    Attributes
+    ----------
+    torques : tuple of TorqueCurves
+        Of each joint.
+    borders : tuple of float
+        Where recordings after the first begin [s].
+    untouched : tuple of (float, float)
+        Stretches that the search did not look at [s].
+    in_seconds : bool
+        Whether times are known; else they count rows.
+    """
+
+    torques: tuple
+    borders: tuple
+    untouched: tuple
+    in_seconds: bool
+
+
+def cloud_size(count):
+    """Most points of a cloud, of which there are `count`."""
+    return min(_CLOUD, _TOGETHER // max(count, 1))
+
+
+def curve_size(count):
+    """Most points of a curve over time, of which there are `count`."""
+    return min(_CURVE, _TOGETHER // max(count, 1))
+
+
+def effect_curves(final):
+    """Curves of each effect that a final fit has, a tuple of EffectCurves or None.
+
+    None where there are too few rows to draw.
+    """
+    torques = final.effect_torques()
+    if not torques:
+        return ()
+    after = final.residuals()[1]
+    return tuple(
+        _of_effect(final, effect, own, after, cloud_size(len(torques)))
+        for effect, own in zip(final.effects, torques)
+    )
+
+
+def _of_effect(final, effect, own, after, most):
+    """Curves of one effect with its torque (m, nv); a cloud of at most `most`."""
+    view, motion = final.view, final.motion
+    residual, weight = after.residual, after.weight
+    joint = effect.joint
+    if effect.scope == "robot":
+        joint = _most_of(own, residual, weight)
+    kind = effect.seen_over
+    if kind in _OF_STATE:
+        x = view.filtered(getattr(motion, _OF_STATE[kind])[:, [joint]])[:, 0]
+    elif kind == "time":
+        x = view.clock[view.index]
+    elif kind == "signal":
+        x = view.filtered(motion.signals[effect.recorded[0]][:, None])[:, 0]
+    else:
+        x = own[:, joint]
+    used = (weight[:, joint] > 0) & np.isfinite(x)
+    way = np.ones(x.size)
+    if effect.with_motion:
+        way = np.sign(view.filtered(motion.v[:, [joint]])[:, 0])
+    law, with_it = (way * values[:, joint] for values in (own, residual))
+    return curves_over(
+        x[used],
+        with_it[used],
+        law[used],
+        weight[used, joint],
+        joint=joint,
+        kind=kind,
+        signal=effect.recorded[0] if kind == "signal" else "",
+        unit=_UNITS[kind][int(motion.prismatic[joint])],
+        with_motion=bool(effect.with_motion),
+        most=most,
+    )
+
+
+def _most_of(own, residual, weight):
+    """Joint to which a torque (m, nv) means most beside what remains."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = (weight * own**2).sum(axis=0) / (weight * residual**2).sum(axis=0)
+    return int(np.argmax(np.where(np.isfinite(share), share, 0.0)))
+
+
+def curves_over(x, after, law, weight, *, most=_CLOUD, **named):
+    """Curves of an effect from rows (m,); None of too few.
+
+    x : signal. after, law : what the model leaves with the effect, and its torque.
+    most : points of the cloud. named : the other attributes of `EffectCurves`.
+    """
+    if x.size < _BINS[0] or not np.ptp(x) > 0:
+        return None
+    low, high = np.quantile(x, _ENDS)
+    if not high > low:
+        low, high = x.min(), x.max()
+    label, n = _bins(x, law, weight, low, high)
+    count = np.bincount(label, minlength=n)
+    kept = count >= _FEWEST
+    edges = np.linspace(low, high, n + 1)
+
+    def mean(values):
+        total = np.bincount(label, weight, n)
+        sums = np.bincount(label, weight * values, n)
+        return (sums / np.where(total > 0, total, 1.0))[kept]
+
+    pair = after + law, after
+    means = np.array([mean(values) for values in pair])
+    squares = np.array([mean(values**2) for values in pair])
+    rows = np.argsort(x, kind="stable")
+    rows = rows[np.linspace(0, x.size - 1, min(x.size, most)).astype(int)]
+    return EffectCurves(
+        x=x[rows],
+        without=pair[0][rows],
+        after=after[rows],
+        law=law[rows],
+        center=(0.5 * (edges[1:] + edges[:-1]))[kept],
+        mean=means,
+        deviation=np.sqrt(np.maximum(squares - means**2, 0.0)),
+        law_mean=mean(law),
+        **named,
+    )
+
+
+def _bins(x, law, weight, low, high):
+    """Bin of each row, and how many there are: no more than the law needs."""
+    lost = []
+    for n in _BINS:
+        label = np.clip((n * (x - low) / (high - low)).astype(int), 0, n - 1)
+        total = np.bincount(label, weight, n)
+        sums = np.bincount(label, weight * law, n)
+        inside = law - (sums / np.where(total > 0, total, 1.0))[label]
+        lost.append((weight * inside**2).sum())
+    # What even the finest bins lose is no function of the signal.
+    spare = _LOST * (weight * (law - np.average(law, weights=weight)) ** 2).sum()
+    n = next(k for k, left in zip(_BINS, lost) if left <= lost[-1] + spare)
+    return np.clip((n * (x - low) / (high - low)).astype(int), 0, n - 1), n
+
+
+def time_line(judgement, clock, begins):
+    """Torques over time of the models that were judged.
+
+    Parameters
+    ----------
+    judgement : Judgement
+        With what both models predict of both parts.
+    clock : ndarray of shape (n,) or None
+        Time of each row of the recording [s].
+    begins : sequence of int
+        First rows of the recordings.
+    """
+    parts = (judgement.searched, (judgement.before, judgement.after))
+    index = np.concatenate([pair[0].index for pair in parts])
+    order = np.argsort(index, kind="stable")
+    index = index[order]
+    fresh = np.concatenate([np.full(p[0].index.size, k) for k, p in enumerate(parts)])
+    fresh = fresh[order].astype(bool)
+    seconds = (np.arange(index[-1] + 1) if clock is None else clock)[index].astype(
+        float
+    )
+
+    def series(which, name):
+        values = [getattr(pair[which], name) for pair in parts]
+        return np.concatenate(values)[order]
+
+    measured = series(0, "torque")
+    before, after = series(0, "predicted"), series(1, "predicted")
+    step = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
+    starts = np.searchsorted(index, np.asarray(begins)[1:])
+    starts = starts[starts < index.size]
+    line = {
+        "borders": tuple(seconds[starts].tolist()),
+        "untouched": _stretches(seconds, fresh, step),
+        "in_seconds": clock is not None,
+    }
+    # Nothing is known between recordings, and between search and untouched part.
+    gaps = np.union1d(np.flatnonzero(np.diff(seconds) > _GAP * step) + 1, starts)
+    measured, before, after = (
+        np.insert(values, gaps, np.nan, axis=0) for values in (measured, before, after)
+    )
+    seconds = np.insert(seconds, gaps, seconds[gaps] - 0.5 * step)
+    torques = []
+    for j in range(measured.shape[1]):
+        rows = extremes(measured[:, j], curve_size(measured.shape[1]))
+        torques.append(
+            TorqueCurves(
+                joint=j,
+                seconds=seconds[rows],
+                measured=measured[rows, j],
+                before=before[rows, j],
+                after=after[rows, j],
+            )
+        )
+    return TimeLine(torques=tuple(torques), **line)
+
+
+def extremes(values, most):
+    """Rows of the lowest and highest value of each interval of a curve (n,).
+
+    Rows that are nan, which interrupt it, are among them; `most` are there otherwise.
+    """
+    n = values.size
+    if n <= most:
+        return np.arange(n)
+    known = np.isfinite(values)
+    low, high = np.where(known, values, np.inf), np.where(known, values, -np.inf)
+    edges = np.linspace(0, n, most // 2 + 1).astype(int)
+    rows = [
+        at
+        for a, b in itertools.pairwise(edges)
+        for at in (a + np.argmin(low[a:b]), a + np.argmax(high[a:b]))
+    ]
+    return np.union1d(rows, np.flatnonzero(~known))
+
+
+def _stretches(seconds, chosen, step):
+    """Intervals of time in which rows are chosen, a tuple of (begin, end)."""
+    change = np.diff(np.r_[False, chosen, False].astype(int))
+    return tuple(
+        (float(seconds[a]), float(seconds[b - 1] + step))
+        for a, b in zip(np.flatnonzero(change > 0), np.flatnonzero(change < 0))
+    )

@@ -1,0 +1,100 @@
+"""The identified parameters beside those of the robot description."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.model._loading import nominal_parameters
+from sklearn_vbjfa.robot._known import known_parameters
+
+# Inertial parameters of a body, Pinocchio's.
+_INERTIAL = 10
+# Half width of a 90 % interval in standard deviations.
+_HALF_WIDTH = 1.645
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterValue:
+    """A parameter of the model that is handed over.
+
+    Attributes
+    ----------
+    name : str
+        As in `RobotIdentifier.parameter_names_`.
+    value : float
+        Identified value.
+    interval : tuple of (float, float)
+        90 % interval; (nan, nan) where the recording says nothing.
+    unit : str
+        Unit.
+    nominal : float
+        Value of the robot description; nan for what it does not have, and where the
+        gain of the torque channels is unknown, which is in every value.
+    known : {"yes", "no", "in combination"}
+        Whether the recording determines it, see `known_parameters`.
+    """
+
+    name: str
+    value: float
+    interval: tuple
+    unit: str
+    nominal: float
+    known: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedMotion:
+    """What was recorded.
+
+    Attributes
+    ----------
+    samples : int
+        Number of rows.
+    seconds : float
+        Their time [s]; nan if the sample period is not known.
+    rate : float
+        Samples per second [Hz]; nan if it is not known.
+    """
+
+    samples: int
+    seconds: float
+    rate: float
+
+
+def parameter_values(robot):
+    """Return the parameters of a fitted identifier, a tuple of ParameterValue."""
+    nv, count = robot.features_.n_joints_, robot.features_.n_parameters_
+    nominal = np.full(robot.theta_.size, np.nan)
+    if robot.gains_ is None or robot.gains_.absolute:
+        at = np.arange(nv)[:, None] * (count // nv) + np.arange(_INERTIAL)
+        nominal[at] = nominal_parameters(robot.features_.nominal_)
+    found = []
+    for name, value, std, unit, description, known in zip(
+        robot.parameter_names_,
+        robot.theta_,
+        robot.theta_std_,
+        robot.parameter_units_,
+        nominal,
+        known_parameters(robot),
+    ):
+        half = _HALF_WIDTH * std if np.isfinite(std) else np.nan
+        found.append(
+            ParameterValue(
+                name=name,
+                value=float(value),
+                interval=(float(value - half), float(value + half)),
+                unit=unit,
+                nominal=float(description),
+                known=known,
+            )
+        )
+    return tuple(found)
+
+
+def recorded_motion(n_samples, dt):
+    """Return what was recorded; `dt` is the sample period [s] or None."""
+    return RecordedMotion(
+        samples=int(n_samples),
+        seconds=float("nan") if dt is None else float(n_samples * dt),
+        rate=float("nan") if dt is None else float(1.0 / dt),
+    )

@@ -1,0 +1,312 @@
+"""Command line: files of others stay, runs that are stopped end in one line."""
+
+import csv
+import io
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+import sklearn_vbjfa
+from sklearn_vbjfa import _cli
+from sklearn_vbjfa._cli import _input, main, one_line
+
+pytest.importorskip("pinocchio")
+
+OURS = ("report.html", "parameters.csv")
+
+
+@pytest.fixture
+def out(tmp_path):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    return folder
+
+
+# -- what is overwritten ---------------------------------------------------------------
+
+
+def test_a_folder_of_ones_own_is_written_to_again(out):
+    for name in (*OURS, ".DS_Store"):
+        (out / name).write_text("")
+    _input.check_overwriting(out, OURS, [])
+    _input.check_overwriting(out / "new", OURS, [])
+
+
+@pytest.mark.parametrize("names", [["notes.txt"], [*OURS, "notes.txt"]])
+def test_files_of_others_are_refused_by_name(out, names):
+    for name in names:
+        (out / name).write_text("")
+    with pytest.raises(ValueError, match=r"out holds notes\.txt, which no run") as told:
+        _input.check_overwriting(out, OURS, [])
+    assert "--force" in str(told.value)
+    assert f"--out {out / 'report'}," in str(told.value)
+
+
+def test_many_files_of_others_are_counted(out):
+    for k in range(9):
+        (out / f"{k}.txt").write_text("")
+    with pytest.raises(ValueError, match=r"holds 0\.txt, 1\.txt, 2\.txt and 6 more,"):
+        _input.check_overwriting(out, OURS, [])
+
+
+def test_pictures_are_ours_where_our_table_is(out):
+    (out / "motion.png").write_text("")
+    with pytest.raises(ValueError, match=r"motion\.png"):
+        _input.check_overwriting(out, ("simulation.csv",), [], (".png",))
+    (out / "simulation.csv").write_text("")
+    _input.check_overwriting(out, ("simulation.csv",), [], (".png",))
+
+
+@pytest.mark.parametrize("command", ["close-loop", "simulate"])
+def test_an_input_is_not_written_over(command, out, tmp_path, capsys):
+    table = out / {"close-loop": "parameters.csv"}.get(command, "simulation.csv")
+    table.write_text("t,q1,tau1\n")
+    # the same file by another path
+    other = tmp_path / "log.csv"
+    other.symlink_to(table)
+    robot = tmp_path / "arm.urdf"
+    robot.write_text("<robot/>")
+    argv = [command, str(other), "--urdf", str(robot), "--out", str(out)]
+    assert main(argv) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "log.csv is read by this run, which would write over it" in line
+    assert "--force" in line
+    assert main([*argv, "--force"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "write over" not in line
+    assert table.read_text() == "t,q1,tau1\n"
+
+
+def test_an_output_folder_that_is_a_file_names_one_that_works(tmp_path):
+    (tmp_path / "log.csv").write_text("")
+    message = r"log\.csv is a file; --out must name a folder, such as .*log-report\."
+    with pytest.raises(ValueError, match=message):
+        _input.check_folder(tmp_path / "log.csv")
+
+
+def test_the_home_folder_is_known(monkeypatch, tmp_path):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    assert _input.path("~/log.csv") == tmp_path / "log.csv"
+    assert _input.path("a~b") == Path("a~b")
+    assert _input.path("~no_such_user_here/x") == Path("~no_such_user_here/x")
+
+
+# -- tables ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("cell", "expected"),
+    [
+        ("=cmd|' /C calc'!A0:m", "'=cmd|' /C calc'!A0:m"),
+        ("@sum:m", "'@sum:m"),
+        ("+joint:m", "'+joint:m"),
+        ("-joint:m", "'-joint:m"),
+        ("\tjoint", "'\tjoint"),
+        ("joint_1:m", "joint_1:m"),
+        ("-1.5e-3", "-1.5e-3"),
+        (-2.0, "-2.0"),
+        ("", ""),
+    ],
+)
+def test_no_cell_is_a_formula(cell, expected):
+    assert _input.no_formula(cell) == expected
+
+
+def test_a_joint_that_is_called_like_a_formula_is_none_in_the_table(tmp_path):
+    from types import SimpleNamespace
+
+    import numpy as np
+
+    from sklearn_vbjfa._cli import _close_loop
+
+    robot = SimpleNamespace(
+        parameter_names_=("=cmd:m", "=cmd:viscous"),
+        theta_=np.array([-1.0, 2.0]),
+        parameter_units_=("kg", "N m s/rad"),
+        theta_std_=np.array([0.1, np.nan]),
+        identifiable_=np.array([True, False]),
+        gains_=None,
+    )
+    path = tmp_path / "parameters.csv"
+    _close_loop._write_parameters(robot, ("yes", "no"), path)
+    rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
+    assert [row[0] for row in rows[1:]] == ["'=cmd:m", "'=cmd:viscous"]
+    assert [float(row[1]) for row in rows[1:]] == [-1.0, 2.0]
+    assert not any(cell.startswith("=") for row in rows for cell in row)
+
+
+# -- texts -----------------------------------------------------------------------------
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_a_refusal_is_wrapped_on_a_terminal_and_one_line_elsewhere(monkeypatch):
+    message = "a word and " * 40
+    monkeypatch.setenv("COLUMNS", "70")
+    for stream, several in ((Terminal(), True), (io.StringIO(), False)):
+        monkeypatch.setattr(sys, "stderr", stream)
+        _cli._say(message.strip())
+        lines = stream.getvalue().splitlines()
+        assert (len(lines) > 1) == several
+        assert all(len(line) <= 70 for line in lines) == several
+        assert " ".join(lines) == f"sklearn-vbjfa: {message.strip()}"
+
+
+def test_what_is_left_out_of_a_huge_message_is_counted():
+    text = one_line("x" * 5000 + " end")
+    assert "..." not in text
+    assert "(4104 characters)" in text
+    assert text.endswith(" end")
+    assert len(text) < 1000
+
+
+# -- being stopped ---------------------------------------------------------------------
+
+# Sends an interrupt to itself while a module is imported for the first time.
+INTERRUPTED = """
+import builtins, os, signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+module, number = sys.argv.pop(1), int(sys.argv.pop(1))
+original = builtins.__import__
+def importing(name, *arguments, **given):
+    if name == module:
+        builtins.__import__ = original
+        os.kill(os.getpid(), number)
+    return original(name, *arguments, **given)
+from sklearn_vbjfa._cli import program
+builtins.__import__ = importing
+sys.exit(program())
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize(
+    "module", ["numpy", "tempfile", "sklearn_vbjfa.physical._threads"]
+)
+def test_imports_can_be_interrupted(module, name):
+    number = getattr(signal, name)
+    done = subprocess.run(
+        [sys.executable, "-c", INTERRUPTED, module, str(int(number))],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    how = "interrupted" if name == "SIGINT" else "stopped (SIGTERM)"
+    assert done.stderr == f"sklearn-vbjfa: {how}, nothing was written\n"
+    assert done.returncode == 128 + number
+
+
+def test_the_package_is_there_before_its_libraries():
+    """Whoever stops a program early meets the command line, not an import."""
+    code = "import sys, sklearn_vbjfa._cli; print(*sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    loaded = {name.split(".")[0] for name in done.stdout.split()}
+    assert not loaded & {"numpy", "scipy", "sklearn", "pinocchio"}
+
+
+def test_every_name_of_the_package_is_found_where_it_is_said_to_be():
+    assert sorted(sklearn_vbjfa._MODULES) == sorted(sklearn_vbjfa.__all__)
+    for name in sklearn_vbjfa.__all__:
+        assert getattr(sklearn_vbjfa, name).__name__ == name
+        assert name in dir(sklearn_vbjfa)
+    for room in sklearn_vbjfa._ROOMS:
+        assert getattr(sklearn_vbjfa, room).__name__ == f"sklearn_vbjfa.{room}"
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        sklearn_vbjfa.nothing  # noqa: B018
+
+
+@pytest.mark.skipif(os.name == "nt", reason="descriptors of POSIX")
+@pytest.mark.parametrize("argv", [["--help"], ["effects"], ["--version"]])
+@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+def test_streams_that_are_closed_are_no_error(argv, closed):
+    read, write = os.pipe()
+    command = [sys.executable, "-m", "sklearn_vbjfa", *argv]
+
+    def close():
+        for number in closed:
+            os.close(number)
+
+    done = subprocess.run(
+        command,
+        stdin=subprocess.DEVNULL,
+        stdout=write if 1 not in closed else subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        preexec_fn=close,
+        check=False,
+        timeout=60,
+    )
+    os.close(write)
+    os.close(read)
+    assert done.returncode == 0
+    assert done.stderr == b""
+
+
+def test_a_reader_that_leaves_before_the_help_is_no_error():
+    read, write = os.pipe()
+    os.close(read)
+    with os.fdopen(write, "w") as gone:
+        done = subprocess.run(
+            [sys.executable, "-m", "sklearn_vbjfa", "close-loop", "--help"],
+            stdout=gone,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 0
+    assert done.stderr == ""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_a_library_that_turns_a_stop_into_an_error_of_its_own(monkeypatch, capsys):
+    def run(arguments):
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except BaseException:
+            # As compiled modules do while they are imported.
+            raise ImportError("a library is missing") from None
+
+    monkeypatch.setattr(_cli, "_effects", run)
+    assert main(["effects"]) == 128 + signal.SIGTERM
+    told = "sklearn-vbjfa: stopped (SIGTERM), nothing was written\n"
+    assert capsys.readouterr().err == told
+    # the next run has not been stopped
+    monkeypatch.undo()
+    assert main(["effects"]) == 0
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.parametrize("seconds", [0.15, 0.4])
+def test_an_interrupt_soon_after_the_start_is_one_line(seconds):
+    process = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import signal, sys\n"
+            "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+            "print('now', flush=True)\n"
+            "from sklearn_vbjfa._cli import program\n"
+            "sys.exit(program())",
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout.readline() == "now\n"
+    time.sleep(seconds)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert err == "sklearn-vbjfa: interrupted, nothing was written\n"
+    assert process.returncode == 130

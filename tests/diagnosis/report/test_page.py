@@ -1,0 +1,351 @@
+"""The page: pictures of effects, units, provenance, links; all escaped, and small."""
+
+import base64
+import importlib.metadata
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.diagnosis.report import _charts, _evidence, _render
+from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._sections import _scale
+from sklearn_vbjfa.diagnosis.search import _drawn
+from sklearn_vbjfa.diagnosis.search._drawn import (
+    TimeLine,
+    TorqueCurves,
+    curves_over,
+)
+from sklearn_vbjfa.diagnosis.search._findings import Provenance
+from sklearn_vbjfa.diagnosis.search._identified import ParameterValue, RecordedMotion
+from sklearn_vbjfa.effects import Ripple
+from tests.diagnosis.report._outcomes import make_outcome
+from tests.diagnosis.report.test_report import parsed
+
+HOSTILE = '</script><script>alert("x")</script>'
+FILES = ("report.json", "parameters.csv", "identified.urdf")
+
+
+def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
+    """Make an outcome with all that a page draws."""
+    outcome = make_outcome(nv=nv, names=names, n_effects=n_effects)
+    names = outcome.joint_names
+    rng = np.random.default_rng(0)
+    curves = []
+    for effect in outcome.effects:
+        x, noise = rng.standard_normal((2, rows))
+        curves.append(
+            curves_over(
+                x,
+                0.1 * noise,
+                2.0 * x,
+                np.ones(rows),
+                joint=effect.joint,
+                kind="load",
+                signal="",
+                unit="N m",
+                with_motion=True,
+                most=_drawn.cloud_size(n_effects),
+            )
+        )
+    seconds = np.linspace(0.0, 20.0, _drawn.curve_size(nv))
+    torques = tuple(
+        TorqueCurves(
+            joint=j,
+            seconds=seconds,
+            measured=np.sin(seconds),
+            before=0.9 * np.sin(seconds),
+            after=np.where(seconds < 10, np.sin(seconds), np.nan),
+        )
+        for j in range(nv)
+    )
+    line = TimeLine(
+        torques=torques, borders=(12.0,), untouched=((3.0, 5.0),), in_seconds=True
+    )
+    drawn = {"effects": tuple(curves), "line": line}
+    values = {
+        "effects": tuple(
+            replace(e, effect=Ripple(joint=e.joint)) for e in outcome.effects
+        ),
+        "curves": outcome.curves | drawn,
+        "parameters": tuple(
+            ParameterValue(
+                name=f"{name}:{symbol}",
+                value=1.5,
+                interval=(1.25, 1.75),
+                unit="kg",
+                nominal=nominal,
+                known=known,
+            )
+            for name in names
+            for symbol, nominal, known in (
+                ("m", 1.25, "yes"),
+                ("viscous", np.nan, "in combination"),
+            )
+        ),
+        "recorded": RecordedMotion(samples=4000, seconds=20.0, rate=200.0),
+        "recordings": ("slow", "fast"),
+        "provenance": Provenance(
+            file="logs/arm.csv",
+            description="arm.urdf",
+            held=("finger_left",),
+            warnings=("Torque of joint 1 is coarse.", "Another warning."),
+            files=FILES,
+        ),
+    }
+    return replace(outcome, **(values | changes))
+
+
+def figures(html):
+    return re.findall(r'<figure class="wide">.*?</figure>', html, re.DOTALL)
+
+
+def numbers(figure):
+    text = re.search(r'class="numbers">(.*?)</script>', figure, re.DOTALL)[1]
+    return json.loads(text)
+
+
+def test_every_effect_and_every_torque_has_its_picture():
+    outcome = made(nv=3, n_effects=3)
+    shown = figures(Report(outcome).to_html())
+    assert len(shown) == 3 + 3
+    for effect, figure in zip(outcome.effects, shown):
+        called = words.effect_at(outcome, effect.name, effect.joint, effect.parameters)
+        assert words.capital(called) in figure
+        assert figure.count("<svg") == 2
+        for kind in ("cloud", "spread", "mean-before", "mean-after", "law"):
+            assert f'<path class="{kind}" d="M' in figure
+        assert "without the effect" in figure
+        assert "What it is" in figure
+    for figure in shown[3:]:
+        for kind in ("measured", "line-before", "line-after", "untouched", "border"):
+            assert f'<path class="{kind}" d="M' in figure
+
+
+def test_axes_have_names_units_and_numbers():
+    outcome = made()
+    for figure in figures(Report(outcome).to_html()):
+        for chart in figure.split('<div class="chart"')[1:]:
+            for name in ("y-name", "x-name"):
+                label = re.search(rf'class="{name}">(?:<span>)?([^<]+)<', chart)[1]
+                assert re.search(r"\[(N m|N|s|rad|rad/s)\]$", label.strip()), label
+            for name in ("y-axis", "x-axis"):
+                axis = re.search(rf'class="{name}">(.*?)</div>', chart, re.DOTALL)[1]
+                ticks = re.findall(r">([^<>]+)</span>", axis)
+                assert 2 <= len(ticks) <= 7
+                assert np.all(np.diff([float(x) for x in ticks]) > 0)
+
+
+def test_the_numbers_of_a_picture_are_those_that_were_drawn():
+    outcome = made(nv=1, n_effects=1)
+    effect, torque = map(numbers, figures(Report(outcome).to_html()))
+    curves = outcome.curves["effects"][0]
+    x = np.frombuffer(base64.b64decode(effect["x"]), "<f4")
+    np.testing.assert_allclose(x, curves.x, rtol=1e-6)
+    told = dict(zip((s["kind"] for s in effect["series"]), effect["series"]))
+    assert set(told) == {
+        "cloud before",
+        "cloud after",
+        "mean-before",
+        "mean-after",
+        "law",
+    }
+    for kind, values in (
+        ("cloud before", curves.without),
+        ("cloud after", curves.after),
+    ):
+        found = np.frombuffer(base64.b64decode(told[kind]["y"]), "<i2")
+        size = np.abs(values).max()
+        np.testing.assert_allclose(
+            found * told[kind]["scale"], values, atol=2e-5 * size
+        )
+    assert torque["borders"] == [12.0]
+    assert torque["spans"] == [[3.0, 5.0]]
+    after = next(s for s in torque["series"] if s["kind"] == "line-after")
+    whole = np.frombuffer(base64.b64decode(after["y"]), "<i2")
+    np.testing.assert_array_equal(
+        whole == -32768, np.isnan(outcome.curves["line"].torques[0].after)
+    )
+
+
+@pytest.mark.parametrize("values", [[0.0, 0.0], [np.nan], [], [1e-30, -1e-30], [1e30]])
+def test_numbers_of_any_size_are_packed(values):
+    packed = _charts.packed(values)
+    found = np.frombuffer(base64.b64decode(packed["y"]), "<i2").astype(float)
+    found[found == -32768] = np.nan
+    np.testing.assert_allclose(found * packed["scale"], values, rtol=1e-4)
+
+
+@pytest.mark.parametrize("low", [-7.3, 0.0, 1e-6, 3e5, -1e-9])
+@pytest.mark.parametrize("length", [1e-8, 0.37, 9.0, 1e6])
+def test_ticks_are_round_and_inside(low, length):
+    values = np.array([value for value, _ in _charts.ticks(low, low + length)])
+    assert 1 <= values.size <= 6
+    slack = 1e-6 * length
+    assert low - slack <= values[0]
+    assert values[-1] <= low + length + slack
+
+
+def test_the_page_says_where_it_comes_from():
+    html = Report(made()).to_html()
+    text = html[html.index("<h2>Provenance</h2>") :]
+    for said in (
+        "logs/arm.csv",
+        "4000 samples, 20 s, 2 recordings (slow and fast)",
+        "200 Hz",
+        "arm.urdf",
+        "finger_left",
+        "Torque of joint 1 is coarse.",
+        "Another warning.",
+    ):
+        assert said in text
+    for name in FILES:
+        assert html.count(f'<a href="{name}">{name}</a>') == 2
+
+
+def test_provenance_is_in_the_dict_and_not_on_the_terminal():
+    report = Report(made())
+    data = json.loads(json.dumps(report.to_dict(), allow_nan=False))
+    assert data["provenance"]["file"] == "logs/arm.csv"
+    assert data["recorded"] == {"samples": 4000, "seconds": 20.0, "rate": 200.0}
+    assert data["parameters"][0]["name"] == "joint1:m"
+    assert data["parameters"][1]["nominal"] is None
+    bare = made(provenance=None, parameters=(), recorded=None)
+    assert str(report) == str(Report(bare))
+
+
+def test_parameters_stand_beside_those_of_the_description():
+    html = Report(made(nv=1)).to_html()
+    text = html[html.index("<h2>Identified parameters</h2>") :]
+    rows = re.findall(r"<tr>(<td>.*?)</tr>", text)
+    cells = [re.findall("<td>(.*?)</td>", row) for row in rows][:2]
+    assert cells[0] == ["m", "1.5 ± 0.2", "1.25", "kg", "yes"]
+    # one of many values has no interval of its own
+    assert cells[1] == ["viscous", "1.5", "", "kg", "only with others"]
+    assert "1 of 2 determined by the recording" in text
+
+
+def test_a_parameter_belongs_to_the_joint_of_the_longest_name():
+    assert _evidence._joint_of("a:b:m", ("a", "a:b")) == 1
+    assert _evidence._joint_of("a:m", ("a", "a:b")) == 0
+    assert _evidence._joint_of("base_tilt:roll", ("a", "b")) is None
+
+
+@pytest.mark.parametrize("report", ["to_html", "_repr_html_"])
+def test_whatever_a_name_is_it_is_text(report):
+    names = (HOSTILE, "'\"><img src=x onerror=alert(1)>")
+    outcome = made(
+        nv=2,
+        names=names,
+        provenance=Provenance(
+            file=HOSTILE,
+            description=HOSTILE,
+            held=(HOSTILE,),
+            warnings=(HOSTILE,),
+            files=('x" onclick="alert(1).csv', "javascript:alert(1)"),
+        ),
+        recordings=(HOSTILE, HOSTILE),
+    )
+    html = getattr(Report(outcome), report)()
+    assert "<script>alert" not in html
+    assert "<img" not in html
+    page = parsed(html)
+    assert page.open == []
+    names = {name for name, _ in page.attributes}
+    assert not {"onclick", "onerror", "src"} & names
+    links = [value for name, value in page.attributes if name == "href"]
+    assert not any(link.startswith("javascript:") for link in links)
+
+
+def test_the_page_works_without_a_network():
+    html = Report(made()).to_html()
+    page = parsed(html)
+    assert page.open == []
+    names = {name for name, _ in page.attributes}
+    assert not {"src", "srcset"} & names
+    assert "@import" not in html
+    assert "url(" not in html
+    # the library's comment says where it is from
+    assert len(re.findall("https?://", html)) == 1
+    # its licence goes with it
+    assert "Permission is hereby granted" in html
+
+
+def test_a_page_without_figures_needs_no_library():
+    html = Report(make_outcome()).to_html()
+    assert "<script" not in html
+    assert "uPlot" not in html
+
+
+def test_a_notebook_gets_the_pictures_and_no_scripts():
+    html = Report(made())._repr_html_()
+    assert len(figures(html)) == 2 + 3
+    assert "<script" not in html
+
+
+def test_pictures_are_there_without_the_library_and_without_matplotlib(monkeypatch):
+    """What moves them is added by a script; they are drawn without one."""
+    monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
+    outcome = made()
+    html = Report(outcome).to_html()
+    still = re.sub("<script.*?</script>", "", html, flags=re.DOTALL)
+    assert still.count("<svg") == 2 * 2 + 3 + 3
+    assert "<button" not in still
+
+
+@pytest.mark.parametrize(("nv", "n_effects"), [(6, 6), (30, 40)])
+def test_a_page_stays_small(nv, n_effects):
+    html = Report(made(nv=nv, n_effects=n_effects)).to_html()
+    assert len(html.encode("utf-8")) < 3_000_000
+    library = _render._vendored()
+    assert sum(map(len, library.values())) < 1_500_000
+
+
+def test_one_bad_joint_does_not_flatten_the_bars():
+    outcome = make_outcome(nv=6, n_effects=0)
+    after = np.full(6, 0.02)
+    bad = after.copy()
+    bad[4] = 3.0
+    one = replace(outcome, error_before=bad, error_after=bad, floor=after, intervals={})
+    assert _scale(one) == pytest.approx(0.16)
+    html = Report(one).to_html()
+    assert html.count('fill before cut"') == 1
+    assert "jagged" in html
+    # alike errors fill the scale
+    alike = replace(one, error_before=after, error_after=after)
+    assert _scale(alike) == pytest.approx(0.02)
+    assert "jagged" not in Report(alike).to_html()
+
+
+@pytest.mark.parametrize("given", [[], ["Homepage, https://h.org"]])
+def test_no_documentation_no_link(given, monkeypatch):
+    class Metadata:
+        def get_all(self, key, default):
+            return given
+
+    metadata = importlib.metadata
+    monkeypatch.setattr(metadata, "metadata", lambda name: Metadata())
+    assert _evidence.documentation_of("ripple") == ""
+
+
+def test_effects_link_to_their_documentation(monkeypatch):
+    class Metadata:
+        def get_all(self, key, default):
+            return ["Documentation, https://docs.example.org/"]
+
+    metadata = importlib.metadata
+    monkeypatch.setattr(metadata, "metadata", lambda name: Metadata())
+    address = "https://docs.example.org/effects.html#ripple"
+    assert _evidence.documentation_of("ripple") == address
+    assert _evidence.documentation_of("my_own_effect") == ""
+    assert f'<a href="{address}">' in Report(made(n_effects=3)).to_html()
+
+
+def test_what_a_class_says_is_shown_without_markup():
+    about = _evidence._about(Ripple)
+    assert about
+    assert not any("`" in text or "]_" in text for text in about)
+    assert not any("Parameters" in text for text in about)

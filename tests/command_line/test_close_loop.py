@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import EffectDiscovery, load_identified
-from sklearn_vbjfa._cli import _close_loop, _input, _stopping, main
+from sklearn_vbjfa._cli import _close_loop, _stopping, main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model._loading import load_model
 

@@ -13,8 +13,9 @@ MOST = 1.5
 
 
 def imported(module, what):
-    """Value of an expression in a process that has imported a module."""
-    code = f"import {module}, json, sys, time; print(json.dumps({what}))"
+    """Value of an expression in a process that has imported all names of a module."""
+    # Names of the package are imported when they are asked for.
+    code = f"from {module} import *; import json, sys, time; print(json.dumps({what}))"
     result = subprocess.run(
         [sys.executable, "-W", "error", "-c", code],
         capture_output=True,

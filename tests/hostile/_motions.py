@@ -298,7 +298,10 @@ def _folder_cases():
         _folder_case("blank", lambda x: None, "either", "", "--out", " "),
         _folder_case("Unicode", lambda x: None, "read", "", "--out", "報告"),
         _folder_case("deep", lambda x: None, "read", "", "--out", "a/b/c/d/e"),
-        _folder_case("here", lambda x: None, "read", "", "--out", "."),
+        _folder_case("here", lambda x: None, "refused", "--force", "--out", "."),
+        _folder_case(
+            "here, by force", lambda x: None, "read", "", "--out", ".", "--force"
+        ),
     ]
 
 

@@ -205,6 +205,8 @@ def curves_over(x, after, law, weight, *, most=_CLOUD, **named):
     label, n = _bins(x, law, weight, low, high)
     count = np.bincount(label, minlength=n)
     kept = count >= _FEWEST
+    if not kept.any():
+        return None
     edges = np.linspace(low, high, n + 1)
 
     def mean(values):

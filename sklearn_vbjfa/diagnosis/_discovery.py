@@ -309,6 +309,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 "identifier must have period=None: averaged periods leave no blocks of "
                 f"time to judge by; got period={self.identifier.period!r}."
             )
+        if self.identifier.criterion != "torque":
+            raise ValueError(
+                'identifier must have criterion="torque", as the search looks at what '
+                f"torques leave; got {self.identifier.criterion!r}. Refine the result "
+                'afterwards: loop.identifier_.set_params(criterion="simulation").'
+            )
         if not (isinstance(self.alpha, (int, float)) and 0 < self.alpha < 1):
             raise ValueError(
                 "alpha must be a level of significance between 0 and 1; got "

@@ -13,7 +13,7 @@ from sklearn.preprocessing import FunctionTransformer
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import EffectDiscovery, effects
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
 from sklearn_vbjfa.diagnosis.search._split import split_in_time
 from sklearn_vbjfa.effects import Effect
 from tests.diagnosis._recordings import named, record
@@ -775,3 +775,9 @@ def test_wrong_positions_are_refused():
 def test_an_unfitted_loop_says_so():
     with pytest.raises(ValueError, match="not fitted"):
         EffectDiscovery(ARM.robot()).predict(ARM.position)
+
+
+def test_the_search_works_on_torques():
+    robot = RobotIdentifier(ARM.model, dt=0.01, criterion="simulation")
+    with pytest.raises(ValueError, match=r'must have criterion="torque".*loop\.ident'):
+        EffectDiscovery(robot).fit(ARM.q, ARM.torque())

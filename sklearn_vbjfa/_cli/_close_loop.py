@@ -35,13 +35,7 @@ def add_to(commands):
     )
     _options.add_file(parser)
     _options.add_recording(parser)
-    parser.add_argument(
-        "--out",
-        default=None,
-        metavar="DIR",
-        help="folder for the files; by default the name of RECORDING plus -report",
-    )
-    _options.add_force(parser)
+    _options.add_out(parser, "report")
     _options.add_model(parser)
     parser.add_argument(
         "--effects",

@@ -105,8 +105,14 @@ def add_model(parser):
     )
 
 
-def add_force(parser):
-    """Add the option that lets files be overwritten."""
+def add_out(parser, ending):
+    """Add the folder for the files, by default named with an ending, and --force."""
+    parser.add_argument(
+        "--out",
+        default=None,
+        metavar="DIR",
+        help=f"folder for the files; by default the name of RECORDING plus -{ending}",
+    )
     parser.add_argument(
         "--force",
         action="store_true",

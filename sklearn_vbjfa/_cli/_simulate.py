@@ -69,13 +69,7 @@ def add_to(commands):
         help="length of a window [s], by default 1",
     )
     _options.add_recording(parser)
-    parser.add_argument(
-        "--out",
-        default=None,
-        metavar="DIR",
-        help="folder for the files; by default the name of RECORDING plus -simulation",
-    )
-    _options.add_force(parser)
+    _options.add_out(parser, "simulation")
     _options.add_model(parser)
     parser.add_argument(
         "--effects",

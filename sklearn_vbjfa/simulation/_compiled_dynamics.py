@@ -68,12 +68,12 @@ def accelerate(
     h,
     ML,
     hL,
-    of_load,
     tau,
     q,
     v,
     mode,
     stuck,
+    of_load,
     lines,
     inertia,
     coupling,
@@ -90,10 +90,10 @@ def accelerate(
     ----------
     M, h, ML, hL : ndarray
         Inertia matrix and nonlinear effects of the robot, and of what loads joints.
-    of_load : bool
-        Whether friction depends on the load.
     tau, q, v, mode, stuck : ndarray of shape (nv,)
         True torques, state, signs of dry friction, joints that stick.
+    of_load : bool
+        Whether friction depends on the load.
     lines : ndarray of shape (5, nv)
         Viscous friction, constant torque, stiffness, dry friction, that over the load.
     inertia, coupling : ndarray of shape (nv, nv)
@@ -283,12 +283,12 @@ def explicit_step(
             effects,
             ML,
             load,
-            of_load,
             tau + step * rate,
             new_q,
             new_v,
             mode,
             stuck,
+            of_load,
             lines,
             inertia,
             coupling,

@@ -167,13 +167,11 @@ class ForwardDynamics:
             self.terms.set_levels(rows, t, self._signals)
 
     def set_bodies(self, t):
-        """Set the bodies to what they are at t [s]; return whether they change."""
+        """Set the bodies to what they are at t [s]."""
         _, bodies, model = [own for own in self._loaded if t >= own[0]][-1]
-        if model is self.model:
-            return False
-        self.model, self._data = model, model.createData()
-        self._set_robot(bodies)
-        return True
+        if model is not self.model:
+            self.model, self._data = model, model.createData()
+            self._set_robot(bodies)
 
     def _set_robot(self, bodies):
         """Put together what compiled steps take of the robot."""
@@ -256,11 +254,11 @@ class ForwardDynamics:
 
         Arguments are those of `explicit_step` in `_compiled_dynamics`, but the robot.
         """
-        q, v, work, power, error, self._found, self.mass = self._fast.explicit_step(
-            q, v, a, power, *step, *self._robot, *self._table
+        own = *step, *self._robot, *self._table
+        q, v, work, self.power, error, self._found, self.mass = (
+            self._fast.explicit_step(q, v, a, power, *own)
         )
-        self.power = power
-        return q, v, work, (self._found[0], power), error
+        return q, v, work, (self._found[0], self.power), error
 
     def _with_others(self, q, v, tau, mode, stuck, M, h, ML, hL):
         """Find accelerations with effects that are not of the library."""
@@ -292,27 +290,10 @@ class ForwardDynamics:
         if self._fast is None:
             return self._solved_plain(q, v, tau, mode, stuck, M, h, ML, hL, lines)
         out = np.empty((5, q.size))
-        power = self._fast.accelerate(
-            M,
-            h,
-            ML,
-            hL,
-            self._of_load,
-            tau,
-            q,
-            v,
-            mode,
-            stuck,
-            lines,
-            terms.inertia,
-            terms.coupling,
-            terms.kinds,
-            terms.joints,
-            self._numbers,
-            self._memory,
-            self._found[0],
-            out,
-        )
+        state = M, h, ML, hL, tau, q, v, mode, stuck
+        of_load, _, *table = self._table
+        found = self._found[0], out
+        power = self._fast.accelerate(*state, of_load, lines, *table, *found)
         return out, power
 
     def _solved_plain(self, q, v, tau, mode, stuck, M, h, ML, hL, lines):

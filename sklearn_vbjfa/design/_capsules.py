@@ -49,8 +49,8 @@ def capsule_around(points, swept=0.0):
     Capsule
     """
     centred = points - points.mean(axis=0)
-    principal = np.linalg.svd(centred, full_matrices=True)[2]
-    along = [_along(axis, points) for axis in (*np.eye(3), *principal)]
+    principal = np.linalg.eigh(centred.T @ centred)[1]
+    along = [_along(axis, points) for axis in (*np.eye(3), *principal.T)]
     best = min(along, key=lambda capsule: capsule.volume)
     return Capsule(best.ends, best.radius + swept)
 

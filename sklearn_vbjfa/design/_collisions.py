@@ -23,12 +23,14 @@ _SAMPLES = 200
 _FLUSH = 0.01
 # Beyond this a limit stands for none; and what is looked at then [rad, m].
 _NO_LIMIT, _ALL_ROUND, _SLIDE = 1e6, np.pi, 1.0
-# Duality gap [m^2] at which nearest points apart are taken as found. With coal's default
-# the normals of round shapes are wrong by its root; in penetration the default stays, as
-# the search there gives up on round shapes where it is made finer.
+# Duality gap [m^2] at which the nearest points are taken as found. With coal's default,
+# normals of round shapes are wrong by its root. Of penetrating cylinders the default
+# stays: the search there breaks down where it is made finer.
 _GAP = 1e-10
 # Pairs and rows that are in memory at once.
 _AT_ONCE = 200_000
+# Distances that are found at once in the search for the smallest.
+_BATCH = 256
 
 
 @dataclass(frozen=True)
@@ -107,8 +109,6 @@ class Clearance:
     def __init__(self, model, shapes, margin=0.0):
         pin = import_pinocchio()
         self._coal = pin.coal
-        self._request = pin.coal.DistanceRequest()
-        self._request.gjk_tolerance = _GAP
         self._poses = JointPoses(model)
         self._shapes = shapes.shapes
         self._bodies = np.array([shape.joint for shape in self._shapes])
@@ -209,14 +209,17 @@ class Clearance:
         best, where = np.inf, None
         for start, poses in self._pieces(q):
             bounds = self._bounds(poses)
-            for place in np.argsort(bounds, axis=None):
-                row, pair = np.unravel_index(place, bounds.shape)
-                if bounds[row, pair] >= best:
+            order = np.argsort(bounds, axis=None)
+            for batch in np.array_split(order, np.arange(_BATCH, len(order), _BATCH)):
+                rows, pairs = np.unravel_index(batch, bounds.shape)
+                if len(batch) == 0 or bounds[rows[0], pairs[0]] >= best:
                     break
-                found = self._nearest_points(poses, [row], [pair]).distance[0]
-                if found < best:
-                    best, where = found, (start + int(row), *self.pairs[pair])
-        return None if where is None else Approach(*where, float(best))
+                found = self._nearest_points(poses, rows, pairs).distance
+                k = found.argmin()
+                if found[k] < best:
+                    best = float(found[k])
+                    where = (start + int(rows[k]), *self.pairs[pairs[k]])
+        return None if where is None else Approach(*where, best)
 
     def smallest(self, q):
         """Return the smallest signed distance [m] in a motion, inf if none can meet.
@@ -265,10 +268,19 @@ class Clearance:
         self._compute = [
             distance(shapes[i].geometry, shapes[j].geometry) for i, j in candidates
         ]
+        self._requests = [self._request(shapes[i], shapes[j]) for i, j in candidates]
         # Joints that carry the one and not the other change their distance.
         carries = self._poses.carries.astype(float)
         first, second = self._bodies[self._first], self._bodies[self._second]
         self._moves = carries[second] - carries[first]
+
+    def _request(self, first, second):
+        """How finely coal looks for the nearest points of two shapes."""
+        request, cylinder = self._coal.DistanceRequest(), self._coal.Cylinder
+        request.gjk_tolerance = _GAP
+        if not any(isinstance(x.geometry, cylinder) for x in (first, second)):
+            request.epa_tolerance = _GAP
+        return request
 
     def _share_within(self, model, margin):
         """In which share of the positions a robot can take each pair is that near."""
@@ -327,7 +339,7 @@ class Clearance:
             distance[k] = self._compute[pair](
                 frame(axes[0][k], origins[0][k]),
                 frame(axes[1][k], origins[1][k]),
-                self._request,
+                self._requests[pair],
                 result,
             )
             normal[k], point[k] = result.normal, result.getNearestPoint1()

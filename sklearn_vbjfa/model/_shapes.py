@@ -5,6 +5,7 @@ optimiser can follow, in penetration too, and they are quick.
 """
 
 import re
+import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +17,8 @@ from sklearn_vbjfa.model._loading import import_pinocchio, parse_description
 _IN_PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
 # Corners of the polygon that stands around a circle.
 _CORNERS = 16
+# What coal calls the sizes of its shapes.
+_SIZES = ("radius", "halfLength", "halfSide")
 
 
 class NoShapes(ValueError):
@@ -93,10 +96,11 @@ def load_shapes(path, model, package_dirs=()):
         links, or Pinocchio was built without coal.
     """
     pin = import_pinocchio()
-    if not pin.WITH_HPP_FCL:
+    if not hasattr(pin, "coal"):
         raise NoShapes(
-            "Pinocchio was built without the collision library coal, distances between "
-            "links are not known: pip install pin brings both."
+            f"Pinocchio {pin.__version__} comes without the collision library coal, "
+            "distances between links are not known: pip install --upgrade pin brings "
+            "both."
         )
     path = Path(path)
     tree = parse_description(path)
@@ -109,19 +113,26 @@ def load_shapes(path, model, package_dirs=()):
         )
     _find_meshes(tree, path, package_dirs)
     geometry = _build(pin, tree, path, model)
+    read = [model.frames[x.parentFrame].name for x in geometry.geometryObjects]
+    unread = [name for name in links if links.count(name) > read.count(name)]
+    if unread:
+        raise NoShapes(
+            f"Pinocchio cannot read the collision geometry of link {unread[0]!r} in "
+            f"{path.name!r}; correct its <collision>."
+        )
     shapes = tuple(
-        _shape(pin.coal, x, model.frames[x.parentFrame].name, path)
-        for x in geometry.geometryObjects
+        _shape(pin.coal, found, link, path)
+        for found, link in zip(geometry.geometryObjects, read)
     )
-    return RobotShapes(shapes, _neighbours(tree, [shape.link for shape in shapes]))
+    return RobotShapes(shapes, _neighbours(tree, read))
 
 
 def _links_with_shapes(tree, path):
-    """Names of the links that have a collision shape; refuse a robot without any."""
+    """Name of the link of each collision shape; refuse a robot without any."""
     found = [
         link.get("name")
         for link in tree.getroot().findall("link")
-        if link.find("collision/geometry") is not None
+        for _ in link.findall("collision/geometry")
     ]
     if not found:
         raise NoShapes(
@@ -140,11 +151,11 @@ def _find_meshes(tree, path, package_dirs):
             name = mesh.get("filename", "")
             found = _mesh_file(name, folders, path.resolve().parent)
             if found is None:
+                searched = [repr(str(x)) for x in (*given, path.resolve().parent)]
                 raise NoShapes(
                     f"The mesh {name!r} of link {link.get('name')!r} was not found in "
-                    f"{', '.join(str(x) for x in given) or 'any folder given'} (argument"
-                    f" package_dirs), in {str(path.resolve().parent)!r} or in a folder "
-                    "above it."
+                    f"{', '.join(searched)} or a folder above it; name the folder that "
+                    "its package is in (package_dirs)."
                 )
             mesh.set("filename", f"file://{found}")
 
@@ -165,17 +176,17 @@ def _mesh_file(name, folders, beside):
 
 def _build(pin, tree, path, model):
     """Have Pinocchio read the shapes of a description."""
-    from xml.etree.ElementTree import tostring
-
     for link in tree.getroot().findall("link"):
         for visual in link.findall("visual"):
             link.remove(visual)
-    text = tostring(tree.getroot(), encoding="unicode")
+    text = ElementTree.tostring(tree.getroot(), encoding="unicode")
     try:
         return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
     except (ValueError, RuntimeError) as error:
+        # Of what coal says, that which is not about its own source.
+        said = " ".join(str(error).rpartition("message:")[2].split())
         raise NoShapes(
-            f"Pinocchio cannot read the collision geometry of {path.name!r}: {error}"
+            f"Pinocchio cannot read the collision geometry of {path.name!r}: {said}"
         ) from error
 
 
@@ -184,12 +195,13 @@ def _shape(coal, found, link, path):
     geometry = found.geometry
     if isinstance(geometry, coal.BVHModelBase):
         geometry = _hull(coal, np.array(geometry.vertices()), found.meshPath)
-    corners, swept = _corners(coal, geometry, link)
-    if not (np.isfinite(corners).all() and swept >= 0):
+    sizes = [getattr(geometry, size, 0.0) for size in _SIZES]
+    if any(np.min(size) < 0 for size in sizes):
         raise NoShapes(
-            f"The collision geometry of link {link!r} in {path.name!r} has no finite "
+            f"The collision geometry of link {link!r} in {path.name!r} has a negative "
             "size."
         )
+    corners, swept = _corners(coal, geometry, link)
     return Shape(
         link=link,
         joint=found.parentJoint,
@@ -272,12 +284,8 @@ def _neighbours(tree, links):
 
     bodies = [body(link) for link in links]
     carriers = [body(above[x][0]) if x in above else None for x in bodies]
-    return np.array(
-        [
-            [
-                a == b or carriers[i] == b or carriers[j] == a
-                for j, b in enumerate(bodies)
-            ]
-            for i, a in enumerate(bodies)
-        ]
-    )
+    near = np.eye(len(links), dtype=bool)
+    for i, a in enumerate(bodies):
+        for j, b in enumerate(bodies):
+            near[i, j] = a == b or carriers[i] == b or carriers[j] == a
+    return near

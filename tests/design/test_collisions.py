@@ -65,6 +65,26 @@ def test_a_slide_closes_in_by_what_it_moves(tmp_path):
     np.testing.assert_allclose(found.gradient[:, 0, 1], 0, atol=1e-6)
 
 
+def test_distances_are_those_of_pinocchio(tmp_path):
+    path = arm(tmp_path)
+    clearance, model = clearance_of(path), load_model(path)
+    geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION)
+    geometry.addAllCollisionPairs()
+    links = [model.frames[x.parentFrame].name for x in geometry.geometryObjects]
+    q = positions(30, 6)
+    found = clearance(q, within=np.inf).distance
+    data, placed = model.createData(), geometry.createData()
+    for row in range(len(q)):
+        pin.computeDistances(model, data, geometry, placed, q[row])
+        expected = {}
+        for pair, result in zip(geometry.collisionPairs, placed.distanceResults):
+            both = links[pair.first], links[pair.second]
+            expected.setdefault(both, []).append(result.min_distance)
+        for both in set(clearance.pairs):
+            here = [found[row, i] for i, x in enumerate(clearance.pairs) if x == both]
+            assert sorted(here) == pytest.approx(sorted(expected[both]), abs=1e-5)
+
+
 def test_gradients_are_those_of_finite_differences(tmp_path):
     clearance = clearance_of(arm_with_mesh(tmp_path))
     q, step = positions(300, 6), 1e-5

@@ -100,6 +100,7 @@ def test_a_mesh_is_its_convex_hull_in_the_scale_of_the_description(tmp_path):
     [
         ("cube.obj", "robot/urdf/cube.obj"),
         ("../meshes/cube.obj", "robot/meshes/cube.obj"),
+        ("package://robot/my größe.obj", "robot/my größe.obj"),
         ("package://robot/meshes/cube.obj", "robot/meshes/cube.obj"),
         ("package://other/meshes/cube.obj", "other/meshes/cube.obj"),
         ("model://other/cube.obj", "robot/urdf/other/cube.obj"),
@@ -116,6 +117,13 @@ def test_meshes_are_found_beside_the_description_and_above(tmp_path, name, place
     mesh.parent.mkdir(parents=True, exist_ok=True)
     mesh.write_text(CUBE, encoding="utf-8")
     assert len(load_shapes(path, load_model(path)).shapes) == 1
+
+
+def test_meshes_are_found_by_their_whole_path(tmp_path):
+    (tmp_path / "cube.obj").write_text(CUBE, encoding="utf-8")
+    for name in (f"file://{tmp_path}/cube.obj", f"{tmp_path}/cube.obj"):
+        path = with_mesh(tmp_path, name)
+        assert len(load_shapes(path, load_model(path)).shapes) == 1
 
 
 def test_meshes_are_found_in_the_folders_given(tmp_path):

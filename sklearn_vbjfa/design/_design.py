@@ -191,7 +191,7 @@ def _checked_duration(duration, dt):
 
 def _harmonics(robot, limits, duration, dt):
     """Return the number of harmonics that limits and sampling allow."""
-    inertia = np.diag(robot._inertia(_at_rest(limits, robot.n_joints)))
+    inertia = np.diag(robot.inertia(_at_rest(limits, robot.n_joints)))
     with np.errstate(divide="ignore"):
         by_torque = limits.torque / np.maximum(inertia, 1e-12)
     reach = np.minimum(limits.acceleration, by_torque)
@@ -243,7 +243,7 @@ def _parted(robot, asked):
 
 
 def _questions(equations, candidates, reference, noise):
-    """What is to be decided: each candidate beside the model, and beside its rivals."""
+    """Ask for each candidate beside the model, and beside its rivals."""
     rows = equations(reference)
     scale = np.ones(equations.n_columns)
     spans = equations.spans[equations.n_own :]

@@ -140,7 +140,7 @@ class EquationModel:
         self._theta = np.ascontiguousarray(inertial).ravel()
         nv = self.nv = features.n_joints_
         self._rest = Rest(speed=np.zeros(nv), time=np.zeros(nv), noise=still)
-        self._prismatic = np.asarray(is_prismatic(features.model_), dtype=bool)
+        self.prismatic = np.asarray(is_prismatic(features.model_), dtype=bool)
         support = features.support_
         self._of_joint, self._of_parameter = np.nonzero(support)
         entries = features.entries(reference)
@@ -212,7 +212,7 @@ class EquationModel:
             t=np.arange(len(q)) / (20.0 * self.bandwidth) if t is None else t,
             load=load,
             torque=load,
-            prismatic=self._prismatic,
+            prismatic=self.prismatic,
             rigid=lambda q, v, a: self.features.torques(
                 q, v, a, np.ascontiguousarray(inertial)
             ),
@@ -311,7 +311,7 @@ class EquationModel:
                 by_states[:, places[name] * self.nv + joint] += change
 
     def _along(self, one, own, motion, curve, z, basis):
-        """Derivatives of columns with a memory by the coordinates of the own joint."""
+        """Differentiate columns with a memory by the coordinates of their joint."""
         j = one.effect.joint
         by_z = np.zeros_like(z)
         for i in range(curve.size):

@@ -149,14 +149,14 @@ class KnownRobot:
         states = min(_STATE_BAND * highest, band)
         acceleration = 2 * dt * self.encoder_noise**2 * (2 * np.pi) ** 4
         acceleration = acceleration * states**5 / 5
-        inertia = self._inertia(reference)
+        inertia = self.inertia(reference)
         return np.sqrt(torque**2 + inertia**2 @ acceleration)
 
-    def _inertia(self, reference):
+    def inertia(self, reference):
         """Root mean squares of the mass matrix over poses (nv, nv)."""
         nv = self.n_joints
-        q, v, a = np.split(reference[:100], 3, axis=1)
-        still = np.zeros_like(v)
+        q = reference[:100, :nv]
+        still = np.zeros_like(q)
         inertial = np.ascontiguousarray(self.inertial)
         at_rest = self.features.torques(q, still, still, inertial)
         columns = []

@@ -4,7 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_model
+from sklearn_vbjfa.model._loading import (
+    is_prismatic,
+    joint_names,
+    load_model,
+    nominal_parameters,
+)
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
 
 # A joint that turns without end gets one turn about its zero [rad].
 _ONE_TURN = np.pi
@@ -213,9 +219,8 @@ def _known(limit):
 
 def _holding(model, low, high):
     """Largest torques (nv,) that hold a robot still in random poses."""
-    import pinocchio as pin
-
-    data, rng = model.createData(), np.random.default_rng(0)
-    poses = low + (high - low) * rng.uniform(size=(_POSES, model.nv))
-    held = [pin.computeGeneralizedGravity(model, data, q).copy() for q in poses]
-    return np.abs(held).max(axis=0)
+    features = RigidBodyFeatures(model, friction=()).load()
+    poses = np.random.default_rng(0).uniform(low, high, size=(_POSES, model.nv))
+    still = np.zeros_like(poses)
+    inertial = np.ascontiguousarray(nominal_parameters(model))
+    return np.abs(features.torques(poses, still, still, inertial)).max(axis=0)

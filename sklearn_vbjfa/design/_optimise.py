@@ -68,7 +68,7 @@ class Problem:
     room: float = 0.0
 
     def times(self, per_period=16):
-        """Samples, so many in the shortest period [s]."""
+        """Return samples [s], so many in the shortest period."""
         n = per_period * self.curve.n_harmonics
         return np.arange(n) * (self.curve.period / n)
 

@@ -97,7 +97,7 @@ def condition_number(problem, states):
 
 
 def expected_intervals(problem, robot, states, step):
-    """Expected 90 % intervals of the model's parameters."""
+    """Return the expected 90 % intervals of the parameters of the model."""
     model = problem.model
     n = model.n_model
     M = problem.information(states, step)[:n, :n]
@@ -111,7 +111,7 @@ def expected_intervals(problem, robot, states, step):
     for one in model.effects[: model.n_own]:
         effect = one.effect
         joint = robot.joint_names[effect.joint]
-        kind = int(bool(model._prismatic[effect.joint]))
+        kind = int(bool(model.prismatic[effect.joint]))
         for c, unit in zip(effect.coefficients, effect.units):
             names.append(
                 f"{joint}:{effect.name}"
@@ -125,7 +125,7 @@ def expected_intervals(problem, robot, states, step):
 
 
 def promise(problem, robot, states, step, noise):
-    """What the motion shows and does not show, keyword arguments of the motion."""
+    """Say what the motion shows and what not, keyword arguments of the motion."""
     questions, model = problem.questions, problem.model
     if not questions.decisions:
         return {}

@@ -42,7 +42,7 @@ class Limits:
     torque: np.ndarray
 
     def part(self, *, range_share, speed_share, acceleration_share):
-        """Take limits of a poorer motion: shares of the range, of speed and acceleration."""
+        """Take shares of the range, of speed and of acceleration."""
         middle = self.position.mean(axis=1)
         half = 0.5 * range_share * np.diff(self.position, axis=1)[:, 0]
         return Limits(

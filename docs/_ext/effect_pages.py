@@ -228,23 +228,29 @@ class RivalsTable(_OfEffect):
         if name in ("viscous", "coulomb", "offset", "rotor_inertia"):
             beside += ", but for this one,"
         lines = [
-            f"In the motion of the picture, {beside} take over {taken:.0f} % of its "
-            "mean square.",
+            f"In the motion of the picture, {beside} take over {taken:.0f} % of the "
+            "mean square of its torque.",
         ]
         if found.others:
             told = ", ".join(
-                f":doc:`{other}` {100 * share:.0f} %" for other, share in found.others
+                f"{_link(other)} {100 * share:.0f} %" for other, share in found.others
             )
             lines.append(f"Of the rest, others explain with their best shape: {told}.")
         else:
             lines.append("Of the rest, no other effect explains a third.")
-        inside = ", ".join(f":doc:`{one}`" for one in use.effect.contains)
-        outside = ", ".join(f":doc:`{one}`" for one in containing(name))
+        inside = ", ".join(map(_link, use.effect.contains))
+        outside = ", ".join(map(_link, containing(name)))
         if inside:
             lines.append(f"It is judged beside what it contains: {inside}.")
         if outside:
             lines.append(f"Those that contain it are judged beside it: {outside}.")
         return self.parsed([" ".join(lines)])
+
+
+def _link(name):
+    """Link to the page of an effect, under what it is called in a sentence."""
+    (effect,) = effects.resolve(name)
+    return f":doc:`{effect.label} <{name}>`"
 
 
 class Facts(_OfEffect):
@@ -277,7 +283,7 @@ def told_of_file(destination):
     if not destination.lacks:
         return where
     lacks = destination.lacks.replace("; ", ";\n    ")
-    return f"in part ({where}): {lacks}" if where else f"no: {lacks}"
+    return f"in part ({where}): {lacks}" if where else f"no place: {lacks}"
 
 
 def told_of_step(use):
@@ -328,12 +334,11 @@ class Index(_OfEffect):
             for effect in own:
                 card = nodes.container(classes=["effect-card"])
                 card += nodes.raw("", thumbnail(drawn(effect.name)), format="html")
-                label = effect.label[0].upper() + effect.label[1:]
                 card += self.parsed(
                     [
-                        f":doc:`{label} <effects/{effect.name}>`",
+                        f":doc:`effects/{effect.name}`",
                         "",
-                        f"``{effect.name}``, shows with {effect.visible}",
+                        f"``{effect.name}``; to see it: {effect.visible}",
                     ]
                 )
                 cards += card

@@ -121,7 +121,7 @@ def uses():
             signal=_since_reversal,
             with_motion=True,
         ),
-        Use(effect=effects.Backlash(joint=1, width=0.2), coef=(10.0, 0.0)),
+        Use(effect=effects.Backlash(joint=1, width=0.6), coef=(10.0, 0.0)),
         Use(effect=effects.Offset(joint=1), coef=(3.0,)),
         Use(effect=effects.Spring(joint=1), coef=(20.0, -10.0)),
         Use(
@@ -169,16 +169,14 @@ def uses():
         Use(
             effect=effects.BaseTilt(),
             coef=(np.deg2rad(4.0), np.deg2rad(2.0)),
-            x_label="position of joint 2 [rad]",
-            signal=lambda motion: motion.q[:, 1],
+            **_over_time(),
         ),
         Use(effect=effects.JointZero(joint=2), coef=(np.deg2rad(3.0),), joint=2),
         Use(
-            effect=effects.JointAxis(joint=3),
+            effect=effects.JointAxis(joint=2),
             coef=(np.deg2rad(3.0), np.deg2rad(-2.0)),
-            joint=3,
-            x_label="position of joint 4 [rad]",
-            signal=lambda motion: motion.q[:, 3],
+            joint=2,
+            **_over_time(),
         ),
         Use(effect=effects.TorqueGain(joint=1), coef=(1.15,)),
     ]

@@ -91,6 +91,8 @@ class Figure:
         Class and text of each entry of the legend.
     about : About or None
         What is unfolded below.
+    anchor : str
+        Its place on a page; empty for none.
     """
 
     title: str
@@ -98,6 +100,7 @@ class Figure:
     data: dict
     keys: tuple
     about: About | None = None
+    anchor: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +135,7 @@ class _Frame:
 # -- the figures ------------------------------------------------------------------
 
 
-def effect_figure(curves, *, title, x_label, y_label, about=None):
+def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
     """Draw what a model leaves without and with an effect, over the effect's signal.
 
     Parameters
@@ -143,6 +146,8 @@ def effect_figure(curves, *, title, x_label, y_label, about=None):
         Of the figure and its axes, with units.
     about : About or None
         What the effect is.
+    anchor : str
+        Its place on a page; empty for none.
 
     Returns
     -------
@@ -186,6 +191,7 @@ def effect_figure(curves, *, title, x_label, y_label, about=None):
             ("law", "fitted law"),
         ),
         about=about,
+        anchor=anchor,
     )
 
 

@@ -44,17 +44,26 @@ def effect_figures(outcome):
     One with too few rows for a picture has the words alone.
     """
     found = []
-    for effect, curves in zip(outcome.effects, outcome.curves.get("effects", ())):
+    drawn = outcome.curves.get("effects", ())
+    for effect, curves, anchor in zip(outcome.effects, drawn, anchors(outcome)):
+        if not anchor:
+            continue
         kind = effect.effect
         title = words.capital(
             words.effect_at(outcome, effect.name, effect.joint, effect.parameters)
         )
         about = None if kind is None else about_effect(kind)
         if curves is None:
-            if about is not None:
-                found.append(
-                    Figure(title=title, charts=(), data={}, keys=(), about=about)
+            found.append(
+                Figure(
+                    title=title,
+                    charts=(),
+                    data={},
+                    keys=(),
+                    about=about,
+                    anchor=anchor,
                 )
+            )
             continue
         joint = words.joint_label(outcome.joint_names, curves.joint)
         unit = outcome.torque_units[curves.joint]
@@ -67,9 +76,24 @@ def effect_figures(outcome):
                 x_label=_signal_label(curves, joint),
                 y_label=f"residual [{unit}]",
                 about=about,
+                anchor=anchor,
             )
         )
     return Figures(figures=tuple(found)) if found else None
+
+
+def anchors(outcome):
+    """Return where each effect is drawn or explained on a page, a tuple of str.
+
+    Empty for one that is neither.
+    """
+    drawn = outcome.curves.get("effects", ())
+    if not drawn:
+        return ("",) * len(outcome.effects)
+    return tuple(
+        "" if curves is None and effect.effect is None else f"effect-{k}"
+        for k, (effect, curves) in enumerate(zip(outcome.effects, drawn), 1)
+    )
 
 
 def _signal_label(curves, joint):
@@ -83,12 +107,18 @@ def _signal_label(curves, joint):
 
 def about_effect(effect):
     """Return what an effect is, an `About`: formula, docstring, source, page."""
-    told = [*explanation(type(effect)), source_of(type(effect))]
+    told = [*explanation(type(effect)), _shown_by(effect), source_of(type(effect))]
     return About(
         formula=_typeset(effect.formula),
         paragraphs=tuple(words.without_markup(one) for one in told if one),
         link=documentation_of(effect.name),
     )
+
+
+def _shown_by(effect):
+    """Say what a recording needs to show an effect; empty where its class does not."""
+    needs = (("To see it", effect.visible), ("To tell it from others", effect.record))
+    return " ".join(f"{goal}: {what}." for goal, what in needs if what)
 
 
 def explanation(kind):

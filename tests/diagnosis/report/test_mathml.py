@@ -125,6 +125,9 @@ def test_ones_own_formula_is_shown_as_it_is_where_it_cannot_be_typeset():
 
     about = _evidence.about_effect(Own())
     assert about.formula == (r"<code>\Delta\tau = \oint &lt;b&gt;x&lt;/b&gt;</code>")
-    assert about.paragraphs == ("Something of one's own.",)
+    assert about.paragraphs == (
+        "Something of one's own.",
+        "To see it: the joint moves.",
+    )
     assert about.link == ""
     assert _evidence.about_effect(Bare()).formula == ""

@@ -101,7 +101,7 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
 
 
 def figures(html):
-    return re.findall(r'<figure class="wide">.*?</figure>', html, re.DOTALL)
+    return re.findall(r'<figure class="wide"[^>]*>.*?</figure>', html, re.DOTALL)
 
 
 def numbers(figure):
@@ -377,3 +377,24 @@ def test_an_effect_without_a_picture_is_explained_all_the_same():
     assert "<svg" not in shown[0]
     assert 'class="numbers"' not in shown[0]
     assert parsed(html).open == []
+
+
+def test_the_table_leads_to_what_each_effect_is():
+    outcome = made(nv=3, n_effects=3)
+    html = Report(outcome).to_html()
+    page = parsed(html)
+    links = [v for name, v in page.attributes if name == "href" and v.startswith("#")]
+    places = [value for name, value in page.attributes if name == "id"]
+    assert links == [f"#{place}" for place in places]
+    assert len(links) == 3
+    for effect, figure in zip(outcome.effects, figures(html)):
+        label = words.effect_label(outcome, effect.name, effect.parameters)
+        anchor = re.search('id="([^"]+)"', figure)[1]
+        assert f'<a href="#{anchor}">{label}</a>' in html
+    # Nothing to lead to, and pages in one notebook whose places would be the same.
+    for other in (
+        Report(make_outcome(nv=3, n_effects=3)).to_html(),
+        Report(outcome)._repr_html_(),
+    ):
+        assert "#effect-" not in other
+        assert 'id="effect-' not in other

@@ -191,25 +191,7 @@ def _parser():
     _close_loop.add_to(commands)
     _inspect.add_to(commands)
     _simulate.add_to(commands)
-    identify = commands.add_parser(
-        "identify",
-        help="identify a measured set and compare methods on its held-out part",
-        description="Identify a recording and compare methods on its held-out part.",
-    )
-    identify.add_argument(
-        "--data",
-        default="demo",
-        metavar="NAME",
-        help="demo (default) or a measured set; see the command datasets",
-    )
-    identify.add_argument(
-        "--data-home",
-        default=None,
-        metavar="DIR",
-        help="folder of the measured sets, by default scikit-learn's data folder; "
-        "missing files are downloaded to it",
-    )
-    identify.set_defaults(run=_identify.run)
+    _identify.add_to(commands)
     effects = commands.add_parser("effects", help="list the library of effects")
     effects.set_defaults(run=_effects)
     datasets = commands.add_parser("datasets", help="list the measured sets")

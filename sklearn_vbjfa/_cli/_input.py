@@ -12,6 +12,7 @@ import shutil
 import sys
 import tempfile
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,34 @@ import numpy as np
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # Fewer consecutive samples show nothing.
 _MIN_SAMPLES = 64
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Taken:
+    """A recording of one's own and its robot.
+
+    Attributes
+    ----------
+    recording : Recording
+        Recording.
+    urdf : Path
+        Description in which the joints that were not recorded are fixed.
+    held : tuple of str
+        Those joints.
+    """
+
+    recording: object
+    urdf: Path
+    held: tuple
+
+
+def taken(arguments, gains, folder):
+    """Read a recording and its robot; what is written of the robot goes to `folder`."""
+    urdf, joints = path(arguments.urdf), joint_names(arguments.joints)
+    urdf, held = robot(urdf, joints, folder)
+    recording = read(arguments, urdf, joints, gains)
+    urdf, held = hold_others(urdf, recording, held, folder)
+    return Taken(recording=recording, urdf=urdf, held=tuple(held))
 
 
 def robot(urdf, joints, folder):
@@ -88,8 +117,11 @@ def _parser_messages(said):
             said += dict.fromkeys(errors)
 
 
-def read(arguments, urdf, joints, gains):
-    """Read a recording that is long enough."""
+def read(arguments, urdf, joints, gains, *, identified=True):
+    """Read a recording that is long enough.
+
+    identified : whether gains that are unknown can be identified.
+    """
     from sklearn_vbjfa.datasets import read_recording
     from sklearn_vbjfa.recording._refusal import RecordingRefused
 
@@ -107,7 +139,7 @@ def read(arguments, urdf, joints, gains):
     )
     motor = [x for x in recording.torque_units if x not in ("N m", "N")]
     if motor and gains is None:
-        one = recording.nv == 1
+        one = recording.nv == 1 or not identified
         raise RecordingRefused(
             f"{source}: the torques are recorded in {motor[0]}; give the factors to N "
             "m, torque constant times gear ratio, one for each of "
@@ -141,6 +173,16 @@ def hold_others(urdf, recording, held, folder):
     more = _loading.write_reduced(urdf, reduced, moving)
     reduced.chmod(urdf.stat().st_mode & 0o666)
     return reduced, (*held, *more)
+
+
+def check_channels(recording, urdf, source):
+    """Refuse channels that cannot be what their names say."""
+    from sklearn_vbjfa.inspection import inspect_recording
+
+    findings = inspect_recording(recording, urdf)
+    errors = [found.message for found in findings if found.severity == "error"]
+    if errors:
+        raise ValueError(f"{source}: {' '.join(errors)}")
 
 
 def signals(text, recording, source):

@@ -28,22 +28,20 @@ def run(arguments):
     """Read a recording and describe it."""
     from sklearn_vbjfa.inspection import inspect_recording, motion_of
 
-    source, urdf = arguments.recording, _input.path(arguments.urdf)
-    joints = _input.joint_names(arguments.joints)
+    source = arguments.recording
     gains = _input.gains(arguments.gain)
     with (
         tempfile.TemporaryDirectory() as folder,
         warnings.catch_warnings(record=True) as caught,
     ):
         warnings.simplefilter("always")
-        urdf, held = _input.robot(urdf, joints, Path(folder))
         # A current is as good as a torque here: nothing is identified.
-        recording = _input.read(arguments, urdf, joints, gains or "unknown")
-        urdf, held = _input.hold_others(urdf, recording, held, Path(folder))
+        taken = _input.taken(arguments, gains or "unknown", Path(folder))
+        recording, urdf = taken.recording, str(taken.urdf)
         _input.signals(arguments.signals, recording, source)
-        findings = inspect_recording(recording, str(urdf))
-        motions = motion_of(recording, str(urdf))
-    text = [*_what(recording, held), "", *_table(recording, motions), ""]
+        findings = inspect_recording(recording, urdf)
+        motions = motion_of(recording, urdf)
+    text = [*_what(recording, taken.held), "", *_table(recording, motions), ""]
     print("\n".join([*text, *_wrong(recording, findings), "", *_shown(motions)]))
     say_warnings(caught)
 

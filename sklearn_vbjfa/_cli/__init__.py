@@ -8,7 +8,13 @@ import signal
 import sys
 import textwrap
 
-from sklearn_vbjfa._cli._stopping import Stopped, open_streams, stoppable, stopped_by
+from sklearn_vbjfa._cli._stopping import (
+    Stopped,
+    ignore_stops,
+    open_streams,
+    stoppable,
+    stopped_by,
+)
 
 # Longest message [characters].
 _LONGEST = 900
@@ -118,8 +124,7 @@ def program():
         print("sklearn-vbjfa: interrupted", file=sys.stderr)
         return 128 + signal.SIGINT
     finally:
-        # What is left is to end.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        ignore_stops()
 
 
 def _arguments(argv):

@@ -16,7 +16,7 @@ from sklearn_vbjfa.recording._refusal import RecordingRefused, nearest, suggesti
 from sklearn_vbjfa.recording._resample import on_grid
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import Table
-from sklearn_vbjfa.recording._units import TIME_UNITS, unit_of
+from sklearn_vbjfa.recording._units import TIME_UNITS, split_unit, unit_of
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
@@ -676,15 +676,14 @@ def _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes):
     stamped = ""
     if time is not None:
         unit = time_unit or time.unit or "s"
-        stamped = f"t = {time.column} [{unit}]"
+        stamped = f"t = {_with_unit(time.column, unit)}"
     if layout.what:
         for kind in ("q", "tau"):
             columns = [role.column for role in found[kind]]
             ends = (
                 columns[0] if len(columns) == 1 else f"{columns[0]} ... {columns[-1]}"
             )
-            unit = found[kind][0].unit
-            said.append(f"{kind} = {ends}{f' [{unit}]' if unit else ''}")
+            said.append(f"{kind} = {_with_unit(ends, found[kind][0].unit)}")
         said.append(stamped)
         notes.insert(0, f"taken as {layout.what}: {', '.join(x for x in said if x)}.")
     elif time is not None and not mapping and time.column not in ("t", "T"):
@@ -693,6 +692,13 @@ def _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes):
         said.append(f"converted from {', '.join(sorted(converted))}")
     if said and not layout.what:
         notes.insert(0, f"{'; '.join(said)}.")
+
+
+def _with_unit(columns, unit):
+    """Return columns with the unit behind them, unless their names have it there."""
+    if not unit or split_unit(columns)[1] == unit:
+        return columns
+    return f"{columns} [{unit}]"
 
 
 # -- time ------------------------------------------------------------------------------

@@ -416,7 +416,7 @@ def test_files_that_are_none(tmp_path):
     for name, content, message in (
         ("arm.log", b"", "unknown ending '.log'"),
         ("arm.npz", b"no archive", "is no whole npz file"),
-        ("arm.csv", b"\xff\xfeq", "is no UTF-8 text"),
+        ("arm.csv", b"\xff\xfeq", "is no UTF-16 text"),
     ):
         path = tmp_path / name
         path.write_bytes(content)

@@ -1,6 +1,7 @@
 """Command line: close the loop, simulate, compare methods, list effects and sets."""
 
 import argparse
+import contextlib
 import os
 import shlex
 import shutil
@@ -51,19 +52,27 @@ def main(argv=None):
     except (KeyboardInterrupt, Stopped) as stop:
         return _tell_stop(getattr(stop, "number", signal.SIGINT), arguments)
     except MemoryError:
-        print(
-            "sklearn-vbjfa: not enough memory; give a shorter recording or fewer "
-            "effects (--effects)",
-            file=sys.stderr,
+        _tell(
+            "not enough memory; give a shorter recording or fewer effects (--effects)"
         )
         return 2
     except (ValueError, OSError, ImportError) as error:
         if stopped_by() is not None:
             return _tell_stop(stopped_by(), arguments)
-        line = one_line(getattr(error, "reason", error))
+        line = one_line(_in_words(error, arguments))
         _say(line, _command(argv, getattr(error, "options", None)))
         return 2
     return 0
+
+
+def _in_words(error, arguments):
+    """Return what a refusal says, without what only concerns callers of a function."""
+    if isinstance(error, OSError) and error.strerror:
+        # Writing to a stream names no file.
+        what = error.filename or "the standard output"
+        done = arguments is not None and arguments.written
+        return f"{what}: {error.strerror}{'; all files were written' if done else ''}"
+    return getattr(error, "reason", error)
 
 
 # Options of the command line, by the arguments of `read_recording`.
@@ -100,11 +109,7 @@ def _tell_stop(number, arguments):
     how = "interrupted" if number == signal.SIGINT else f"stopped ({name})"
     written = arguments is not None and arguments.written
     _clear_progress()
-    print(
-        f"sklearn-vbjfa: {how}, {'all files were' if written else 'nothing was'} "
-        "written",
-        file=sys.stderr,
-    )
+    _tell(f"{how}, {'all files were' if written else 'nothing was'} written")
     return 128 + number
 
 
@@ -121,7 +126,7 @@ def program():
         return main()
     except KeyboardInterrupt:
         # Before or after a run takes care of it.
-        print("sklearn-vbjfa: interrupted", file=sys.stderr)
+        _tell("interrupted")
         return 128 + signal.SIGINT
     finally:
         ignore_stops()
@@ -148,16 +153,24 @@ def _no_more_output():
 
 def _say(message, command=""):
     """Print a refusal: one line, which a terminal gets wrapped but for a command."""
-    text = f"sklearn-vbjfa: {message}"
     if command:
-        text += "; this would work:"
+        message += "; this would work:"
     if sys.stderr is not None and sys.stderr.isatty():
         width = max(shutil.get_terminal_size().columns, 40)
-        lines = [textwrap.fill(text, width, break_on_hyphens=False), command]
-        text = "\n".join(filter(None, lines))
+        name = "sklearn-vbjfa: "
+        lines = textwrap.fill(
+            message, width, initial_indent=name, break_on_hyphens=False
+        )
+        message = "\n".join(filter(None, [lines.removeprefix(name), command]))
     elif command:
-        text += f" {command}"
-    print(text, file=sys.stderr)
+        message += f" {command}"
+    _tell(message)
+
+
+def _tell(message):
+    """Print a message to stderr; one that nobody can read is no error of its own."""
+    with contextlib.suppress(OSError):
+        print(f"sklearn-vbjfa: {message}", file=sys.stderr, flush=True)
 
 
 def one_line(message):

@@ -178,7 +178,8 @@ def one_line(message):
     text = " ".join(str(message).split())
     if len(text) > _LONGEST:
         left = len(text) - _LONGEST
-        text = f"{text[:-300][: _LONGEST - 300]} ({left} characters) {text[-300:]}"
+        begin, end = text[: _LONGEST - 300], text[-300:]
+        text = f"{begin} (and {left} characters more) {end}"
     return text
 
 

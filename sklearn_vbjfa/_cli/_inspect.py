@@ -1,5 +1,6 @@
 """The command ``inspect``: what a recording is, and what it can show."""
 
+import sys
 import tempfile
 import warnings
 from pathlib import Path
@@ -52,11 +53,13 @@ def _what(recording, held):
     listed = [
         f"{name} {length:.4g} s" for name, length in zip(recording.group_names, lengths)
     ]
-    more = ", ..." if len(listed) > 8 else ""
     lines = [
         str(recording),
-        f"{recording.n_samples * recording.dt:.4g} s at {1 / recording.dt:.6g} Hz: "
-        f"{', '.join(listed[:8])}{more}",
+        _input.wrapped(
+            f"{recording.n_samples * recording.dt:.4g} s at {1 / recording.dt:.6g} Hz: "
+            f"{', '.join(listed)}",
+            sys.stdout,
+        ),
     ]
     if recording.signals:
         names = [name for name in recording.signals if name != "a"]

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sklearn_vbjfa.recording._quoting import listed
 from sklearn_vbjfa.recording._refusal import RecordingRefused
 from sklearn_vbjfa.recording._table import LARGEST, Source, Table
 
@@ -70,7 +71,7 @@ class _Refused(RecordingRefused):
 
 
 def _broken(shown, ending, error):
-    reason = " ".join(str(error).split())[:120].rstrip(".") or type(error).__name__
+    reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
     if re.search("compress|zstd|lz4|bz2", reason, re.IGNORECASE):
         remedy = "convert it without compression (ros2 bag convert, rosbag decompress)"
     else:
@@ -127,7 +128,7 @@ def _connections(bag, shown, topic, wanted):
         if len(able) != 1:
             raise _Refused(
                 f"{shown}: holds {len(topics)} topics of joint states: "
-                f"{', '.join(topics[:12])}; give --topic with one of them (in Python: "
+                f"{listed(topics)}; give --topic with one of them (in Python: "
                 "topic=...).",
                 {"topic": (able or topics)[0]},
             )
@@ -150,8 +151,7 @@ def _contents(bag):
     topics = sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections})
     if not topics:
         return "it holds no topics"
-    more = ", ..." if len(topics) > 8 else ""
-    return f"it holds {', '.join(topics[:8])}{more}"
+    return f"it holds {listed(topics)}"
 
 
 def _kinds(bag, connections):
@@ -201,7 +201,7 @@ def _table(kinds, bare, shown, topic, wanted):
     others = sorted({name for names in kinds for name in names} - set(joints))
     if others:
         why = "the robot has none of that name, or they come in other messages"
-        notes.append(f"joint(s) {', '.join(others[:12])} of {topic} left out: {why}.")
+        notes.append(f"joint(s) {listed(others)} of {topic} left out: {why}.")
     if total > rows.size:
         notes.append(
             f"{total - rows.size} of {total} messages of {topic} lack some of the "

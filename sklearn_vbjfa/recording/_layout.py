@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.recording._presets import PRESETS, KnownLog
+from sklearn_vbjfa.recording._quoting import quoted
 from sklearn_vbjfa.recording._table import Table
 from sklearn_vbjfa.recording._units import (
     Unit,
@@ -427,7 +428,7 @@ def seconds_of_dates(table: Table, column: str):
         match = _STAMP.fullmatch(text)
         if match is None:
             raise ValueError(
-                f"{table.path}: {text[:40]!r} in {table.where(row)}, column "
+                f"{table.path}: {quoted(text)} in {table.where(row)}, column "
                 f"{column!r}, is no date and time like the others; correct or remove "
                 "that row."
             )

@@ -11,6 +11,7 @@ from sklearn_vbjfa.recording import _layout
 from sklearn_vbjfa.recording._files import read_table
 from sklearn_vbjfa.recording._layout import Layout, MappingRefused
 from sklearn_vbjfa.recording._presets import PRESETS, currents_as_efforts
+from sklearn_vbjfa.recording._quoting import listed, quoted
 from sklearn_vbjfa.recording._recording import Recording, _check_dt
 from sklearn_vbjfa.recording._refusal import RecordingRefused, nearest, suggestion
 from sklearn_vbjfa.recording._resample import on_grid
@@ -267,7 +268,7 @@ def _laid_out(table: Table, mapping, preset, names) -> Layout:
             options = suggestion(table, names, ("q", "tau", "t"), {}, False)
             raise RecordingRefused(
                 f"{table.path}: has no column {error}, which columns asks for; found "
-                f"{_listed(table.columns)}.",
+                f"{listed(table.columns)}.",
                 options,
             ) from None
     plain = _layout.by_names(table, names)
@@ -290,7 +291,7 @@ def _laid_out(table: Table, mapping, preset, names) -> Layout:
         options = suggestion(table, names, ("q", "tau", "t"), {}, False)
         raise RecordingRefused(
             f"{table.path}: does not fit the preset {preset!r}, which expects columns "
-            f"{expected}; found {_listed(table.columns)}.",
+            f"{expected}; found {listed(table.columns)}.",
             options,
         )
     return plain
@@ -377,12 +378,12 @@ def _held(table, layout, robot, by_joint, notes):
         others = [x for x in _own_joints(layout) if x not in robot.names]
         if others:
             notes.append(
-                f"joint(s) {_listed(others)} are none of the robot's and are left out."
+                f"joint(s) {listed(others)} are none of the robot's and are left out."
             )
     if robot.chosen or len(names) == len(robot.names):
         return robot
     held = [x for x in robot.names if x not in having]
-    notes.append(f"no columns of joint(s) {_listed(held)}: held at zero.")
+    notes.append(f"no columns of joint(s) {listed(held)}: held at zero.")
     return replace(robot, names=names)
 
 
@@ -410,7 +411,7 @@ def _in_order(table: Table, kind, pair, names):
         key = names[k] if by_joint else str(first + k)
         if key not in found:
             missing = f"{kind}_{names[k]}" if by_joint else f"{kind}{key}"
-            beside = _listed([role.column for (role, *_) in found.values()])
+            beside = listed([role.column for (role, *_) in found.values()])
             raise ValueError(
                 f"{table.path}: column {missing!r} is missing beside {beside}; every "
                 "joint needs one, in order."
@@ -425,7 +426,7 @@ def _all_missing(table, layout, mapping, names, missing, no_time):
     strangers = _own_joints(layout)
     if missing and strangers and names:
         parts.append(
-            f"its joints {_listed(strangers)} are none of the robot's, {_listed(names)}"
+            f"its joints {listed(strangers)} are none of the robot's, {listed(names)}"
         )
     for kind, what in (("q", "positions"), ("tau", "torques")):
         if kind in missing:
@@ -444,7 +445,7 @@ def _all_missing(table, layout, mapping, names, missing, no_time):
     given = dict(mapping)
     needed = [*missing, *(["t"] if no_time else [])]
     options = suggestion(table, names, needed, given, not no_time)
-    found = f"; found {_listed(table.columns)}" if missing else ""
+    found = f"; found {listed(table.columns)}" if missing else ""
     offer = (
         '; rename them in the header, or give columns="q=NAME{i},tau=NAME{i},t=NAME"'
         if missing and not options
@@ -460,12 +461,6 @@ def _refuse_two(table, one, other):
             f"{table.path}: columns {one!r} and {other!r} could both be meant; rename "
             "or remove the one that is not."
         )
-
-
-def _listed(names):
-    """Name columns, some of many."""
-    names = [name if len(name) < 40 else f"{name[:37]}..." for name in names]
-    return ", ".join(names if len(names) <= 20 else [*names[:19], "..."])
 
 
 def _values(table: Table, kind, roles):
@@ -495,7 +490,7 @@ def _numbers(table: Table, column: str):
     values = table.columns[column]
     if values.dtype.kind not in "biuf":
         raise ValueError(
-            f"{table.path}: column {column!r} holds {str(values[0])[:40]!r} and not "
+            f"{table.path}: column {column!r} holds {quoted(str(values[0]))} and not "
             "numbers; correct or rename it."
         )
     with np.errstate(over="ignore"):
@@ -542,8 +537,8 @@ def _check_joints(table: Table, found, names):
     for kind, columns in used.items():
         if len(columns) != nv:
             raise ValueError(
-                f"{table.path}: {nv} column(s) q ({_listed(used['q'])}) and "
-                f"{len(columns)} column(s) {kind} ({_listed(columns)}); every joint "
+                f"{table.path}: {nv} column(s) q ({listed(used['q'])}) and "
+                f"{len(columns)} column(s) {kind} ({listed(columns)}); every joint "
                 "needs one of each."
             )
     if not names:
@@ -558,7 +553,7 @@ def _check_joints(table: Table, found, names):
         )
         raise ValueError(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
-            f"({_listed(names)}); {remedy}."
+            f"({listed(names)}); {remedy}."
         )
     return names
 
@@ -604,7 +599,7 @@ def _gained(table: Table, channels, bases, gains, names, slides):
     if len(gains) != len(names):
         raise ValueError(
             f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
-            f"({_listed(names)}); expected one for each, in this order."
+            f"({listed(names)}); expected one for each, in this order."
         )
     channels["tau"] = channels["tau"] * np.array(gains)
     return own
@@ -659,7 +654,7 @@ def _signals(table: Table, layout, taken, notes):
             signals[column] = numbers
     if left_out:
         notes.append(
-            f"column(s) {_listed(left_out)} hold no finite numbers and are left out."
+            f"column(s) {listed(left_out)} hold no finite numbers and are left out."
         )
     return signals, left_out
 
@@ -715,7 +710,7 @@ def _time(table: Table, layout, dt, time_unit):
         if own:
             _refuse_two(table, times[0].column, times[1].column)
         raise RecordingRefused(
-            f"{table.path}: columns {_listed([x.column for x in times])} could all be "
+            f"{table.path}: columns {listed([x.column for x in times])} could all be "
             f"time; give columns='t={times[0].column}', or another of them.",
             {"columns": f"t={times[0].column}"},
         )

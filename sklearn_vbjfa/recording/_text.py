@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.recording._encodings import WINDOWS, encoding_of
+from sklearn_vbjfa.recording._quoting import quoted
 from sklearn_vbjfa.recording._table import Source, Table
 from sklearn_vbjfa.recording._units import is_unit
 
@@ -191,16 +192,11 @@ def _header(path):
             )
         if name in seen:
             raise ValueError(
-                f"{path}: line {header + 1} names column {_short(name)} twice; each "
+                f"{path}: line {header + 1} names column {quoted(name)} twice; each "
                 "column needs its own name."
             )
         seen.add(name)
     return header, names, separator
-
-
-def _short(text):
-    """Quote a text, its beginning if it is long."""
-    return repr(text if len(text) < 60 else f"{text[:57]}...")
 
 
 def _separator(line: str) -> str | None:
@@ -252,8 +248,8 @@ def _cells(lines, names, separator):
                 columns[k].append(float(cell or "nan"))
             else:
                 raise ValueError(
-                    f"{lines.path}: {_short(cell)} in {lines.where(-1)}, column "
-                    f"{_short(names[k])} is no number; correct or remove that line."
+                    f"{lines.path}: {quoted(cell)} in {lines.where(-1)}, column "
+                    f"{quoted(names[k])} is no number; correct or remove that line."
                 )
     return {name: np.array(column) for name, column in zip(names, columns)}
 

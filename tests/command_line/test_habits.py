@@ -164,7 +164,7 @@ def test_a_refusal_is_wrapped_on_a_terminal_and_one_line_elsewhere(monkeypatch):
 def test_what_is_left_out_of_a_huge_message_is_counted():
     text = one_line("x" * 5000 + " end")
     assert "..." not in text
-    assert "(4104 characters)" in text
+    assert "(and 4104 characters more)" in text
     assert text.endswith(" end")
     assert len(text) < 1000
 

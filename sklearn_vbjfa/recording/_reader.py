@@ -172,8 +172,8 @@ def read_recording(
     maker = currents_as_efforts(names) if _is_effort(table, layout) else ""
     if maker and gains is None:
         notes.append(
-            f"efforts are taken as N m; drivers of {maker} publish motor currents [A] "
-            "under this name: if this one does, give gains (command line: --gain "
+            f"efforts are taken as N m; many drivers of {maker} publish motor currents "
+            "[A] under this name: if this one did, give gains (command line: --gain "
             "unknown, or the factors)."
         )
     motor = [unit for unit in torque_units if unit not in _TORQUES]

@@ -67,8 +67,8 @@ _RTDE_BESIDE = (
 )
 _LIBFRANKA = "logToCSV, src/log.cpp of github.com/frankaemika/libfranka"
 
-# Joints whose driver publishes motor currents [A] as efforts, unless both the driver and
-# the controller are recent (PolyScope 5.23): see use_currents_as_efforts in
+# Joints whose driver publishes motor currents [A] as efforts, unless both driver and
+# controller are recent (PolyScope 5.23): see use_currents_as_efforts in
 # ur_robot_driver/doc/migration/makoa.rst of
 # github.com/UniversalRobots/Universal_Robots_ROS2_Driver.
 CURRENTS_AS_EFFORTS = {

@@ -80,6 +80,7 @@ _OPTIONS = {
     "columns": "--columns",
     "gains": "--gain",
     "joint_names": "--joints",
+    "out": "--out",
     "preset": "--preset",
     "time_unit": "--time-unit",
     "topic": "--topic",
@@ -99,7 +100,10 @@ def _command(argv, options):
         elif "=" not in str(word):
             next(given, None)
     for option, value in changed.items():
-        words += [option, value]
+        if isinstance(value, tuple):
+            value = ",".join(x if isinstance(x, str) else f"{x:.15g}" for x in value)
+        if value is not None:
+            words += [option, value]
     return f"python -m sklearn_vbjfa {shlex.join(words)}"
 
 

@@ -13,7 +13,14 @@ from sklearn_vbjfa.recording._layout import Layout, MappingRefused
 from sklearn_vbjfa.recording._presets import PRESETS, currents_as_efforts
 from sklearn_vbjfa.recording._quoting import listed, quoted
 from sklearn_vbjfa.recording._recording import Recording, _check_dt
-from sklearn_vbjfa.recording._refusal import RecordingRefused, nearest, suggestion
+from sklearn_vbjfa.recording._refusal import (
+    RecordingRefused,
+    nearest,
+    suggestion,
+    unit_is_wrong,
+    unit_of_steps,
+    usual_step,
+)
 from sklearn_vbjfa.recording._resample import on_grid
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import Table
@@ -130,8 +137,12 @@ def read_recording(
     """
     if dt is not None:
         _check_dt(dt)
-    mapping = {} if columns is None else _layout.parse_mapping(columns)
-    _layout.check_preset(preset)
+    asked = _Asked(
+        mapping={} if columns is None else _layout.parse_mapping(columns),
+        preset=_layout.checked_preset(preset),
+        timed=dt is not None,
+        gained=gains is not None,
+    )
     gains = _checked_gains(gains)
     if time_unit is not None and time_unit not in TIME_UNITS:
         raise ValueError(
@@ -144,16 +155,17 @@ def read_recording(
     model_names, prismatic = _robot(urdf, names)
     robot = _Joints(names=names or model_names, chosen=bool(names))
     notes = list(table.notes)
-    layout = _laid_out(table, mapping, preset, robot.names)
-    table = _without_blank_rows(table, layout, notes)
     dt = _given_period(table, dt)
-    found, robot = _channels(table, layout, mapping, robot, dt, notes)
+    asked = replace(asked, timed=dt is not None)
+    layout = _laid_out(table, asked, robot.names)
+    table = _without_blank_rows(table, layout, notes)
+    found, robot = _channels(table, layout, asked, robot, notes)
     names = robot.names
     channels, units = {}, {}
     for kind, columns_of in found.items():
         if columns_of:
             channels[kind], units[kind] = _values(table, kind, columns_of)
-    names = _check_joints(table, found, names)
+    names = _check_joints(table, found, asked, robot)
     slides = _check_units(table, found, units, names, model_names, prismatic)
     torque_units = _gained(table, channels, units["tau"], gains, names, slides)
     taken = {role.column for roles in found.values() for role in roles}
@@ -168,7 +180,7 @@ def read_recording(
     labels, segment = _segments(table, layout)
     taken |= {segment, *(() if time is None else time.column.split("+"))}
     signals, left_out = _signals(table, layout, taken, notes)
-    _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes)
+    _say_what_was_taken(table, layout, asked.mapping, found, time, time_unit, notes)
     maker = currents_as_efforts(names) if _is_effort(table, layout) else ""
     if maker and gains is None:
         notes.append(
@@ -216,6 +228,16 @@ def _stem(path):
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """What the user says of the columns, and whether of the period and the gains."""
+
+    mapping: dict
+    preset: str | None
+    timed: bool
+    gained: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Joints:
     """The joints that columns are looked for of, and whether the user chose them."""
 
@@ -257,19 +279,20 @@ def _movable(urdf):
     return _loading.movable_joints(urdf)
 
 
-def _laid_out(table: Table, mapping, preset, names) -> Layout:
+def _laid_out(table: Table, asked, names) -> Layout:
     """Say which columns are which channels; refuse what does not fit."""
+    mapping, preset = asked.mapping, asked.preset
     if preset is not None and mapping:
-        raise ValueError("give columns or a preset, not both: a preset is a mapping.")
+        raise RecordingRefused(
+            "give columns or a preset, not both: a preset is a mapping.",
+            {"preset": None},
+        )
     if mapping:
         try:
             return _layout.by_mapping(table, mapping, names)
         except MappingRefused as error:
-            options = suggestion(table, names, ("q", "tau", "t"), {}, False)
             raise RecordingRefused(
-                f"{table.path}: has no column {error}, which columns asks for; found "
-                f"{listed(table.columns)}.",
-                options,
+                f"{table.path}: {error}.", _otherwise(table, asked, names)
             ) from None
     plain = _layout.by_names(table, names)
     if table.joints:
@@ -288,13 +311,27 @@ def _laid_out(table: Table, mapping, preset, names) -> Layout:
         return _named(layout)
     if preset is not None:
         expected = " or ".join(f"{x.q} and {x.tau}" for x in PRESETS[preset])
-        options = suggestion(table, names, ("q", "tau", "t"), {}, False)
         raise RecordingRefused(
             f"{table.path}: does not fit the preset {preset!r}, which expects columns "
             f"{expected}; found {listed(table.columns)}.",
-            options,
+            _otherwise(table, asked, names),
         )
     return plain
+
+
+def _otherwise(table: Table, asked, names):
+    """Return the options that would read a file, had the user said nothing of it."""
+    said = {"columns": asked.mapping, "preset": asked.preset}
+    nothing = {key: None for key, value in said.items() if value}
+    plain = _layout.by_names(table, names)
+    if all(_matched(plain, kind, names) for kind in ("q", "tau")):
+        return nothing
+    if len(_layout.by_preset(table, None, names)) == 1:
+        return nothing
+    found = suggestion(
+        table, names, ("q", "tau", "t"), {}, timed=asked.timed, gained=asked.gained
+    )
+    return nothing | found if found else {}
 
 
 def _named(layout: Layout) -> Layout:
@@ -336,7 +373,7 @@ def _matched(layout: Layout, kind, names):
     return (by_joint, by_number) if by_joint or by_number else ()
 
 
-def _channels(table: Table, layout, mapping, robot, dt, notes):
+def _channels(table: Table, layout, asked, robot, notes):
     """Return the roles of each kind, a list in the order of the joints, and the joints.
 
     Refuses, all at once, what is missing.
@@ -345,9 +382,9 @@ def _channels(table: Table, layout, mapping, robot, dt, notes):
     robot = replace(robot, names=names)
     matched = {kind: _matched(layout, kind, names) for kind in _layout.KINDS}
     missing = [kind for kind in ("q", "tau") if not matched[kind]]
-    no_time = dt is None and not layout.times
+    no_time = not (asked.timed or layout.times)
     if missing or no_time:
-        raise _all_missing(table, layout, mapping, names, missing, no_time)
+        raise _all_missing(table, layout, asked, names, missing, no_time)
     for pair in filter(None, matched.values()):
         _refuse_both(table, *pair, names)
     by_joint = {kind: pair[0] for kind, pair in matched.items() if pair}
@@ -420,7 +457,7 @@ def _in_order(table: Table, kind, pair, names):
     return roles
 
 
-def _all_missing(table, layout, mapping, names, missing, no_time):
+def _all_missing(table, layout, asked, names, missing, no_time):
     """Return the refusal that lists everything that is missing."""
     parts = []
     strangers = _own_joints(layout)
@@ -442,9 +479,10 @@ def _all_missing(table, layout, mapping, names, missing, no_time):
             if not missing
             else f"no time: expected a column t, or dt{near}"
         )
-    given = dict(mapping)
     needed = [*missing, *(["t"] if no_time else [])]
-    options = suggestion(table, names, needed, given, not no_time)
+    options = suggestion(
+        table, names, needed, asked.mapping, timed=not no_time, gained=asked.gained
+    )
     found = f"; found {listed(table.columns)}" if missing else ""
     offer = (
         '; rename them in the header, or give columns="q=NAME{i},tau=NAME{i},t=NAME"'
@@ -530,8 +568,9 @@ def _without_blank_rows(table: Table, layout, notes):
     )
 
 
-def _check_joints(table: Table, found, names):
+def _check_joints(table: Table, found, asked, robot):
     """Check the number of joints by the columns of each kind, return their names."""
+    names = robot.names
     used = {kind: [x.column for x in roles] for kind, roles in found.items() if roles}
     nv = len(used["q"])
     for kind, columns in used.items():
@@ -551,9 +590,16 @@ def _check_joints(table: Table, found, names):
             f"(command line: --joints {','.join(names[: min(nv, 8)])}), the others are "
             "then held at zero"
         )
-        raise ValueError(
+        options = {}
+        if nv < len(names) and not robot.chosen:
+            options = {"joint_names": names[:nv]}
+        if nv == 1 and "q" in asked.mapping:
+            # A pattern without {i} is the name of a single column.
+            options = _otherwise(table, asked, names) or options
+        raise RecordingRefused(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
-            f"({listed(names)}); {remedy}."
+            f"({listed(names)}); {remedy}.",
+            options,
         )
     return names
 
@@ -597,9 +643,12 @@ def _gained(table: Table, channels, bases, gains, names, slides):
     if gains is None or isinstance(gains, str):
         return [base or unit for base, unit in zip(bases, own)]
     if len(gains) != len(names):
-        raise ValueError(
+        same = len(gains) == 1
+        raise RecordingRefused(
             f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
-            f"({listed(names)}); expected one for each, in this order."
+            f"({listed(names)}); expected one for each, in this order"
+            f"{'' if same else ', or unknown, to have them identified'}.",
+            {"gains": gains * len(names) if same else "unknown"},
         )
     channels["tau"] = channels["tau"] * np.array(gains)
     return own
@@ -729,10 +778,28 @@ def _time(table: Table, layout, dt, time_unit):
         if len(parts) == 2:
             t = t + 1e-9 * (values[1] - values[1][0])
         if np.ptp(t) > 0 or role is times[-1]:
+            _check_unit(table, role, values[0], usual_step(t), time_unit)
             # Without a unit stamps stay as they are, for messages that quote them.
             exact = values[0] if factor == 1.0 and len(parts) == 1 else t
             return exact, role
     return None, None
+
+
+def _check_unit(table: Table, role, values, period, time_unit):
+    """Refuse a unit of time in which the period [s] is none of a robot that moves."""
+    if not period or not unit_is_wrong(period):
+        return
+    unit = unit_of_steps(usual_step(values))
+    said = time_unit or role.unit or "s"
+    if not unit or unit == said:
+        return
+    raise RecordingRefused(
+        f"{table.path}: time steps by {period:.4g} s at the median, too "
+        f"{'slow for a motion' if period > 1 else 'fast for a robot'}; column "
+        f"{role.column!r} cannot be in {said}, in {unit} this would be a period of "
+        f"{usual_step(values) * unit_of('t', unit).factor:.4g} s.",
+        {"time_unit": unit},
+    )
 
 
 def _given_period(table: Table, dt):

@@ -445,7 +445,7 @@ def test_contradicting_arguments_are_refused(csv, options, message):
 def test_stamps_in_milliseconds_are_refused(csv):
     columns = table()
     columns["t"] *= 1e3
-    with pytest.raises(ValueError, match="t must be in seconds"):
+    with pytest.raises(ValueError, match="column 't' cannot be in s, in ms"):
         read_recording(csv(columns))
 
 

@@ -23,6 +23,20 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _MIN_SAMPLES = 64
 
 
+class Refused(ValueError):
+    """An argument in whose place another would do.
+
+    Attributes
+    ----------
+    options : dict of str to str
+        What would do, by the names that a command is made of.
+    """
+
+    def __init__(self, reason, options):
+        super().__init__(reason)
+        self.options = options
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Taken:
     """A recording of one's own and its robot.
@@ -249,10 +263,10 @@ def check_overwriting(out, names, inputs, endings=()):
     for name in names:
         for given in inputs:
             if (out / name).exists() and given.exists() and given.samefile(out / name):
-                raise ValueError(
+                raise Refused(
                     f"{given} is read by this run, which would write over it; give "
-                    f"another folder, such as --out {_beside(out)}, or --force to "
-                    "lose it."
+                    "another folder, or --force to lose it",
+                    {"out": str(_beside(out))},
                 )
     # Hidden files are those of folders and editors.
     held = {p.name for p in out.iterdir() if not p.name.startswith(".")}
@@ -262,17 +276,22 @@ def check_overwriting(out, names, inputs, endings=()):
     )
     if foreign:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
-        raise ValueError(
+        raise Refused(
             f"{out} holds {', '.join(foreign[:3])}{more}, which no run has written; "
-            f"give a folder of its own, such as --out {_beside(out)}, or --force to "
-            "write beside what is there."
+            "give a folder of its own, or --force to write beside what is there",
+            {"out": str(_beside(out))},
         )
 
 
 def _beside(out):
     """Name a folder in it that does not exist, for a message."""
-    names = itertools.chain(["report"], (f"report-{k}" for k in itertools.count(2)))
-    return next(out / name for name in names if not (out / name).exists())
+    return _free(out / "report")
+
+
+def _free(folder):
+    """Return a path, with a number behind it if there is something already."""
+    more = (folder.with_name(f"{folder.name}-{k}") for k in itertools.count(2))
+    return next(x for x in itertools.chain([folder], more) if not x.exists())
 
 
 def check_folder(out):
@@ -280,9 +299,10 @@ def check_folder(out):
     for folder in (out, *out.parents):
         if folder.exists():
             if not folder.is_dir():
-                raise ValueError(
-                    f"{folder} is a file; --out must name a folder, such as "
-                    f"{folder.with_name(f'{folder.stem}-report')}."
+                other = _free(folder.with_name(f"{folder.stem}-report"))
+                raise Refused(
+                    f"{folder} is a file, where --out must name a folder",
+                    {"out": str(other)},
                 )
             if not os.access(folder, os.W_OK):
                 raise ValueError(f"{folder} cannot be written to; give another --out.")

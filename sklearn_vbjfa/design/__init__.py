@@ -1,0 +1,1 @@
+"""Motions that are worth recording, within a robot's limits."""

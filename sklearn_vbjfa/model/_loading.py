@@ -1,8 +1,8 @@
-"""Robot models: a URDF made safe to parse, built by Pinocchio, and asked about.
+"""Robot models: a description made safe to parse, built by Pinocchio, and asked about.
 
-A description is checked before Pinocchio sees it, since its parser neither limits the
-depth of the XML nor says which link is wrong, and what of it does not enter the model
-is said in one warning.
+A URDF is checked before Pinocchio sees it, since its parser neither limits the depth
+of the XML nor says which link is wrong; `sklearn_vbjfa.model._mjcf_reading` reads MJCF.
+What of a description does not enter the model is said in one warning.
 """
 
 import os
@@ -14,6 +14,8 @@ from xml.parsers.expat import ExpatError
 
 import numpy as np
 
+from sklearn_vbjfa.model import _mjcf_reading
+from sklearn_vbjfa.model._pinocchio import import_pinocchio
 from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
@@ -41,32 +43,21 @@ INERTIAL_NAMES = (
 )
 
 
-def import_pinocchio():
-    """Import pinocchio, or say in one line how to get it."""
-    try:
-        import pinocchio
-    except ImportError as error:
-        raise ImportError(
-            "Robot models need Pinocchio, which is not installed: "
-            'pip install "sklearn-vbjfa[robot]"'
-        ) from error
-    return pinocchio
-
-
 def load_model(model):
     """Return a pinocchio model whose joints all have one degree of freedom.
 
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
-        Path of a URDF file, or a model.
+        Path of a URDF or MJCF file, or a model.
 
     Returns
     -------
     pinocchio.Model
         A copy of the model given, or the one read from the file. A joint that the
         URDF calls "continuous" is read as a revolute joint without limits, so that
-        its position is one angle [rad].
+        its position is one angle [rad]. Joints of an MJCF file are in the order of
+        MuJoCo's coordinates.
 
     Raises
     ------
@@ -75,15 +66,16 @@ def load_model(model):
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If a joint has not exactly one degree of freedom, there is no joint, or a link
-        has a negative mass.
+        If a joint has not exactly one degree of freedom, there is no joint, joints
+        close a loop, or a link has a negative mass.
 
     Warns
     -----
     UserWarning
-        If something in the URDF does not enter the model: a joint that mimics another
-        one counts as a joint of its own, and a body without mass or with an inertia
-        that no solid body has is completed by a ball (see `solid_bodies`).
+        If something in the file does not enter the model: a joint that mimics another
+        one counts as a joint of its own, a body without mass or with an inertia that
+        no solid body has is completed by a ball (see `solid_bodies`), and joints have
+        none of the springs, damping, friction and tendons of an MJCF file.
     """
     pin = import_pinocchio()
     if isinstance(model, (str, os.PathLike)):
@@ -92,18 +84,18 @@ def load_model(model):
     if isinstance(model, pin.Model):
         return _check_joints(model.copy())
     raise TypeError(
-        "model must be the path of a URDF file or a pinocchio.Model, got "
+        "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."
     )
 
 
 def load_reduced(path, moving):
-    """Return the model of a URDF of which only some joints move.
+    """Return the model of a description of which only some joints move.
 
     Parameters
     ----------
     path : str or os.PathLike
-        URDF file.
+        URDF or MJCF file.
     moving : sequence of str
         Names of the joints that move, in any order; the others are held at zero, of
         whatever kind they are, and what they carry is one body with its parent.
@@ -115,13 +107,17 @@ def load_reduced(path, moving):
     """
     path = Path(path)
     tree = parse_description(path)
-    _hold_others(tree, path, moving)
-    return _from_description(import_pinocchio(), tree, path)
+    if not _is_mjcf(tree):
+        _hold_others(tree, path, moving)
+    return _from_description(import_pinocchio(), tree, path, moving)
 
 
 def movable_joints(path):
-    """Names of the joints of a URDF that are not fixed, in its order."""
-    tree = parse_description(Path(path))
+    """Names of the joints of a description that are not fixed, in its order."""
+    path = Path(path)
+    tree = parse_description(path)
+    if _is_mjcf(tree):
+        return tuple(joint.name for joint in _mjcf_robot(tree, path).joints)
     return tuple(
         joint.get("name")
         for joint in tree.getroot().findall("joint")
@@ -130,7 +126,9 @@ def movable_joints(path):
 
 
 def write_reduced(path, target, moving):
-    """Write a copy of a URDF in which all but some joints are fixed at zero.
+    """Write a copy of a description in which all but some joints are fixed at zero.
+
+    Of an MJCF file the copy has the bodies and joints alone.
 
     Parameters
     ----------
@@ -144,10 +142,47 @@ def write_reduced(path, target, moving):
     tuple of str
         Names of the joints that were fixed.
     """
-    tree = parse_description(Path(path))
-    held = _hold_others(tree, Path(path), moving)
+    path = Path(path)
+    tree = parse_description(path)
+    if _is_mjcf(tree):
+        robot = _mjcf_robot(tree, path)
+        names = [joint.name for joint in robot.joints]
+        reduced = _held_mjcf(robot, path, moving)
+        _mjcf_reading.check_tree(reduced, path)
+        _mjcf_reading.write_robot(reduced, target)
+        return tuple(name for name in names if name not in moving)
+    held = _hold_others(tree, path, moving)
     tree.write(target, encoding="utf-8", xml_declaration=True)
     return held
+
+
+def _is_mjcf(tree):
+    """Whether a description is one of MuJoCo, by its root."""
+    return tree.getroot().tag == "mujoco"
+
+
+def _mjcf_robot(tree, path):
+    """Read what an MJCF file describes, `MjcfRobot`."""
+    return _mjcf_reading.read_mjcf(tree.getroot(), path, parse_description)
+
+
+def _held_mjcf(robot, path, moving):
+    """Hold the joints of an MJCF robot that do not move."""
+    _check_known(moving, [joint.name for joint in robot.joints], path)
+    return _mjcf_reading.held(robot, moving)
+
+
+def is_urdf(source):
+    """Whether a robot comes from a URDF file, whose text can be written again.
+
+    Parameters
+    ----------
+    source : str, os.PathLike or pinocchio.Model
+        What `load_model` takes.
+    """
+    if not isinstance(source, (str, os.PathLike)):
+        return False
+    return not _is_mjcf(parse_description(Path(source)))
 
 
 def _check_joints(loaded):
@@ -155,7 +190,7 @@ def _check_joints(loaded):
     if loaded.nv == 0:
         raise ValueError(
             "The robot model has no moving joint; expected a tree of revolute or "
-            "prismatic joints. Check the joint types in the URDF."
+            "prismatic joints. Check the joint types in the description."
         )
     wrong = [
         f"{loaded.names[i]} ({joint.shortname()}, nq={joint.nq}, nv={joint.nv})"
@@ -196,11 +231,19 @@ def load_text(text, path):
         return _from_description(pin, _parsed(text.encode(), path), path)
 
 
+def load_quietly(path):
+    """Return the model of a file, as `load_model`, of which everything was said."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return load_model(path)
+
+
 def parse_description(path):
     """Read the XML of a robot description, `ElementTree`; refuse what is none."""
     if not path.is_file():
         raise FileNotFoundError(
-            f"No robot description at {str(path)!r}; expected the path of a URDF file."
+            f"No robot description at {str(path)!r}; expected the path of a URDF or "
+            "MJCF file."
         )
     return _parsed(path.read_bytes(), path)
 
@@ -212,7 +255,7 @@ def _parsed(content, path):
         return ElementTree.ElementTree(ElementTree.fromstring(content))
     except (ElementTree.ParseError, ExpatError, LookupError, ValueError) as error:
         raise ValueError(
-            f"{str(path)!r} is not readable as URDF (XML): {error}. "
+            f"{str(path)!r} is not readable as URDF or MJCF (XML): {error}. "
             "A xacro file must be expanded first."
         ) from error
 
@@ -258,12 +301,7 @@ def _hold_others(tree, path, moving):
         for joint in tree.getroot().findall("joint")
         if joint.get("type") != "fixed"
     }
-    unknown = [name for name in moving if name not in joints]
-    if unknown:
-        raise ValueError(
-            f"{str(path)!r}: the robot has no movable joint {unknown[0]!r}; it has "
-            f"{', '.join(joints) or 'none'}."
-        )
+    _check_known(moving, joints, path)
     held = tuple(name for name in joints if name not in moving)
     for name in held:
         joints[name].set("type", "fixed")
@@ -273,12 +311,40 @@ def _hold_others(tree, path, moving):
     return held
 
 
-def _from_description(pin, tree, path):
-    """Build and check a model; say what of its description does not enter it."""
-    _check_masses(tree, path)
-    _check_axes(tree, path)
-    loaded = _check_joints(_build(pin, tree, path))
-    left_out = _left_out(tree, loaded)
+def _check_known(moving, names, path):
+    """Refuse names that are no joints of a description."""
+    unknown = [name for name in moving if name not in names]
+    if unknown:
+        raise ValueError(
+            f"{str(path)!r}: the robot has no movable joint {unknown[0]!r}; it has "
+            f"{', '.join(names) or 'none'}."
+        )
+
+
+def _from_description(pin, tree, path, moving=None):
+    """Build and check a model; say what of its description does not enter it.
+
+    moving : joints of an MJCF file that are not held; None for all.
+    """
+    if _is_mjcf(tree):
+        robot = _mjcf_robot(tree, path)
+        if moving is not None:
+            robot = _held_mjcf(robot, path, moving)
+        _check_number(len(robot.joints), path)
+        _mjcf_reading.check_tree(robot, path)
+        loaded = _check_joints(_mjcf_reading.to_pinocchio(robot))
+        followers = [one.name for one in robot.followers]
+        left_out = [*robot.left_out(), *_left_out(followers, loaded, robot.massless)]
+    else:
+        _check_masses(tree, path)
+        _check_axes(tree, path)
+        loaded = _check_joints(_build(pin, tree, path))
+        followers = [
+            joint.get("name")
+            for joint in tree.getroot().findall("joint")
+            if joint.find("mimic") is not None
+        ]
+        left_out = _left_out(followers, loaded)
     if left_out:
         warnings.warn(
             f"The robot description {path.name!r}: {'; '.join(left_out)}.",
@@ -310,11 +376,7 @@ def _check_axes(tree, path):
         for joint in tree.getroot().findall("joint")
         if joint.get("type") in _AXIAL
     ]
-    if len(moving) > _MOST_JOINTS:
-        raise ValueError(
-            f"{str(path)!r}: the robot has {len(moving)} moving joints, at most "
-            f"{_MOST_JOINTS} can be identified; hold the others (--joints)."
-        )
+    _check_number(len(moving), path)
     for joint in moving:
         axis = joint.find("axis")
         text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
@@ -330,15 +392,24 @@ def _check_axes(tree, path):
             )
 
 
-def _left_out(tree, model):
-    """Sentences on what of a description does not enter the model."""
+def _check_number(n_joints, path):
+    """Refuse more joints than robots have."""
+    if n_joints > _MOST_JOINTS:
+        raise ValueError(
+            f"{str(path)!r}: the robot has {n_joints} moving joints, at most "
+            f"{_MOST_JOINTS} can be identified; hold the others (--joints)."
+        )
+
+
+def _left_out(mimics, model, between=()):
+    """Sentences on what of a description does not enter the model.
+
+    mimics : joints that are to follow others; between : those that move another joint
+    and nothing else.
+    """
     names = joint_names(model)
     found = []
-    followers = [
-        joint.get("name")
-        for joint in tree.getroot().findall("joint")
-        if joint.get("name") in names and joint.find("mimic") is not None
-    ]
+    followers = [name for name in mimics if name in names]
     if followers:
         found.append(
             f"that {', '.join(followers)} mimic(s) another joint is not modelled, each "
@@ -347,6 +418,13 @@ def _left_out(tree, model):
         )
     possible = solid_bodies(nominal_parameters(model), _POSSIBLE)
     wrong = [name for name, good in zip(names, possible) if not good]
+    between = [name for name in wrong if name in between]
+    wrong = [name for name in wrong if name not in between]
+    if between:
+        found.append(
+            f"between {', '.join(between)} and the next joint of the same body is no "
+            "mass, a ball stands for it where the recording cannot tell"
+        )
     if wrong:
         found.append(
             f"what {', '.join(wrong)} move(s) has no mass or an inertia that no solid "

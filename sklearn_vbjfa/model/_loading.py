@@ -14,7 +14,7 @@ from xml.parsers.expat import ExpatError
 
 import numpy as np
 
-from sklearn_vbjfa.model import _mjcf_reading
+from sklearn_vbjfa.model import _mjcf_reading, _urdf_tree
 from sklearn_vbjfa.model._pinocchio import import_pinocchio
 from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 
@@ -107,7 +107,7 @@ def load_reduced(path, moving):
     """
     path = Path(path)
     tree = parse_description(path)
-    if not _is_mjcf(tree):
+    if not _is_mjcf(tree, path):
         _hold_others(tree, path, moving)
     return _from_description(import_pinocchio(), tree, path, moving)
 
@@ -116,7 +116,7 @@ def movable_joints(path):
     """Names of the joints of a description that are not fixed, in its order."""
     path = Path(path)
     tree = parse_description(path)
-    if _is_mjcf(tree):
+    if _is_mjcf(tree, path):
         return tuple(joint.name for joint in _mjcf_robot(tree, path).joints)
     return tuple(
         joint.get("name")
@@ -144,7 +144,7 @@ def write_reduced(path, target, moving):
     """
     path = Path(path)
     tree = parse_description(path)
-    if _is_mjcf(tree):
+    if _is_mjcf(tree, path):
         robot = _mjcf_robot(tree, path)
         names = [joint.name for joint in robot.joints]
         reduced = _held_mjcf(robot, path, moving)
@@ -156,9 +156,15 @@ def write_reduced(path, target, moving):
     return held
 
 
-def _is_mjcf(tree):
-    """Whether a description is one of MuJoCo, by its root."""
-    return tree.getroot().tag == "mujoco"
+def _is_mjcf(tree, path):
+    """Whether a description is one of MuJoCo and no URDF, by its root."""
+    tag = tree.getroot().tag
+    if tag not in ("robot", "mujoco"):
+        raise ValueError(
+            f"{str(path)!r} is no robot description: its outermost element is "
+            f"<{tag[:60]}>; expected <robot> (URDF) or <mujoco> (MJCF)."
+        )
+    return tag == "mujoco"
 
 
 def _mjcf_robot(tree, path):
@@ -182,7 +188,8 @@ def is_urdf(source):
     """
     if not isinstance(source, (str, os.PathLike)):
         return False
-    return not _is_mjcf(parse_description(Path(source)))
+    path = Path(source)
+    return not _is_mjcf(parse_description(path), path)
 
 
 def _check_joints(loaded):
@@ -326,7 +333,7 @@ def _from_description(pin, tree, path, moving=None):
 
     moving : joints of an MJCF file that are not held; None for all.
     """
-    if _is_mjcf(tree):
+    if _is_mjcf(tree, path):
         robot = _mjcf_robot(tree, path)
         if moving is not None:
             robot = _held_mjcf(robot, path, moving)
@@ -338,6 +345,7 @@ def _from_description(pin, tree, path, moving=None):
     else:
         _check_masses(tree, path)
         _check_axes(tree, path)
+        _urdf_tree.check_tree(tree, path)
         loaded = _check_joints(_build(pin, tree, path))
         followers = [
             joint.get("name")

@@ -50,7 +50,16 @@ def masses_of(document, body, shapes):
     inertial = body.find("inertial")
     if how == "false" or (how == "auto" and inertial is not None):
         return _given(document, inertial)
-    return _of_shapes(document, shapes)
+    low, high = document.compiler.numbers("inertiagrouprange", [0, 5], 2)
+    counted = [
+        (attributes, frame)
+        for attributes, frame in shapes
+        if low <= attributes.number("group") <= high
+        and attributes.text("type", "sphere") not in _FLAT
+    ]
+    if not counted:
+        return _given(document, inertial)
+    return _of_shapes(document, counted)
 
 
 def _given(document, element):
@@ -81,11 +90,8 @@ def _of_shapes(document, shapes):
     """Add up the masses of a body's shapes."""
     pin = import_pinocchio()
     total, unknown = pin.Inertia.Zero(), False
-    low, high = document.compiler.numbers("inertiagrouprange", [0, 5], 2)
     for attributes, frame in shapes:
         kind = attributes.text("type", "sphere")
-        if not low <= attributes.number("group") <= high or kind in _FLAT:
-            continue
         mass = attributes.numbers("mass", None, 1)
         if mass is not None and mass[0] == 0:
             continue

@@ -130,7 +130,7 @@ def test_refuses_joints_of_other_than_one_freedom(joint, message):
 def test_refuses_what_is_no_robot(write, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nowhere\.urdf.*expected the path"):
         load_model(tmp_path / "nowhere.urdf")
-    with pytest.raises(TypeError, match=r"path of a URDF file or a .*got int"):
+    with pytest.raises(TypeError, match=r"path of a URDF or MJCF file or a .*got int"):
         load_model(3)
     with pytest.raises(ValueError, match=r"not readable as URDF.*xacro"):
         load_model(write("<robot><link"))

@@ -17,7 +17,10 @@ def add_file(parser):
         help=RECORDING,
     )
     parser.add_argument(
-        "--urdf", required=True, metavar="FILE", help="description of the robot"
+        "--urdf",
+        required=True,
+        metavar="FILE",
+        help="description of the robot, URDF or MJCF",
     )
 
 

@@ -52,7 +52,10 @@ def add_to(commands):
         help=_options.RECORDING,
     )
     parser.add_argument(
-        "--urdf", default=None, metavar="FILE", help="description of the robot"
+        "--urdf",
+        default=None,
+        metavar="FILE",
+        help="description of the robot, URDF or MJCF",
     )
     parser.add_argument(
         "--model",

@@ -615,13 +615,13 @@ def check_tree(robot, path):
     for joint in robot.joints:
         if joint.kind == "free":
             wrong.append(
-                f"joint {joint.name!r} lets its body float freely: take it out of the "
-                "file if the robot stands firm"
+                f"joint {joint.name!r} lets its body float freely (take it out of the "
+                "file if the robot stands firm)"
             )
         elif joint.kind == "ball":
             wrong.append(
-                f"joint {joint.name!r} is a ball joint: write three hinges with axes "
-                "at right angles in its place"
+                f"joint {joint.name!r} is a ball joint (write three hinges with axes "
+                "at right angles in its place)"
             )
     for one in robot.constraints:
         if one.bodies and carriers[one.bodies[0]] == carriers[one.bodies[1]]:
@@ -632,11 +632,10 @@ def check_tree(robot, path):
         why = _LOOP if one.bodies else _why_not(one, moving)
         wrong.append(f"{one.name} {why}")
     if wrong:
-        listed = "".join(f"\n- {text}" for text in wrong)
         raise ValueError(
-            f"{str(path)!r} describes no tree of hinges and slides:{listed}\nOr hold "
-            "what is not recorded at zero: name the joints that are (--joints in the "
-            "command line, joint_names in Python)."
+            f"{str(path)!r} describes no tree of hinges and slides: {'; '.join(wrong)}."
+            " What is not recorded can be held at zero: name the joints that are "
+            "(--joints in the command line, joint_names in Python)."
         )
 
 
@@ -645,10 +644,10 @@ def _why_not(constraint, moving):
     if constraint.kind != "joint":
         return f"is a constraint of the kind {constraint.kind!r}, which is not modelled"
     if len(constraint.joints) == 1:
-        return "locks a joint: take the joint or the constraint out of the file"
+        return "locks a joint (take the joint or the constraint out of the file)"
     return (
-        "is not linear in the other joint's position: only polycoef of the form "
-        '"o k 0 0 0" can be followed'
+        "is not linear in the other joint's position (only a polycoef of the form o k "
+        "0 0 0 is)"
     )
 
 

@@ -28,7 +28,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
-        Path of a URDF file, or a model; a tree of one-degree-of-freedom joints.
+        Path of a URDF or MJCF file, or a model; a tree of one-degree-of-freedom
+        joints.
     friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"}, \
             default=("viscous",)
         Additional columns for each joint: v, sign(v), 1, a. The default gives the

@@ -328,7 +328,7 @@ def test_joint_equalities_of_mujoco_are_mimic_joints(write):
         (arm(MASS, '<freejoint name="f"/>'), "joint 'f' lets its body float freely"),
         (
             arm(MASS, '<joint name="f" type="ball"/>'),
-            "'f' is a ball joint: write three",
+            "joint 'f' is a ball joint .write",
         ),
         (
             arm(MASS, after='<equality><connect name="rod" body1="b"/></equality>'),

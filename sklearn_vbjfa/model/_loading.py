@@ -8,6 +8,7 @@ What of a description does not enter the model is said in one warning.
 import os
 import warnings
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 from xml.parsers import expat
 from xml.parsers.expat import ExpatError
@@ -15,6 +16,7 @@ from xml.parsers.expat import ExpatError
 import numpy as np
 
 from sklearn_vbjfa.model import _mjcf_reading, _urdf_tree
+from sklearn_vbjfa.model._followers import Folded, Link, fold, foldable
 from sklearn_vbjfa.model._pinocchio import import_pinocchio
 from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 
@@ -72,17 +74,34 @@ def load_model(model):
     Warns
     -----
     UserWarning
-        If something in the file does not enter the model: a joint that mimics another
-        one counts as a joint of its own, a body without mass or with an inertia that
-        no solid body has is completed by a ball (see `solid_bodies`), and joints have
-        none of the springs, damping, friction and tendons of an MJCF file.
+        If something in the file does not enter the model: a body without mass or with
+        an inertia that no solid body has is completed by a ball (see `solid_bodies`),
+        joints have none of the springs, damping, friction and tendons of an MJCF file,
+        and a joint that follows another one and carries joints that do not counts as a
+        joint of its own. Other joints that follow are left out, see `load_folded`.
+    """
+    return load_folded(model).model
+
+
+def load_folded(model):
+    """Return a robot without the joints that follow others, and their bodies.
+
+    Parameters
+    ----------
+    model : str, os.PathLike or pinocchio.Model
+        As for `load_model`; a model has no joints that follow.
+
+    Returns
+    -------
+    Folded
+        The model that `load_model` returns, and the bodies of its followers.
     """
     pin = import_pinocchio()
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
         return _from_description(pin, parse_description(path), path)
     if isinstance(model, pin.Model):
-        return _check_joints(model.copy())
+        return Folded(model=_check_joints(model.copy()))
     raise TypeError(
         "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."
@@ -98,7 +117,8 @@ def load_reduced(path, moving):
         URDF or MJCF file.
     moving : sequence of str
         Names of the joints that move, in any order; the others are held at zero, of
-        whatever kind they are, and what they carry is one body with its parent.
+        whatever kind they are, and what they carry is one body with its parent. A joint
+        that follows one of them is left out, as in `load_model`, unless it is named.
 
     Returns
     -------
@@ -109,20 +129,30 @@ def load_reduced(path, moving):
     tree = parse_description(path)
     if not _is_mjcf(tree, path):
         _hold_others(tree, path, moving)
-    return _from_description(import_pinocchio(), tree, path, moving)
+    return _from_description(import_pinocchio(), tree, path, moving).model
 
 
 def movable_joints(path):
-    """Names of the joints of a description that are not fixed, in its order."""
+    """Names of the joints that are neither fixed nor follow others, in file order.
+
+    Those that follow others are listed if they cannot be folded, see `load_model`.
+    """
     path = Path(path)
     tree = parse_description(path)
     if _is_mjcf(tree, path):
-        return tuple(joint.name for joint in _mjcf_robot(tree, path).joints)
-    return tuple(
-        joint.get("name")
-        for joint in tree.getroot().findall("joint")
-        if joint.get("type") != "fixed"
-    )
+        robot = _mjcf_robot(tree, path)
+        names = [joint.name for joint in robot.joints]
+        carriers, links = _mjcf_reading.carriers(robot), robot.links
+    else:
+        _fix_followers(tree, path)
+        names = [
+            joint.get("name")
+            for joint in tree.getroot().findall("joint")
+            if joint.get("type") != "fixed"
+        ]
+        carriers, links = _urdf_tree.carriers(tree), _mimics(tree, path)
+    folded = foldable(carriers, links, path)
+    return tuple(name for name in names if name not in folded)
 
 
 def write_reduced(path, target, moving):
@@ -150,7 +180,8 @@ def write_reduced(path, target, moving):
         reduced = _held_mjcf(robot, path, moving)
         _mjcf_reading.check_tree(reduced, path)
         _mjcf_reading.write_robot(reduced, target)
-        return tuple(name for name in names if name not in moving)
+        still = [joint.name for joint in reduced.joints]
+        return tuple(name for name in names if name not in still)
     held = _hold_others(tree, path, moving)
     tree.write(target, encoding="utf-8", xml_declaration=True)
     return held
@@ -173,9 +204,67 @@ def _mjcf_robot(tree, path):
 
 
 def _held_mjcf(robot, path, moving):
-    """Hold the joints of an MJCF robot that do not move."""
+    """Hold the joints of an MJCF robot that neither move nor follow those that do."""
     _check_known(moving, [joint.name for joint in robot.joints], path)
-    return _mjcf_reading.held(robot, moving)
+    # A follower that is named has columns and a torque of its own.
+    links = {name: link for name, link in robot.links.items() if name not in moving}
+    follow = _folded_by(moving, _mjcf_reading.carriers(robot), links, path)
+    return replace(
+        _mjcf_reading.held(robot, {*moving, *follow}),
+        followers=tuple(one for one in robot.followers if one.name in follow),
+    )
+
+
+def _folded_by(moving, carriers, links, path):
+    """Names of the followers that joints which move lead, if they can be folded.
+
+    carriers, links : as for `foldable`, of all joints, whose mistakes it refuses.
+    """
+    foldable(carriers, links, path)
+    follow = set(links)
+    while True:
+        # What is held is one body with the joint that carries it, and leads nothing.
+        left = {*moving, *follow}
+        own = {name: links[name] for name in follow if links[name].leader in left}
+        if len(own) == len(follow):
+            above = {name: _next(carriers, name, left) for name in left}
+            own = foldable(above, own, path)
+        if len(own) == len(follow):
+            return follow
+        follow = set(own)
+
+
+def _next(carriers, name, joints):
+    """Return the nearest joint of some that carries a joint; None for the base."""
+    name = carriers[name]
+    while name is not None and name not in joints:
+        name = carriers[name]
+    return name
+
+
+def _mimics(tree, path):
+    """Joints of a URDF that follow others, name -> `Link`."""
+    found = {}
+    for joint in tree.getroot().findall("joint"):
+        mimic = joint.find("mimic")
+        if mimic is None or joint.get("type") not in _AXIAL:
+            continue
+        name, numbers = joint.get("name"), []
+        for key, otherwise in (("multiplier", "1"), ("offset", "0")):
+            try:
+                number = float(mimic.get(key, otherwise))
+            except ValueError:
+                number = np.nan
+            if not np.isfinite(number):
+                raise ValueError(
+                    f"{str(path)!r}: joint {name!r} follows another one with the {key} "
+                    f"{mimic.get(key)[:40]!r}, which is no number; correct the "
+                    "description."
+                )
+            numbers.append(number)
+        leader = mimic.get("joint", "")
+        found[name] = Link(leader=leader, multiplier=numbers[0], offset=numbers[1])
+    return found
 
 
 def is_urdf(source):
@@ -235,7 +324,7 @@ def load_text(text, path):
     pin, path = import_pinocchio(), Path(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return _from_description(pin, _parsed(text.encode(), path), path)
+        return _from_description(pin, _parsed(text.encode(), path), path).model
 
 
 def load_quietly(path):
@@ -302,20 +391,52 @@ def _check_structure(content):
 
 
 def _hold_others(tree, path, moving):
-    """Fix all joints of a URDF but some; return the names of those fixed."""
+    """Fix all joints of a URDF but some and their followers; names of those fixed."""
     joints = {
         joint.get("name"): joint
         for joint in tree.getroot().findall("joint")
         if joint.get("type") != "fixed"
     }
     _check_known(moving, joints, path)
-    held = tuple(name for name in joints if name not in moving)
+    for name in moving:
+        # A follower that is named has columns and a torque of its own.
+        for mimic in joints[name].findall("mimic"):
+            joints[name].remove(mimic)
+    links = _mimics(tree, path)
+    follow = _folded_by(moving, _urdf_tree.carriers(tree), links, path)
+    held = tuple(name for name in joints if name not in {*moving, *follow})
     for name in held:
-        joints[name].set("type", "fixed")
-        for child in list(joints[name]):
-            if child.tag in _MOTION:
-                joints[name].remove(child)
+        _fix(joints[name])
     return held
+
+
+def _still(tree):
+    """Names of the joints of a URDF that are fixed."""
+    return {
+        joint.get("name")
+        for joint in tree.getroot().findall("joint")
+        if joint.get("type") == "fixed"
+    }
+
+
+def _fix_followers(tree, path):
+    """Fix the joints of a URDF that follow a fixed one: they do not move either."""
+    while True:
+        still, links = _still(tree), _mimics(tree, path)
+        follow = [name for name, link in links.items() if link.leader in still]
+        if not follow:
+            return
+        for joint in tree.getroot().findall("joint"):
+            if joint.get("name") in follow:
+                _fix(joint)
+
+
+def _fix(joint):
+    """Fix a joint of a URDF at zero."""
+    joint.set("type", "fixed")
+    for child in list(joint):
+        if child.tag in _MOTION:
+            joint.remove(child)
 
 
 def _check_known(moving, names, path):
@@ -329,7 +450,7 @@ def _check_known(moving, names, path):
 
 
 def _from_description(pin, tree, path, moving=None):
-    """Build and check a model; say what of its description does not enter it.
+    """Build and check a robot, `Folded`; say what of it does not enter the model.
 
     moving : joints of an MJCF file that are not held; None for all.
     """
@@ -339,27 +460,27 @@ def _from_description(pin, tree, path, moving=None):
             robot = _held_mjcf(robot, path, moving)
         _check_number(len(robot.joints), path)
         _mjcf_reading.check_tree(robot, path)
-        loaded = _check_joints(_mjcf_reading.to_pinocchio(robot))
-        followers = [one.name for one in robot.followers]
-        left_out = [*robot.left_out(), *_left_out(followers, loaded, robot.massless)]
+        links, said = robot.links, robot.left_out()
+        folded = foldable(_mjcf_reading.carriers(robot), links, path)
+        full, between = _mjcf_reading.to_pinocchio(robot), robot.massless
     else:
         _check_masses(tree, path)
         _check_axes(tree, path)
         _urdf_tree.check_tree(tree, path)
-        loaded = _check_joints(_build(pin, tree, path))
-        followers = [
-            joint.get("name")
-            for joint in tree.getroot().findall("joint")
-            if joint.find("mimic") is not None
-        ]
-        left_out = _left_out(followers, loaded)
+        _fix_followers(tree, path)
+        links, said, between = _mimics(tree, path), [], ()
+        folded = foldable(_urdf_tree.carriers(tree), links, path)
+        full = _build(pin, tree, path)
+    found = fold(_check_joints(full), folded)
+    apart = [name for name in links if name not in folded]
+    left_out = [*said, *_left_out(apart, full, between)]
     if left_out:
         warnings.warn(
             f"The robot description {path.name!r}: {'; '.join(left_out)}.",
             UserWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
-    return loaded
+    return found
 
 
 def _check_masses(tree, path):
@@ -412,17 +533,16 @@ def _check_number(n_joints, path):
 def _left_out(mimics, model, between=()):
     """Sentences on what of a description does not enter the model.
 
-    mimics : joints that are to follow others; between : those that move another joint
-    and nothing else.
+    mimics : joints that are to follow others and could not be folded; between : those
+    that move another joint and nothing else.
     """
     names = joint_names(model)
     found = []
-    followers = [name for name in mimics if name in names]
-    if followers:
+    if mimics:
         found.append(
-            f"that {', '.join(followers)} mimic(s) another joint is not modelled, each "
-            "counts as a joint with a torque of its own (to hold such joints at zero, "
-            "leave them out of joint_names or --joints)"
+            f"that {', '.join(mimics)} follow(s) another joint and carries joints that "
+            "do not is not modelled, each counts as a joint with a torque of its own "
+            "(to hold such joints at zero, leave them out of joint_names or --joints)"
         )
     possible = solid_bodies(nominal_parameters(model), _POSSIBLE)
     wrong = [name for name, good in zip(names, possible) if not good]

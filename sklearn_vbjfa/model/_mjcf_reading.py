@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sklearn_vbjfa.model._followers import Link
 from sklearn_vbjfa.model._mjcf_document import DEEPEST, Document
 from sklearn_vbjfa.model._mjcf_masses import masses_of
 from sklearn_vbjfa.model._pinocchio import import_pinocchio
@@ -118,20 +119,18 @@ class Constraint:
 
 @dataclass(frozen=True, kw_only=True)
 class Follower:
-    """A joint that another one moves: position = multiplier * leader + offset.
+    """A joint that another one moves.
 
     Attributes
     ----------
-    name, leader : str
-        The joint and the one that moves it.
-    multiplier, offset : float
-        Of the leader's position; the offset in rad or m.
+    name : str
+        The joint.
+    link : Link
+        The one that moves it, and how.
     """
 
     name: str
-    leader: str
-    multiplier: float
-    offset: float
+    link: Link
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -195,6 +194,11 @@ class MjcfRobot:
     def massless(self):
         """Names of joints that move the next joint of the same body and no mass."""
         return [joint.name for body in self.bodies for joint in body.joints[:-1]]
+
+    @property
+    def links(self):
+        """Joints that follow others, name -> `Link`."""
+        return {one.name: one.link for one in self.followers}
 
     def left_out(self):
         """Sentences on what is in the file and does not enter the model."""
@@ -518,13 +522,12 @@ class _Reader:
         if len(names) == 2 and linear:
             own, leader = (joints[name] for name in names)
             if {own.kind, leader.kind} <= {"hinge", "slide"}:
-                return Follower(
-                    name=own.name,
-                    leader=leader.name,
-                    multiplier=float(poly[1]),
-                    # Both count from where the file puts them.
-                    offset=float(poly[0] + own.ref - poly[1] * leader.ref),
+                # Both count from where the file puts them.
+                offset = float(poly[0] + own.ref - poly[1] * leader.ref)
+                link = Link(
+                    leader=leader.name, multiplier=float(poly[1]), offset=offset
                 )
+                return Follower(name=own.name, link=link)
         return Constraint(
             kind="joint",
             name=f"{attributes.what} of <equality>, which ties {' to '.join(names)},",
@@ -610,7 +613,7 @@ def check_tree(robot, path):
         File that the message names.
     """
     moving = {joint.name for joint in robot.joints}
-    carriers = _carriers(robot)
+    carried_by = _carriers(robot)
     wrong = []
     for joint in robot.joints:
         if joint.kind == "free":
@@ -624,7 +627,7 @@ def check_tree(robot, path):
                 "at right angles in its place)"
             )
     for one in robot.constraints:
-        if one.bodies and carriers[one.bodies[0]] == carriers[one.bodies[1]]:
+        if one.bodies and carried_by[one.bodies[0]] == carried_by[one.bodies[1]]:
             # Held joints made one body of both.
             continue
         if not one.bodies and not moving.intersection(one.joints):
@@ -649,6 +652,19 @@ def _why_not(constraint, moving):
         "is not linear in the other joint's position (only a polycoef of the form o k "
         "0 0 0 is)"
     )
+
+
+def carriers(robot):
+    """Name of the joint that carries each joint, by its name; None for the world."""
+    joints, found = robot.joints, {}
+    of_bodies = _carriers(robot)
+    for body in robot.bodies:
+        above = of_bodies[body.parent]
+        name = joints[above].name if above >= 0 else None
+        for joint in body.joints:
+            found[joint.name] = name
+            name = joint.name
+    return found
 
 
 def _carriers(robot):
@@ -780,13 +796,12 @@ def _write_joint(parent, joint):
 def _write_followers(parent, robot):
     refs = {joint.name: joint.ref for joint in robot.joints}
     for one in robot.followers:
-        if one.name not in refs or one.leader not in refs:
-            continue
-        shift = one.offset - refs[one.name] + one.multiplier * refs[one.leader]
+        link = one.link
+        shift = link.offset - refs[one.name] + link.multiplier * refs[link.leader]
         ElementTree.SubElement(
             parent,
             "joint",
             joint1=one.name,
-            joint2=one.leader,
-            polycoef=numbers([shift, one.multiplier, 0.0, 0.0, 0.0]),
+            joint2=link.leader,
+            polycoef=numbers([shift, link.multiplier, 0.0, 0.0, 0.0]),
         )

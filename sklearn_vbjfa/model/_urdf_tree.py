@@ -73,6 +73,25 @@ def check_tree(tree, path):
             )
 
 
+def carriers(tree):
+    """Name of the moving joint that carries each moving joint; None for the base."""
+    above, joints = {}, []
+    for joint in tree.getroot().findall("joint"):
+        parent, child = (_link(joint.find(tag)) for tag in ("parent", "child"))
+        moves = joint.get("type") != "fixed"
+        above[child] = parent, joint.get("name"), not moves
+        if moves:
+            joints.append((joint.get("name"), parent))
+    found = {}
+    for name, link in joints:
+        seen = set()
+        while link in above and above[link][2] and link not in seen:
+            seen.add(link)
+            link = above[link][0]
+        found[name] = above[link][1] if link in above else None
+    return found
+
+
 def _link(element):
     """Name of the link that a <parent> or <child> names."""
     return None if element is None else element.get("link")

@@ -13,7 +13,7 @@ from sklearn_vbjfa.model._loading import (
     INERTIAL_NAMES,
     is_prismatic,
     joint_names,
-    load_model,
+    load_folded,
 )
 from sklearn_vbjfa.model._regressor import TreeRegressor
 
@@ -49,6 +49,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         The loaded model; within `RobotIdentifier`, as its effects correct it.
     nominal_ : pinocchio.Model
         The loaded model, not corrected.
+    followers_ : tuple
+        Bodies of the joints that follow others, which are not among the joints.
     gains_ : ndarray of shape (nv,)
         What each torque channel reads over the torque: 1 unless an effect says so.
     friction_ : tuple of str
@@ -121,7 +123,9 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self : object
             Fitted transformer.
         """
-        self.model_ = self.nominal_ = load_model(self.model)
+        folded = load_folded(self.model)
+        self.model_ = self.nominal_ = folded.model
+        self.followers_ = folded.followers
         self.gains_ = np.ones(self.model_.nv)
         self.friction_ = _friction.check_names(self.friction)
         self.n_joints_ = self.model_.nv

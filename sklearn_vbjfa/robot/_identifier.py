@@ -37,6 +37,7 @@ from sklearn_vbjfa.robot._equations import (
 )
 from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._following import with_followers
 from sklearn_vbjfa.robot._gains import (
     channel_gains,
     check_gains,
@@ -638,13 +639,14 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         """Load the model; set the names and units of the parameters."""
         self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
         self.joint_names_ = joint_names(self.features_.model_)
-        self.effects_ = check_effects(self.effects, self.features_.n_joints_)
+        declared = check_effects(self.effects, self.features_.n_joints_)
         self.gains_ = None
         model = self.features_.model_
         check_gains(self.gains, self.joint_names_)
         self._masses = check_masses(self.known_masses, self.gains, model)
         if self.gains is not None:
-            self.effects_ = declared_gains(self.effects_, model.nv)
+            declared = declared_gains(declared, model.nv)
+        self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
         names, units = effect_names(self.effects_, self.features_.model_)
         self.parameter_names_ = self.features_.parameter_names_ + names

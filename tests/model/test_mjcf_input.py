@@ -11,6 +11,7 @@ from sklearn_vbjfa.model._description_text import description_text  # noqa: E402
 from sklearn_vbjfa.model._loading import (  # noqa: E402
     body_names,
     joint_names,
+    load_folded,
     load_model,
     load_reduced,
     load_text,
@@ -310,16 +311,24 @@ def test_a_urdf_says_the_same(write):
     )
 
 
-def test_joint_equalities_of_mujoco_are_mimic_joints(write):
+def test_joint_equalities_of_mujoco_are_followers(write, tmp_path):
     """q_f - ref_f = o + k (q_l - ref_l), however the file counts."""
     after = (
         '<equality><joint joint1="k" joint2="j" polycoef="0.3 -2 0 0 0"/>'
         '<joint joint1="j" active="false"/></equality>'
     )
     inside = f'{MASS}<body><joint name="k" ref="10"/>{MASS}</body>'
-    with pytest.warns(UserWarning, match=r"k mimic\(s\)"):
-        model = load_model(write(arm(inside, after=after)))
-    assert joint_names(model) == ("j", "k")
+    path = write(arm(inside, '<joint name="j" ref="20"/>', after=after))
+    (body,) = load_folded(path).followers
+    assert joint_names(load_model(path)) == movable_joints(path) == ("j",)
+    step = body.chain[-1]
+    assert (body.name, body.leader, step.joint, step.rate) == ("k", 0, 0, -2.0)
+    assert step.offset == pytest.approx(0.3 + np.deg2rad(10 + 2 * 20))
+    write_reduced(path, tmp_path / "again.xml", ["j"])
+    (again,) = load_folded(tmp_path / "again.xml").followers
+    assert again.chain[-1].offset == pytest.approx(step.offset)
+    # One that is named has columns of its own.
+    assert joint_names(load_reduced(path, ["k", "j"])) == ("j", "k")
 
 
 @pytest.mark.parametrize(

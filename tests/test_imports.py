@@ -101,6 +101,7 @@ ROOMS = (
     "robot",
     "inspection",
     "diagnosis",
+    "design",
     "datasets",
     "distributed",
     "top",

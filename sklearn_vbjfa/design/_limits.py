@@ -19,6 +19,8 @@ _NO_LIMIT = 1e9
 # A motion that is worth recording goes there and back through this share of the range
 # of every joint, once at least.
 _LEAST_SHARE = 0.25
+# Time to full speed of the acceleration that is proposed where there is no limit [s].
+_RUN_UP = 0.5
 # Poses in which the torque of holding still is looked at.
 _POSES = 200
 
@@ -32,7 +34,7 @@ class MotionLimits:
     position : array-like of shape (nv, 2)
         Lowest and highest positions [rad or m].
     velocity : array-like of shape (nv,)
-        Largest speeds [rad/s or m/s].
+        Largest speeds [rad/s or m/s], finite.
     acceleration : array-like of shape (nv,), default=None
         Largest accelerations [rad/s^2 or m/s^2]; None or infinity where there is no
         limit but that of the torque.
@@ -102,6 +104,17 @@ class MotionLimits:
                     f"The limits leave joint {j + 1} no room: {name} of {value[j]:g}; "
                     "it must be positive."
                 )
+        for j in np.flatnonzero(np.isinf(self.velocity)):
+            raise ValueError(
+                f"velocity of joint {j + 1} has no limit; give one. Through half of "
+                f"its range in one second takes {0.5 * (high - low)[j]:.3g}."
+            )
+        for j in np.flatnonzero(np.isinf(self.acceleration) & np.isinf(self.torque)):
+            raise ValueError(
+                f"joint {j + 1} has a limit neither of acceleration nor of torque; "
+                f"give one. Its velocity of {self.velocity[j]:g} is reached in half a "
+                f"second with an acceleration of {self.velocity[j] / _RUN_UP:.3g}."
+            )
 
     @classmethod
     def of(cls, model, *, acceleration=None, torque=None):
@@ -185,10 +198,11 @@ class MotionLimits:
             )
         low, high = self.position.T
         for j in np.flatnonzero(~((start >= low) & (start <= high))):
+            inside = 0.5 * (low + high)[j] if np.isnan(start[j]) else start[j]
             raise ValueError(
                 f"start puts {names[j]} at {start[j]:g}, outside its limits "
                 f"[{low[j]:g}, {high[j]:g}]; start where the motion may be, for "
-                f"example at {np.clip(start[j], low[j], high[j]):g}."
+                f"example at {np.clip(inside, low[j], high[j]):g}."
             )
         return start
 

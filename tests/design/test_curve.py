@@ -40,7 +40,7 @@ def test_it_is_the_series_of_its_own_coefficients(start):
 def test_velocity_and_acceleration_are_derivatives(start):
     curve, z = drawn(start)
     t, h = np.linspace(0.1, 6.9, 57), 1e-5
-    q, v, a = parts(curve, z, t)
+    _, v, a = parts(curve, z, t)
     ahead, behind = parts(curve, z, t + h), parts(curve, z, t - h)
     np.testing.assert_allclose((ahead[0] - behind[0]) / (2 * h), v, atol=1e-7)
     np.testing.assert_allclose((ahead[1] - behind[1]) / (2 * h), a, atol=1e-6)

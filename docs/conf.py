@@ -77,7 +77,7 @@ sphinx_gallery_conf = {
             "../examples/3_articles",
         ]
     ),
-    "within_subsection_order": "FileNameSortKey",
+    "within_subsection_order": "gallery_order.MostWantedFirst",
     "write_computation_times": False,
     "show_memory": False,
     "download_all_examples": False,

@@ -463,3 +463,13 @@ def test_examples_run(page, tmp_path, monkeypatch):
     namespace = {"__name__": "__main__"}
     for block in code_blocks(page):
         exec(compile(block, str(page), "exec"), namespace)
+
+
+def test_examples_that_come_first_exist(monkeypatch):
+    order = script(DOCS / "_ext" / "gallery_order.py", monkeypatch)
+    there = [path.name for path in (ROOT / "examples").rglob("plot_*.py")]
+    assert set(order.FIRST) <= set(there)
+    key = order.MostWantedFirst("examples")
+    assert sorted([*there, "plot_another.py"], key=key)[: len(order.FIRST)] == list(
+        order.FIRST
+    )

@@ -10,9 +10,9 @@ from sphinx_gallery.sorting import ExplicitOrder
 
 import sklearn_vbjfa
 
-sys.path.insert(0, str(Path(__file__).parent / "_ext"))
-
 mpl.use("Agg")
+# The guide's own directives.
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "sklearn_vbjfa"
 author = "The sklearn_vbjfa developers"
@@ -28,6 +28,7 @@ extensions = [
     "recorded_directives",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
+    "effect_pages",
 ]
 templates_path = ["_templates"]
 # tables/ holds pieces that other pages include.

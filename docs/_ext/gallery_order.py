@@ -6,6 +6,7 @@ FIRST = (
     "plot_measured_robots.py",
     "plot_not_level.py",
     "plot_mujoco.py",
+    "plot_pipeline.py",
     "plot_noisy_sensors.py",
     "plot_replicates.py",
     "plot_look_at_a_fit.py",

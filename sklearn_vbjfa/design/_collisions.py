@@ -1,0 +1,366 @@
+"""How near the links of a robot come to each other, with gradients.
+
+The gradient of a distance follows from the points where two shapes are nearest and from
+the normal between them: shapes move rigidly, and to first order the points may be held
+on them. That fails only where the nearest points jump, as between parallel faces.
+"""
+
+import os
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from sklearn_vbjfa.design._capsules import capsule_around, segment_distances
+from sklearn_vbjfa.model._loading import import_pinocchio, load_model
+from sklearn_vbjfa.model._poses import JointPoses
+from sklearn_vbjfa.model._shapes import NoShapes, load_shapes
+
+# Random positions that tell which pairs touch wherever the robot is.
+_SAMPLES = 200
+# Shapes touch if they are nearer than this share of the links' thickness, by which the
+# faces of shapes drawn flush miss each other.
+_FLUSH = 0.01
+# Beyond this a limit stands for none; and what is looked at then [rad, m].
+_NO_LIMIT, _ALL_ROUND, _SLIDE = 1e6, np.pi, 1.0
+# Duality gap [m^2] at which the nearest points are taken as found. With coal's default,
+# normals of round shapes are wrong by its root. Of penetrating cylinders the default
+# stays: the search there breaks down where it is made finer.
+_GAP = 1e-10
+# Pairs and rows that are in memory at once.
+_AT_ONCE = 200_000
+# Distances that are found at once in the search for the smallest.
+_BATCH = 256
+
+
+@dataclass(frozen=True)
+class Distances:
+    """Signed distances of pairs of shapes in the rows of a motion.
+
+    Attributes
+    ----------
+    distance : ndarray of shape (n, n_pairs)
+        Smallest distance, minus the depth of penetration [m]; for pairs that are far
+        apart a lower bound of it.
+    gradient : ndarray of shape (n, n_pairs, nv)
+        Its derivative by the positions [m/rad, m/m]; zero for pairs far apart.
+    exact : ndarray of shape (n, n_pairs) of bool
+        False where pairs are far apart.
+    """
+
+    distance: np.ndarray
+    gradient: np.ndarray
+    exact: np.ndarray
+
+
+@dataclass(frozen=True)
+class Approach:
+    """Two links near each other in one row of a motion.
+
+    Attributes
+    ----------
+    row : int
+        Number of the row.
+    first, second : str
+        Links.
+    distance : float
+        Signed distance [m].
+    """
+
+    row: int
+    first: str
+    second: str
+    distance: float
+
+    @property
+    def depth(self):
+        """How deep one is in the other [m], 0 where they are apart."""
+        return max(0.0, -self.distance)
+
+
+class Clearance:
+    """Distances between the links of a robot that may meet.
+
+    Links next to each other, or fixed together, are not looked at, nor are shapes that
+    overlap in most positions: that is how they were drawn. Meshes stand for their
+    convex hulls. What stands around the robot is not known.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        Joints have one degree of freedom each; some may be held.
+    shapes : RobotShapes
+        Shapes on the bodies of the model.
+    margin : float
+        Distance that will be kept [m]: shapes that are nearer in most positions count
+        as overlapping.
+
+    Attributes
+    ----------
+    pairs : tuple of (str, str)
+        Links of the pairs that are looked at; a link of several shapes occurs as often.
+    ignored : tuple of (str, str)
+        Links of which shapes overlap in most positions.
+    near : float
+        Distance [m] up to which distances are exact by default: the thickness of a
+        typical link, which is how far ahead a motion has to turn aside.
+    """
+
+    def __init__(self, model, shapes, margin=0.0):
+        pin = import_pinocchio()
+        self._coal = pin.coal
+        self._poses = JointPoses(model)
+        self._shapes = shapes.shapes
+        self._bodies = np.array([shape.joint for shape in self._shapes])
+        self._axes = np.array([shape.axes for shape in self._shapes])
+        self._origins = np.array([shape.origin for shape in self._shapes])
+        capsules = [capsule_around(x.corners, x.swept) for x in self._shapes]
+        self._radii = np.array([capsule.radius for capsule in capsules])
+        self._ends = np.array(
+            [x.ends @ s.axes.T + s.origin for x, s in zip(capsules, self._shapes)]
+        )
+        self.near = float(np.median(self._radii))
+        candidates = [
+            (i, j)
+            for i, j in combinations(range(len(self._shapes)), 2)
+            if self._bodies[i] != self._bodies[j] and not shapes.neighbours[i, j]
+        ]
+        self._look_at(candidates)
+        share = self._share_within(model, max(margin, _FLUSH * self.near))
+        self.ignored = tuple(
+            dict.fromkeys(pair for pair, often in zip(self.pairs, share) if often > 0.5)
+        )
+        self._look_at([x for x, often in zip(candidates, share) if often <= 0.5])
+
+    @classmethod
+    def of(cls, robot, *, model=None, package_dirs=(), margin=0.0):
+        """Take the shapes from a URDF.
+
+        Parameters
+        ----------
+        robot : str, os.PathLike or pinocchio.Model
+            URDF file; a model has no shapes.
+        model : pinocchio.Model, optional
+            Model of that file with the joints that move; by default all of them.
+        package_dirs : sequence of str or os.PathLike
+            Folders of packages of meshes, beside that of the URDF and those above it.
+        margin : float
+            Distance that will be kept [m], see `Clearance`.
+
+        Returns
+        -------
+        clearance : Clearance or None
+            None if the robot has no shapes.
+        reason : str
+            Why it has none in one or two sentences, else empty.
+        """
+        if not isinstance(robot, (str, os.PathLike)):
+            return None, (
+                "A robot that is given as a model has no collision geometry; give the "
+                "path of its URDF to keep its links apart."
+            )
+        if model is None:
+            model = load_model(robot)
+        try:
+            return cls(model, load_shapes(robot, model, package_dirs), margin), ""
+        except NoShapes as reason:
+            return None, str(reason)
+
+    def __call__(self, q, within=None):
+        """Return the signed distances of all pairs, with gradients.
+
+        Parameters
+        ----------
+        q : array-like of shape (n, nv)
+            Positions [rad, m].
+        within : float, optional
+            Distance up to which it is exact [m], `near` by default. Further away it is
+            a lower bound, which is larger than this.
+
+        Returns
+        -------
+        Distances
+        """
+        q = self._positions(q)
+        within = self.near if within is None else within
+        poses = self._poses(q)
+        distance = self._bounds(poses)
+        exact = distance <= within
+        gradient = np.zeros((*distance.shape, q.shape[1]))
+        rows, pairs = np.nonzero(exact)
+        found = self._nearest_points(poses, rows, pairs)
+        distance[rows, pairs] = found.distance
+        gradient[rows, pairs] = self._gradients(poses, rows, pairs, found)
+        return Distances(distance, gradient, exact)
+
+    def nearest(self, q):
+        """Return where two links are nearest to each other, or deepest in each other.
+
+        Parameters
+        ----------
+        q : array-like of shape (n, nv)
+            Positions [rad, m].
+
+        Returns
+        -------
+        Approach or None
+            None if no two links may meet.
+        """
+        best, where = np.inf, None
+        for start, poses in self._pieces(q):
+            bounds = self._bounds(poses)
+            order = np.argsort(bounds, axis=None)
+            for batch in np.array_split(order, np.arange(_BATCH, len(order), _BATCH)):
+                rows, pairs = np.unravel_index(batch, bounds.shape)
+                if len(batch) == 0 or bounds[rows[0], pairs[0]] >= best:
+                    break
+                found = self._nearest_points(poses, rows, pairs).distance
+                k = found.argmin()
+                if found[k] < best:
+                    best = float(found[k])
+                    where = (start + int(rows[k]), *self.pairs[pairs[k]])
+        return None if where is None else Approach(*where, best)
+
+    def smallest(self, q):
+        """Return the smallest signed distance [m] in a motion, inf if none can meet.
+
+        Parameters
+        ----------
+        q : array-like of shape (n, nv)
+            Positions [rad, m].
+
+        Returns
+        -------
+        float
+        """
+        nearest = self.nearest(q)
+        return np.inf if nearest is None else nearest.distance
+
+    def self_collisions(self, q):
+        """Return the rows in which links are in each other, how deep, and which.
+
+        Parameters
+        ----------
+        q : array-like of shape (n, nv)
+            Positions [rad, m].
+
+        Returns
+        -------
+        list of Approach
+            By row; of two links that meet with several shapes, the deepest.
+        """
+        deepest = {}
+        for start, poses in self._pieces(q):
+            rows, pairs = np.nonzero(self._bounds(poses) < 0)
+            found = self._nearest_points(poses, rows, pairs).distance
+            for row, pair, distance in zip(rows, pairs, found):
+                where = (start + int(row), *self.pairs[pair])
+                if distance < min(0.0, deepest.get(where, 0.0)):
+                    deepest[where] = float(distance)
+        return [Approach(*where, distance) for where, distance in deepest.items()]
+
+    def _look_at(self, candidates):
+        """Take pairs of numbers of shapes as those that are looked at."""
+        numbers = np.array(candidates, dtype=int).reshape(-1, 2)
+        self._first, self._second = numbers.T
+        shapes, distance = self._shapes, self._coal.ComputeDistance
+        self.pairs = tuple((shapes[i].link, shapes[j].link) for i, j in candidates)
+        self._compute = [
+            distance(shapes[i].geometry, shapes[j].geometry) for i, j in candidates
+        ]
+        self._requests = [self._request(shapes[i], shapes[j]) for i, j in candidates]
+        # Joints that carry the one and not the other change their distance.
+        carries = self._poses.carries.astype(float)
+        first, second = self._bodies[self._first], self._bodies[self._second]
+        self._moves = carries[second] - carries[first]
+
+    def _request(self, first, second):
+        """How finely coal looks for the nearest points of two shapes."""
+        request, cylinder = self._coal.DistanceRequest(), self._coal.Cylinder
+        request.gjk_tolerance = _GAP
+        if not any(isinstance(x.geometry, cylinder) for x in (first, second)):
+            request.epa_tolerance = _GAP
+        return request
+
+    def _share_within(self, model, margin):
+        """In which share of the positions a robot can take each pair is that near."""
+        lower, upper = model.lowerPositionLimit, model.upperPositionLimit
+        turns = self._poses(np.zeros((1, model.nv))).angular[0].any(axis=1)
+        reach = np.where(turns, _ALL_ROUND, _SLIDE)
+        lower = np.where(np.abs(lower) < _NO_LIMIT, lower, -reach)
+        upper = np.where(np.abs(upper) < _NO_LIMIT, upper, reach)
+        random = np.random.default_rng(0).random((_SAMPLES, model.nv))
+        neutral = np.clip(0.0, lower, upper)
+        q = np.vstack([neutral, lower + (upper - lower) * random])
+        count = np.zeros(len(self.pairs))
+        for _, poses in self._pieces(q):
+            rows, pairs = np.nonzero(self._bounds(poses) < margin)
+            touch = self._nearest_points(poses, rows, pairs).distance < margin
+            count += np.bincount(pairs[touch], minlength=len(count))
+        return count / len(q)
+
+    def _positions(self, q):
+        """Check positions (n, nv)."""
+        q, nv = np.asarray(q, dtype=float), self._poses.carries.shape[1]
+        if q.ndim != 2 or q.shape[1] != nv:
+            raise ValueError(f"q must have the shape (n, {nv}), got {q.shape}.")
+        if not np.isfinite(q).all():
+            raise ValueError("q has entries that are not finite.")
+        return q
+
+    def _pieces(self, q):
+        """Yield number of the first row and poses, of pieces of a motion."""
+        q = self._positions(q)
+        step = max(1, _AT_ONCE // max(1, len(self.pairs)))
+        for start in range(0, len(q), step):
+            yield start, self._poses(q[start : start + step])
+
+    def _bounds(self, poses):
+        """Lower bounds of the distances (n, n_pairs), from capsules."""
+        axes = poses.axes[:, self._bodies]
+        ends = self._ends @ np.swapaxes(axes, -1, -2)
+        ends += poses.origins[:, self._bodies, None]
+        apart = segment_distances(ends[:, self._first], ends[:, self._second])
+        return apart - self._radii[self._first] - self._radii[self._second]
+
+    def _nearest_points(self, poses, rows, pairs):
+        """Have coal find where pairs of shapes are nearest, one by one."""
+        frame, distance = self._coal.Transform3s, np.empty(len(rows))
+        normal, point = np.empty((2, len(rows), 3))
+        axes, origins = [], []
+        for shapes in (self._first[pairs], self._second[pairs]):
+            carrier = poses.axes[rows, self._bodies[shapes]]
+            axes.append(carrier @ self._axes[shapes])
+            moved = np.einsum("nij,nj->ni", carrier, self._origins[shapes])
+            origins.append(moved + poses.origins[rows, self._bodies[shapes]])
+        result = self._coal.DistanceResult()
+        for k, pair in enumerate(pairs):
+            result.clear()
+            distance[k] = self._compute[pair](
+                frame(axes[0][k], origins[0][k]),
+                frame(axes[1][k], origins[1][k]),
+                self._requests[pair],
+                result,
+            )
+            normal[k], point[k] = result.normal, result.getNearestPoint1()
+        return _Nearest(distance, normal, point)
+
+    def _gradients(self, poses, rows, pairs, found):
+        """Return derivatives of distances by the positions, (k, nv).
+
+        A joint that carries a body moves its nearest point p by (linear + angular x p).
+        Both nearest points lie on the normal, so that either stands for both.
+        """
+        lever = np.cross(found.point, found.normal)
+        along = np.einsum("kji,ki->kj", poses.linear[rows], found.normal)
+        along += np.einsum("kji,ki->kj", poses.angular[rows], lever)
+        return self._moves[pairs] * along
+
+
+@dataclass(frozen=True)
+class _Nearest:
+    """Distances (k,), normals (k, 3) from first to second, points (k, 3) on first."""
+
+    distance: np.ndarray
+    normal: np.ndarray
+    point: np.ndarray

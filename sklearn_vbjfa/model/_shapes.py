@@ -1,0 +1,291 @@
+"""The shapes of a robot's links, as a URDF gives them for collisions.
+
+Meshes stand for their convex hulls: signed distances of convex shapes are what an
+optimiser can follow, in penetration too, and they are quick.
+"""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_vbjfa.model._loading import import_pinocchio, parse_description
+
+# Prefixes after which a package's name and a path in it follow.
+_IN_PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
+# Corners of the polygon that stands around a circle.
+_CORNERS = 16
+# What coal calls the sizes of its shapes.
+_SIZES = ("radius", "halfLength", "halfSide")
+
+
+class NoShapes(ValueError):
+    """A robot has no shapes whose distances can be taken; the message says why."""
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A convex shape on a body of the robot.
+
+    Attributes
+    ----------
+    link : str
+        Link of the URDF that it belongs to.
+    joint : int
+        Number of the body that carries it; 0 is the base.
+    axes, origin : ndarray of shape (3, 3) and (3,)
+        Its place in the frame of that body; directions by columns, [m].
+    geometry : coal.CollisionGeometry
+        Box, sphere, capsule, cylinder or convex polyhedron, in its own frame.
+    corners : ndarray of shape (n_corners, 3)
+        Points of its own frame whose convex hull, swept by a ball, holds it [m].
+    swept : float
+        Radius of that ball [m].
+    """
+
+    link: str
+    joint: int
+    axes: np.ndarray
+    origin: np.ndarray
+    geometry: object
+    corners: np.ndarray
+    swept: float
+
+
+@dataclass(frozen=True)
+class RobotShapes:
+    """The shapes of a robot, and which of them are neighbours.
+
+    Attributes
+    ----------
+    shapes : tuple of Shape
+        In the order of the URDF.
+    neighbours : ndarray of shape (n_shapes, n_shapes) of bool
+        Whether their links are fixed together, or one joint of the description lies
+        between them.
+    """
+
+    shapes: tuple
+    neighbours: np.ndarray
+
+
+def load_shapes(path, model, package_dirs=()):
+    """Read the collision shapes of a URDF onto the bodies of a model.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        URDF file.
+    model : pinocchio.Model
+        Model of that file; joints may be held, as by `load_reduced` or
+        ``pinocchio.buildReducedModel``: what they carry is where the model has it.
+    package_dirs : sequence of str or os.PathLike
+        Folders in which packages of meshes are, or which are such packages. Beside
+        them the folder of the URDF and its parents are searched.
+
+    Returns
+    -------
+    RobotShapes
+
+    Raises
+    ------
+    NoShapes
+        If there is none, a mesh is not found or not readable, the model has other
+        links, or Pinocchio was built without coal.
+    """
+    pin = import_pinocchio()
+    if not hasattr(pin, "coal"):
+        raise NoShapes(
+            f"Pinocchio {pin.__version__} comes without the collision library coal, "
+            "distances between links are not known: pip install --upgrade pin brings "
+            "both."
+        )
+    path = Path(path)
+    tree = parse_description(path)
+    links = _links_with_shapes(tree, path)
+    missing = [x for x in links if not model.existFrame(x, pin.FrameType.BODY)]
+    if missing:
+        raise NoShapes(
+            f"The model has no link {missing[0]!r} of {path.name!r}, its collision "
+            "shapes belong to another robot."
+        )
+    _find_meshes(tree, path, package_dirs)
+    geometry = _build(pin, tree, path, model)
+    read = [model.frames[x.parentFrame].name for x in geometry.geometryObjects]
+    unread = [name for name in links if links.count(name) > read.count(name)]
+    if unread:
+        raise NoShapes(
+            f"Pinocchio cannot read the collision geometry of link {unread[0]!r} in "
+            f"{path.name!r}; correct its <collision>."
+        )
+    shapes = tuple(
+        _shape(pin.coal, found, link, path)
+        for found, link in zip(geometry.geometryObjects, read)
+    )
+    return RobotShapes(shapes, _neighbours(tree, read))
+
+
+def _links_with_shapes(tree, path):
+    """Name of the link of each collision shape; refuse a robot without any."""
+    found = [
+        link.get("name")
+        for link in tree.getroot().findall("link")
+        for _ in link.findall("collision/geometry")
+    ]
+    if not found:
+        raise NoShapes(
+            f"The robot description {path.name!r} has no collision geometry (no "
+            "<collision> in any link), distances between links are not known."
+        )
+    return found
+
+
+def _find_meshes(tree, path, package_dirs):
+    """Write where the meshes are into a description; refuse one that is missing."""
+    given = [Path(folder).resolve() for folder in package_dirs]
+    folders = given + list(path.resolve().parents)
+    for link in tree.getroot().findall("link"):
+        for mesh in link.findall("collision/geometry/mesh"):
+            name = mesh.get("filename", "")
+            found = _mesh_file(name, folders, path.resolve().parent)
+            if found is None:
+                searched = [repr(str(x)) for x in (*given, path.resolve().parent)]
+                raise NoShapes(
+                    f"The mesh {name!r} of link {link.get('name')!r} was not found in "
+                    f"{', '.join(searched)} or a folder above it; name the folder that "
+                    "its package is in (package_dirs)."
+                )
+            mesh.set("filename", f"file://{found}")
+
+
+def _mesh_file(name, folders, beside):
+    """Path of a mesh as a URDF names it, None where there is none."""
+    packaged = _IN_PACKAGE.fullmatch(name)
+    if packaged:
+        package, rest = packaged.groups()
+        # A package, or a folder of packages; the folder of a package may have been
+        # renamed, but what is in it keeps its place.
+        candidates = [folder / package / rest for folder in folders]
+        candidates += [folder / rest for folder in folders]
+    else:
+        candidates = [beside / name.removeprefix("file://")]
+    return next((x for x in candidates if name and x.is_file()), None)
+
+
+def _build(pin, tree, path, model):
+    """Have Pinocchio read the shapes of a description."""
+    for link in tree.getroot().findall("link"):
+        for visual in link.findall("visual"):
+            link.remove(visual)
+    text = ElementTree.tostring(tree.getroot(), encoding="unicode")
+    try:
+        return pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
+    except (ValueError, RuntimeError) as error:
+        # Of what coal says, that which is not about its own source.
+        said = " ".join(str(error).rpartition("message:")[2].split())
+        raise NoShapes(
+            f"Pinocchio cannot read the collision geometry of {path.name!r}: {said}"
+        ) from error
+
+
+def _shape(coal, found, link, path):
+    """Return the `Shape` of a pinocchio.GeometryObject."""
+    geometry = found.geometry
+    if isinstance(geometry, coal.BVHModelBase):
+        geometry = _hull(coal, np.array(geometry.vertices()), found.meshPath)
+    sizes = [getattr(geometry, size, 0.0) for size in _SIZES]
+    if any(np.min(size) < 0 for size in sizes):
+        raise NoShapes(
+            f"The collision geometry of link {link!r} in {path.name!r} has a negative "
+            "size."
+        )
+    corners, swept = _corners(coal, geometry, link)
+    return Shape(
+        link=link,
+        joint=found.parentJoint,
+        axes=found.placement.rotation.copy(),
+        origin=found.placement.translation.copy(),
+        geometry=geometry,
+        corners=corners,
+        swept=swept,
+    )
+
+
+def _hull(coal, points, mesh):
+    """Return the convex hull of points (n, 3) as a shape of coal."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        try:
+            hull = ConvexHull(points)
+        except QhullError:
+            # A flat mesh has no volume; jostling its points gives it one.
+            hull = ConvexHull(points, qhull_options="QJ")
+    except (QhullError, ValueError) as error:
+        raise NoShapes(
+            f"The mesh {mesh!r} has no convex hull, it has {len(points)} points; "
+            "correct the file."
+        ) from error
+    number = np.zeros(len(points), dtype=int)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    corners, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for point in points[hull.vertices]:
+        corners.append(point)
+    for triangle in hull.simplices:
+        triangles.append(coal.Triangle(*(int(number[k]) for k in triangle)))
+    return coal.Convex(corners, triangles)
+
+
+def _corners(coal, geometry, link):
+    """Return points and the radius of a ball that, swept over them, hold a shape."""
+    ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
+    if isinstance(geometry, coal.Sphere):
+        return np.zeros((1, 3)), float(geometry.radius)
+    if isinstance(geometry, coal.Capsule):
+        return geometry.halfLength * ends, float(geometry.radius)
+    if isinstance(geometry, coal.Box):
+        signs = np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3)
+        return signs * geometry.halfSide, 0.0
+    if isinstance(geometry, coal.Cylinder):
+        angles = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
+        rim = np.column_stack([np.cos(angles), np.sin(angles)])
+        rim *= geometry.radius / np.cos(np.pi / _CORNERS)
+        return np.concatenate(
+            [
+                np.column_stack([rim, np.full(_CORNERS, z)])
+                for z in (-geometry.halfLength, geometry.halfLength)
+            ]
+        ), 0.0
+    if isinstance(geometry, coal.ConvexBase):
+        return np.array([geometry.point(k) for k in range(geometry.num_points)]), 0.0
+    raise NoShapes(
+        f"The collision geometry of link {link!r} is a {type(geometry).__name__}; "
+        "expected a box, a sphere, a capsule, a cylinder or a mesh."
+    )
+
+
+def _neighbours(tree, links):
+    """Whether links are one body of the description, or next to each other."""
+    joints = tree.getroot().findall("joint")
+    above = {
+        joint.find("child").get("link"): (
+            joint.find("parent").get("link"),
+            joint.get("type") == "fixed",
+        )
+        for joint in joints
+    }
+
+    def body(link):
+        while above.get(link, (None, False))[1]:
+            link = above[link][0]
+        return link
+
+    bodies = [body(link) for link in links]
+    carriers = [body(above[x][0]) if x in above else None for x in bodies]
+    near = np.eye(len(links), dtype=bool)
+    for i, a in enumerate(bodies):
+        for j, b in enumerate(bodies):
+            near[i, j] = a == b or carriers[i] == b or carriers[j] == a
+    return near

@@ -1,0 +1,341 @@
+"""Distances between links: closed forms, gradients, and which pairs are looked at."""
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+pytest.importorskip("coal")
+
+from sklearn_vbjfa.design._collisions import Approach, Clearance  # noqa: E402
+from sklearn_vbjfa.model._loading import load_model, load_reduced  # noqa: E402
+from tests.model._shaped import (  # noqa: E402
+    BALL,
+    BLOCK,
+    CUBE,
+    arm,
+    joint,
+    link,
+    two_bars,
+    write,
+)
+
+
+def clearance_of(path, **kwargs):
+    found, reason = Clearance.of(path, **kwargs)
+    assert reason == ""
+    return found
+
+
+def arm_with_mesh(folder, **kwargs):
+    (folder / "cube.obj").write_text(CUBE, encoding="utf-8")
+    return arm(folder, mesh="cube.obj", **kwargs)
+
+
+def positions(n, nv, seed=0):
+    return np.random.default_rng(seed).uniform(-3, 3, size=(n, nv))
+
+
+def test_balls_have_the_distance_of_their_centres(tmp_path):
+    clearance = clearance_of(two_bars(tmp_path))
+    assert clearance.pairs == (("base", "lower"),)
+    q = positions(200, 2)
+    found = clearance(q, within=np.inf)
+    apart = np.sqrt(0.5**2 + 0.4**2 + 2 * 0.5 * 0.4 * np.cos(q[:, 1]))
+    np.testing.assert_allclose(found.distance[:, 0], apart - 0.4, atol=1e-12)
+    slope = -0.5 * 0.4 * np.sin(q[:, 1]) / apart
+    np.testing.assert_allclose(found.gradient[:, 0, 1], slope, atol=1e-12)
+    np.testing.assert_allclose(found.gradient[:, 0, 0], 0, atol=1e-12)
+    # In penetration as well as apart.
+    assert (found.distance < 0).sum() > 20
+    assert (found.distance > 0).sum() > 20
+
+
+def test_a_slide_closes_in_by_what_it_moves(tmp_path):
+    path = write(
+        tmp_path,
+        link("base", (BLOCK.format(0.2, 0.2, 0.2), "0 0 0", "0 0 0")),
+        link("cart"),
+        link("hand", (BALL.format(0.1), "0.03 0 0", "0 0 0")),
+        joint("slide", "base", "cart", axis="0 0 -1", kind="prismatic", to=1),
+        joint("turn", "cart", "hand", axis="1 0 0"),
+    )
+    found = clearance_of(path)(np.array([[-0.5, 0.3], [-0.15, 2], [0.7, 1]]), np.inf)
+    np.testing.assert_allclose(found.distance[:, 0], [0.3, -0.05, 0.5], atol=1e-9)
+    np.testing.assert_allclose(found.gradient[:, 0, 0], [-1, -1, 1], atol=1e-6)
+    np.testing.assert_allclose(found.gradient[:, 0, 1], 0, atol=1e-6)
+
+
+def test_distances_are_those_of_pinocchio(tmp_path):
+    path = arm(tmp_path)
+    clearance, model = clearance_of(path), load_model(path)
+    geometry = pin.buildGeomFromUrdf(model, str(path), pin.GeometryType.COLLISION)
+    geometry.addAllCollisionPairs()
+    links = [model.frames[x.parentFrame].name for x in geometry.geometryObjects]
+    q = positions(30, 6)
+    found = clearance(q, within=np.inf).distance
+    data, placed = model.createData(), geometry.createData()
+    for row in range(len(q)):
+        pin.computeDistances(model, data, geometry, placed, q[row])
+        expected = {}
+        for pair, result in zip(geometry.collisionPairs, placed.distanceResults):
+            both = links[pair.first], links[pair.second]
+            expected.setdefault(both, []).append(result.min_distance)
+        for both in set(clearance.pairs):
+            here = [found[row, i] for i, x in enumerate(clearance.pairs) if x == both]
+            assert sorted(here) == pytest.approx(sorted(expected[both]), abs=1e-5)
+
+
+def test_gradients_are_those_of_finite_differences(tmp_path):
+    clearance = clearance_of(arm_with_mesh(tmp_path))
+    q, step = positions(300, 6), 1e-5
+    found = clearance(q, within=np.inf)
+    change = np.empty_like(found.gradient)
+    bend = np.zeros_like(found.distance)
+    for k in range(6):
+        more = clearance(q + step * np.eye(6)[k], within=np.inf).distance
+        less = clearance(q - step * np.eye(6)[k], within=np.inf).distance
+        change[..., k] = (more - less) / (2 * step)
+        bend = np.maximum(bend, np.abs(more - 2 * found.distance + less) / step)
+    error = np.abs(change - found.gradient).max(axis=2)
+    # Where the nearest points jump, the distance has a kink.
+    smooth = bend < 1e-2
+    assert smooth.mean() > 0.9
+    apart, inside = smooth & (found.distance > 0), smooth & (found.distance < 0)
+    assert apart.sum() > 1000
+    assert inside.sum() > 50
+    assert error[apart].max() < 1e-3
+    # Depths of cylinders are known to a micrometre, and their normals to its root.
+    assert np.quantile(error[inside], 0.9) < 2e-3
+    assert error[inside].max() < 0.1
+    # The sign: coming out means a growing distance.
+    size = np.abs(found.gradient[inside]).max(axis=1)
+    agree = np.einsum("ij,ij->i", change[inside], found.gradient[inside])
+    assert (agree[size > 0.05] > 0).all()
+
+
+def test_joints_that_carry_both_links_do_not_change_their_distance(tmp_path):
+    clearance = clearance_of(arm(tmp_path))
+    found = clearance(positions(20, 6), within=np.inf)
+    order = ["base", "one", "two", "three", "four", "five", "hand"]
+    for pair, (first, second) in enumerate(clearance.pairs):
+        between = range(order.index(first), order.index(second))
+        others = [k for k in range(6) if k not in between]
+        assert (found.gradient[:, pair, others] == 0).all()
+        assert (found.gradient[:, pair, list(between)] != 0).any()
+
+
+def test_far_pairs_have_a_bound_and_no_gradient(tmp_path):
+    clearance = clearance_of(arm_with_mesh(tmp_path))
+    q = positions(100, 6)
+    true, found = clearance(q, within=np.inf), clearance(q, within=0.1)
+    assert true.exact.all()
+    assert 0.05 < found.exact.mean() < 0.9
+    near = found.exact
+    np.testing.assert_array_equal(found.distance[near], true.distance[near])
+    np.testing.assert_array_equal(found.gradient[near], true.gradient[near])
+    assert (found.distance[~near] > 0.1).all()
+    assert (found.distance[~near] <= true.distance[~near]).all()
+    assert (found.gradient[~near] == 0).all()
+    usual = clearance(q)
+    assert (usual.exact == (clearance(q, clearance.near).exact)).all()
+
+
+def test_larger_robots_have_larger_distances(tmp_path):
+    (tmp_path / "large").mkdir()
+    small = clearance_of(arm(tmp_path))
+    large = clearance_of(arm(tmp_path / "large", size=4.0))
+    assert small.pairs == large.pairs
+    assert large.near == pytest.approx(4 * small.near)
+    q = positions(30, 6)
+    one, other = small(q, within=np.inf), large(q, within=np.inf)
+    np.testing.assert_allclose(other.distance, 4 * one.distance, atol=1e-5)
+
+
+def test_rows_are_on_their_own(tmp_path):
+    clearance = clearance_of(arm(tmp_path))
+    q, order = positions(40, 6), np.random.default_rng(1).permutation(40)
+    one, other = clearance(q), clearance(q[order])
+    np.testing.assert_array_equal(other.distance, one.distance[order])
+    np.testing.assert_array_equal(other.gradient, one.gradient[order])
+
+
+def test_links_next_to_each_other_are_not_looked_at(tmp_path):
+    clearance = clearance_of(arm(tmp_path))
+    order = ["base", "one", "two", "three", "four", "five", "hand"]
+    expected = {
+        (a, b) for i, a in enumerate(order) for j, b in enumerate(order) if j > i + 1
+    }
+    assert set(clearance.pairs) | set(clearance.ignored) == expected
+
+
+def wrist(folder, *, radius):
+    """Three axes through one point: the first and the third body overlap there."""
+    return write(
+        folder,
+        link("base", (BALL.format(0.05), "0 0 -0.5", "0 0 0")),
+        link("one", (BALL.format(radius), "0 0 0", "0 0 0")),
+        link("two"),
+        link("three", (BALL.format(radius), "0 0 0.1", "0 0 0")),
+        joint("j1", "base", "one"),
+        joint("j2", "one", "two", axis="0 1 0"),
+        joint("j3", "two", "three", axis="1 0 0"),
+    )
+
+
+def test_links_drawn_into_each_other_are_ignored(tmp_path):
+    clearance = clearance_of(wrist(tmp_path, radius=0.06))
+    assert clearance.ignored == (("one", "three"),)
+    assert clearance.pairs == (("base", "three"),)
+
+
+def test_links_nearer_than_the_margin_are_ignored(tmp_path):
+    path = wrist(tmp_path, radius=0.04)
+    assert clearance_of(path).ignored == ()
+    assert clearance_of(path, margin=0.01).ignored == ()
+    assert clearance_of(path, margin=0.03).ignored == (("one", "three"),)
+
+
+def test_links_that_meet_in_a_part_of_the_range_are_looked_at(tmp_path):
+    # They meet in a quarter of the range, see the closed form.
+    assert clearance_of(two_bars(tmp_path)).ignored == ()
+    # Within narrower limits they never do, and beyond 2.25 rad always.
+    assert clearance_of(two_bars(tmp_path, to=2.0)).ignored == ()
+    path = two_bars(tmp_path)
+    model = load_model(path)
+    model.lowerPositionLimit[1], model.upperPositionLimit[1] = 2.5, 3.0
+    assert clearance_of(path, model=model).ignored == (("base", "lower"),)
+
+
+def test_joints_without_limits_are_looked_at_all_round(tmp_path):
+    path = two_bars(tmp_path)
+    path.write_text(path.read_text().replace('"revolute"', '"continuous"'))
+    clearance = clearance_of(path)
+    assert clearance.pairs == (("base", "lower"),)
+    assert clearance.smallest(np.array([[0.3, np.pi]])) == pytest.approx(-0.3)
+
+
+def test_held_joints_leave_the_distances_of_the_whole_robot(tmp_path):
+    path = arm_with_mesh(tmp_path)
+    whole = clearance_of(path)
+    moving, names = [0, 1, 3, 5], ["j1", "j2", "j4", "j6"]
+    part = clearance_of(path, model=load_reduced(path, names))
+    # Links "two" and "four" are next to each other in the reduced tree.
+    assert ("two", "four") in part.pairs
+    q = np.zeros((60, 6))
+    q[:, moving] = positions(60, 4)
+    expected, found = whole(q, np.inf), part(q[:, moving], np.inf)
+    # Of "five", two shapes meet others: the order tells them apart.
+    compared = 0
+    for pair in dict.fromkeys(part.pairs):
+        if pair not in whole.pairs:
+            continue
+        here = [i for i, x in enumerate(part.pairs) if x == pair]
+        there = [i for i, x in enumerate(whole.pairs) if x == pair]
+        if len(here) != len(there):
+            continue
+        compared += 1
+        np.testing.assert_allclose(
+            found.distance[:, here], expected.distance[:, there], atol=1e-6
+        )
+        np.testing.assert_allclose(
+            found.gradient[:, here],
+            expected.gradient[:, there][..., moving],
+            atol=2e-2,
+        )
+    assert compared > 6
+
+
+def test_joints_may_be_held_anywhere(tmp_path):
+    path = two_bars(tmp_path)
+    held = pin.buildReducedModel(load_model(path), [1], np.array([0.7, 0.0]))
+    part, whole = clearance_of(path, model=held), clearance_of(path)
+    q = positions(20, 1)
+    full = np.column_stack([np.full(20, 0.7), q])
+    np.testing.assert_allclose(
+        part(q, np.inf).distance, whole(full, np.inf).distance, atol=1e-12
+    )
+
+
+def test_the_smallest_distance_is_that_of_all_rows_and_pairs(tmp_path):
+    clearance = clearance_of(arm_with_mesh(tmp_path))
+    q = positions(300, 6)
+    distance = clearance(q, within=np.inf).distance
+    assert clearance.smallest(q) == distance.min()
+    row, pair = np.unravel_index(distance.argmin(), distance.shape)
+    expected = Approach(int(row), *clearance.pairs[pair], distance.min())
+    assert clearance.nearest(q) == expected
+    apart = q[distance.min(axis=1) > 0.02]
+    assert len(apart) > 20
+    found = clearance.smallest(apart)
+    assert found == distance[distance.min(axis=1) > 0.02].min() > 0.02
+
+
+def test_long_motions_are_taken_in_pieces(tmp_path, monkeypatch):
+    clearance = clearance_of(arm(tmp_path))
+    q = positions(100, 6)
+    nearest, collisions = clearance.nearest(q), clearance.self_collisions(q)
+    monkeypatch.setattr("sklearn_vbjfa.design._collisions._AT_ONCE", 100)
+    assert clearance.nearest(q) == nearest
+    assert clearance.self_collisions(q) == collisions
+
+
+def test_self_collisions_name_rows_links_and_depths(tmp_path):
+    clearance = clearance_of(two_bars(tmp_path))
+    q = np.array([[0.0, 0.0], [0.3, np.pi], [1.0, 1.0], [0.0, -np.pi]])
+    found = clearance.self_collisions(q)
+    assert [x.row for x in found] == [1, 3]
+    assert {(x.first, x.second) for x in found} == {("base", "lower")}
+    np.testing.assert_allclose([x.depth for x in found], 0.3)
+    assert clearance.self_collisions(q[[0, 2]]) == []
+    assert clearance.nearest(q[:1]).depth == 0
+
+
+def test_of_two_links_the_deepest_shapes_are_named(tmp_path):
+    clearance = clearance_of(arm(tmp_path))
+    q = positions(200, 6)
+    distance = clearance(q, within=np.inf).distance
+    found = clearance.self_collisions(q)
+    expected = {}
+    for row, pair in zip(*np.nonzero(distance < 0)):
+        where = (int(row), *clearance.pairs[pair])
+        expected[where] = max(expected.get(where, 0), -distance[row, pair])
+    assert len(found) > 20
+    assert {(x.row, x.first, x.second): x.depth for x in found} == expected
+    assert [x.row for x in found] == sorted(x.row for x in found)
+
+
+def test_a_robot_whose_links_cannot_meet_has_room(tmp_path):
+    path = write(
+        tmp_path,
+        link("base", (BALL.format(0.3), "0 0 0", "0 0 0")),
+        link("bar", (BALL.format(0.3), "1 0 0", "0 0 0")),
+        joint("swing", "base", "bar"),
+    )
+    clearance, q = clearance_of(path), np.zeros((5, 1))
+    assert clearance.pairs == ()
+    assert clearance.smallest(q) == np.inf
+    assert clearance.nearest(q) is None
+    assert clearance.self_collisions(q) == []
+    assert clearance(q).distance.shape == (5, 0)
+    assert clearance(q).gradient.shape == (5, 0, 1)
+
+
+def test_without_shapes_there_is_a_reason(tmp_path):
+    found, reason = Clearance.of(load_model(two_bars(tmp_path)))
+    assert found is None
+    assert "path of its URDF" in reason
+    path = write(tmp_path, link("a"), link("b"), joint("j", "a", "b"))
+    found, reason = Clearance.of(path)
+    assert found is None
+    assert "no collision geometry" in reason
+    found, reason = Clearance.of(arm(tmp_path, mesh="package://arm/hand.stl"))
+    assert found is None
+    assert "'package://arm/hand.stl' of link 'hand'" in reason
+
+
+def test_positions_are_checked(tmp_path):
+    clearance = clearance_of(two_bars(tmp_path))
+    with pytest.raises(ValueError, match=r"shape \(n, 2\), got \(4, 3\)"):
+        clearance(np.zeros((4, 3)))
+    with pytest.raises(ValueError, match="not finite"):
+        clearance.smallest([[0.0, np.nan]])

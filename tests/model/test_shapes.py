@@ -1,0 +1,218 @@
+"""Collision shapes of a URDF: what is read, where it is, and what is said if not."""
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+pytest.importorskip("coal")
+
+from sklearn_vbjfa.model._loading import load_model, load_reduced  # noqa: E402
+from sklearn_vbjfa.model._shapes import NoShapes, load_shapes  # noqa: E402
+from tests.model._shaped import (  # noqa: E402
+    BALL,
+    BLOCK,
+    CUBE,
+    MESH,
+    ROD,
+    arm,
+    joint,
+    link,
+    two_bars,
+    write,
+)
+
+
+def with_mesh(folder, name, scale=1.0):
+    return write(
+        folder,
+        link("base", (MESH.format(name, scale), "0 0 0", "0 0 0")),
+        link("upper"),
+        joint("shoulder", "base", "upper"),
+    )
+
+
+def reason(path, **kwargs):
+    with pytest.raises(NoShapes) as raised:
+        load_shapes(path, load_model(path), **kwargs)
+    return str(raised.value)
+
+
+def test_a_shape_is_swept_over_corners_around_it(tmp_path):
+    path = arm(tmp_path)
+    shapes = load_shapes(path, load_model(path)).shapes
+    assert [shape.link for shape in shapes] == [
+        "base",
+        "one",
+        "two",
+        "three",
+        "four",
+        "five",
+        "five",
+        "hand",
+    ]
+    for shape in shapes:
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        low, high = np.array(box.min_).ravel(), np.array(box.max_).ravel()
+        assert (shape.corners.min(axis=0) - shape.swept <= low + 1e-9).all()
+        assert (shape.corners.max(axis=0) + shape.swept >= high - 1e-9).all()
+        # Not much larger either: 2 % for the polygon around a circle.
+        size = np.ptp(shape.corners, axis=0) + 2 * shape.swept
+        assert (size <= 1.03 * (high - low)).all()
+
+
+def test_neighbours_share_a_joint_or_are_fixed_together(tmp_path):
+    path = arm(tmp_path)
+    found = load_shapes(path, load_model(path))
+    names = [shape.link for shape in found.shapes]
+    # Without shape, "six" is fixed to the hand.
+    order = {
+        x: i for i, x in enumerate(["base", "one", "two", "three", "four", "five"])
+    } | {"hand": 6}
+    for i, a in enumerate(names):
+        for j, b in enumerate(names):
+            assert found.neighbours[i, j] == (abs(order[a] - order[b]) <= 1), (a, b)
+
+
+def test_held_joints_hand_their_shapes_down_but_stay_joints(tmp_path):
+    path = arm(tmp_path)
+    full = load_shapes(path, load_model(path))
+    held = load_shapes(path, load_reduced(path, ["j1", "j2", "j4", "j5", "j6"]))
+    np.testing.assert_array_equal(held.neighbours, full.neighbours)
+    bodies = {shape.link: shape.joint for shape in held.shapes}
+    assert bodies["two"] == bodies["three"] == 2
+    assert bodies["hand"] == 5
+
+
+def test_a_mesh_is_its_convex_hull_in_the_scale_of_the_description(tmp_path):
+    # A dent in a cube, which the hull fills.
+    (tmp_path / "cube.obj").write_text(
+        CUBE + "\nv 0 0 0.1\nf 2 4 9\nf 4 8 9\nf 8 6 9\nf 6 2 9\n", encoding="utf-8"
+    )
+    path = with_mesh(tmp_path, "cube.obj", 0.2)
+    (shape,) = load_shapes(path, load_model(path)).shapes
+    assert shape.geometry.num_points == 8
+    np.testing.assert_allclose(np.abs(shape.corners), 0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "place"),
+    [
+        ("cube.obj", "robot/urdf/cube.obj"),
+        ("../meshes/cube.obj", "robot/meshes/cube.obj"),
+        ("package://robot/my größe.obj", "robot/my größe.obj"),
+        ("package://robot/meshes/cube.obj", "robot/meshes/cube.obj"),
+        ("package://other/meshes/cube.obj", "other/meshes/cube.obj"),
+        ("model://other/cube.obj", "robot/urdf/other/cube.obj"),
+        # The folder of the package has another name.
+        ("package://arm_description/meshes/cube.obj", "robot/meshes/cube.obj"),
+    ],
+)
+def test_meshes_are_found_beside_the_description_and_above(tmp_path, name, place):
+    folder = tmp_path / "robot/urdf"
+    folder.mkdir(parents=True)
+    path = with_mesh(folder, name)
+    assert name in reason(path)
+    mesh = tmp_path / place
+    mesh.parent.mkdir(parents=True, exist_ok=True)
+    mesh.write_text(CUBE, encoding="utf-8")
+    assert len(load_shapes(path, load_model(path)).shapes) == 1
+
+
+def test_meshes_are_found_by_their_whole_path(tmp_path):
+    (tmp_path / "cube.obj").write_text(CUBE, encoding="utf-8")
+    for name in (f"file://{tmp_path}/cube.obj", f"{tmp_path}/cube.obj"):
+        path = with_mesh(tmp_path, name)
+        assert len(load_shapes(path, load_model(path)).shapes) == 1
+
+
+def test_meshes_are_found_in_the_folders_given(tmp_path):
+    folder, packages = tmp_path / "here", tmp_path / "there"
+    folder.mkdir()
+    (packages / "arm").mkdir(parents=True)
+    (packages / "arm/cube.obj").write_text(CUBE, encoding="utf-8")
+    path = with_mesh(folder, "package://arm/cube.obj")
+    assert "package_dirs" in reason(path)
+    for given in (packages, packages / "arm"):
+        found = load_shapes(path, load_model(path), package_dirs=[given])
+        assert len(found.shapes) == 1
+
+
+def test_the_first_missing_mesh_is_named(tmp_path):
+    (tmp_path / "cube.obj").write_text(CUBE, encoding="utf-8")
+    path = write(
+        tmp_path,
+        link("base", (MESH.format("cube.obj", 1), "0 0 0", "0 0 0")),
+        link("upper", (MESH.format("package://arm/gone.stl", 1), "0 0 0", "0 0 0")),
+        link("lower", (MESH.format("package://arm/too.stl", 1), "0 0 0", "0 0 0")),
+        joint("shoulder", "base", "upper"),
+        joint("elbow", "upper", "lower"),
+    )
+    said = reason(path, package_dirs=[tmp_path / "packages"])
+    assert "'package://arm/gone.stl' of link 'upper'" in said
+    assert str(tmp_path / "packages") in said
+    assert "too.stl" not in said
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("version https://git-lfs", "cannot read the collision geometry"),
+        ("v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3", "no convex hull"),
+        ("v nan 0 0\nv 1 0 0\nv 1 1 0\nv 1 1 1\nf 1 2 3\nf 2 3 4", "no convex hull"),
+    ],
+)
+def test_files_that_are_no_meshes_are_refused(tmp_path, content, said):
+    (tmp_path / "hand.obj").write_text(content, encoding="utf-8")
+    found = reason(with_mesh(tmp_path, "hand.obj"))
+    assert said in found
+    assert "hand.obj" in found
+    assert "\n" not in found
+
+
+def test_a_flat_mesh_has_a_hull(tmp_path):
+    (tmp_path / "sheet.obj").write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4")
+    path = with_mesh(tmp_path, "sheet.obj")
+    (shape,) = load_shapes(path, load_model(path)).shapes
+    np.testing.assert_allclose(shape.corners.max(axis=0), [1, 1, 0], atol=1e-6)
+
+
+def test_robots_without_shapes_say_so(tmp_path):
+    path = write(tmp_path, link("a"), link("b"), joint("j", "a", "b"))
+    assert "no collision geometry" in reason(path)
+
+
+def test_a_model_of_another_robot_is_refused(tmp_path):
+    path = two_bars(tmp_path)
+    other = pin.Model()
+    other.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "shoulder")
+    with pytest.raises(NoShapes, match="no link 'base'"):
+        load_shapes(path, other)
+
+
+@pytest.mark.parametrize(
+    ("shape", "said"),
+    [
+        (BALL.format("inf"), "cannot read"),
+        (BALL.format(-1), "negative size"),
+        (BLOCK.format(0.1, -1, 1), "negative size"),
+        (ROD.format(0.1, -1), "negative size"),
+        ("<cone/>", "cannot read"),
+    ],
+)
+def test_shapes_without_a_size_are_refused(tmp_path, shape, said):
+    # The parser of URDFs leaves out what it cannot read, and goes on.
+    path = write(
+        tmp_path,
+        link("a", (BALL.format(1), "0 0 0", "0 0 0"), (shape, "0 0 0", "0 0 0")),
+        link("b", (BALL.format(1), "0 0 0", "0 0 0")),
+        joint("j", "a", "b"),
+    )
+    found = reason(path)
+    assert said in found
+    assert "link 'a'" in found
+
+
+def test_a_pinocchio_without_coal_is_named(tmp_path, monkeypatch):
+    monkeypatch.delattr(pin, "coal")
+    assert "coal" in reason(two_bars(tmp_path))

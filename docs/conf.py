@@ -54,7 +54,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-# The first page leads on by itself, and so do those that are one long list.
+# The first page leads on by itself.
 html_sidebars = {"index": []}
 html_show_sourcelink = False
 html_static_path = ["_static"]

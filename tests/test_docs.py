@@ -294,6 +294,14 @@ def test_included_tables_exist():
         assert (DOCS / name).is_file()
 
 
+def test_links_of_the_readme_lead_to_files():
+    links = re.findall(r"\]\(([^)]+)\)", read(ROOT / "README.md"))
+    local = [link for link in links if not link.startswith("https://")]
+    assert "docs/images/residual.png" in local
+    for link in local:
+        assert (ROOT / link).is_file(), link
+
+
 def script(path, patch):
     """Import a script of the documentation for as long as `patch` holds."""
     spec = importlib.util.spec_from_file_location(path.stem, path)

@@ -74,14 +74,12 @@ def run(arguments):
     _input.check_folder(out)
     if not arguments.force:
         _input.check_overwriting(out, _FILES, (source, urdf))
-    given = urdf
     friction = _input.names("--friction", arguments.friction, _declared.available())
     library = arguments.effects
     if library != "all":
         library = _input.names("--effects", library, effects.available())
     cutoff = _input.cutoff(arguments.cutoff)
     seed = _input.seed(arguments.seed)
-    joints = _input.joint_names(arguments.joints)
     gains = _input.gains(arguments.gain)
     masses = _input.known_masses(arguments.known_mass, gains)
     with (
@@ -89,16 +87,15 @@ def run(arguments):
         warnings.catch_warnings(record=True) as caught,
     ):
         warnings.simplefilter("always")
-        urdf, held = _input.robot(urdf, joints, Path(folder))
-        recording = _input.read(arguments, urdf, joints, gains)
-        urdf, held = _input.hold_others(urdf, recording, held, Path(folder))
+        taken = _input.taken(arguments, gains, Path(folder))
+        recording, held = taken.recording, taken.held
         _input.check_nyquist(cutoff, recording, source)
-        _input.check_gains(gains, masses, urdf)
+        _input.check_gains(gains, masses, taken.urdf)
         signals = _input.signals(arguments.signals, recording, source)
         try:
             loop = close(
                 recording,
-                str(urdf),
+                str(taken.urdf),
                 friction=friction,
                 effects=library,
                 cutoff=cutoff,
@@ -119,8 +116,8 @@ def run(arguments):
             # Before anything is printed, as a reader such as head may end the run.
             provenance = Provenance(
                 file=str(source),
-                description=str(given),
-                held=tuple(held),
+                description=str(urdf),
+                held=held,
                 warnings=told(caught),
                 files=tuple(name for name in _FILES if name != _PAGE),
             )

@@ -25,25 +25,6 @@ _RIDGE = 1e-9
 BALANCE, _POWER = 3.0, 6.0
 
 
-@dataclass(frozen=True)
-class Decision:
-    """An effect that shall show, beside the model or beside a rival as well.
-
-    Attributes
-    ----------
-    columns : slice
-        Columns of the effect.
-    beside : slice or None
-        Columns of the rival.
-    weight : float
-        How much it counts.
-    """
-
-    columns: slice
-    beside: slice | None = None
-    weight: float = 1.0
-
-
 @dataclass(frozen=True, eq=False)
 class Questions:
     """What a motion is to decide.
@@ -54,13 +35,25 @@ class Questions:
         The first columns are those of the model.
     scale : ndarray of shape (n_columns,)
         Sizes of coefficients in which columns are compared.
-    decisions : tuple of Decision
-        What shall show.
+    effects : tuple of slice
+        Columns of effects that the model may lack.
+    alone : ndarray of shape (n_effects,)
+        How much it counts that each shows beside the model.
+    beside : ndarray of shape (n_effects, n_effects)
+        How much it counts that the effect of the row shows beside the model with the
+        rival of the column.
     """
 
     n_model: int
     scale: np.ndarray
-    decisions: tuple = ()
+    effects: tuple = ()
+    alone: np.ndarray | None = None
+    beside: np.ndarray | None = None
+
+    @property
+    def weight(self):
+        """All weights together."""
+        return float(self.alone.sum() + self.beside.sum()) if self.effects else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +66,17 @@ class Worth:
         To be made large [nats].
     by_information : ndarray of shape (n_columns, n_columns)
         Its derivative by the information matrix, symmetric.
-    evidence : ndarray of shape (n_decisions,)
-        Evidence in each decision, in squared standard errors: the harmonic mean over
-        the coefficients of the effect.
+    alone : ndarray of shape (n_effects,)
+        Evidence for each effect beside the model, in squared standard errors: the mean
+        over coefficients of the effect at random.
+    beside : ndarray of shape (n_effects, n_effects)
+        The same beside the model with each rival.
     """
 
     value: float
     by_information: np.ndarray
-    evidence: np.ndarray
+    alone: np.ndarray
+    beside: np.ndarray
 
 
 def worth(information, questions):
@@ -99,16 +95,18 @@ def worth(information, questions):
     told, by_model = _balance(A)
     value += n * BALANCE * told
     by[a, a] += n * BALANCE * by_model
-    evidence = np.zeros(0)
-    total = sum(decision.weight for decision in questions.decisions)
-    if total > 0:
-        told, by_left, evidence = _decisions(M, inverse, questions)
-        # Together they count as much as the parameters of the model.
-        share = n / total
-        value += share * told
-        L = np.hstack([-M[n:, a] @ inverse, np.eye(len(M) - n)])
-        by += share * (L.T @ by_left @ L)
-    return Worth(value, by * np.outer(D, D), evidence)
+    alone, beside = np.zeros(0), np.zeros((0, 0))
+    if questions.effects:
+        C = M[n:, :n]
+        S = M[n:, n:] - C @ inverse @ C.T
+        told, by_left, alone, beside = _decisions(S, questions)
+        if questions.weight > 0:
+            # Together they count as much as the parameters of the model.
+            share = n / questions.weight
+            value += share * told
+            L = np.hstack([-C @ inverse, np.eye(len(S))])
+            by += share * (L.T @ by_left @ L)
+    return Worth(value, by * np.outer(D, D), alone, beside)
 
 
 def _balance(A):
@@ -128,54 +126,47 @@ def _balance(A):
     return value, (vectors * slope) @ vectors.T
 
 
-def _decisions(M, inverse, questions):
-    """Value of all decisions, its derivative by S, and the evidence of each."""
-    n = questions.n_model
-    C = M[n:, :n]
-    S = M[n:, n:] - C @ inverse @ C.T
-    by = np.zeros_like(S)
-    value, evidence = 0.0, []
-    for decision in questions.decisions:
-        i = _shift(decision.columns, n)
-        if decision.beside is None:
-            left, slope, found = _decided(S[i, i])
-            by[i, i] += decision.weight * slope
-        else:
-            k = _shift(decision.beside, n)
-            Skk = S[k, k]
-            ridge = _RIDGE * np.trace(Skk) / len(Skk) + np.finfo(float).tiny
-            W = np.linalg.solve(Skk + ridge * np.eye(len(Skk)), S[k, i])
-            left, slope, found = _decided(S[i, i] - S[i, k] @ W)
-            slope = decision.weight * slope
-            by[i, i] += slope
-            by[k, k] += W @ slope @ W.T
-            cross = -slope @ W.T
-            by[i, k] += cross
-            by[k, i] += cross.T
-        value += decision.weight * left
-        evidence.append(found)
-    return value, by, np.array(evidence)
+def _decisions(S, questions):
+    """Value of all decisions, its derivative by S, and the evidence in each."""
+    n, m = questions.n_model, len(questions.effects)
+    spans = [slice(own.start - n, own.stop - n) for own in questions.effects]
+    # Mean over the columns of each effect, (m, n_columns).
+    mean = np.zeros((m, len(S)))
+    for row, span in zip(mean, spans):
+        row[span] = 1.0 / (span.stop - span.start)
+    alone = mean @ np.diag(S)
+    value, slope = _told(alone)
+    total = float(questions.alone @ value)
+    by = np.diag((questions.alone * slope) @ mean)
+    beside = np.zeros((m, m))
+    for k, span in enumerate(spans):
+        own = S[span, span]
+        ridge = _RIDGE * np.trace(own) / len(own) + np.finfo(float).tiny
+        W = np.linalg.solve(own + ridge * np.eye(len(own)), S[span])
+        left = np.diag(S) - np.einsum("kc,kc->c", S[span], W)
+        beside[:, k] = mean @ np.maximum(left, 0.0)
+        weight = questions.beside[:, k]
+        if not weight.any():
+            continue
+        value, slope = _told(beside[:, k])
+        total += float(weight @ value)
+        each = (weight * slope) @ mean
+        by += np.diag(each)
+        cross = -W * each
+        by[span] += cross
+        by[:, span] += cross.T
+        by[span, span] += (W * each) @ W.T
+    return total, by, alone, beside
 
 
-def _decided(left):
-    """Value of what is left of an effect, its derivative, and the evidence.
+def _told(evidence):
+    """Value of evidence, -log(1 + DECIDED / evidence) / 2, and its derivative.
 
-    The value is -log(1 + DECIDED / evidence) / 2: nearly all is gained once the
-    evidence is larger than what decides, and where it is small a doubling is worth the
-    same everywhere.
+    Nearly all is gained once the evidence is larger than what decides, and where it is
+    small a doubling is worth the same everywhere.
     """
-    k = len(left)
-    floor = _HOPELESS * DECIDED
-    inverse = np.linalg.inv(left + floor * np.eye(k))
-    inverse = 0.5 * (inverse + inverse.T)
-    total = np.trace(inverse) / k  # 1 / (evidence + floor)
-    value = -0.5 * np.log1p(DECIDED * total)
-    slope = 0.5 * DECIDED / (1 + DECIDED * total) * (inverse @ inverse) / k
-    return value, slope, 1.0 / total - floor
-
-
-def _shift(columns, n):
-    return slice(columns.start - n, columns.stop - n)
+    e = evidence + _HOPELESS * DECIDED
+    return -0.5 * np.log1p(DECIDED / e), 0.5 * DECIDED / (e * (e + DECIDED))
 
 
 def information_of(equations, places, n_columns, weight):

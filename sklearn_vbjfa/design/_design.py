@@ -1,10 +1,12 @@
 """Design of the next motion: from what is known and asked to a motion to record."""
 
+from dataclasses import replace
+
 import numpy as np
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.design._collisions import Clearance
-from sklearn_vbjfa.design._criterion import Decision, Questions, worth
+from sklearn_vbjfa.design._criterion import Questions, worth
 from sklearn_vbjfa.design._curve import FourierCurve
 from sklearn_vbjfa.design._equations import IN_SPAN, EquationModel
 from sklearn_vbjfa.design._known_robot import KnownRobot
@@ -245,41 +247,22 @@ def _parted(robot, asked):
 def _questions(equations, candidates, reference, noise):
     """Ask for each candidate beside the model, and beside its rivals."""
     rows = equations(reference)
-    scale = np.ones(equations.n_columns)
-    spans = equations.spans[equations.n_own :]
-    power = np.zeros(equations.n_columns)
-    for j, (own, place) in enumerate(zip(rows.rows, equations.places)):
-        power[place] += (own**2).mean(axis=1) / noise[j] ** 2
-    known = power > 0
-    scale[known] = 1.0 / np.sqrt(power[known])
-    shown = _visible(equations, rows, scale, noise, spans)
-    decisions = []
-    for k, (span, one) in enumerate(zip(spans, candidates)):
-        if not shown[k]:
-            continue
-        decisions.append(Decision(span, None, one.weight))
-        for i, (other, rival) in enumerate(zip(spans, candidates)):
-            same = one.effect.joint == rival.effect.joint
-            if i != k and shown[i] and same:
-                decisions.append(Decision(span, other, one.weight * rival.weight))
-    return Questions(equations.n_model, scale, tuple(decisions))
-
-
-def _visible(equations, rows, scale, noise, spans):
-    """Which candidates some motion shows beside the model, a list of bool."""
     M = np.zeros((equations.n_columns, equations.n_columns))
     for j, (own, place) in enumerate(zip(rows.rows, equations.places)):
         M[np.ix_(place, place)] += own @ own.T / noise[j] ** 2 / own.shape[1]
-    M *= np.outer(scale, scale)
-    n = equations.n_model
-    values, vectors = np.linalg.eigh(M[:n, :n])
-    kept = values > 1e-12 * values[-1]
-    W = vectors[:, kept] / np.sqrt(values[kept])
-    C = M[n:, :n] @ W
-    left = np.diag(M)[n:] - (C**2).sum(axis=1)
-    return [
-        bool((left[span.start - n : span.stop - n] > IN_SPAN).all()) for span in spans
-    ]
+    power = np.diag(M)
+    scale = np.where(power > 0, 1.0 / np.sqrt(np.where(power > 0, power, 1.0)), 1.0)
+    spans = tuple(equations.spans[equations.n_own :])
+    m = len(spans)
+    blank = Questions(equations.n_model, scale, spans, np.zeros(m), np.zeros((m, m)))
+    # What no motion shows, and nested effects, are no questions.
+    seen = worth(M, blank)
+    weight = np.array([one.weight for one in candidates])
+    joint = np.array([one.effect.joint for one in candidates])
+    shown = seen.alone > IN_SPAN
+    apart = (seen.beside > IN_SPAN) & (joint[:, None] == joint) & shown & shown[:, None]
+    np.fill_diagonal(apart, False)
+    return replace(blank, alone=weight * shown, beside=np.outer(weight, weight) * apart)
 
 
 def _coefficients(robot, equations, own, reference):

@@ -82,10 +82,10 @@ def _read_folder(path):
         found = json.loads(file.read_text(encoding="utf-8"))
     except (json.JSONDecodeError, UnicodeDecodeError) as error:
         raise ValueError(f"{str(file)!r} is not readable as JSON: {error}.") from error
-    if not isinstance(found, dict) or not {"effects", "joints"} <= set(found):
+    if not isinstance(found, dict) or not {"effects", "joint_names"} <= set(found):
         raise ValueError(
-            f"{str(file)!r} is not a report of close-loop: it lacks 'effects' and "
-            "'joints'."
+            f"{str(file)!r} is not a report of close-loop: it lacks 'effects' or "
+            "'joint_names'."
         )
     return found
 
@@ -158,7 +158,7 @@ def open_effects(data, names):
 
 def _check_joints(data, names):
     """Refuse the report of another robot."""
-    told = [one["joint_name"] for one in data["joints"]]
+    told = list(data["joint_names"])
     if told != list(names):
         raise ValueError(
             f"The report is of joints {', '.join(told)}; the robot has "

@@ -127,29 +127,28 @@ def expected_intervals(problem, robot, states, step):
 def promise(problem, robot, states, step, noise):
     """Say what the motion shows and what not, keyword arguments of the motion."""
     questions, model = problem.questions, problem.model
-    if not questions.decisions:
+    if not questions.effects:
         return {}
     judged = worth(problem.information(states, step), questions)
-    best = {}
-    for decision, evidence in zip(questions.decisions, judged.evidence):
-        key = decision.columns.start
-        if key not in best or evidence < best[key][0]:
-            best[key] = (evidence, decision.beside)
-    starts = {span.start: one.effect for span, one in zip(model.spans, model.effects)}
+    effects = [one.effect for one in model.effects[model.n_own :]]
+    asked = questions.beside > 0
     shows, invisible = [], []
-    for span, one in zip(model.spans[model.n_own :], model.effects[model.n_own :]):
-        effect = one.effect
+    for k, effect in enumerate(effects):
         told = {
             "name": effect.name,
             "joint": effect.joint,
             "joint_name": robot.joint_names[effect.joint],
         }
-        if span.start not in best:
+        if not questions.alone[k] > 0:
             reason = "lies in the span of the model's columns whatever the motion"
             invisible.append(Invisible(reason=reason, **told))
             continue
-        evidence, beside = best[span.start]
-        rival = "" if beside is None else starts[beside.start].name
+        evidence, rival = judged.alone[k], ""
+        if asked[k].any():
+            beside = np.where(asked[k], judged.beside[k], np.inf)
+            nearest = int(np.argmin(beside))
+            if beside[nearest] < evidence:
+                evidence, rival = beside[nearest], effects[nearest].name
         least = float(noise[effect.joint] * np.sqrt(DECIDED / max(evidence, 1e-12)))
         shows.append(Visible(least=least, rival=rival, **told))
     return {"shows": tuple(shows), "invisible": tuple(invisible)}

@@ -442,6 +442,8 @@ def fit_projector(projector, model, theta, metric, friction):
     if theta.size > p:
         settings["body_starts"] = np.arange(0, p, per_joint), None
     fitted = PhysicalProjector() if default else clone(projector)
+    # The layout follows from the robot, and effects have names of their own.
+    fitted.set_params(parameter_names=None)
     given = fitted.get_params()
     if given["anchor"] is None:
         anchor = consistent_anchor(model, theta[:p], metric[:p, :p], per_joint)

@@ -144,12 +144,7 @@ def typeset(formula):
     if len(whole) <= _LINE or len(lines) == 1:
         return [".. math::", "", f"    {whole}"]
     together = r" \\ ".join(lines)
-    return [
-        ".. math::",
-        "    :no-wrap:",
-        "",
-        rf"    \begin{{gather*}} {together} \end{{gather*}}",
-    ]
+    return [".. math::", "", rf"    \begin{{gathered}} {together} \end{{gathered}}"]
 
 
 def _shown(value):

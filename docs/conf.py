@@ -1,6 +1,8 @@
 """Settings of the documentation; ``sphinx-build -W docs docs/_build/html``."""
 
 import re
+import sys
+from pathlib import Path
 
 import matplotlib as mpl
 from sphinx_gallery.sorting import ExplicitOrder
@@ -8,6 +10,8 @@ from sphinx_gallery.sorting import ExplicitOrder
 import sklearn_vbjfa
 
 mpl.use("Agg")
+# The guide's own directives.
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "sklearn_vbjfa"
 author = "The sklearn_vbjfa developers"
@@ -21,6 +25,7 @@ extensions = [
     "sphinx.ext.mathjax",
     "numpydoc",
     "sphinx_gallery.gen_gallery",
+    "effect_pages",
 ]
 templates_path = ["_templates"]
 # tables/ holds pieces that benchmarks.rst includes.

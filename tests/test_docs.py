@@ -142,40 +142,6 @@ def test_names_in_api_are_where_it_says():
             assert line.strip() in module.__all__
 
 
-def guide_of(effect):
-    """Entry of an effect in the guide, as its class has it."""
-    symbols = list(effect.parameters([1.0] * len(effect.coefficients)))
-    turning, sliding = (effect.parameter_units(p) for p in (False, True))
-    symbols += [
-        name for name in effect.shape() if turning.get(name, "") and name not in symbols
-    ]
-    told = []
-    for symbol in symbols:
-        units = dict.fromkeys(unit[symbol] for unit in (turning, sliding))
-        told.append(f"{symbol} [{' or '.join(unit or '-' for unit in units)}]")
-    lines = [
-        f"``{effect.name}``: {effect.label}",
-        rf"    .. math:: \tau = {effect.formula}",
-        "",
-        f"    :parameters: {', '.join(told)}",
-        f"    :visible if: {effect.visible}",
-        f"    :record next: {effect.record}",
-    ]
-    if effect.contains:
-        lines.append(f"    :contains: {', '.join(effect.contains)}")
-    return "\n".join(lines) + "\n"
-
-
-def test_every_effect_has_its_formula_in_the_guide():
-    text = read(DOCS / "effects.rst")
-    section = text[text.index("The library\n---") : text.index("One's own effect\n---")]
-    listed = re.findall(r"^``(\w+)``: ", section, flags=re.M)
-    assert listed == list(effects.available())
-    for effect in effects.resolve():
-        assert effect.formula, effect.name
-        assert guide_of(effect) + "\n" in section, guide_of(effect)
-
-
 def constants_of_the_loop():
     """Phrases of the guide with the numbers that the code has."""
     from sklearn_vbjfa.diagnosis.search import (

@@ -20,7 +20,10 @@ def add_file(parser):
         help=RECORDING,
     )
     parser.add_argument(
-        "--urdf", required=True, metavar="FILE", help="description of the robot"
+        "--urdf",
+        required=True,
+        metavar="FILE",
+        help="description of the robot, URDF or MJCF",
     )
 
 
@@ -30,7 +33,10 @@ def add_optional_file(parser):
         "recording", nargs="?", default=None, metavar="RECORDING", help=RECORDING
     )
     parser.add_argument(
-        "--urdf", default=None, metavar="FILE", help="description of the robot"
+        "--urdf",
+        default=None,
+        metavar="FILE",
+        help="description of the robot, URDF or MJCF",
     )
 
 

@@ -366,7 +366,7 @@ def make_closed_loop_recording(
     Parameters
     ----------
     model : {"head", "arm"}, str, os.PathLike or pinocchio.Model, default="arm"
-        Robot: one of those of [1]_, a URDF file or a model.
+        Robot: one of those of [1]_, a URDF or MJCF file, or a model.
     duration : float, default=60.0
         Length of each recording [s].
     dt : float, default=None

@@ -277,6 +277,11 @@ class Effect(TransformerMixin, BaseEstimator):
         """
         return False
 
+    @property
+    def owner(self):
+        """Name of the body or joint that its coefficients bear; empty for its own."""
+        return ""
+
     # -- what a new effect says ---------------------------------------------------
 
     def columns(self, motion):

@@ -9,11 +9,14 @@ import numpy as np
 from sklearn_vbjfa.model._loading import (
     body_names,
     import_pinocchio,
+    is_urdf,
     joint_names,
+    load_quietly,
     load_text,
     parse_description,
 )
 from sklearn_vbjfa.model._regressor import describe
+from sklearn_vbjfa.model._urdf import is_text
 
 # What URDF readers take for no limit, as `load_model` writes it.
 _UNLIMITED = 1e12
@@ -27,8 +30,8 @@ def description_text(source, model):
     Parameters
     ----------
     source : str, os.PathLike or pinocchio.Model
-        What the robot was loaded from: that file is read again, with the references to
-        meshes in it and without comments; of a model the URDF is written.
+        What the robot was loaded from: a URDF is read again, with the references to
+        meshes in it and without comments; of MJCF and a model the URDF is written.
     model : pinocchio.Model
         The loaded robot.
 
@@ -48,15 +51,39 @@ def description_text(source, model):
     if not isinstance(source, (str, os.PathLike)):
         return text_of_tree(model)
     path = Path(source)
-    root = parse_description(path).getroot()
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="unicode")
-    if not alike(load_text(text, path), model):
+    if is_urdf(path):
+        root = parse_description(path).getroot()
+        ElementTree.indent(root)
+        text = ElementTree.tostring(root, encoding="unicode")
+        now = load_text(text, path)
+    else:
+        text, now = text_of_tree(model), load_quietly(path)
+    if not alike(now, model):
         raise ValueError(
             f"The robot description {str(path)!r} is another one than when the robot "
             "was identified; put the old file back, or identify again."
         )
     return text
+
+
+def urdf_to_fill(source, model):
+    """Return what the URDF of an identified robot is a copy of.
+
+    Parameters
+    ----------
+    source : str, os.PathLike or pinocchio.Model
+        What the robot was loaded from, or the text of a URDF.
+    model : pinocchio.Model
+        The loaded robot.
+
+    Returns
+    -------
+    str, os.PathLike or pinocchio.Model
+        The source; of MJCF the text of a URDF with the same joints.
+    """
+    if is_text(source) or not isinstance(source, (str, os.PathLike)):
+        return source
+    return source if is_urdf(source) else text_of_tree(model)
 
 
 def alike(one, other):

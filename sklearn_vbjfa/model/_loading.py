@@ -1,19 +1,23 @@
-"""Robot models: a URDF made safe to parse, built by Pinocchio, and asked about.
+"""Robot models: a description made safe to parse, built by Pinocchio, and asked about.
 
-A description is checked before Pinocchio sees it, since its parser neither limits the
-depth of the XML nor says which link is wrong, and what of it does not enter the model
-is said in one warning.
+A URDF is checked before Pinocchio sees it, since its parser neither limits the depth
+of the XML nor says which link is wrong; `sklearn_vbjfa.model._mjcf_reading` reads MJCF.
+What of a description does not enter the model is said in one warning.
 """
 
 import os
 import warnings
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 from xml.parsers import expat
 from xml.parsers.expat import ExpatError
 
 import numpy as np
 
+from sklearn_vbjfa.model import _mjcf_reading, _urdf_tree
+from sklearn_vbjfa.model._followers import Folded, Link, fold, foldable
+from sklearn_vbjfa.model._pinocchio import import_pinocchio
 from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
@@ -27,31 +31,6 @@ _MOST_JOINTS = 200
 _AXIAL = ("revolute", "continuous", "prismatic")
 _MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
 
-INERTIAL_NAMES = (
-    "m",
-    "mc_x",
-    "mc_y",
-    "mc_z",
-    "I_xx",
-    "I_xy",
-    "I_yy",
-    "I_xz",
-    "I_yz",
-    "I_zz",
-)
-
-
-def import_pinocchio():
-    """Import pinocchio, or say in one line how to get it."""
-    try:
-        import pinocchio
-    except ImportError as error:
-        raise ImportError(
-            "Robot models need Pinocchio, which is not installed: "
-            'pip install "sklearn-vbjfa[robot]"'
-        ) from error
-    return pinocchio
-
 
 def load_model(model):
     """Return a pinocchio model whose joints all have one degree of freedom.
@@ -59,14 +38,15 @@ def load_model(model):
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
-        Path of a URDF file, or a model.
+        Path of a URDF or MJCF file, or a model.
 
     Returns
     -------
     pinocchio.Model
         A copy of the model given, or the one read from the file. A joint that the
         URDF calls "continuous" is read as a revolute joint without limits, so that
-        its position is one angle [rad].
+        its position is one angle [rad]. Joints of an MJCF file are in the order of
+        MuJoCo's coordinates.
 
     Raises
     ------
@@ -75,38 +55,57 @@ def load_model(model):
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If a joint has not exactly one degree of freedom, there is no joint, or a link
-        has a negative mass.
+        If a joint has not exactly one degree of freedom, there is no joint, joints
+        close a loop, or a link has a negative mass.
 
     Warns
     -----
     UserWarning
-        If something in the URDF does not enter the model: a joint that mimics another
-        one counts as a joint of its own, and a body without mass or with an inertia
-        that no solid body has is completed by a ball (see `solid_bodies`).
+        If something in the file does not enter the model: a body without mass or with
+        an inertia that no solid body has is completed by a ball (see `solid_bodies`),
+        joints have none of the springs, damping, friction and tendons of an MJCF file,
+        and a joint that follows another one and carries joints that do not counts as a
+        joint of its own. Other joints that follow are left out, see `load_folded`.
+    """
+    return load_folded(model).model
+
+
+def load_folded(model):
+    """Return a robot without the joints that follow others, and their bodies.
+
+    Parameters
+    ----------
+    model : str, os.PathLike or pinocchio.Model
+        As for `load_model`; a model has no joints that follow.
+
+    Returns
+    -------
+    Folded
+        The model that `load_model` returns, and the bodies of its followers.
     """
     pin = import_pinocchio()
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
         return _from_description(pin, parse_description(path), path)
     if isinstance(model, pin.Model):
-        return _check_joints(model.copy())
+        return Folded(model=_check_joints(model.copy()))
     raise TypeError(
-        "model must be the path of a URDF file or a pinocchio.Model, got "
+        "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."
     )
 
 
 def load_reduced(path, moving):
-    """Return the model of a URDF of which only some joints move.
+    """Return the model of a description of which only some joints move.
 
     Parameters
     ----------
     path : str or os.PathLike
-        URDF file.
+        URDF or MJCF file.
     moving : sequence of str
         Names of the joints that move, in any order; the others are held at zero, of
-        whatever kind they are, and what they carry is one body with its parent.
+        whatever kind they are, and what they carry is one body with its parent. A joint
+        that follows one of them is left out, as in `load_model`, unless it is named.
 
     Returns
     -------
@@ -115,22 +114,38 @@ def load_reduced(path, moving):
     """
     path = Path(path)
     tree = parse_description(path)
-    _hold_others(tree, path, moving)
-    return _from_description(import_pinocchio(), tree, path)
+    if not _is_mjcf(tree, path):
+        _hold_others(tree, path, moving)
+    return _from_description(import_pinocchio(), tree, path, moving).model
 
 
 def movable_joints(path):
-    """Names of the joints of a URDF that are not fixed, in its order."""
-    tree = parse_description(Path(path))
-    return tuple(
-        joint.get("name")
-        for joint in tree.getroot().findall("joint")
-        if joint.get("type") != "fixed"
-    )
+    """Names of the joints that are neither fixed nor follow others, in file order.
+
+    Those that follow others are listed if they cannot be folded, see `load_model`.
+    """
+    path = Path(path)
+    tree = parse_description(path)
+    if _is_mjcf(tree, path):
+        robot = _mjcf_robot(tree, path)
+        names = [joint.name for joint in robot.joints]
+        carriers, links = _mjcf_reading.carriers(robot), robot.links
+    else:
+        _fix_followers(tree, path)
+        names = [
+            joint.get("name")
+            for joint in tree.getroot().findall("joint")
+            if joint.get("type") != "fixed"
+        ]
+        carriers, links = _urdf_tree.carriers(tree), _mimics(tree, path)
+    folded = foldable(carriers, links, path)
+    return tuple(name for name in names if name not in folded)
 
 
 def write_reduced(path, target, moving):
-    """Write a copy of a URDF in which all but some joints are fixed at zero.
+    """Write a copy of a description in which all but some joints are fixed at zero.
+
+    Of an MJCF file the copy has the bodies and joints alone.
 
     Parameters
     ----------
@@ -144,10 +159,113 @@ def write_reduced(path, target, moving):
     tuple of str
         Names of the joints that were fixed.
     """
-    tree = parse_description(Path(path))
-    held = _hold_others(tree, Path(path), moving)
+    path = Path(path)
+    tree = parse_description(path)
+    if _is_mjcf(tree, path):
+        robot = _mjcf_robot(tree, path)
+        names = [joint.name for joint in robot.joints]
+        reduced = _held_mjcf(robot, path, moving)
+        _mjcf_reading.check_tree(reduced, path)
+        _mjcf_reading.write_robot(reduced, target)
+        still = [joint.name for joint in reduced.joints]
+        return tuple(name for name in names if name not in still)
+    held = _hold_others(tree, path, moving)
     tree.write(target, encoding="utf-8", xml_declaration=True)
     return held
+
+
+def _is_mjcf(tree, path):
+    """Whether a description is one of MuJoCo and no URDF, by its root."""
+    tag = tree.getroot().tag
+    if tag not in ("robot", "mujoco"):
+        raise ValueError(
+            f"{str(path)!r} is no robot description: its outermost element is "
+            f"<{tag[:60]}>; expected <robot> (URDF) or <mujoco> (MJCF)."
+        )
+    return tag == "mujoco"
+
+
+def _mjcf_robot(tree, path):
+    """Read what an MJCF file describes, `MjcfRobot`."""
+    return _mjcf_reading.read_mjcf(tree.getroot(), path, parse_description)
+
+
+def _held_mjcf(robot, path, moving):
+    """Hold the joints of an MJCF robot that neither move nor follow those that do."""
+    _check_known(moving, [joint.name for joint in robot.joints], path)
+    # A follower that is named has columns and a torque of its own.
+    links = {name: link for name, link in robot.links.items() if name not in moving}
+    follow = _folded_by(moving, _mjcf_reading.carriers(robot), links, path)
+    return replace(
+        _mjcf_reading.held(robot, {*moving, *follow}),
+        followers=tuple(one for one in robot.followers if one.name in follow),
+    )
+
+
+def _folded_by(moving, carriers, links, path):
+    """Names of the followers that joints which move lead, if they can be folded.
+
+    carriers, links : as for `foldable`, of all joints, whose mistakes it refuses.
+    """
+    foldable(carriers, links, path)
+    follow = set(links)
+    while True:
+        # What is held is one body with the joint that carries it, and leads nothing.
+        left = {*moving, *follow}
+        own = {name: links[name] for name in follow if links[name].leader in left}
+        if len(own) == len(follow):
+            above = {name: _next(carriers, name, left) for name in left}
+            own = foldable(above, own, path)
+        if len(own) == len(follow):
+            return follow
+        follow = set(own)
+
+
+def _next(carriers, name, joints):
+    """Return the nearest joint of some that carries a joint; None for the base."""
+    name = carriers[name]
+    while name is not None and name not in joints:
+        name = carriers[name]
+    return name
+
+
+def _mimics(tree, path):
+    """Joints of a URDF that follow others, name -> `Link`."""
+    found = {}
+    for joint in tree.getroot().findall("joint"):
+        mimic = joint.find("mimic")
+        if mimic is None or joint.get("type") not in _AXIAL:
+            continue
+        name, numbers = joint.get("name"), []
+        for key, otherwise in (("multiplier", "1"), ("offset", "0")):
+            try:
+                number = float(mimic.get(key, otherwise))
+            except ValueError:
+                number = np.nan
+            if not np.isfinite(number):
+                raise ValueError(
+                    f"{str(path)!r}: joint {name!r} follows another one with the {key} "
+                    f"{mimic.get(key)[:40]!r}, which is no number; correct the "
+                    "description."
+                )
+            numbers.append(number)
+        leader = mimic.get("joint", "")
+        found[name] = Link(leader=leader, multiplier=numbers[0], offset=numbers[1])
+    return found
+
+
+def is_urdf(source):
+    """Whether a robot comes from a URDF file, whose text can be written again.
+
+    Parameters
+    ----------
+    source : str, os.PathLike or pinocchio.Model
+        What `load_model` takes.
+    """
+    if not isinstance(source, (str, os.PathLike)):
+        return False
+    path = Path(source)
+    return not _is_mjcf(parse_description(path), path)
 
 
 def _check_joints(loaded):
@@ -155,7 +273,7 @@ def _check_joints(loaded):
     if loaded.nv == 0:
         raise ValueError(
             "The robot model has no moving joint; expected a tree of revolute or "
-            "prismatic joints. Check the joint types in the URDF."
+            "prismatic joints. Check the joint types in the description."
         )
     wrong = [
         f"{loaded.names[i]} ({joint.shortname()}, nq={joint.nq}, nv={joint.nv})"
@@ -193,14 +311,22 @@ def load_text(text, path):
     pin, path = import_pinocchio(), Path(path)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return _from_description(pin, _parsed(text.encode(), path), path)
+        return _from_description(pin, _parsed(text.encode(), path), path).model
+
+
+def load_quietly(path):
+    """Return the model of a file, as `load_model`, of which everything was said."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return load_model(path)
 
 
 def parse_description(path):
     """Read the XML of a robot description, `ElementTree`; refuse what is none."""
     if not path.is_file():
         raise FileNotFoundError(
-            f"No robot description at {str(path)!r}; expected the path of a URDF file."
+            f"No robot description at {str(path)!r}; expected the path of a URDF or "
+            "MJCF file."
         )
     return _parsed(path.read_bytes(), path)
 
@@ -212,7 +338,7 @@ def _parsed(content, path):
         return ElementTree.ElementTree(ElementTree.fromstring(content))
     except (ElementTree.ParseError, ExpatError, LookupError, ValueError) as error:
         raise ValueError(
-            f"{str(path)!r} is not readable as URDF (XML): {error}. "
+            f"{str(path)!r} is not readable as URDF or MJCF (XML): {error}. "
             "A xacro file must be expanded first."
         ) from error
 
@@ -252,40 +378,96 @@ def _check_structure(content):
 
 
 def _hold_others(tree, path, moving):
-    """Fix all joints of a URDF but some; return the names of those fixed."""
+    """Fix all joints of a URDF but some and their followers; names of those fixed."""
     joints = {
         joint.get("name"): joint
         for joint in tree.getroot().findall("joint")
         if joint.get("type") != "fixed"
     }
-    unknown = [name for name in moving if name not in joints]
-    if unknown:
-        raise ValueError(
-            f"{str(path)!r}: the robot has no movable joint {unknown[0]!r}; it has "
-            f"{', '.join(joints) or 'none'}."
-        )
-    held = tuple(name for name in joints if name not in moving)
+    _check_known(moving, joints, path)
+    for name in moving:
+        # A follower that is named has columns and a torque of its own.
+        for mimic in joints[name].findall("mimic"):
+            joints[name].remove(mimic)
+    links = _mimics(tree, path)
+    follow = _folded_by(moving, _urdf_tree.carriers(tree), links, path)
+    held = tuple(name for name in joints if name not in {*moving, *follow})
     for name in held:
-        joints[name].set("type", "fixed")
-        for child in list(joints[name]):
-            if child.tag in _MOTION:
-                joints[name].remove(child)
+        _fix(joints[name])
     return held
 
 
-def _from_description(pin, tree, path):
-    """Build and check a model; say what of its description does not enter it."""
-    _check_masses(tree, path)
-    _check_axes(tree, path)
-    loaded = _check_joints(_build(pin, tree, path))
-    left_out = _left_out(tree, loaded)
+def _still(tree):
+    """Names of the joints of a URDF that are fixed."""
+    return {
+        joint.get("name")
+        for joint in tree.getroot().findall("joint")
+        if joint.get("type") == "fixed"
+    }
+
+
+def _fix_followers(tree, path):
+    """Fix the joints of a URDF that follow a fixed one: they do not move either."""
+    while True:
+        still, links = _still(tree), _mimics(tree, path)
+        follow = [name for name, link in links.items() if link.leader in still]
+        if not follow:
+            return
+        for joint in tree.getroot().findall("joint"):
+            if joint.get("name") in follow:
+                _fix(joint)
+
+
+def _fix(joint):
+    """Fix a joint of a URDF at zero."""
+    joint.set("type", "fixed")
+    for child in list(joint):
+        if child.tag in _MOTION:
+            joint.remove(child)
+
+
+def _check_known(moving, names, path):
+    """Refuse names that are no joints of a description."""
+    unknown = [name for name in moving if name not in names]
+    if unknown:
+        raise ValueError(
+            f"{str(path)!r}: the robot has no movable joint {unknown[0]!r}; it has "
+            f"{', '.join(names) or 'none'}."
+        )
+
+
+def _from_description(pin, tree, path, moving=None):
+    """Build and check a robot, `Folded`; say what of it does not enter the model.
+
+    moving : joints of an MJCF file that are not held; None for all.
+    """
+    if _is_mjcf(tree, path):
+        robot = _mjcf_robot(tree, path)
+        if moving is not None:
+            robot = _held_mjcf(robot, path, moving)
+        _check_number(len(robot.joints), path)
+        _mjcf_reading.check_tree(robot, path)
+        links, said = robot.links, robot.left_out()
+        folded = foldable(_mjcf_reading.carriers(robot), links, path)
+        full, between = _mjcf_reading.to_pinocchio(robot), robot.massless
+    else:
+        _check_masses(tree, path)
+        _check_axes(tree, path)
+        _urdf_tree.check_tree(tree, path)
+        _fix_followers(tree, path)
+        links, said, between = _mimics(tree, path), [], ()
+        folded = foldable(_urdf_tree.carriers(tree), links, path)
+        full = _build(pin, tree, path)
+    found = fold(_check_joints(full), folded)
+    apart = [name for name in links if name not in folded]
+    left_out = [*said, *_left_out(apart, full, between)]
     if left_out:
         warnings.warn(
             f"The robot description {path.name!r}: {'; '.join(left_out)}.",
             UserWarning,
-            stacklevel=3,
+            stacklevel=4,
         )
-    return loaded
+    return found
 
 
 def _check_masses(tree, path):
@@ -310,11 +492,7 @@ def _check_axes(tree, path):
         for joint in tree.getroot().findall("joint")
         if joint.get("type") in _AXIAL
     ]
-    if len(moving) > _MOST_JOINTS:
-        raise ValueError(
-            f"{str(path)!r}: the robot has {len(moving)} moving joints, at most "
-            f"{_MOST_JOINTS} can be identified; hold the others (--joints)."
-        )
+    _check_number(len(moving), path)
     for joint in moving:
         axis = joint.find("axis")
         text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
@@ -330,23 +508,38 @@ def _check_axes(tree, path):
             )
 
 
-def _left_out(tree, model):
-    """Sentences on what of a description does not enter the model."""
+def _check_number(n_joints, path):
+    """Refuse more joints than robots have."""
+    if n_joints > _MOST_JOINTS:
+        raise ValueError(
+            f"{str(path)!r}: the robot has {n_joints} moving joints, at most "
+            f"{_MOST_JOINTS} can be identified; hold the others (--joints)."
+        )
+
+
+def _left_out(mimics, model, between=()):
+    """Sentences on what of a description does not enter the model.
+
+    mimics : joints that are to follow others and could not be folded; between : those
+    that move another joint and nothing else.
+    """
     names = joint_names(model)
     found = []
-    followers = [
-        joint.get("name")
-        for joint in tree.getroot().findall("joint")
-        if joint.get("name") in names and joint.find("mimic") is not None
-    ]
-    if followers:
+    if mimics:
         found.append(
-            f"that {', '.join(followers)} mimic(s) another joint is not modelled, each "
-            "counts as a joint with a torque of its own (to hold such joints at zero, "
-            "leave them out of joint_names or --joints)"
+            f"that {', '.join(mimics)} follow(s) another joint and carries joints that "
+            "do not is not modelled, each counts as a joint with a torque of its own "
+            "(to hold such joints at zero, leave them out of joint_names or --joints)"
         )
     possible = solid_bodies(nominal_parameters(model), _POSSIBLE)
     wrong = [name for name, good in zip(names, possible) if not good]
+    between = [name for name in wrong if name in between]
+    wrong = [name for name in wrong if name not in between]
+    if between:
+        found.append(
+            f"between {', '.join(between)} and the next joint of the same body is no "
+            "mass, a ball stands for it where the recording cannot tell"
+        )
     if wrong:
         found.append(
             f"what {', '.join(wrong)} move(s) has no mass or an inertia that no solid "

@@ -57,7 +57,16 @@ def _turn_origin(joint, rotation):
     origin.set("rpy", numbers(turned))
 
 
-def write_urdf(source, target, model, parameters, friction, note="", turned=None):
+def write_urdf(
+    source,
+    target,
+    model,
+    parameters,
+    friction,
+    note="",
+    turned=None,
+    followers=None,
+):
     """Write a copy of a URDF with other inertias and friction.
 
     Parameters
@@ -77,7 +86,10 @@ def write_urdf(source, target, model, parameters, friction, note="", turned=None
         Comment at the top of the robot.
     turned : mapping of str to ndarray of shape (3, 3), default=None
         Joints whose origin is turned, in its own axes, by a rotation matrix.
+    followers : mapping of str to ndarray of shape (10,), default=None
+        Bodies of joints that follow others, by the joints' names.
     """
+    followers = {} if followers is None else followers
     if is_text(source):
         tree, like = ElementTree.ElementTree(ElementTree.fromstring(source)), None
     else:
@@ -87,18 +99,18 @@ def write_urdf(source, target, model, parameters, friction, note="", turned=None
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     links = {link.get("name"): link for link in root.findall("link")}
     names = joint_names(model)
-    missing = [name for name in names if name not in joints]
+    missing = [name for name in (*names, *followers) if name not in joints]
     if missing:
         raise ValueError(f"The URDF has no joint named {', '.join(missing)}.")
-    moving = set(names)
     fixed_children = {}
     for joint in joints.values():
-        if joint.get("name") not in moving:
+        if joint.get("type") == "fixed":
             parent = joint.find("parent").get("link")
             fixed_children.setdefault(parent, []).append(
                 joint.find("child").get("link")
             )
-    for name, row in zip(names, parameters):
+    rows = [*zip(names, parameters), *followers.items()]
+    for name, row in rows:
         joint = joints[name]
         child = joint.find("child").get("link")
         _set_inertial(links[child], row[:10])
@@ -111,6 +123,9 @@ def write_urdf(source, target, model, parameters, friction, note="", turned=None
             waiting += fixed_children.get(link, [])
         if turned and name in turned:
             _turn_origin(joint, turned[name])
+        if name in followers:
+            # Its friction is felt as that of its leader.
+            continue
         values = dict(zip(friction, row[10:]))
         dynamics = joint.find("dynamics")
         if dynamics is None:
@@ -147,7 +162,15 @@ def check_possible(model, min_eigenvalues, kind):
 
 
 def write_identified(
-    source, path, model, bodies, friction, min_eigenvalues, note="", turned=None
+    source,
+    path,
+    model,
+    bodies,
+    friction,
+    min_eigenvalues,
+    note="",
+    turned=None,
+    followers=None,
 ):
     """Write a URDF with identified bodies, or say why there can be none.
 
@@ -169,6 +192,8 @@ def write_identified(
         What a reader of the file has to know, written into it as a comment.
     turned : mapping of str to ndarray of shape (3, 3), default=None
         Joints whose origin is turned, see `write_urdf`.
+    followers : mapping of str to ndarray of shape (10,), default=None
+        Bodies of joints that follow others, see `write_urdf`.
     """
     if not isinstance(source, (str, os.PathLike)):
         raise ValueError(
@@ -176,4 +201,4 @@ def write_identified(
             "`model` (a pinocchio.Model does not keep the links' shapes)."
         )
     check_possible(model, min_eigenvalues, "a URDF")
-    write_urdf(source, path, model, bodies, friction, note, turned)
+    write_urdf(source, path, model, bodies, friction, note, turned, followers)

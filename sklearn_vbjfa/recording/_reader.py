@@ -64,9 +64,9 @@ def read_recording(
     dt : float, default=None
         Sample period [s]; needed if there is no time.
     urdf : str or os.PathLike, default=None
-        Description of the robot: gives the joints' names and order, which must agree
-        with the columns. Where columns have joints' names, its joints without any are
-        held at zero.
+        URDF or MJCF file of the robot: gives the joints' names and order, which must
+        agree with the columns. Where columns have joints' names, its joints without any
+        are held at zero.
     joint_names : sequence of str, default=None
         Joints in the order of the columns; with `urdf` some of its joints (the others,
         such as wheels and fingers, are then held at zero). None takes all of `urdf`,

@@ -132,7 +132,7 @@ class Recording:
     left_out : mapping of str to str, default={}
         Other columns of a file that are none of `signals`, and why.
     urdf : str or None, default=None
-        File with a description of the robot.
+        File with a description of the robot, URDF or MJCF.
     source, licence, citation, description : str, default=""
         Origin of the data, licence, citation, and notes on their use.
 

@@ -14,6 +14,7 @@ from sklearn_vbjfa.regression._joint_factor import (
     fit_moments,
 )
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
+from sklearn_vbjfa.robot._following import nominal_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter, sum_moments
 from sklearn_vbjfa.robot._weights import (
     block_precisions,
@@ -354,25 +355,28 @@ def project(found, projector, features):
         found.theta_unconstrained,
         found.metric,
         features.friction_,
+        nominal_followers(features),
     )
     return replace(found, theta=theta, projector=fitted)
 
 
-def consistent_anchor(model, theta, metric, per_joint):
+def consistent_anchor(model, theta, metric, per_joint, followers):
     """Return a consistent vector (p,) near the model's parameters, in the data's unit.
 
     The torques do not depend on some directions; the projection completes them from
     this point: the inertias of the robot description or, where it has none, a solid
     ball of the links' mean mass and the robot's length. A common factor scales them to
     the estimate theta (p,) in the Gram matrix metric (p, p), so that a change of torque
-    unit changes only the unit of the result.
+    unit changes only the unit of the result. Bodies of followers (n, 10) come last.
     """
-    bodies = _complete(nominal_parameters(model), _robot_length(model))
-    anchor = theta.reshape(-1, per_joint).copy()
+    bodies = np.vstack([nominal_parameters(model), followers])
+    bodies = _complete(bodies, _robot_length(model))
+    p = model.nv * per_joint
+    anchor = theta[:p].reshape(-1, per_joint).copy()
     anchor[:, 10:] = np.maximum(anchor[:, 10:], 0.0)
-    inertial = np.zeros((bodies.shape[0], per_joint), dtype=bool)
+    inertial = np.zeros((model.nv, per_joint), dtype=bool)
     inertial[:, :10] = True
-    at = np.flatnonzero(inertial.ravel())
+    at = np.append(np.flatnonzero(inertial.ravel()), np.arange(p, theta.size))
     block = metric[np.ix_(at, at)]
     nominal, estimate = bodies.ravel(), theta[at]
     seen = nominal @ block @ nominal
@@ -381,8 +385,8 @@ def consistent_anchor(model, theta, metric, per_joint):
         factor = (nominal @ block @ estimate) / seen
         if not factor > 0:
             factor = np.sqrt(max(estimate @ block @ estimate, 0.0) / seen) or 1.0
-    anchor[:, :10] = factor * bodies
-    return anchor.ravel()
+    anchor[:, :10] = factor * bodies[: model.nv]
+    return np.append(anchor.ravel(), factor * bodies[model.nv :])
 
 
 def _robot_length(model):
@@ -404,7 +408,7 @@ def _complete(bodies, length):
     return np.where(good[:, None], bodies, ball)
 
 
-def fit_projector(projector, model, theta, metric, friction):
+def fit_projector(projector, model, theta, metric, friction, followers=None):
     """Fit a projector to an estimate, filling in the settings the user left open.
 
     Parameters
@@ -414,12 +418,16 @@ def fit_projector(projector, model, theta, metric, friction):
     model : pinocchio.Model
         Robot.
     theta : ndarray of shape (p + n_effects,)
-        Estimate; effects come last and are unconstrained.
+        Estimate; effects come last and are unconstrained, except the bodies of
+        followers, which come first among them.
     metric : ndarray of shape (p + n_effects, p + n_effects)
         De-noised Gram matrix of the estimation (eq. 35).
     friction : tuple of str
         Friction columns.
+    followers : ndarray of shape (n_followers, 10) or None
+        Bodies of the followers in the description, as far as theta has them.
     """
+    followers = np.empty((0, 10)) if followers is None else followers
     default = isinstance(projector, str)
     if default and projector != "default":
         raise ValueError(
@@ -428,6 +436,7 @@ def fit_projector(projector, model, theta, metric, friction):
         )
     per_joint = 10 + len(friction)
     p = model.nv * per_joint
+    bodies = p + followers.size
     nonnegative = [
         j * per_joint + 10 + k
         for j in range(model.nv)
@@ -440,12 +449,17 @@ def fit_projector(projector, model, theta, metric, friction):
         "nonnegative": (nonnegative, "auto"),
     }
     if theta.size > p:
-        settings["body_starts"] = np.arange(0, p, per_joint), None
+        starts = np.append(np.arange(0, p, per_joint), np.arange(p, bodies, 10))
+        settings["body_starts"] = starts, None
     fitted = PhysicalProjector() if default else clone(projector)
+    # The layout follows from the robot, and effects have names of their own.
+    fitted.set_params(parameter_names=None)
     given = fitted.get_params()
     if given["anchor"] is None:
-        anchor = consistent_anchor(model, theta[:p], metric[:p, :p], per_joint)
-        settings["anchor"] = np.concatenate([anchor, theta[p:]]), None
+        anchor = consistent_anchor(
+            model, theta[:bodies], metric[:bodies, :bodies], per_joint, followers
+        )
+        settings["anchor"] = np.concatenate([anchor, theta[bodies:]]), None
     elif theta.size > p:
         fitted.set_params(anchor=np.concatenate([given["anchor"], theta[p:]]))
     fitted.set_params(
@@ -472,7 +486,7 @@ def identifiable(metric):
     return result
 
 
-def project_beside(projector, model, theta, metric, friction):
+def project_beside(projector, model, theta, metric, friction, followers=None):
     """Project the bodies and re-optimise the effects' coefficients, which come last.
 
     The distance (eq. 35) is minimised over both. A metric given by the user covers the
@@ -482,7 +496,7 @@ def project_beside(projector, model, theta, metric, friction):
     p = model.nv * (10 + len(friction))
     own = getattr(projector, "metric", None) is not None
     if theta.size == p or not own:
-        fitted = fit_projector(projector, model, theta, metric, friction)
+        fitted = fit_projector(projector, model, theta, metric, friction, followers)
         return fitted, fitted.transform(theta[None])[0]
     rigid = theta[:p]
     fitted = fit_projector(projector, model, rigid, metric[:p, :p], friction)

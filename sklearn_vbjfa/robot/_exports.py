@@ -36,10 +36,12 @@ from sklearn_vbjfa.effects import (
     Viscous,
     ViscousQuadratic,
 )
+from sklearn_vbjfa.effects._follower import Follower
 from sklearn_vbjfa.model._corrected import CorrectedModel
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.model._mjcf import JointDynamics, Tendon, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_identified
+from sklearn_vbjfa.robot._following import follower_parameters
 
 # Effects that have the column of a declared friction, whose coefficients add up.
 _PLAIN = {
@@ -182,6 +184,7 @@ def to_urdf(
         min_eigenvalues,
         _note(list(filter(None, notes)), account.left),
         turned_joints,
+        follower_parameters(robot.effects, robot.coefficients),
     )
     return tuple(account.left)
 
@@ -354,7 +357,7 @@ def _left_of_urdf(account):
         "rotor_inertia", account.total("rotor_inertia"), "URDF has no armature"
     )
     for effect, coef in account.uses:
-        if type(effect) in _PLAIN or isinstance(effect, JointAxis):
+        if type(effect) in _PLAIN or isinstance(effect, (JointAxis, Follower)):
             continue
         if effect.in_model:
             reason = _NO_URDF.get(type(effect), "it is no part of the description")

@@ -9,13 +9,9 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model._corrected import CorrectedModel
 from sklearn_vbjfa.model._derivatives import TorqueDerivatives
-from sklearn_vbjfa.model._loading import (
-    INERTIAL_NAMES,
-    is_prismatic,
-    joint_names,
-    load_model,
-)
+from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_folded
 from sklearn_vbjfa.model._regressor import TreeRegressor
+from sklearn_vbjfa.physical._pseudo_inertia import INERTIAL_NAMES
 
 
 class RigidBodyFeatures(TransformerMixin, BaseEstimator):
@@ -28,7 +24,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
-        Path of a URDF file, or a model; a tree of one-degree-of-freedom joints.
+        Path of a URDF or MJCF file, or a model; a tree of one-degree-of-freedom
+        joints.
     friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"}, \
             default=("viscous",)
         Additional columns for each joint: v, sign(v), 1, a. The default gives the
@@ -48,6 +45,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         The loaded model; within `RobotIdentifier`, as its effects correct it.
     nominal_ : pinocchio.Model
         The loaded model, not corrected.
+    followers_ : tuple
+        Bodies of the joints that follow others, which are not among the joints.
     gains_ : ndarray of shape (nv,)
         What each torque channel reads over the torque: 1 unless an effect says so.
     friction_ : tuple of str
@@ -120,7 +119,9 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self : object
             Fitted transformer.
         """
-        self.model_ = self.nominal_ = load_model(self.model)
+        folded = load_folded(self.model)
+        self.model_ = self.nominal_ = folded.model
+        self.followers_ = folded.followers
         self.gains_ = np.ones(self.model_.nv)
         self.friction_ = _friction.check_names(self.friction)
         self.n_joints_ = self.model_.nv

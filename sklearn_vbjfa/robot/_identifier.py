@@ -1,7 +1,6 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
 import copy
-import os
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.model._description_text import description_text
-from sklearn_vbjfa.model._loading import joint_names
+from sklearn_vbjfa.model._loading import is_urdf, joint_names
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,
@@ -38,6 +37,7 @@ from sklearn_vbjfa.robot._equations import (
 )
 from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._following import with_followers
 from sklearn_vbjfa.robot._gains import (
     channel_gains,
     check_gains,
@@ -105,6 +105,11 @@ from sklearn_vbjfa.robot._written import mjcf_of, urdf_of
 class RecordingRegressorMixin(RegressorMixin):
     """A multi-output regressor whose rows are recordings in time order."""
 
+    # Labels of recordings that are passed are taken, as by `StateEstimator`.
+    __metadata_request__fit = {"groups": True}  # noqa: RUF012
+    __metadata_request__predict = {"groups": True}  # noqa: RUF012
+    __metadata_request__score = {"groups": True}  # noqa: RUF012
+
     def __sklearn_tags__(self):
         """Tags of a regressor with several outputs."""
         tags = super().__sklearn_tags__()
@@ -151,8 +156,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
-        Path of a URDF file, or a model; a tree of one-degree-of-freedom joints. Its
-        inertias complete what the data do not determine, see `theta_`.
+        Path of a URDF or MJCF file, or a model; a tree of one-degree-of-freedom
+        joints. Its inertias complete what the data do not determine, see `theta_`.
     dt : float, default=None
         Sample period [s]; needed unless states are given and nothing is filtered.
     friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"}, \
@@ -639,13 +644,14 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         """Load the model; set the names and units of the parameters."""
         self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
         self.joint_names_ = joint_names(self.features_.model_)
-        self.effects_ = check_effects(self.effects, self.features_.n_joints_)
+        declared = check_effects(self.effects, self.features_.n_joints_)
         self.gains_ = None
         model = self.features_.model_
         check_gains(self.gains, self.joint_names_)
         self._masses = check_masses(self.known_masses, self.gains, model)
         if self.gains is not None:
-            self.effects_ = declared_gains(self.effects_, model.nv)
+            declared = declared_gains(declared, model.nv)
+        self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
         names, units = effect_names(self.effects_, self.features_.model_)
         self.parameter_names_ = self.features_.parameter_names_ + names
@@ -1117,7 +1123,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         changed, as plainly as that four degrees are to be subtracted. It also names
         bodies whose masses the recording does not determine, and lists what the file
         does not have. Torques of the written robot are the true ones, at true
-        positions.
+        positions. Of an MJCF file the joints and bodies are written as a URDF.
 
         Parameters
         ----------
@@ -1274,7 +1280,7 @@ def saved_of(identifier):
     return _model_file.SavedRobot(
         predictor=predictor_of(identifier),
         urdf=description_text(identifier.model, nominal),
-        from_file=isinstance(identifier.model, (str, os.PathLike)),
+        from_file=is_urdf(identifier.model),
         theta_std=identifier.theta_std_,
         identifiable=identifier.identifiable_,
         known=known_parameters(identifier),

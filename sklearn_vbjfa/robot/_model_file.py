@@ -12,6 +12,7 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._whole_files import write_whole
 from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.effects._base import SPEED, Effect
+from sklearn_vbjfa.effects._follower import Follower
 from sklearn_vbjfa.effects._library import available
 from sklearn_vbjfa.model._description_text import in_order
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_text
@@ -384,7 +385,8 @@ def _classes(effects):
     """Return classes of effects by their names."""
     if isinstance(effects, (type, Effect)):
         effects = (effects,)
-    found = {}
+    # A robot that has followers declares them; the library has none to search for.
+    found = {Follower.name: Follower}
     for one in effects:
         kind = one if isinstance(one, type) else type(one)
         if not issubclass(kind, Effect):

@@ -1,5 +1,8 @@
 """An identified robot as a file for other programs, with notes on what is not in it."""
 
+import numpy as np
+
+from sklearn_vbjfa.model._description_text import urdf_to_fill
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
 from sklearn_vbjfa.robot._gains import note_of_gains, note_of_units
@@ -14,19 +17,29 @@ def urdf_of(robot, source, path):
     path or text; path : file to write. Returns a tuple of `LeftOut`.
     """
     predictor = predictor_of(robot)
+    nominal = predictor.features.nominal_
     return to_urdf(
         path,
-        source,
+        urdf_to_fill(source, nominal),
         predictor.torque_model(),
         robot.min_eigenvalues_,
         predictor.powers,
         [
+            _note_of_gravity(nominal.gravity.linear),
             note_of_gains(robot.gains_),
             *note_of_corrections(robot),
             note_of_masses(robot),
         ],
         turned_joints(robot),
     )
+
+
+def _note_of_gravity(gravity):
+    """Say that a file has no gravity, where it is not what programs take for it."""
+    if np.array_equal(gravity, [0.0, 0.0, -9.81]):
+        return ""
+    x, y, z = gravity
+    return f"Gravity, which URDF has no place for, was {x:g} {y:g} {z:g} m/s^2."
 
 
 def mjcf_of(robot, path):

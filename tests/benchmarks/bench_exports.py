@@ -36,7 +36,7 @@ from sklearn_vbjfa.effects import Coupling, Spring  # noqa: E402
 from sklearn_vbjfa.model._loading import (  # noqa: E402
     import_pinocchio,
     is_prismatic,
-    load_model,
+    load_reduced,
 )
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
 from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf  # noqa: E402
@@ -100,9 +100,12 @@ def draw(path, seed):
     """
     rng = np.random.default_rng(seed)
     with warnings.catch_warnings():
-        # Of joints that mimic others, and bodies without mass, which are drawn here.
+        # Of bodies without mass, which are drawn here.
         warnings.simplefilter("ignore", UserWarning)
-        model = load_model(path)
+        # All are named: what mimics another joint is one of its own.
+        joints = ElementTree.parse(path).findall("joint")
+        names = [j.get("name") for j in joints if j.get("type") != "fixed"]
+        model = load_reduced(path, names)
     nv = model.nv
     uses = [
         (Spring(j), np.array([rng.uniform(1.0, 9.0), rng.normal()])) for j in range(nv)

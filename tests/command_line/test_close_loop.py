@@ -136,7 +136,7 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     links = set(re.findall(r'href="([^"]+)"', page))
     assert links == {name for name in FILES if name != "report.html"}
     # a spring is seen over the position, and each joint has its torque over time
-    assert page.count('<figure class="wide">') == 1 + 2
+    assert page.count('<figure class="wide"') == 1 + 2
     assert re.search(r'class="x-name">position of [^<]*shoulder[^<]* \[rad\]<', page)
     assert report["provenance"]["file"] == str(source)
     assert report["recorded"]["rate"] == pytest.approx(200.0)

@@ -130,7 +130,7 @@ def test_refuses_joints_of_other_than_one_freedom(joint, message):
 def test_refuses_what_is_no_robot(write, tmp_path):
     with pytest.raises(FileNotFoundError, match=r"nowhere\.urdf.*expected the path"):
         load_model(tmp_path / "nowhere.urdf")
-    with pytest.raises(TypeError, match=r"path of a URDF file or a .*got int"):
+    with pytest.raises(TypeError, match=r"path of a URDF or MJCF file or a .*got int"):
         load_model(3)
     with pytest.raises(ValueError, match=r"not readable as URDF.*xacro"):
         load_model(write("<robot><link"))
@@ -172,14 +172,13 @@ def test_a_held_joint_makes_one_body_of_two(write, kind):
 
 
 def test_a_reduced_description_is_the_reduced_model(write, tmp_path):
-    source = write(two_joints(extra='<mimic joint="hinge"/>'))
+    source = write(two_joints())
     held = write_reduced(source, tmp_path / "held.urdf", ["hinge"])
     assert held == ("second",)
     np.testing.assert_array_equal(
         nominal_parameters(quiet(load_model, tmp_path / "held.urdf")),
         nominal_parameters(quiet(load_reduced, source, ["hinge"])),
     )
-    assert "mimic" in source.read_text()
     assert write_reduced(source, tmp_path / "all.urdf", ["second", "hinge"]) == ()
     with pytest.raises(ValueError, match="no movable joint 'third'; it has hinge, sec"):
         load_reduced(source, ["hinge", "third"])
@@ -192,12 +191,6 @@ def test_what_is_fixed_belongs_to_its_parent_without_a_word(write):
     # a massless flange or camera frame is nothing to tell of
     model = quiet(load_model, write(two_joints("fixed", inertial=False)))
     assert nominal_parameters(model)[0, 0] == pytest.approx(2.0)
-
-
-def test_a_mimic_is_told_of(write):
-    path = write(two_joints(extra='<mimic joint="hinge"/>'))
-    with pytest.warns(UserWarning, match=r"that second mimic\(s\) another.*own"):
-        assert load_model(path).nv == 2
 
 
 @pytest.mark.parametrize(

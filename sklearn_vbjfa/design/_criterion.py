@@ -1,0 +1,177 @@
+r"""What a motion is worth: how it determines a model and parts what may be missing.
+
+With rows :math:`x_{tj}` and noise :math:`\sigma_j` the information on all coefficients
+is :math:`M = \sum_{tj} w_{tj} x_{tj} x_{tj}^T / \sigma_j^2`. That on the model alone is
+its block :math:`M_{AA}`. For columns C that the model lacks, :math:`S = M_{CC} - M_{CA}
+M_{AA}^{-1} M_{AC}` is what the model cannot imitate of them: a coefficient c of one
+effect i leaves :math:`c^T S_{ii} c`, in squared standard errors, beside the model, and
+:math:`c^T (S_{ii} - S_{ik} S_{kk}^{-1} S_{ki}) c` beside the model with a rival k: the
+largest difference that the two can show at equal fit.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+# Evidence at which two causes count as told apart: a sum of squared differences of 50
+# noise variances is a difference of log likelihoods of 25.
+DECIDED = 50.0
+# What remains to be gained where nothing shows at all, of that.
+_HOPELESS = 1e-3
+_RIDGE = 1e-9
+# Worth of a condition number that is smaller by a factor e, for each parameter [nats],
+# and the power of its means of eigenvalues.
+BALANCE, _POWER = 3.0, 6.0
+
+
+@dataclass(frozen=True, eq=False)
+class Questions:
+    """What a motion is to decide.
+
+    Attributes
+    ----------
+    n_model : int
+        The first columns are those of the model.
+    scale : ndarray of shape (n_columns,)
+        Sizes of coefficients in which columns are compared.
+    effects : tuple of slice
+        Columns of effects that the model may lack.
+    alone : ndarray of shape (n_effects,)
+        How much it counts that each shows beside the model.
+    beside : ndarray of shape (n_effects, n_effects)
+        How much it counts that the effect of the row shows beside the model with the
+        rival of the column.
+    """
+
+    n_model: int
+    scale: np.ndarray
+    effects: tuple = ()
+    alone: np.ndarray | None = None
+    beside: np.ndarray | None = None
+
+    @property
+    def weight(self):
+        """All weights together."""
+        return float(self.alone.sum() + self.beside.sum()) if self.effects else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """Value of a criterion.
+
+    Attributes
+    ----------
+    value : float
+        To be made large [nats].
+    by_information : ndarray of shape (n_columns, n_columns)
+        Its derivative by the information matrix, symmetric.
+    alone : ndarray of shape (n_effects,)
+        Evidence for each effect beside the model, in squared standard errors: the mean
+        over coefficients of the effect at random.
+    beside : ndarray of shape (n_effects, n_effects)
+        The same beside the model with each rival.
+    """
+
+    value: float
+    by_information: np.ndarray
+    alone: np.ndarray
+    beside: np.ndarray
+
+
+def worth(information, questions):
+    """Judge an information matrix (n_columns, n_columns) of scaled columns."""
+    D = questions.scale
+    M = information * np.outer(D, D)
+    a = slice(0, questions.n_model)
+    n = questions.n_model
+    A = M[a, a]
+    size = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    factor = cho_factor(A / np.outer(size, size) + _RIDGE * np.eye(n), lower=True)
+    value = float(np.log(np.diag(factor[0])).sum() + np.log(size).sum())
+    inverse = cho_solve(factor, np.eye(n)) / np.outer(size, size)
+    by = np.zeros_like(M)
+    by[a, a] = 0.5 * inverse
+    told, by_model = _balance(A)
+    value += n * BALANCE * told
+    by[a, a] += n * BALANCE * by_model
+    alone, beside = np.zeros(0), np.zeros((0, 0))
+    if questions.effects:
+        C = M[n:, :n]
+        S = M[n:, n:] - C @ inverse @ C.T
+        told, by_left, alone, beside = _decisions(S, questions)
+        if questions.weight > 0:
+            # Together they count as much as the parameters of the model.
+            share = n / questions.weight
+            value += share * told
+            L = np.hstack([-C @ inverse, np.eye(len(S))])
+            by += share * (L.T @ by_left @ L)
+    return Worth(value, by * np.outer(D, D), alone, beside)
+
+
+def _balance(A):
+    """Minus the logarithm of a smooth condition number, and its derivative by A.
+
+    Power means of the eigenvalues stand for the largest and the smallest.
+    """
+    values, vectors = np.linalg.eigh(A)
+    values = np.maximum(values, 1e-12 * values[-1])
+    high = (values / values[-1]) ** _POWER
+    low = (values[0] / values) ** _POWER
+    value = -0.5 * (
+        np.log(values[-1] / values[0])
+        + (np.log(high.sum()) + np.log(low.sum())) / _POWER
+    )
+    slope = -0.5 * (high / high.sum() - low / low.sum()) / values
+    return value, (vectors * slope) @ vectors.T
+
+
+def _decisions(S, questions):
+    """Value of all decisions, its derivative by S, and the evidence in each."""
+    n, m = questions.n_model, len(questions.effects)
+    spans = [slice(own.start - n, own.stop - n) for own in questions.effects]
+    # Mean over the columns of each effect, (m, n_columns).
+    mean = np.zeros((m, len(S)))
+    for row, span in zip(mean, spans):
+        row[span] = 1.0 / (span.stop - span.start)
+    alone = mean @ np.diag(S)
+    value, slope = _told(alone)
+    total = float(questions.alone @ value)
+    by = np.diag((questions.alone * slope) @ mean)
+    beside = np.zeros((m, m))
+    for k, span in enumerate(spans):
+        own = S[span, span]
+        ridge = _RIDGE * np.trace(own) / len(own) + np.finfo(float).tiny
+        W = np.linalg.solve(own + ridge * np.eye(len(own)), S[span])
+        left = np.diag(S) - np.einsum("kc,kc->c", S[span], W)
+        beside[:, k] = mean @ np.maximum(left, 0.0)
+        weight = questions.beside[:, k]
+        if not weight.any():
+            continue
+        value, slope = _told(beside[:, k])
+        total += float(weight @ value)
+        each = (weight * slope) @ mean
+        by += np.diag(each)
+        cross = -W * each
+        by[span] += cross
+        by[:, span] += cross.T
+        by[span, span] += (W * each) @ W.T
+    return total, by, alone, beside
+
+
+def _told(evidence):
+    """Value of evidence, -log(1 + DECIDED / evidence) / 2, and its derivative.
+
+    Nearly all is gained once the evidence is larger than what decides, and where it is
+    small a doubling is worth the same everywhere.
+    """
+    e = evidence + _HOPELESS * DECIDED
+    return -0.5 * np.log1p(DECIDED / e), 0.5 * DECIDED / (e * (e + DECIDED))
+
+
+def information_of(equations, places, n_columns, weight):
+    """Information matrix (n_columns, n_columns) of rows with weights (n, nv)."""
+    M = np.zeros((n_columns, n_columns))
+    for j, (rows, place) in enumerate(zip(equations.rows, places)):
+        M[np.ix_(place, place)] += (rows * weight[:, j]) @ rows.T
+    return M

@@ -1,0 +1,441 @@
+"""Design of the next motion: from what is known and asked to a motion to record."""
+
+from dataclasses import replace
+
+import numpy as np
+from sklearn.utils import check_random_state
+
+from sklearn_vbjfa.design._collisions import Clearance
+from sklearn_vbjfa.design._criterion import Questions, worth
+from sklearn_vbjfa.design._curve import FourierCurve
+from sklearn_vbjfa.design._equations import IN_SPAN, EquationModel
+from sklearn_vbjfa.design._known_robot import KnownRobot
+from sklearn_vbjfa.design._limits import MotionLimits
+from sklearn_vbjfa.design._motion import DesignedMotion
+from sklearn_vbjfa.design._open_questions import (
+    asked_effects,
+    open_effects,
+    read_report,
+)
+from sklearn_vbjfa.design._optimise import INSIDE, Problem, excess, optimise, shrunk
+from sklearn_vbjfa.design._promise import condition_number, expected_intervals, promise
+from sklearn_vbjfa.recording._recording import check_dt
+
+# Harmonics: few keep the motion smooth, many give it slow and fast parts.
+_FEWEST, _MOST = 5, 25
+# Frequency of the motion over that at which speed and acceleration are at their limits
+# together.
+_SPREAD = 2.0
+# The low-pass of the fit, at five times the bandwidth, needs that many samples.
+_PER_SAMPLE = 0.06
+# Random motions of which the best is improved, and states at which columns are
+# compared.
+_DRAWN, _REFERENCE = 40, 600
+# Poses that are tried for a start, and the share of the torque limits that may go into
+# holding it.
+_POSES, _HELD = 200, 0.85
+# Margin to all limits at ten times the sampling of the design.
+MARGIN, _FINER = 0.02, 10
+# Smallest distance between bodies of a motion [m].
+ROOM = 0.01
+
+
+def design_motion(
+    model,
+    *,
+    duration,
+    dt,
+    limits=None,
+    effects=(),
+    report=None,
+    start=None,
+    random_state=None,
+):
+    r"""Design the motion to record next.
+
+    A periodic motion, a finite Fourier series in each joint that stands still at its
+    start and end, within limits of position, velocity, acceleration and torque, and,
+    where the description has geometry, free of self-collision. It is D-optimal for the
+    base parameters and the friction [1]_ [2]_; with a report or with `effects`, it is
+    as much for parting the causes that the recordings so far left open [3]_.
+
+    Parameters
+    ----------
+    model : str, os.PathLike, pinocchio.Model, RobotIdentifier or IdentifiedRobot
+        Path of a URDF file or a model, of which nothing has been measured yet; or a
+        robot identified from earlier recordings, whose parameters give the torques and
+        whose encoder and torque noise weight the equations.
+    duration : float
+        Length of the motion [s], one period.
+    dt : float
+        Sample period [s], of the motion and of the recording of it.
+    limits : MotionLimits, default=None
+        Limits; None takes those of the description.
+    effects : sequence of str or Effect, default=()
+        Effects that the motion shall show and tell apart; a name stands for the effect
+        on every joint.
+    report : EffectDiscovery, Report, str or os.PathLike, default=None
+        What a search in the recordings so far left open: a fitted search, its report,
+        or the folder that the command ``close-loop`` wrote.
+    start : array-like of shape (nv,), default=None
+        Positions at which the motion starts and ends [rad or m]; None chooses them.
+    random_state : int, RandomState instance or None, default=None
+        Draws the motions of which the best is improved.
+
+    Returns
+    -------
+    DesignedMotion
+        The motion, its margins and what it will show.
+
+    Raises
+    ------
+    ValueError
+        If limits leave no room or are missing, the start lies outside them, or the
+        duration is too short for the slowest joint.
+
+    Notes
+    -----
+    With the columns :math:`x` of the model and the noise :math:`\sigma_j` of joint j in
+    the band of the fit, the information matrix of a motion is :math:`M = \sum x x^T /
+    \sigma_j^2` over joints and independent samples; equations of a joint that stands
+    count for nothing. The criterion is :math:`\tfrac12 \log\det M` of the base
+    parameters, and for every pair of causes that are to be parted the evidence that is
+    left for the one beside the model with the other; see ``docs/design.rst``. Its
+    gradient goes through the columns by exact differences (they are of second degree in
+    the velocities and linear in the accelerations) to the coefficients of the series.
+
+    References
+    ----------
+    .. [1] J. Swevers, C. Ganseman, D. B. Tukel, J. De Schutter, H. Van Brussel,
+       "Optimal robot excitation and identification", IEEE Trans. Robot. Autom. 13(5),
+       1997. :doi:`10.1109/70.631234`
+    .. [2] M. Gautier, W. Khalil, "Exciting trajectories for the identification of base
+       inertial parameters of robots", Int. J. Robot. Res. 11(4), 1992.
+       :doi:`10.1177/027836499201100408`
+    .. [3] A. C. Atkinson, V. V. Fedorov, "The design of experiments for discriminating
+       between two rival models", Biometrika 62(1), 1975.
+       :doi:`10.1093/biomet/62.1.57`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> from sklearn_vbjfa.design import design_motion
+    >>> urdf = load_demo_recording().urdf
+    >>> motion = design_motion(urdf, duration=10.0, dt=0.01, random_state=0)
+    >>> motion.q.shape, motion.within_limits
+    ((1000, 6), True)
+    """
+    robot = KnownRobot.of(model)
+    dt, names = check_dt(dt), robot.joint_names
+    duration = _checked_duration(duration, dt)
+    if limits is None:
+        limits = MotionLimits.of(robot.features.model_)
+    limits.check_for(names)
+    limits.check_duration(duration, names)
+    if start is not None:
+        start = limits.check_start(start, names)
+    rng = check_random_state(random_state)
+
+    n_harmonics = _harmonics(robot, limits, duration, dt)
+    curve = FourierCurve(duration, n_harmonics, robot.n_joints, start)
+    reference = _reference(robot, limits, curve.highest, rng)
+    noise = robot.noise(limits, reference, curve.highest, dt)
+    asked = asked_effects(effects, robot.n_joints)
+    if report is not None:
+        asked += open_effects(read_report(report), names)
+    own, candidates = _parted(robot, asked)
+    band = robot.band(curve.highest, dt)
+    equations = EquationModel(
+        robot.features,
+        robot.inertial,
+        [effect for effect, _ in own] + [one.effect for one in candidates],
+        n_own=len(own),
+        still=robot.still(limits),
+        reference=reference,
+        bandwidth=band,
+    )
+    clearance, no_clearance = _clearance(robot)
+    problem = Problem(
+        curve=curve,
+        model=equations,
+        questions=_questions(equations, candidates, reference, noise),
+        limits=limits,
+        coefficients=_coefficients(robot, equations, own, reference),
+        precision=2 * band / noise**2,
+        still=robot.still(limits),
+        clearance=clearance,
+        room=ROOM,
+    )
+    _check_held(problem, names, rng)
+    first = _best_drawn(problem, rng)
+    found = optimise(problem, first)
+    fine = np.arange(_FINER * problem.times().size) * (problem.times()[1] / _FINER)
+    z = shrunk(problem, found, fine, 1.0 - MARGIN)
+    return _made(problem, robot, z, first, noise, dt, fine, no_clearance)
+
+
+def _clearance(robot):
+    """Return the distances between bodies, or None and why they are not known."""
+    if robot.description is None:
+        return None, "no URDF file was given, so that nothing is known of its shapes"
+    return Clearance.of(robot.description, model=robot.features.model_, margin=ROOM)
+
+
+def _checked_duration(duration, dt):
+    """Return the duration, a whole number of samples."""
+    duration = float(duration)
+    if not (np.isfinite(duration) and duration >= 10 * dt):
+        raise ValueError(
+            f"duration must be ten samples of dt={dt:g} s at least; got {duration:g}."
+        )
+    return round(duration / dt) * dt
+
+
+def _harmonics(robot, limits, duration, dt):
+    """Return the number of harmonics that limits and sampling allow."""
+    inertia = np.diag(robot.inertia(_at_rest(limits, robot.n_joints)))
+    with np.errstate(divide="ignore"):
+        by_torque = limits.torque / np.maximum(inertia, 1e-12)
+    reach = np.minimum(limits.acceleration, by_torque)
+    turn = np.median(reach / (2 * np.pi * limits.velocity))
+    highest = min(_SPREAD * turn, _PER_SAMPLE / dt)
+    return int(np.clip(highest * duration, _FEWEST, _MOST))
+
+
+def _at_rest(limits, nv):
+    """States of rest in random poses (100, 3 nv)."""
+    low, high = limits.position.T
+    q = np.random.default_rng(0).uniform(low, high, size=(100, nv))
+    return np.hstack([q, np.zeros((100, 2 * nv))])
+
+
+def _reference(robot, limits, highest, rng):
+    """States as the limits allow them (n, 3 nv)."""
+    low, high = limits.position.T
+    shape = (_REFERENCE, robot.n_joints)
+    fastest = np.minimum(limits.velocity, np.pi * highest * (high - low))
+    quickest = np.minimum(limits.acceleration, 2 * np.pi * highest * fastest)
+    return np.hstack(
+        [
+            rng.uniform(low, high, size=shape),
+            fastest * rng.uniform(-1, 1, size=shape),
+            quickest * rng.uniform(-1, 1, size=shape),
+        ]
+    )
+
+
+def _parted(robot, asked):
+    """Split effects into those of the model and candidates beside it.
+
+    An effect that the model has and that is in doubt is a candidate.
+    """
+    doubted = {one.effect.key() for one in asked if one.why != "library"}
+    own = [
+        (effect, coef)
+        for effect, coef in zip(robot.effects, robot.coefficients)
+        if effect.key() not in doubted or not effect.contains
+    ]
+    taken = {effect.key() for effect, _ in own}
+    candidates = []
+    for one in asked:
+        if one.effect.key() not in taken:
+            taken.add(one.effect.key())
+            candidates.append(one)
+    return own, candidates
+
+
+def _questions(equations, candidates, reference, noise):
+    """Ask for each candidate beside the model, and beside its rivals."""
+    rows = equations(reference)
+    M = np.zeros((equations.n_columns, equations.n_columns))
+    for j, (own, place) in enumerate(zip(rows.rows, equations.places)):
+        M[np.ix_(place, place)] += own @ own.T / noise[j] ** 2 / own.shape[1]
+    power = np.diag(M)
+    scale = np.where(power > 0, 1.0 / np.sqrt(np.where(power > 0, power, 1.0)), 1.0)
+    spans = tuple(equations.spans[equations.n_own :])
+    m = len(spans)
+    blank = Questions(equations.n_model, scale, spans, np.zeros(m), np.zeros((m, m)))
+    # What no motion shows, and nested effects, are no questions.
+    seen = worth(M, blank)
+    weight = np.array([one.weight for one in candidates])
+    joint = np.array([one.effect.joint for one in candidates])
+    shown = seen.alone > IN_SPAN
+    apart = (seen.beside > IN_SPAN) & (joint[:, None] == joint) & shown & shown[:, None]
+    np.fill_diagonal(apart, False)
+    return replace(blank, alone=weight * shown, beside=np.outer(weight, weight) * apart)
+
+
+def _coefficients(robot, equations, own, reference):
+    """Coefficients of the model's columns (n_model,), which give its torques."""
+    rows = equations(reference)
+    n = equations.n_model
+    A, y = [], []
+    load = rows.motion.load
+    coefs = [np.atleast_1d(coef) for _, coef in own]
+    effects = np.concatenate([np.zeros(len(equations.base)), *coefs])
+    for j, (part, place) in enumerate(zip(rows.rows, equations.places)):
+        full = np.zeros((part.shape[1], n))
+        mine = place < n
+        full[:, place[mine]] = part[mine].T
+        A.append(full)
+        y.append(load[:, j] + full @ effects)
+    A, y = np.concatenate(A), np.concatenate(y)
+    size = np.sqrt((A**2).mean(axis=0))
+    size[size == 0] = 1.0
+    return np.linalg.lstsq(A / size, y, rcond=None)[0] / size
+
+
+def _tell_collision(problem, poses, is_start):
+    """Refuse a start in which bodies meet."""
+    one = problem.clearance.nearest(poses[:1])
+    where = "the start" if is_start else f"all of {len(poses)} random poses"
+    raise ValueError(
+        f"The limits leave no room: bodies meet in {where}; {one.first} and "
+        f"{one.second} are {1e3 * one.distance:.0f} mm apart, where "
+        f"{1e3 * problem.room:.0f} mm are kept. Give "
+        + ("another start." if is_start else "other limits of position.")
+    )
+
+
+def _best_drawn(problem, rng):
+    """Draw motions that touch a limit, and return the best by the criterion."""
+    t = problem.times()
+    basis = problem.curve.basis(t)
+    best, value = None, -np.inf
+    for _ in range(_DRAWN):
+        z = _drawn(problem, rng, basis, t)
+        M = problem.information(problem.curve.states(z, basis), t[1])
+        now = worth(M, problem.questions).value
+        if now > value:
+            best, value = z, now
+    return best
+
+
+def _drawn(problem, rng, basis, t):
+    """Draw a motion, each joint as large as its limits allow, all as large together."""
+    curve, limits = problem.curve, problem.limits
+    low, high = limits.position.T
+    z = rng.normal(size=(problem.model.nv, curve.size))
+    if curve.start is None:
+        z[:, -1] = 0.0
+    states = (basis @ z.T).transpose(1, 0, 2)
+    q, v, a = states[:, 0], states[:, 1], states[:, 2]
+    tops, bottoms = q.max(axis=0), q.min(axis=0)
+    if curve.start is None:
+        room = (high - low) / np.maximum(tops - bottoms, 1e-12)
+    else:
+        room = np.minimum(
+            (high - curve.start) / np.maximum(tops, 1e-12),
+            (low - curve.start) / np.minimum(bottoms, -1e-12),
+        )
+    reach = np.minimum(
+        room,
+        np.minimum(
+            limits.velocity / np.abs(v).max(axis=0),
+            limits.acceleration / np.abs(a).max(axis=0),
+        ),
+    )
+    z *= (0.9 * reach)[:, None]
+    if curve.start is None:
+        lowest = low - 0.9 * reach * bottoms
+        highest = high - 0.9 * reach * tops
+        z[:, -1] = _held_pose(problem, lowest, highest, rng)
+    return shrunk(problem, z, t, 0.95, apart=False)
+
+
+def _held_pose(problem, lowest, highest, rng):
+    """Draw a pose between two that the torques hold against gravity."""
+    poses = rng.uniform(lowest, highest, size=(_POSES, lowest.size))
+    held, strain = _strain(problem, poses)
+    if not held.any():
+        return poses[np.argmin(strain.max(axis=1))]
+    return poses[np.flatnonzero(held)[0]]
+
+
+def _strain(problem, poses):
+    """Which poses (n, nv) can be held, and the shares of the torque limits (n, nv).
+
+    Bodies keep their distance in a pose that can be held.
+    """
+    states = np.hstack([poses, np.zeros((len(poses), 2 * poses.shape[1]))])
+    strain = np.abs(problem.torques(problem.model(states))) / problem.limits.torque
+    held = (strain < _HELD).all(axis=1)
+    if problem.clearance is not None:
+        room = problem.room / INSIDE
+        distances = problem.clearance(poses, within=room).distance
+        held &= (distances >= room).all(axis=1)
+    return held, strain
+
+
+def _check_held(problem, names, rng):
+    """Refuse torque limits that do not hold the robot where the motion may start."""
+    start, limits = problem.curve.start, problem.limits
+    low, high = limits.position.T
+    poses = rng.uniform(low, high, size=(_POSES, len(names)))
+    poses = poses if start is None else start[None]
+    held, strain = _strain(problem, poses)
+    if held.any():
+        return
+    best = strain[np.argmin(strain.max(axis=1))]
+    j = int(np.argmax(best))
+    if best[j] < _HELD:
+        _tell_collision(problem, poses, start is not None)
+    where = f"any of {_POSES} random poses" if start is None else "the start"
+    raise ValueError(
+        f"The limits leave no room: to hold the robot still at {where}, {names[j]} "
+        f"needs {best[j] * limits.torque[j]:.3g} of at most {limits.torque[j]:.3g}. "
+        f"Give a torque limit of {best[j] * limits.torque[j] / _HELD:.3g} or more"
+        + ("." if start is None else ", or another start.")
+    )
+
+
+def _made(problem, robot, z, first, noise, dt, fine, no_clearance):
+    """Collect the motion and what it promises."""
+    curve, limits = problem.curve, problem.limits
+    t = np.arange(round(curve.period / dt)) * dt
+    states = curve.states(z, curve.basis(t))
+    equations = problem.model(states, t)
+    nv = robot.n_joints
+    dense = curve.states(z, curve.basis(fine))
+    margins, within = _margins(problem, dense, fine)
+    samples = problem.times()
+    design = curve.states(z, curve.basis(samples))
+    start = curve.states(first, curve.basis(samples))
+    return DesignedMotion(
+        t=t,
+        q=states[:, :nv],
+        v=states[:, nv : 2 * nv],
+        a=states[:, 2 * nv :],
+        tau=problem.torques(equations),
+        joint_names=robot.joint_names,
+        dt=dt,
+        duration=curve.period,
+        limits=limits,
+        condition_number=condition_number(problem, design),
+        start_condition_number=condition_number(problem, start),
+        within_limits=within,
+        margins=margins,
+        no_clearance=no_clearance,
+        noise=noise,
+        band=robot.band(curve.highest, dt),
+        expected_intervals=expected_intervals(problem, robot, design, samples[1]),
+        **promise(problem, robot, design, samples[1], noise),
+        curve=curve,
+        coordinates=z,
+    )
+
+
+def _margins(problem, states, t):
+    """Smallest distances to the limits over the limits, and whether all are kept."""
+    torques = problem.torques(problem.model(states, t))
+    sides = [g for g, _ in excess(problem, states, torques, 1.0)]
+    margins = {}
+    for k, name in enumerate(("position", "velocity", "acceleration", "torque")):
+        over = np.maximum(sides[2 * k].max(axis=0), sides[2 * k + 1].max(axis=0))
+        margins[name] = -over
+    within = all((value >= MARGIN - 1e-6).all() for value in margins.values())
+    if problem.clearance is not None:
+        nearest = problem.clearance.smallest(states[:, : problem.model.nv])
+        margins["clearance"] = nearest
+        within &= nearest >= problem.room - 1e-6
+    return margins, within

@@ -1,0 +1,179 @@
+"""What is known of a robot before the next motion: model, parameters and noise."""
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from sklearn.base import clone
+
+from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.model._loading import joint_names, nominal_parameters
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH, STANDSTILL_SHARE
+from sklearn_vbjfa.robot._prediction import predictor_of
+
+# Friction of a robot of which only the description is known.
+_FRICTION = ("viscous", "coulomb")
+# Noise of a torque that nobody has measured, over the torque limit.
+_GUESSED_NOISE = 0.01
+# Smoothed states end at about three times the bandwidth of the motion: twice that of
+# least acceleration error would attenuate it, half would let noise through.
+_STATE_BAND = 3.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownRobot:
+    """A robot, identified or only described.
+
+    Attributes
+    ----------
+    features : RigidBodyFeatures
+        Bodies alone, without friction, as effects correct the robot.
+    inertial : ndarray of shape (nv, 10)
+        Parameters of the bodies.
+    effects : tuple of Effect
+        Friction and effects of the model, each on its joint.
+    coefficients : tuple of ndarray
+        Their coefficients.
+    joint_names : tuple of str
+        Joints.
+    torque_noise : ndarray of shape (nv,)
+        Deviation of the torque noise in the band of the fit [N m or N]; nan if not
+        known.
+    cutoff : float
+        That band [Hz].
+    encoder_noise : ndarray of shape (nv,)
+        Deviation of one sample of the positions [rad or m]; zero if not known.
+    description : str or os.PathLike or None
+        URDF file, for the geometry.
+    """
+
+    features: RigidBodyFeatures
+    inertial: np.ndarray
+    effects: tuple
+    coefficients: tuple
+    joint_names: tuple
+    torque_noise: np.ndarray
+    cutoff: float
+    encoder_noise: np.ndarray
+    description: object = None
+
+    @classmethod
+    def of(cls, model):
+        """Take what is known from a path, a model or an identified robot."""
+        if hasattr(model, "_predictor"):
+            return cls._identified(model)
+        return cls._described(model)
+
+    @classmethod
+    def _described(cls, model):
+        features = RigidBodyFeatures(model, friction=()).load()
+        nv = features.n_joints_
+        effects = _on_all_joints(_FRICTION, nv)
+        is_path = isinstance(model, (str, os.PathLike))
+        return cls(
+            features=features,
+            inertial=nominal_parameters(features.model_),
+            effects=effects,
+            coefficients=tuple(np.zeros(1) for _ in effects),
+            joint_names=joint_names(features.model_),
+            torque_noise=np.full(nv, np.nan),
+            cutoff=np.inf,
+            encoder_noise=np.zeros(nv),
+            description=model if is_path else None,
+        )
+
+    @classmethod
+    def _identified(cls, robot):
+        predictor = predictor_of(robot)
+        full = predictor.features
+        nv = full.n_joints_
+        bodies = predictor.bodies(predictor.theta)
+        effects = _on_all_joints(full.friction_, nv)
+        coefficients = [bodies[:, 10 + k] for k in range(len(full.friction_))]
+        coefficients = list(np.concatenate([np.zeros(0), *coefficients])[:, None])
+        for effect, own in zip(predictor.effects, predictor.split(predictor.theta)):
+            if effect.in_model:
+                # the model itself holds it
+                continue
+            effects += (effect,)
+            coefficients.append(own)
+        features = RigidBodyFeatures(full.model_, friction=()).load()
+        estimator = predictor.plan.state_estimator
+        variance = getattr(estimator, "noise_variance_", np.zeros(nv))
+        given = getattr(robot, "model", None)
+        noise = np.array(robot.noise_floor_, dtype=float)
+        # A floor that is not known: what the model left is more than noise.
+        left = getattr(robot, "output_noise_", np.full(nv, np.nan))
+        return cls(
+            features=features,
+            inertial=predictor.inertial(),
+            effects=effects,
+            coefficients=tuple(np.atleast_1d(c) for c in coefficients),
+            joint_names=predictor.joint_names,
+            torque_noise=np.where(np.isfinite(noise), noise, left),
+            cutoff=float(robot.cutoff_),
+            encoder_noise=np.sqrt(np.broadcast_to(variance, (nv,))),
+            description=given if isinstance(given, (str, os.PathLike)) else None,
+        )
+
+    @property
+    def n_joints(self):
+        """Number of joints."""
+        return self.features.n_joints_
+
+    def band(self, highest, dt):
+        """Band of a fit to a motion up to a frequency [Hz]; see `resolve_cutoff`."""
+        return min(CUTOFF_PER_BANDWIDTH * highest, 0.4 / dt)
+
+    def still(self, limits):
+        """Speeds below which joints count as standing (nv,)."""
+        return STANDSTILL_SHARE * limits.velocity
+
+    def noise(self, limits, reference, highest, dt):
+        """Deviation of the noise of each joint's equations in the band (nv,).
+
+        Torque noise is taken as white, and so is that of the encoders, which enters
+        through the bodies' inertia: of white position noise with the deviation s, a
+        band B leaves an acceleration of the variance 2 dt s^2 (2 pi)^4 B^5 / 5.
+        """
+        band = self.band(highest, dt)
+        guessed = np.where(np.isfinite(limits.torque), limits.torque, np.nan)
+        if not np.isfinite(guessed).all():
+            q, v, a = np.split(reference, 3, axis=1)
+            size = np.abs(self.features.torques(q, v, a, self.inertial)).max(axis=0)
+            guessed = np.where(np.isfinite(guessed), guessed, size)
+        ratio = band / self.cutoff if np.isfinite(self.cutoff) else 1.0
+        measured = self.torque_noise * np.sqrt(ratio)
+        torque = np.where(measured > 0, measured, _GUESSED_NOISE * guessed)
+        states = min(_STATE_BAND * highest, band)
+        acceleration = 2 * dt * self.encoder_noise**2 * (2 * np.pi) ** 4
+        acceleration = acceleration * states**5 / 5
+        inertia = self.inertia(reference)
+        return np.sqrt(torque**2 + inertia**2 @ acceleration)
+
+    def inertia(self, reference):
+        """Root mean squares of the mass matrix over poses (nv, nv)."""
+        nv = self.n_joints
+        q = reference[:100, :nv]
+        still = np.zeros_like(q)
+        inertial = np.ascontiguousarray(self.inertial)
+        at_rest = self.features.torques(q, still, still, inertial)
+        columns = []
+        for k in range(nv):
+            unit = still.copy()
+            unit[:, k] = 1.0
+            moved = self.features.torques(q, still, unit, inertial)
+            columns.append(np.sqrt(((moved - at_rest) ** 2).mean(axis=0)))
+        return np.array(columns).T
+
+
+def _on_all_joints(names, nv):
+    """Return effects by their names on every joint."""
+    if not names:
+        return ()
+    return tuple(
+        clone(effect).set_params(joint=j)
+        for effect in resolve(names)
+        for j in range(nv)
+    )

@@ -1,0 +1,125 @@
+"""A designed motion, and what can be asked of it."""
+
+import csv
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from sklearn_vbjfa._core._whole_files import write_whole
+
+
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
+class DesignedMotion:
+    """A motion to record, from `design_motion`.
+
+    Attributes
+    ----------
+    t : ndarray of shape (n,)
+        Times [s].
+    q, v, a : ndarray of shape (n, nv)
+        Positions [rad or m], velocities and accelerations.
+    tau : ndarray of shape (n, nv)
+        Torques that the model expects [N m or N].
+    joint_names : tuple of str
+        Joints.
+    dt, duration : float
+        Sample period and length, one period of the motion [s].
+    limits : MotionLimits
+        Limits that it was designed for.
+    within_limits : bool
+        Whether it keeps a margin of 2 % to all limits, looked at ten times as often as
+        in the design.
+    margins : dict of str to ndarray of shape (nv,)
+        Smallest distances to the limits, over the limits (for ``"position"``, over half
+        of the range): ``"position"``, ``"velocity"``, ``"acceleration"``, ``"torque"``;
+        and with geometry ``"clearance"``, the smallest distance between bodies [m].
+    no_clearance : str
+        Why nothing is known of the distance between bodies; empty if it is.
+    condition_number, start_condition_number : float
+        Condition number of the base regressor with friction: of the motion, and of the
+        one that it was improved from. Columns are over their sizes at random states
+        within the limits, which are the same for all motions; rows are over their
+        noise.
+    noise : ndarray of shape (nv,)
+        Deviation of the noise that the equations of each joint were weighted by, in the
+        band of the fit [N m or N].
+    band : float
+        That band [Hz].
+    shows : tuple of Visible
+        Effects that the motion will show, joint by joint.
+    invisible : tuple of Invisible
+        Effects that no motion shows, or not this one, and why.
+    expected_intervals : tuple of ExpectedInterval
+        Half widths of the 90 % intervals of the parameters, if the noise is all that is
+        left.
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    tau: np.ndarray
+    joint_names: tuple
+    dt: float
+    duration: float
+    limits: object
+    within_limits: bool
+    margins: dict
+    condition_number: float
+    start_condition_number: float
+    noise: np.ndarray
+    band: float
+    no_clearance: str = ""
+    shows: tuple = ()
+    invisible: tuple = ()
+    expected_intervals: tuple = ()
+    curve: object = field(default=None)
+    coordinates: np.ndarray | None = field(default=None)
+
+    def __repr__(self):
+        """Tell its size and how well it conditions the regressor."""
+        kept = "within limits" if self.within_limits else "NOT within limits"
+        return (
+            f"<DesignedMotion: {len(self.joint_names)} joints, {self.duration:g} s, "
+            f"condition number {self.condition_number:.3g}, {kept}>"
+        )
+
+    def states(self, t):
+        """States at any times.
+
+        Parameters
+        ----------
+        t : array-like of shape (n,)
+            Times [s]; the motion repeats with `duration`.
+
+        Returns
+        -------
+        ndarray of shape (n, 3 * nv)
+            Positions, velocities and accelerations [q | v | a].
+        """
+        return self.curve.states(self.coordinates, self.curve.basis(t))
+
+    def to_csv(self, path):
+        """Write the motion as CSV: t, then q_, v_ and a_ of every joint.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write; one that exists is replaced.
+        """
+        heads = ["t"] + [
+            f"{kind}_{name}" for kind in ("q", "v", "a") for name in self.joint_names
+        ]
+        rows = np.column_stack([self.t, self.q, self.v, self.a])
+        write_whole(path, _csv(heads, rows))
+
+
+def _csv(heads, rows):
+    """Write a table as text."""
+    import io
+
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(heads)
+    writer.writerows([[f"{value:.9g}" for value in row] for row in rows.tolist()])
+    return text.getvalue()

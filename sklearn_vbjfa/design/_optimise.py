@@ -1,0 +1,287 @@
+"""The best motion within limits, by gradients: augmented Lagrangian over L-BFGS.
+
+SciPy's solvers for constraints (SLSQP, trust-constr) keep matrices of all constraints:
+a limit at every sample of every joint makes some ten thousand of them. The augmented
+Lagrangian [1]_ needs one number for each, and unconstrained steps, which L-BFGS-B does.
+
+References
+----------
+.. [1] J. Nocedal, S. J. Wright, Numerical optimization, 2nd ed., Springer 2006,
+   chapter 17.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+
+from sklearn_vbjfa.design._criterion import information_of, worth
+
+# Motions are kept this far inside the limits while they are improved: between samples
+# they go a little further, and a margin is to be left.
+INSIDE = 0.97
+# Rounds of multipliers, steps in each, and the factor between penalties.
+_ROUNDS, _STEPS, _HARDER = 7, 45, 3.0
+# Penalty at first: an excess of one per cent at one sample costs this much [nats].
+_FIRST_COST = 0.02
+# Distances between bodies are looked at in every so many samples.
+_SKIPPED = 2
+# Excess over a limit that is left to the last shrinking, relative.
+_TOLERATED = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A motion to be designed.
+
+    Attributes
+    ----------
+    curve : FourierCurve
+        Motions.
+    model : EquationModel
+        Their equations.
+    questions : Questions
+        What is asked.
+    limits : MotionLimits
+        Limits.
+    coefficients : ndarray of shape (n_model,)
+        Coefficients of the model's columns, for the torques.
+    precision : ndarray of shape (nv,)
+        Information per second and squared entry: independent samples per second over
+        the variance of a joint's noise.
+    still : ndarray of shape (nv,)
+        Speeds below which a joint may be standing.
+    clearance : Clearance or None
+        Distances between bodies.
+    room : float
+        Smallest distance that is allowed [m].
+    """
+
+    curve: object
+    model: object
+    questions: object
+    limits: object
+    coefficients: np.ndarray
+    precision: np.ndarray
+    still: np.ndarray
+    clearance: object = None
+    room: float = 0.0
+
+    def times(self, per_period=16):
+        """Return samples [s], so many in the shortest period."""
+        n = per_period * self.curve.n_harmonics
+        return np.arange(n) * (self.curve.period / n)
+
+    def weights(self, states, step):
+        """Weights of rows (n, nv), and their derivatives by the velocities.
+
+        Equations of a joint that stands are left out of a fit: friction may be
+        anywhere in its band.
+        """
+        v = np.split(states, 3, axis=1)[1]
+        slow = self.still**2
+        moving = v**2 / (v**2 + slow)
+        scale = self.precision * step
+        return scale * moving, scale * 2 * v * slow / (v**2 + slow) ** 2
+
+    def information(self, states, step):
+        """Information matrix of states (n, 3 nv), `step` seconds apart."""
+        weight, _ = self.weights(states, step)
+        return information_of(
+            self.model(states), self.model.places, self.model.n_columns, weight
+        )
+
+    def torques(self, equations):
+        """Torques (n, nv) of the model."""
+        return np.column_stack(
+            [
+                self._own(place) @ rows
+                for rows, place in zip(equations.rows, self.model.places)
+            ]
+        )
+
+    def _own(self, place):
+        """Coefficients of the columns of a joint; zero of those the model lacks."""
+        known = np.zeros(self.model.n_columns)
+        known[: self.model.n_model] = self.coefficients
+        return known[place]
+
+
+def excess(problem, states, torques, inside=INSIDE):
+    """How far limits are exceeded, relative: a list of (n, nv) for each side.
+
+    Each with its slope: what it gains by one unit of the signal.
+    """
+    limits = problem.limits
+    q, v, a = np.split(states, 3, axis=1)
+    low, high = limits.position.T
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    if problem.curve.start is not None:
+        # A start near an end of the range keeps the margin that it has.
+        half = half / inside
+        reach = np.abs(problem.curve.start - middle)
+        half = np.maximum(half * inside, np.minimum(reach / inside, half))
+    found = []
+    for signal, centre, size in (
+        (q, middle, half),
+        (v, 0.0, limits.velocity),
+        (a, 0.0, limits.acceleration),
+        (torques, 0.0, limits.torque),
+    ):
+        scaled = (signal - centre) / (inside * size)
+        slope = 1.0 / (inside * size)
+        found.append((scaled - 1.0, slope))
+        found.append((-scaled - 1.0, -slope))
+    return found
+
+
+class _Lagrangian:
+    """Augmented Lagrangian of a problem, with its gradient."""
+
+    def __init__(self, problem):
+        self.problem = problem
+        self.t = problem.times()
+        self.step = self.t[1]
+        self.basis = problem.curve.basis(self.t)
+        self.multipliers = None
+        self.penalty = 2 * _FIRST_COST / 1e-4
+        self.shape = (problem.model.nv, problem.curve.size)
+        self.n_calls = 0
+
+    def states(self, z):
+        return self.problem.curve.states(z.reshape(self.shape), self.basis)
+
+    def __call__(self, x):
+        """Return value and gradient of what is to be made small."""
+        self.n_calls += 1
+        problem = self.problem
+        z = x.reshape(self.shape)
+        states = problem.curve.states(z, self.basis)
+        nv = self.shape[0]
+        equations = problem.model(states, self.t)
+        weight, by_speed = problem.weights(states, self.step)
+        places = problem.model.places
+        M = information_of(equations, places, problem.model.n_columns, weight)
+        judged = worth(M, problem.questions)
+        value = -judged.value
+        by_rows, by_states = [], np.zeros_like(states)
+        for j, (rows, place) in enumerate(zip(equations.rows, places)):
+            G = judged.by_information[np.ix_(place, place)] @ rows
+            by_rows.append(-2 * G * weight[:, j])
+            by_states[:, nv + j] -= (rows * G).sum(axis=0) * by_speed[:, j]
+        torques = problem.torques(equations)
+        cost, by_signals = self._penalised(states, torques)
+        value += cost
+        by_states += by_signals[:, : 3 * nv]
+        by_torque = by_signals[:, 3 * nv :]
+        for j, place in enumerate(places):
+            by_rows[j] += np.outer(problem._own(place), by_torque[:, j])
+        if problem.clearance is not None:
+            cost, by_q = self._near(states[:, :nv])
+            value += cost
+            by_states[:, :nv] += by_q
+        more, by_z = problem.model.pulled_back(
+            equations, by_rows, problem.curve, z, self.basis
+        )
+        gradient = problem.curve.pulled_back(by_states + more, self.basis) + by_z
+        return value, gradient.ravel()
+
+    def _penalised(self, states, torques):
+        """Cost of the limits, and its derivative by states and torques (n, 4 nv)."""
+        found = excess(self.problem, states, torques)
+        if self.multipliers is None:
+            self.multipliers = [np.zeros_like(g) for g, _ in found]
+        cost, by = 0.0, [0.0] * 4
+        for k, ((g, slope), multiplier) in enumerate(zip(found, self.multipliers)):
+            pressed = np.maximum(multiplier + self.penalty * g, 0.0)
+            cost += ((pressed**2 - multiplier**2) / (2 * self.penalty)).sum()
+            by[k // 2] = by[k // 2] + pressed * slope
+        return cost, np.hstack(by)
+
+    def _near(self, q):
+        """Cost of bodies that come too near each other, and its derivative by q."""
+        clearance = self.problem.clearance
+        rows = slice(None, None, _SKIPPED)
+        room = self.problem.room / INSIDE
+        found = clearance(q[rows], within=room + clearance.near)
+        g = np.maximum(room - found.distance, 0.0) / clearance.near
+        weight = _SKIPPED * self.penalty
+        by = np.zeros_like(q)
+        by[rows] = -weight / clearance.near * np.einsum("np,npj->nj", g, found.gradient)
+        return 0.5 * weight * (g**2).sum(), by
+
+    def tighten(self, x):
+        """Raise multipliers and penalty; return the largest excess."""
+        states = self.states(x)
+        torques = self.problem.torques(self.problem.model(states, self.t))
+        worst = 0.0
+        for k, (g, _) in enumerate(excess(self.problem, states, torques)):
+            self.multipliers[k] = np.maximum(
+                self.multipliers[k] + self.penalty * g, 0.0
+            )
+            worst = max(worst, float(g.max(initial=0.0)))
+        self.penalty *= _HARDER
+        return worst
+
+
+def optimise(problem, z):
+    """Improve a motion, coordinates (nv, size), until nothing is gained.
+
+    It may exceed the limits by a trace: see `shrunk`.
+    """
+    lagrangian = _Lagrangian(problem)
+    x = np.array(z, dtype=float).ravel()
+    before = np.inf
+    for _ in range(_ROUNDS):
+        found = minimize(
+            lagrangian,
+            x,
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxiter": _STEPS, "maxcor": 20},
+        )
+        x = found.x
+        worst = lagrangian.tighten(x)
+        settled = abs(before - found.fun) < 0.05
+        before = found.fun
+        if worst < _TOLERATED and settled:
+            break
+    return x.reshape(lagrangian.shape)
+
+
+def shrunk(problem, z, t, inside, *, apart=True):
+    """Scale a motion about its start until it keeps all limits at the times t.
+
+    With `apart` its bodies keep their distance as well.
+    """
+    basis = problem.curve.basis(t)
+
+    def keeps(factor):
+        states = problem.curve.states(_scaled(problem, z, factor), basis)
+        torques = problem.torques(problem.model(states, t))
+        over = max(
+            float(g.max(initial=-1.0))
+            for g, _ in excess(problem, states, torques, inside)
+        )
+        if apart and problem.clearance is not None:
+            q = states[:, : problem.model.nv]
+            over = max(over, 1.0 - problem.clearance.smallest(q) / problem.room)
+        return over <= 1e-9
+
+    if keeps(1.0):
+        return z
+    low, high = 0.0, 1.0
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if keeps(middle) else (low, middle)
+    return _scaled(problem, z, low)
+
+
+def _scaled(problem, z, factor):
+    """Make the motion smaller about its start."""
+    if problem.curve.start is not None:
+        return factor * z
+    # The last coordinate is the start itself.
+    scaled = factor * z
+    scaled[:, -1] = z[:, -1]
+    return scaled

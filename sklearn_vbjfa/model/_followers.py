@@ -1,0 +1,217 @@
+"""Joints that follow others: which can be folded into their leaders, and their bodies.
+
+A follower is folded if it carries nothing but followers: the robot that is left is a
+tree of joints with encoders and motors, and the followers' bodies are felt by these.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sklearn_vbjfa.model._pinocchio import import_pinocchio
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """What a description says of a follower: position = multiplier * leader + offset.
+
+    Attributes
+    ----------
+    leader : str
+        Name of the joint that moves it, which may follow another one.
+    multiplier, offset : float
+        Of the leader's position; the offset in rad or m.
+    """
+
+    leader: str
+    multiplier: float
+    offset: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChainLink:
+    """One joint between the base and the body of a follower.
+
+    Attributes
+    ----------
+    joint : int
+        Joint of the folded robot that moves it, from zero.
+    rate, offset : float
+        Its position is rate times that of `joint` plus offset.
+    slides : bool
+        Whether it is prismatic.
+    placement : pinocchio.SE3
+        Where it is in the frame of the joint before it.
+    axis : ndarray of shape (3,)
+        Its direction in its own frame.
+    """
+
+    joint: int
+    rate: float
+    offset: float
+    slides: bool
+    placement: object
+    axis: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FollowingBody:
+    """The body that a follower moves.
+
+    Attributes
+    ----------
+    name : str
+        Name of the follower.
+    leader : int
+        Joint of the folded robot that moves it, from zero.
+    chain : tuple of ChainLink
+        Joints from the base to the body.
+    gravity : ndarray of shape (3,)
+        Gravity [m/s^2].
+    parameters : ndarray of shape (10,)
+        Inertial parameters in the description, in Pinocchio's order.
+    """
+
+    name: str
+    leader: int
+    chain: tuple
+    gravity: np.ndarray
+    parameters: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Folded:
+    """A robot without its followers.
+
+    Attributes
+    ----------
+    model : pinocchio.Model
+        Joints that are left, with their bodies.
+    followers : tuple of FollowingBody
+        Bodies that these move besides.
+    """
+
+    model: object
+    followers: tuple = ()
+
+
+def foldable(carriers, links, path):
+    """Return the followers that carry nothing but followers, by name.
+
+    Parameters
+    ----------
+    carriers : mapping of str to (str or None)
+        For each joint the one that carries it.
+    links : mapping of str to Link
+        Followers.
+    path : pathlib.Path
+        File that messages name.
+
+    Returns
+    -------
+    dict of str to Link
+        With leaders that do not follow themselves.
+
+    Raises
+    ------
+    ValueError
+        If a leader is no joint, or joints follow each other in a ring.
+    """
+    for name, link in links.items():
+        if link.leader not in carriers:
+            raise ValueError(
+                f"{str(path)!r}: joint {name!r} is to follow {link.leader!r}, which is "
+                "no moving joint of the robot; correct the description."
+            )
+        seen = [name]
+        while seen[-1] in links:
+            seen.append(links[seen[-1]].leader)
+            if seen[-1] in seen[:-1]:
+                raise ValueError(
+                    f"{str(path)!r}: the joints {', '.join(seen[:-1])} follow each "
+                    "other in a ring; correct the description."
+                )
+    kept = dict(links)
+    while True:
+        carrying = {
+            carrier
+            for joint, carrier in carriers.items()
+            if joint not in kept and carrier in kept
+        }
+        if not carrying:
+            return {name: _resolved(name, kept) for name in kept}
+        kept = {name: link for name, link in kept.items() if name not in carrying}
+
+
+def _resolved(name, links):
+    """Return how a follower moves with a joint that does not follow."""
+    leader, rate, offset = name, 1.0, 0.0
+    while leader in links:
+        link = links[leader]
+        offset, rate = offset + rate * link.offset, rate * link.multiplier
+        leader = link.leader
+    return Link(leader=leader, multiplier=rate, offset=offset)
+
+
+def fold(full, links):
+    """Take followers out of a robot.
+
+    Parameters
+    ----------
+    full : pinocchio.Model
+        Robot in which followers are joints of their own.
+    links : mapping of str to Link
+        Followers that can be folded; see `foldable`.
+
+    Returns
+    -------
+    Folded
+        Robot without them, and their bodies.
+    """
+    if not links:
+        return Folded(model=full)
+    pin = import_pinocchio()
+    names = list(full.names)
+    left = [name for name in names[1:] if name not in links]
+    empty = full.copy()
+    for name in links:
+        empty.inertias[names.index(name)] = pin.Inertia.Zero()
+    model = pin.buildReducedModel(
+        empty, [names.index(name) for name in links], np.zeros(full.nq)
+    )
+    model.name = full.name
+    steps = {}
+    data = full.createData()
+    for at, name in enumerate(names[1:], 1):
+        pin.forwardKinematics(full, data, np.zeros(full.nq), np.eye(full.nv)[at - 1])
+        motion = data.v[at]
+        slides = not motion.angular.any()
+        axis = motion.linear if slides else motion.angular
+        link = links.get(name, Link(leader=name, multiplier=1.0, offset=0.0))
+        steps[at] = ChainLink(
+            joint=left.index(link.leader),
+            rate=link.multiplier,
+            offset=link.offset,
+            slides=slides,
+            placement=full.jointPlacements[at].copy(),
+            axis=axis / np.linalg.norm(axis),
+        )
+    followers = []
+    for name in names[1:]:
+        if name not in links:
+            continue
+        at, chain = names.index(name), []
+        parameters = full.inertias[at].toDynamicParameters()
+        while at > 0:
+            chain.insert(0, steps[at])
+            at = int(full.parents[at])
+        followers.append(
+            FollowingBody(
+                name=name,
+                leader=left.index(links[name].leader),
+                chain=tuple(chain),
+                gravity=full.gravity.linear.copy(),
+                parameters=parameters,
+            )
+        )
+    return Folded(model=model, followers=tuple(followers))

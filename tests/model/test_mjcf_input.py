@@ -1,0 +1,488 @@
+"""MJCF as input: the torques are those of MuJoCo, and what cannot be kept is named."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.model._description_text import description_text  # noqa: E402
+from sklearn_vbjfa.model._loading import (  # noqa: E402
+    body_names,
+    joint_names,
+    load_folded,
+    load_model,
+    load_reduced,
+    load_text,
+    movable_joints,
+    nominal_parameters,
+    write_reduced,
+)
+from sklearn_vbjfa.model._mjcf import (  # noqa: E402
+    JointDynamics,
+    Tendon,
+    write_mjcf,
+)
+from tests.model._mujoco import moving_states  # noqa: E402
+from tests.model._robots import random_tree  # noqa: E402
+
+# Every way of placing things that MJCF has, several joints of one body, branches, and
+# two bodies below the world.
+ODD = """
+<mujoco model="odd">
+  <include file="part.xml"/>
+  <compiler eulerseq="XYz" inertiagrouprange="0 3"/>
+  <option gravity="1 2 -9"/>
+  <default>
+    <geom density="500"/>
+    <joint damping="1"/>
+    <default class="arm">
+      <joint axis="0 1 0" range="-90 90" armature="0.1"/>
+      <geom type="capsule" size=".03 .1"/>
+      <default class="tip">
+        <joint type="slide" axis="1 0 1" range="-1 2"/>
+        <geom type="box" size=".1 .2 .3" euler="10 20 30"/>
+      </default>
+    </default>
+  </default>
+  <worldbody>
+    <body name="stand" pos="0 0 1" euler="20 40 60">
+      <geom type="sphere" size=".2"/>
+      <body name="a" childclass="arm" pos="0.1 0.2 0.3" axisangle="1 1 0 30">
+        <joint name="a1" pos="0.1 0 0" ref="20"/>
+        <joint name="a2" axis="1 0 0" pos="0 0.2 0" limited="false"/>
+        <joint name="a3" class="tip" axis="0 1 1" ref="0.1"/>
+        <geom/>
+        <geom class="tip" pos=".1 .1 .1"/>
+        <geom type="ellipsoid" size=".1 .2 .3" group="4"/>
+        <geom type="cylinder" fromto="0 0 0 .3 .2 .1" size=".05" mass="2"/>
+        <frame pos="0 .1 0" euler="0 0 90">
+          <joint name="a4" axis="1 0 0" pos=".1 .1 0"/>
+          <geom type="ellipsoid" size=".1 .2 .3"/>
+          <body name="b" pos="0 0 .3" xyaxes="1 1 0 0 1 1">
+            <joint name="b1" class="tip"/>
+            <inertial pos=".1 0 .1" quat="1 2 3 4" mass="3"
+                      diaginertia=".1 .2 .15"/>
+          </body>
+          <frame zaxis="1 1 1">
+            <body name="c" pos="0 0 .3">
+              <joint name="c1"/>
+              <inertial pos=".1 0 .1" mass="3"
+                        fullinertia=".1 .2 .15 .01 .02 .03"/>
+              <body name="d" pos="0 0 .2">
+                <geom type="box" fromto="0 0 0 .1 .1 .4" size=".05"/>
+              </body>
+            </body>
+          </frame>
+        </frame>
+        <body name="e" pos="1 0 0" zaxis="0 0 -1"><joint/><geom/></body>
+      </body>
+    </body>
+    <body name="second" pos="2 0 0">
+      <joint name="s1" type="slide" axis="1 0 1" range="-1 2"/>
+      <geom size=".1" type="sphere"/>
+    </body>
+  </worldbody>
+  <actuator><motor joint="s1"/></actuator>
+</mujoco>
+"""
+PART = '<mujocoinclude><compiler angle="degree"/></mujocoinclude>'
+JOINTS = ("a1", "a2", "a3", "a4", "b1", "c1", "e_joint", "s1")
+
+
+def quiet(function, *arguments):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return function(*arguments)
+
+
+def bodies_by_mujoco(path, states):
+    """Torques (n, nv) of the bodies alone, by MuJoCo."""
+    mujoco = pytest.importorskip("mujoco")
+    model = mujoco.MjModel.from_xml_path(str(path))
+    for what in ("damping", "armature", "frictionloss"):
+        getattr(model, f"dof_{what}")[:] = 0.0
+        getattr(model, f"tendon_{what}")[:] = 0.0
+    model.jnt_stiffness[:] = model.tendon_stiffness[:] = 0.0
+    model.body_gravcomp[:] = 0.0
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data, found = mujoco.MjData(model), []
+    for row in states:
+        data.qpos[:], data.qvel[:], data.qacc[:] = row.reshape(3, -1)
+        mujoco.mj_inverse(model, data)
+        found.append(data.qfrc_inverse.copy())
+    return np.array(found)
+
+
+def by_pinocchio(model, states):
+    data = model.createData()
+    rows = [pin.rnea(model, data, *row.reshape(3, -1)) for row in states]
+    return np.array(rows)
+
+
+def assert_same_torques(path, seed=0, share=1e-11):
+    model = quiet(load_model, path)
+    states = moving_states(np.random.default_rng(seed), 30, model.nv)
+    expected = bodies_by_mujoco(path, states)
+    worst = np.abs(by_pinocchio(model, states) - expected).max()
+    assert worst < share * np.abs(expected).max()
+
+
+@pytest.fixture
+def write(tmp_path):
+    (tmp_path / "part.xml").write_text(PART)
+
+    def to_file(text, name="robot.xml"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return to_file
+
+
+def arm(inside="", joint='<joint name="j"/>', before="", after=""):
+    """Return a robot of one body."""
+    return (
+        f"<mujoco>{before}<worldbody><body name='b' pos='1 2 3'>{joint}{inside}</body>"
+        f"</worldbody>{after}</mujoco>"
+    )
+
+
+MASS = '<inertial pos=".1 .2 0" mass="2" diaginertia=".1 .2 .15"/>'
+
+
+def test_every_way_of_placing_things(write):
+    path = write(ODD)
+    assert_same_torques(path)
+    model = quiet(load_model, path)
+    assert joint_names(model) == movable_joints(path) == JOINTS
+    assert body_names(model)[3:] == ("a", "b", "c", "e", "second")
+    degrees = np.deg2rad(90)
+    low = [-degrees, -np.inf, -1.0, -degrees, -1.0, -degrees, -degrees, -1.0]
+    np.testing.assert_allclose(model.lowerPositionLimit, low)
+    np.testing.assert_allclose(model.gravity.linear, [1, 2, -9])
+
+
+def test_what_is_left_out_is_said_once(write):
+    with pytest.warns(UserWarning, match="'robot.xml': not taken over") as said:
+        load_model(write(ODD))
+    (text,) = [str(one.message) for one in said]
+    for words in (
+        "'robot.xml'",
+        "the damping of all joints",
+        "the rotor inertia (armature) of a1, a2, a3, a4, b1, c1, e_joint",
+        "the 1 actuator(s)",
+        "joints without a name are called e_joint",
+        "between a1, a2, a3 and the next joint of the same body is no mass",
+    ):
+        assert words in text
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_written_robots_are_read_again(seed, tmp_path):
+    """Ten trees as this package exports them, with all that joints do by themselves."""
+    rng = np.random.default_rng(seed)
+    nv = int(rng.integers(2, 9))
+    model, bodies = random_tree(rng, nv)
+    model.gravity.linear = rng.normal(size=3) * 5.0
+    own = {
+        name: rng.uniform(0.5, 2.0, size=nv)
+        for name in ("damping", "frictionloss", "armature", "stiffness", "gain")
+    }
+    own |= {
+        name: rng.normal(size=nv) for name in ("springref", "ref", "constant", "slope")
+    }
+    tendons = (Tendon(joints=(0, nv - 1), sign=1, damping=0.7, armature=0.2),)
+    path = tmp_path / "identified.xml"
+    write_mjcf(path, model, bodies, JointDynamics(**own, tendons=tendons))
+    with pytest.warns(UserWarning, match="damping of all joints") as said:
+        read = load_model(path)
+    text = str(said[0].message)
+    assert "springs of all joints" in text
+    assert "tendon(s) joint_0 plus" in text
+    assert sorted(joint_names(read)) == sorted(joint_names(model))
+    # MuJoCo's order is that of the file, the columns are found by name.
+    order = [joint_names(model).index(name) for name in joint_names(read)]
+    states = moving_states(rng, 20, nv)
+    q, v, a = np.split(states, 3, axis=1)
+    moved = np.hstack([q - own["ref"], v, a])
+    columns = np.concatenate([np.array(order) + k * nv for k in range(3)])
+    found = by_pinocchio(read, states[:, columns])
+    expected = by_pinocchio(model, moved)[:, order]
+    np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        bodies_by_mujoco(path, states[:, columns]),
+        expected,
+        atol=1e-10 * np.abs(expected).max(),
+    )
+
+
+@pytest.mark.parametrize(
+    "geom",
+    [
+        'type="sphere" size=".2"',
+        'type="capsule" size=".1 .3"',
+        'type="capsule" size=".1" fromto="0 .1 .2 .5 .1 -.2" mass="1.5"',
+        'type="cylinder" size=".1 .3" density="200"',
+        'type="cylinder" size=".1" fromto="0 0 .5 0 0 -.5"',
+        'type="box" size=".1 .2 .3" euler="10 20 30"',
+        'type="ellipsoid" size=".1 .2 .3" quat="1 2 3 4"',
+        'type="ellipsoid" size=".1" fromto="0 0 0 .1 .1 .4"',
+        'size=".2" mass="0.5" density="3"',
+    ],
+)
+def test_shapes_have_mass(write, geom):
+    """In the order of their volumes' formulas; density counts without mass alone."""
+    more = '<geom size=".05" pos=".3 .1 .2"/>'
+    place = "" if "fromto" in geom else 'pos=".1 .2 .3"'
+    assert_same_torques(write(arm(f"<geom {place} {geom}/>{more}")))
+
+
+@pytest.mark.parametrize(
+    "compiler",
+    [
+        'inertiafromgeom="true"',
+        'inertiafromgeom="false"',
+        'settotalmass="7"',
+        'boundmass="3" boundinertia="0.3"',
+        'balanceinertia="true"',
+        'angle="radian" eulerseq="zyx"',
+        'eulerseq="XyZ"',
+        'autolimits="false"',
+    ],
+)
+def test_settings_of_the_compiler(write, compiler):
+    inside = (
+        '<inertial pos=".1 .2 0" mass="2" diaginertia=".1 .2 .29" euler=".3 .2 .1"/>'
+        '<geom size=".2"/><body name="c" pos="1 0 0" euler="10 20 30">'
+        '<joint name="k" axis="1 1 0" range="-1 1" limited="true"/>'
+        '<inertial pos="0 .2 .1" mass="1" diaginertia=".1 .2 .28"/></body>'
+    )
+    before = f"<compiler {compiler}/>"
+    assert_same_torques(write(arm(inside, before=before)))
+
+
+def test_impossible_moments_are_balanced(write):
+    mass = '<inertial pos="0 .2 .1" mass="1" diaginertia=".1 .2 .4"/>'
+    path = write(arm(mass, before='<compiler balanceinertia="true"/>'))
+    assert_same_torques(path)
+    np.testing.assert_allclose(
+        load_model(path).inertias[1].inertia, 0.7 / 3 * np.eye(3), atol=1e-12
+    )
+
+
+def test_held_joints_are_at_zero(write, tmp_path):
+    """What moves feels what MuJoCo computes with the others at zero, ref or not."""
+    path = write(ODD)
+    moving = ("s1", "c1", "a2")
+    own = [name for name in JOINTS if name in moving]
+    model = quiet(load_reduced, path, moving)
+    assert joint_names(model) == tuple(own)
+    at = np.array([JOINTS.index(name) for name in own])
+    states = moving_states(np.random.default_rng(0), 30, 3)
+    full = np.zeros((30, 3, 8))
+    full[:, :, at] = states.reshape(30, 3, 3)
+    expected = bodies_by_mujoco(path, full.reshape(30, 24))[:, at]
+    np.testing.assert_allclose(by_pinocchio(model, states), expected, atol=1e-9)
+    reduced = tmp_path / "reduced.xml"
+    held = write_reduced(path, reduced, moving)
+    assert held == tuple(name for name in JOINTS if name not in moving)
+    again = quiet(load_model, reduced)
+    assert joint_names(again) == movable_joints(reduced) == tuple(own)
+    np.testing.assert_allclose(by_pinocchio(again, states), expected, atol=1e-9)
+    np.testing.assert_array_equal(
+        [again.lowerPositionLimit, again.upperPositionLimit],
+        [model.lowerPositionLimit, model.upperPositionLimit],
+    )
+    with pytest.raises(ValueError, match=r"no movable joint 'wheel'; it has a1, a2"):
+        load_reduced(path, ["wheel"])
+
+
+def test_a_urdf_says_the_same(write):
+    path = write(ODD)
+    model = quiet(load_model, path)
+    text = description_text(path, model)
+    urdf = load_text(text, "robot.urdf")
+    order = [joint_names(urdf).index(name) for name in JOINTS]
+    parameters = nominal_parameters(model)
+    np.testing.assert_allclose(
+        nominal_parameters(urdf)[order], parameters, atol=1e-9 * parameters.max()
+    )
+
+
+def test_joint_equalities_of_mujoco_are_followers(write, tmp_path):
+    """q_f - ref_f = o + k (q_l - ref_l), however the file counts."""
+    after = (
+        '<equality><joint joint1="k" joint2="j" polycoef="0.3 -2 0 0 0"/>'
+        '<joint joint1="j" active="false"/></equality>'
+    )
+    inside = f'{MASS}<body><joint name="k" ref="10"/>{MASS}</body>'
+    path = write(arm(inside, '<joint name="j" ref="20"/>', after=after))
+    (body,) = load_folded(path).followers
+    assert joint_names(load_model(path)) == movable_joints(path) == ("j",)
+    step = body.chain[-1]
+    assert (body.name, body.leader, step.joint, step.rate) == ("k", 0, 0, -2.0)
+    assert step.offset == pytest.approx(0.3 + np.deg2rad(10 + 2 * 20))
+    write_reduced(path, tmp_path / "again.xml", ["j"])
+    (again,) = load_folded(tmp_path / "again.xml").followers
+    assert again.chain[-1].offset == pytest.approx(step.offset)
+    # One that is named has columns of its own.
+    assert joint_names(load_reduced(path, ["k", "j"])) == ("j", "k")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (arm(MASS, '<freejoint name="f"/>'), "joint 'f' lets its body float freely"),
+        (
+            arm(MASS, '<joint name="f" type="ball"/>'),
+            "joint 'f' is a ball joint .write",
+        ),
+        (
+            arm(MASS, after='<equality><connect name="rod" body1="b"/></equality>'),
+            "<connect> 'rod' of <equality>, between b and world, closes a loop",
+        ),
+        (
+            arm(MASS, after='<equality><weld body1="b"/></equality>'),
+            "<weld> of <equality>, between b and world, closes a loop",
+        ),
+        (
+            arm(MASS, after='<equality><joint joint1="j"/></equality>'),
+            "ties j, locks a joint",
+        ),
+        (
+            arm(
+                MASS + f"<body><joint name='k'/>{MASS}</body>",
+                after='<equality><joint joint1="j" joint2="k" polycoef="0 1 2"/>'
+                "</equality>",
+            ),
+            "ties j to k, is not linear",
+        ),
+        (
+            arm(
+                MASS,
+                after="<tendon><fixed name='t'><joint joint='j' coef='1'/></fixed>"
+                "</tendon><equality><tendon tendon1='t'/></equality>",
+            ),
+            "<tendon> of <equality> is a constraint of the kind 'tendon'",
+        ),
+        (arm(MASS, ""), "no moving joint"),
+        (arm('<inertial mass="-1"/>'), "body 'b': a body has the mass -1 kg"),
+        (arm('<geom type="box" size=".1"/>'), "a box, whose size must be 3 positive"),
+        (arm(MASS, '<joint name="j" axis="0 0 0"/>'), "which is no direction"),
+        (arm(MASS, '<joint name="j" pos="0 0"/>'), r"where 3 finite number\(s\)"),
+        (arm(MASS, '<joint name="j" ref="nan"/>'), r"has ref='nan'"),
+        (arm(MASS, '<joint name="j" type="gear"/>'), "is of a type 'gear'"),
+        (arm(MASS, '<joint name="j" class="x"/>'), "a class 'x' without <default>"),
+        (arm(MASS, '<joint name="j"/><joint name="j"/>'), "2 joints are called 'j'"),
+        (arm(f"{MASS}<body name='b'/>"), "2 bodies are called 'b'"),
+        (arm(MASS, before='<include file="gone.xml"/>'), "there is no file"),
+        (
+            arm(MASS, before='<include file="part.xml"/><include file="part.xml"/>'),
+            "includes 'part.xml' twice",
+        ),
+        (arm(MASS, before='<include file="robot.xml"/>'), "'robot.xml' twice"),
+        (arm(f"{MASS}<composite/>"), "<composite> makes bodies of its own"),
+        (arm(MASS, before='<compiler coordinate="global"/>'), "coordinate='global'"),
+        (arm(MASS, before='<compiler angle="grad"/>'), "angle='grad'"),
+        (arm(MASS, before='<compiler eulerseq="abc"/><default/>'), "no moving|abc"),
+        (arm('<inertial mass="1" quat="1 0 0 0" euler="0 0 0"/>'), "can be one"),
+        (arm('<inertial mass="1" quat="0 0 0 0"/>'), "no direction"),
+        ("<mujoco/>", "no <worldbody>"),
+        ("<mujoco><worldbody><joint/></worldbody></mujoco>", "outside of any body"),
+        ("<sdf/>", "outermost element is <sdf>; expected <robot>"),
+        ("<mujocoinclude/>", "<mujocoinclude>; expected"),
+    ],
+)
+def test_refuses_in_words(write, text, message):
+    path = write(text)
+    if "eulerseq" in text:
+        text = text.replace("pos='1 2 3'", "euler='1 2 3'")
+        path.write_text(text)
+    with pytest.raises(ValueError, match=message) as caught:
+        load_model(path)
+    if "no moving joint" not in str(caught.value):
+        assert "robot.xml" in str(caught.value)
+
+
+def test_all_that_stands_against_a_file_is_said_at_once(write):
+    after = (
+        '<equality><connect name="one" body1="b" anchor="0 0 0"/>'
+        '<weld name="two" body1="b"/></equality>'
+    )
+    with pytest.raises(ValueError, match=r"'one' .*; <weld> 'two' .*--joints"):
+        load_model(write(arm(MASS, after=after)))
+
+
+def test_a_loop_among_held_joints_is_no_loop(write):
+    """A gripper with a four-bar linkage on an arm that is identified."""
+    gripper = "".join(
+        f'<body name="f{k}"><joint name="g{k}"/>{MASS}</body>' for k in (1, 2)
+    )
+    after = '<equality><connect name="rod" body1="f1" body2="f2"/></equality>'
+    path = write(arm(MASS + gripper, after=after))
+    with pytest.raises(ValueError, match="'rod' of <equality>, between f1 and f2,"):
+        load_model(path)
+    model = load_reduced(path, ["j"])
+    assert joint_names(model) == ("j",)
+    assert model.inertias[1].mass == pytest.approx(6.0)
+
+
+def test_a_mesh_has_an_unknown_mass(write):
+    text = arm('<geom name="g" type="mesh" mesh="m"/>')
+    with pytest.warns(UserWarning, match=r"mass of b is that of a mesh.*no mass"):
+        load_model(write(text))
+    light = arm(f'{MASS}<geom type="mesh" mesh="m"/>')
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        load_model(write(light))
+
+
+def test_gravity_that_is_switched_off(write):
+    before = '<option><flag gravity="disable"/></option>'
+    path = write(arm(MASS, before=before))
+    with pytest.warns(UserWarning, match="no gravity in it"):
+        model = load_model(path)
+    assert not model.gravity.linear.any()
+    assert_same_torques(path)
+
+
+def test_files_included_in_files(write, tmp_path):
+    (tmp_path / "parts").mkdir()
+    write(f"<mujoco><body><joint name='k'/>{MASS}</body></mujoco>", "parts/inner.xml")
+    inside = f'{MASS}<include file="parts/inner.xml"/>'
+    path = write(arm(inside))
+    assert joint_names(quiet(load_model, path)) == ("j", "k")
+    assert_same_torques(path)
+
+
+def test_hostile_files_end_in_words(write, tmp_path):
+    """Nesting through files, many files, and a file of the system."""
+    for k in range(5):
+        inner = f'<include file="n{k + 1}.xml"/>' if k < 4 else ""
+        deep = "<body>" * 80 + inner + "</body>" * 80
+        write(f"<mujoco>{deep}</mujoco>", f"n{k}.xml")
+    path = write(arm(f'{MASS}<include file="n0.xml"/>'))
+    with pytest.raises(ValueError, match="nested more than 300 deep"):
+        load_model(path)
+    with pytest.raises(ValueError, match="there is no file"):
+        load_model(write(arm('<include file="/dev/zero"/>')))
+    for k in range(120):
+        write("<mujoco/>", f"m{k}.xml")
+    many = "".join(f'<include file="m{k}.xml"/>' for k in range(120))
+    with pytest.raises(ValueError, match="more than 100 files"):
+        load_model(write(arm(many)))
+    write("<mujoco><body>", "broken.xml")
+    with pytest.raises(ValueError, match=r"broken.xml' is not readable"):
+        load_model(write(arm('<include file="broken.xml"/>')))
+    chain = "".join("<body>" for _ in range(90)) + "</body>" * 90
+    many = "".join(f"<body><joint/>{MASS}</body>" for _ in range(201))
+    with pytest.raises(ValueError, match="201 moving joints, at most 200"):
+        load_model(write(f"<mujoco><worldbody>{many}</worldbody></mujoco>"))
+    assert joint_names(quiet(load_model, write(arm(MASS + chain)))) == ("j",)
+
+
+def test_a_massless_body_keeps_its_moments(write):
+    inside = f'{MASS}<body><inertial pos="0 0 0" mass="0" diaginertia="1 2 3"/></body>'
+    assert_same_torques(write(arm(inside, '<joint name="j" axis="1 2 3"/>')))

@@ -1,0 +1,99 @@
+"""Loops of a URDF are refused by the names of their links and joints."""
+
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.model._loading import (
+    joint_names,
+    load_model,
+    load_reduced,
+)
+
+MASS = (
+    '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" '
+    'iyz="0"/></inertial>'
+)
+LINKS = '<link name="base"/>' + "".join(
+    f'<link name="{name}">{MASS}</link>' for name in ("a", "b", "c")
+)
+
+
+def joint(name, parent, child, kind="revolute"):
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/>'
+        f'<child link="{child}"/><axis xyz="0 1 0"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+    )
+
+
+TREE = joint("j1", "base", "a") + joint("j2", "a", "b") + joint("j3", "a", "c")
+# What Isaac Sim, Gazebo and Drake have for loops.
+CLOSURES = {
+    "<loop_joint> 'rod' between b and c": (
+        '<loop_joint name="rod" type="spherical"><link1 link="b"/><link2 link="c"/>'
+        "</loop_joint>"
+    ),
+    "<joint> 'rod' of <gazebo> between b and c": (
+        '<gazebo><joint name="rod" type="revolute"><parent>b</parent>'
+        "<child> c </child></joint></gazebo>"
+    ),
+    "<ball_constraint> between b and c": (
+        "<drake:ball_constraint><drake:ball_constraint_body_A name='b'/>"
+        "<drake:ball_constraint_body_B name='c'/></drake:ball_constraint>"
+    ),
+    "<linear_bushing_rpy> between b and c": (
+        "<frame name='f' link='b'/><frame name='g' link='c'/>"
+        "<drake:linear_bushing_rpy><drake:bushing_frameA name='f'/>"
+        "<drake:bushing_frameC name='g'/></drake:linear_bushing_rpy>"
+    ),
+}
+
+
+@pytest.fixture
+def write(tmp_path):
+    def to_file(text):
+        path = tmp_path / "robot.urdf"
+        drake = "http://drake.mit.edu"
+        path.write_text(f'<robot name="r" xmlns:drake="{drake}">{text}</robot>')
+        return path
+
+    return to_file
+
+
+@pytest.mark.parametrize("words", CLOSURES)
+def test_extensions_that_close_loops(write, words):
+    path = write(LINKS + TREE + CLOSURES[words])
+    with pytest.raises(ValueError, match=f"robot.urdf': {words} closes a loop"):
+        load_model(path)
+    # One of the two moves against the other.
+    with pytest.raises(ValueError, match=words):
+        load_reduced(path, ["j1", "j2"])
+    assert joint_names(load_reduced(path, ["j1"])) == ("j1",)
+
+
+def test_a_closure_between_nothing_that_is_known(write):
+    with pytest.raises(ValueError, match="<loop_joint> closes a loop"):
+        load_model(write(LINKS + TREE + "<loop_joint/>"))
+
+
+def test_other_extensions_of_simulators_are_no_loops(write):
+    more = (
+        '<gazebo reference="a"><mu1>0.2</mu1></gazebo><gazebo><plugin name="p"/>'
+        '</gazebo><transmission name="t"><joint name="j1"/></transmission>'
+    )
+    assert joint_names(load_model(write(LINKS + TREE + more))) == ("j1", "j2", "j3")
+
+
+def test_a_link_on_two_joints(write):
+    path = write(LINKS + TREE + joint("j4", "b", "c"))
+    with pytest.raises(ValueError, match="'c' hangs on two joints, 'j3' and 'j4'"):
+        load_model(path)
+
+
+def test_links_in_a_ring(write):
+    ring = joint("j1", "base", "a") + joint("j2", "c", "b") + joint("j3", "b", "c")
+    with pytest.raises(ValueError, match="links b - c - b hang on each other"):
+        load_model(write(LINKS + ring))
+    with pytest.raises(ValueError, match="links a - a hang on each other"):
+        load_model(write(LINKS + joint("j1", "a", "a")))

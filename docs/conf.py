@@ -2,6 +2,7 @@
 
 import re
 import sys
+from importlib import resources
 from pathlib import Path
 
 import matplotlib as mpl
@@ -24,11 +25,13 @@ extensions = [
     "sphinx.ext.extlinks",
     "sphinx.ext.mathjax",
     "numpydoc",
+    "recorded_directives",
+    "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "effect_pages",
 ]
 templates_path = ["_templates"]
-# tables/ holds pieces that benchmarks.rst includes.
+# tables/ holds pieces that other pages include.
 exclude_patterns = ["_build", "tables", "Thumbs.db"]
 root_doc = "index"
 
@@ -41,12 +44,27 @@ numpydoc_show_class_members = False
 default_role = "autolink"
 
 html_theme = "pydata_sphinx_theme"
+html_title = f"{project} {release}"
 html_theme_options = {
+    "logo": {"text": project},
     "navigation_with_keys": False,
     "show_prev_next": False,
     "secondary_sidebar_items": ["page-toc"],
+    # The version of Sphinx and of the theme helps nobody who reads this.
+    "footer_start": ["copyright"],
+    "footer_end": [],
 }
+# The first page leads on by itself, and so do those that are one long list.
+html_sidebars = {"index": []}
 html_show_sourcelink = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+
+# MathJax from the installed package, with every extension and its glyphs in one file:
+# formulas are shown without a network, from a folder too.
+_mathjax = resources.files("mathjax") / "static" / "mathjax" / "es5"
+html_static_path.append(str(_mathjax / "tex-svg-full.js"))
+mathjax_path = "tex-svg-full.js"
 
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",

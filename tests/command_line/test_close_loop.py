@@ -135,7 +135,9 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     assert page.startswith("<!DOCTYPE html>")
     assert "shoulder" in page
     links = set(re.findall(r'href="([^"]+)"', page))
-    assert links == {name for name in FILES if name != "report.html"}
+    inside = {link for link in links if link.startswith("#")}
+    assert links - inside == {name for name in FILES if name != "report.html"}
+    assert all(f'id="{link[1:]}"' in page for link in inside)
     # a spring is seen over the position, and each joint has its torque over time
     assert page.count('<figure class="wide"') == 1 + 2
     assert re.search(r'class="x-name">position of [^<]*shoulder[^<]* \[rad\]<', page)

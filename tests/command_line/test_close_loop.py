@@ -21,6 +21,7 @@ from sklearn_vbjfa import EffectDiscovery, load_identified
 from sklearn_vbjfa._cli import _close_loop, _stopping, main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model._loading import load_model
+from sklearn_vbjfa.robot._exports import LeftOut
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -148,7 +149,9 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     saved = load_identified(folder / "identified.json")
     assert [(one.name, one.joint) for one in saved.effects_] == [("spring", 0)]
     # MuJoCo has springs: nothing is left out.
-    assert "identified.xml goes without" not in captured.out
+    assert "identified.xml has no place" not in captured.out
+    # URDF has none.
+    assert "identified.urdf has no place for an effect: spring on" in captured.out
     root = ElementTree.parse(folder / "identified.xml").getroot()
     joints = {x.get("name"): x for x in root.iter("joint") if x.get("name")}
     assert list(joints) == ["shoulder", "elbow"]
@@ -198,10 +201,37 @@ def test_what_mujoco_has_no_place_for_is_said(good, urdf, recording, capsys):
     options = ["--effects", "load_friction", "--no-ceiling"]
     assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
     lines = capsys.readouterr().out.splitlines()
-    at = lines.index("MuJoCo has no place for, and identified.xml goes without:")
-    assert lines[at + 1].startswith("- load_friction on shoulder (")
+    for name in ("identified.urdf", "identified.xml"):
+        (line,) = [x for x in lines if x.startswith(name)]
+        assert " has no place for an effect: load_friction on shoulder (" in line
     text = Path("arm-report/identified.xml").read_text(encoding="utf-8")
     assert "load_friction" in text[: text.index("-->")]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "expected"),
+    [
+        ([1.234], "an effect: e0 on j0 (1.2 N m rms);"),
+        ([0.5, 3.0], "2 effects, the largest: e1 on j1 (3 N m rms);"),
+        ([0.5, 3.0, 0.1], "3 effects, the largest: e2 on j2 (0.1 N rms), e1 on j1 (3"),
+        ([np.nan], "an effect: e0 on j0;"),
+        ([np.nan, 0.2], "2 effects, the largest: e1 on j1 (0.2 N m rms);"),
+    ],
+)
+def test_a_description_says_how_much_it_goes_without(sizes, expected):
+    left = [
+        LeftOut(
+            name=f"e{k}",
+            joint=k,
+            joint_name=f"j{k}",
+            size=size,
+            unit="N" if k == 2 else "N m",
+            reason="why",
+        )
+        for k, size in enumerate(sizes)
+    ]
+    line = _close_loop._left_out_line("robot.xml", left)
+    assert line.startswith(f"robot.xml has no place for {expected}")
 
 
 def test_undetermined_parameters_have_no_deviation(tmp_path):

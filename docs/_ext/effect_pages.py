@@ -47,6 +47,8 @@ _WITH_OTHERS = {
     "solreffriction",
 }
 _SHEET = "effects.css"
+# Characters of LaTeX that fit in a line of a page.
+_LINE = 95
 # The report follows the system; the guide has a switch of its own.
 _THEME = """
 .vbjfa{background:none;padding:0}
@@ -129,8 +131,26 @@ def _plain(text):
     return re.sub(r"(\[\d+\])_", r"\1", text)
 
 
+def typeset(formula):
+    """Return a directive that shows what an effect adds, with a long one in lines."""
+    whole = added_torque(formula)
+    lines, first = [], ""
+    for part in re.split(r"\s*\\q?quad\s*", whole):
+        if part.strip() == r"\text{or}":
+            first = r"\text{or}\quad "
+        else:
+            lines.append(first + part)
+            first = ""
+    if len(whole) <= _LINE or len(lines) == 1:
+        return [".. math::", "", f"    {whole}"]
+    together = r" \\ ".join(lines)
+    return [".. math::", "", rf"    \begin{{gathered}} {together} \end{{gathered}}"]
+
+
 def _shown(value):
-    return value if isinstance(value, str) else number(float(value))
+    if isinstance(value, tuple):
+        return ", ".join(map(_shown, value))
+    return f"``{value!r}``" if isinstance(value, str) else number(float(value))
 
 
 # -- directives --------------------------------------------------------------------
@@ -166,27 +186,27 @@ class Law(_OfEffect):
         """Make the nodes."""
         use, kind = self.use, type(self.use.effect)
         first, *more = map(_plain, explanation(kind))
-        lines = [first, "", ".. math::", "", f"    {added_torque(kind.formula)}", ""]
+        lines = [first, "", *typeset(kind.formula), ""]
         lines += [f"{one}\n" for one in more]
         told, now = described(kind), use.values
         lines += [
             ".. list-table::",
             "    :header-rows: 1",
-            "    :widths: 20 25 35 20",
+            "    :widths: auto",
             "",
             "    * - parameter",
             "      - unit",
-            "      - how it is found",
             "      - in the picture",
+            "      - what it is, how it is found",
         ]
         for name, (units, how) in parameters_of(use).items():
             what = f"{told[name].rstrip('.')}; {how}" if name in told else how
-            value = _shown(now[name][0]) if name in now else "–"
+            value = _shown(now[name]) if name in now else "–"
             lines += [
                 f"    * - ``{name}``",
                 f"      - {units or '–'}",
-                f"      - {what}",
                 f"      - {value}",
+                f"      - {what}",
             ]
         lines += ["", "Units are those of a revolute or a prismatic joint."]
         return self.parsed(lines)

@@ -14,6 +14,7 @@ from sklearn_vbjfa.design._limits import MotionLimits
 from sklearn_vbjfa.design._motion import DesignedMotion
 from sklearn_vbjfa.design._open_questions import (
     asked_effects,
+    is_steered,
     open_effects,
     read_report,
 )
@@ -31,6 +32,8 @@ _PER_SAMPLE = 0.06
 # Random motions of which the best is improved, and states at which columns are
 # compared.
 _DRAWN, _REFERENCE = 40, 600
+# Those keep this share of the range away from its ends.
+_INSIDE = 0.025
 # Poses that are tried for a start, and the share of the torque limits that may go into
 # holding it.
 _POSES, _HELD = 200, 0.85
@@ -227,13 +230,13 @@ def _reference(robot, limits, highest, rng):
 def _parted(robot, asked):
     """Split effects into those of the model and candidates beside it.
 
-    An effect that the model has and that is in doubt is a candidate.
+    What a report found is a candidate again: the next recording may say otherwise.
     """
-    doubted = {one.effect.key() for one in asked if one.why != "library"}
+    doubted = {(one.effect.name, one.effect.joint) for one in asked if one.doubted}
     own = [
         (effect, coef)
         for effect, coef in zip(robot.effects, robot.coefficients)
-        if effect.key() not in doubted or not effect.contains
+        if (effect.name, effect.joint) not in doubted and is_steered(effect)
     ]
     taken = {effect.key() for effect, _ in own}
     candidates = []
@@ -315,6 +318,10 @@ def _drawn(problem, rng, basis, t):
     """Draw a motion, each joint as large as its limits allow, all as large together."""
     curve, limits = problem.curve, problem.limits
     low, high = limits.position.T
+    low, high = (
+        low + _INSIDE * (high - low),
+        high - _INSIDE * (high - low),
+    )
     z = rng.normal(size=(problem.model.nv, curve.size))
     if curve.start is None:
         z[:, -1] = 0.0
@@ -340,7 +347,7 @@ def _drawn(problem, rng, basis, t):
         lowest = low - 0.9 * reach * bottoms
         highest = high - 0.9 * reach * tops
         z[:, -1] = _held_pose(problem, lowest, highest, rng)
-    return shrunk(problem, z, t, 0.95, apart=False)
+    return shrunk(problem, z, t, 1 - 2 * _INSIDE, apart=False)
 
 
 def _held_pose(problem, lowest, highest, rng):

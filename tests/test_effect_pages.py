@@ -1,6 +1,8 @@
 """Pages of the effects: one for each, and what they say is what the code computes."""
 
+import io
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -478,3 +480,45 @@ def test_the_style_follows_the_switch_of_the_guide():
     for theme, ink in (("light", "#1c2430"), ("dark", "#e6eaf0")):
         rule = re.search(rf'html\[data-theme="{theme}"\] \.vbjfa\{{([^}}]*)\}}', sheet)
         assert f"--ink:{ink}" in rule[1]
+
+
+CONF = """
+import sys
+sys.path.insert(0, {folder!r})
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.extlinks",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "effect_pages",
+]
+extlinks = {{"doi": ("https://doi.org/%s", "doi:%s")}}
+default_role = "autolink"
+"""
+
+
+@pytest.mark.slow
+def test_the_pages_are_built_without_a_warning(tmp_path):
+    from sphinx.application import Sphinx
+
+    source, out = tmp_path / "docs", tmp_path / "html"
+    shutil.copytree(DOCS / "effects", source / "effects")
+    listed = "".join(f"    effects/{name}\n" for name in NAMES)
+    index = f"Guide\n=====\n\n.. effect-index::\n\n.. toctree::\n\n{listed}"
+    (source / "index.rst").write_text(f"{index}    benchmarks\n")
+    (source / "benchmarks.rst").write_text("Benchmarks\n==========\n")
+    (source / "conf.py").write_text(CONF.format(folder=str(DOCS / "_ext")))
+    warned = io.StringIO()
+    sphinx = Sphinx(
+        source, source, out, tmp_path / "trees", "html", status=None, warning=warned
+    )
+    sphinx.build()
+    assert warned.getvalue() == ""
+    assert (out / "_static" / "effects.css").is_file()
+    cards = (out / "index.html").read_text(encoding="utf-8")
+    assert cards.count("<svg") == len(NAMES)
+    for name in NAMES:
+        html = (out / "effects" / f"{name}.html").read_text(encoding="utf-8")
+        assert html.count("<svg") == 1
+        assert "effects.css" in html

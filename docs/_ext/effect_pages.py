@@ -108,6 +108,8 @@ def parameters_of(use):
             units = [unit[name] for unit in (turning, sliding) if name in unit]
             units = " or ".join(dict.fromkeys(units)).replace("^2", "²")
             how = "fitted" if name in fitted else "tried"
+            if name in fitted and name not in symbols(effect.formula):
+                how = "follows from the others"
             if name in effect.continuous:
                 how = "searched" if name not in fitted else "fitted and searched"
             if effect.in_model:
@@ -174,6 +176,8 @@ class _OfEffect(SphinxDirective):
         """Nodes of reStructuredText, a list."""
         holder = nodes.Element()
         source = f"effect {self.arguments[0]}" if self.arguments else "effects"
+        # Names in docstrings are those of the effects' module.
+        lines = [".. currentmodule:: sklearn_vbjfa.effects", "", *lines]
         text = StringList([line for one in lines for line in one.split("\n")], source)
         self.state.nested_parse(text, self.content_offset, holder)
         return holder.children
@@ -223,7 +227,7 @@ class Picture(_OfEffect):
         seen = (
             ""
             if use.signal is None
-            else f" Reports draw it over its {own}, as for any robot."
+            else f" Reports draw it over its {own}, as they do for any robot."
         )
         caption = (
             "Simulated: a made-up six-axis arm that is known exactly, noise of "

@@ -54,7 +54,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-# The first page leads on by itself, and so do those that are one long list.
+# The first page leads on by itself.
 html_sidebars = {"index": []}
 html_show_sourcelink = False
 html_static_path = ["_static"]
@@ -78,7 +78,7 @@ sphinx_gallery_conf = {
             "../examples/3_articles",
         ]
     ),
-    "within_subsection_order": "FileNameSortKey",
+    "within_subsection_order": "gallery_order.MostWantedFirst",
     "write_computation_times": False,
     "show_memory": False,
     "download_all_examples": False,

@@ -787,9 +787,11 @@ def _time(table: Table, layout, dt, time_unit):
 
 def _check_unit(table: Table, role, values, period, time_unit):
     """Refuse a unit of time in which the period [s] is none of a robot that moves."""
-    if not period or not unit_is_wrong(period):
+    step = usual_step(values)
+    # What goes up by one counts rows.
+    if step in (0.0, 1.0) or not unit_is_wrong(period):
         return
-    unit = unit_of_steps(usual_step(values))
+    unit = unit_of_steps(step)
     said = time_unit or role.unit or "s"
     if not unit or unit == said:
         return
@@ -797,7 +799,7 @@ def _check_unit(table: Table, role, values, period, time_unit):
         f"{table.path}: time steps by {period:.4g} s at the median, too "
         f"{'slow for a motion' if period > 1 else 'fast for a robot'}; column "
         f"{role.column!r} cannot be in {said}, in {unit} this would be a period of "
-        f"{usual_step(values) * unit_of('t', unit).factor:.4g} s.",
+        f"{step * unit_of('t', unit).factor:.4g} s.",
         {"time_unit": unit},
     )
 

@@ -36,7 +36,7 @@ padding:8px 10px;font-size:.9em}
 def symbols(formula):
     r"""Names of what stands in a formula, as the code has them, a set of str.
 
-    ``F_{vm}`` is Fvm, ``\\Delta F_c`` is dFc, ``\\mathrm{time\\_constant}`` is
+    ``F_{vm}`` is Fvm, ``\Delta F_c`` is dFc, ``\mathrm{time\_constant}`` is
     time_constant.
     """
     text = re.sub(r"\\text\{[^}]*\}|\\(left|right|q?quad|[,;: ])", " ", formula)
@@ -66,7 +66,7 @@ def parameters_of(use):
                 how = "follows from the others"
             if name in effect.continuous:
                 how = "searched" if name not in fitted else "fitted and searched"
-            if effect.in_model:
+            if name in effect.tangent:
                 how = "corrected step by step"
             kinds.setdefault(name, (units.replace("^3", "³"), how))
     return kinds

@@ -143,6 +143,17 @@ def hold_others(urdf, recording, held, folder):
     return reduced, (*held, *more)
 
 
+def other_joints(urdf, held):
+    """Say which joints are held, and which follow others; a list of lines."""
+    from sklearn_vbjfa.model import _loading
+
+    lines = [f"held at zero: {', '.join(held)}"] if held else []
+    follow = [body.name for body in _loading.load_folded(urdf).followers]
+    if follow:
+        lines.append(f"follow other joints, without columns: {', '.join(follow)}")
+    return lines
+
+
 def signals(text, recording, source):
     """Return the signals that were asked for, by name; None takes what there is."""
     from sklearn_vbjfa.recording._signals import OfferedSignals

@@ -101,11 +101,29 @@ def load_folded(model):
         path = Path(model)
         return _from_description(pin, parse_description(path), path)
     if isinstance(model, pin.Model):
-        return Folded(model=_check_joints(model.copy()))
+        loaded = _check_joints(model.copy())
+        return Folded(model=loaded, still=loaded)
     raise TypeError(
         "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."
     )
+
+
+def load_still(model):
+    """Return a robot of which followers stand still, for looking at recordings.
+
+    Parameters
+    ----------
+    model : str, os.PathLike or pinocchio.Model
+        As for `load_model`.
+
+    Returns
+    -------
+    pinocchio.Model
+        The joints of `load_model`; the bodies of joints that follow others are held
+        where they are while the leaders are at zero, so that no mass is missing.
+    """
+    return load_folded(model).still
 
 
 def load_reduced(path, moving):

@@ -19,7 +19,7 @@ from sklearn_vbjfa.diagnosis.search._split import split_in_time
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import TorqueGain, resolve
 from sklearn_vbjfa.inspection import inspect_channels
-from sklearn_vbjfa.model._loading import joint_names, load_folded
+from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
@@ -267,8 +267,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             time by another name).
         """
         library = self._check_parameters()
-        robot = load_folded(self.identifier.model)
-        model = robot.model
+        model = load_model(self.identifier.model)
         whole = self._recording(model, X, y, groups, sample_weight, t)
         declared = check_effects(self.identifier.effects, model.nv)
         beside = columns_beside(X, self.joint_names_)
@@ -276,7 +275,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         whole = replace(whole, signals=signals)
         with progress_bar(self.verbose) as say:
             say(0, "declared model")
-            channels, silent = self._check_channels(robot.still, whole)
+            channels, silent = self._check_channels(model, whole)
             channels += unusable
             split = split_in_time(
                 self.identifier, whole.inputs, whole.groups, self.test_size

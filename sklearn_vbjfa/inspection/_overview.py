@@ -15,7 +15,7 @@ from sklearn_vbjfa.inspection._rivals import channel_signals
 from sklearn_vbjfa.model._loading import (
     is_prismatic,
     joint_names,
-    load_still,
+    load_model,
     nominal_parameters,
 )
 from sklearn_vbjfa.recording._recording import contiguous_groups
@@ -97,7 +97,7 @@ def motion_of(recording, model=None):
     >>> first.name, first.reversals > 10, first.hides
     ('joint_1', True, ('friction that varies with the load: gravity does not load it',))
     """
-    model = load_still(recording.robot_model() if model is None else model)
+    model = load_model(recording.robot_model() if model is None else model)
     q, tau = recording.q, recording.tau
     whole = contiguous_groups(recording.groups, len(q))
     whole = [part for part in whole if part.stop - part.start >= MIN_SAMPLES]

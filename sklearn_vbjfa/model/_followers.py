@@ -91,12 +91,23 @@ class Folded:
         Bodies that these move besides.
     still : pinocchio.Model
         The same joints, with the followers' bodies held where they are while the
-        leaders are at zero: masses of the whole robot, for looking at recordings.
+        leaders are at zero, so that no mass is missing.
+    full : pinocchio.Model
+        Robot in which followers are joints of their own.
+    links : mapping of str to Link
+        How they follow.
     """
 
     model: object
+    followers: tuple
     still: object
-    followers: tuple = ()
+    full: object
+    links: dict
+
+    @classmethod
+    def without(cls, model):
+        """Return a robot that has no followers."""
+        return cls(model=model, followers=(), still=model, full=model, links={})
 
 
 def foldable(carriers, links, path):
@@ -173,7 +184,7 @@ def fold(full, links):
         Robot without them, and their bodies.
     """
     if not links:
-        return Folded(model=full, still=full)
+        return Folded.without(full)
     pin = import_pinocchio()
     names = list(full.names)
     left = [name for name in names[1:] if name not in links]
@@ -222,4 +233,6 @@ def fold(full, links):
                 parameters=parameters,
             )
         )
-    return Folded(model=model, still=still, followers=tuple(followers))
+    return Folded(
+        model=model, followers=tuple(followers), still=still, full=full, links=links
+    )

@@ -78,9 +78,10 @@ def load_model(model):
         an inertia that no solid body has is completed by a ball (see `solid_bodies`),
         joints have none of the springs, damping, friction and tendons of an MJCF file,
         and a joint that follows another one and carries joints that do not counts as a
-        joint of its own. Other joints that follow are left out, see `load_folded`.
+        joint of its own. What other joints that follow move is held where it is while
+        their leaders are at zero; `load_folded` has it apart.
     """
-    return load_folded(model).model
+    return load_folded(model).still
 
 
 def load_folded(model):
@@ -101,29 +102,11 @@ def load_folded(model):
         path = Path(model)
         return _from_description(pin, parse_description(path), path)
     if isinstance(model, pin.Model):
-        loaded = _check_joints(model.copy())
-        return Folded(model=loaded, still=loaded)
+        return Folded.without(_check_joints(model.copy()))
     raise TypeError(
         "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."
     )
-
-
-def load_still(model):
-    """Return a robot of which followers stand still, for looking at recordings.
-
-    Parameters
-    ----------
-    model : str, os.PathLike or pinocchio.Model
-        As for `load_model`.
-
-    Returns
-    -------
-    pinocchio.Model
-        The joints of `load_model`; the bodies of joints that follow others are held
-        where they are while the leaders are at zero, so that no mass is missing.
-    """
-    return load_folded(model).still
 
 
 def load_reduced(path, moving):
@@ -136,7 +119,7 @@ def load_reduced(path, moving):
     moving : sequence of str
         Names of the joints that move, in any order; the others are held at zero, of
         whatever kind they are, and what they carry is one body with its parent. A joint
-        that follows one of them is left out, as in `load_model`, unless it is named.
+        that follows one of them is as in `load_model`, unless it is named.
 
     Returns
     -------
@@ -147,7 +130,7 @@ def load_reduced(path, moving):
     tree = parse_description(path)
     if not _is_mjcf(tree, path):
         _hold_others(tree, path, moving)
-    return _from_description(import_pinocchio(), tree, path, moving).model
+    return _from_description(import_pinocchio(), tree, path, moving).still
 
 
 def movable_joints(path):
@@ -337,7 +320,7 @@ def load_text(text, path):
     Returns
     -------
     pinocchio.Model
-        As from `load_model`.
+        That of `load_folded`, without what followers move.
     """
     pin, path = import_pinocchio(), Path(path)
     with warnings.catch_warnings():
@@ -346,10 +329,10 @@ def load_text(text, path):
 
 
 def load_quietly(path):
-    """Return the model of a file, as `load_model`, of which everything was said."""
+    """Return the robot of a file, as `load_folded`, of which everything was said."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return load_model(path)
+        return load_folded(path)
 
 
 def parse_description(path):

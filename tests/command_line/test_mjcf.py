@@ -10,7 +10,11 @@ pinocchio = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa._cli import main  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording  # noqa: E402
-from sklearn_vbjfa.model._loading import joint_names, load_model  # noqa: E402
+from sklearn_vbjfa.model._loading import (  # noqa: E402
+    joint_names,
+    load_folded,
+    load_model,
+)
 
 # A planar arm with a gripper, whose second finger follows the first, a four-bar linkage
 # at its tip, and a loose object beside it.
@@ -149,7 +153,21 @@ def test_a_follower_needs_no_columns(write, tmp_path, capsys):
     assert read.joint_names == made.joint_names
     code, out, _ = run(capsys, "inspect", source, "--urdf", path)
     assert code == 0
-    assert "follow other joints, without columns: grip_2" in out.splitlines()
+    said = "follow other joints, without columns: grip_2"
+    assert said in out.splitlines()
+    argv = ["close-loop", source, "--urdf", path, "--effects", "spring", "--no-ceiling"]
+    code, out, _ = run(capsys, *argv)
+    assert code == 0
+    assert said in out.splitlines()
+    mimic = ElementTree.parse("grip-report/identified.urdf").find(".//mimic")
+    assert (mimic.get("joint"), mimic.get("multiplier")) == ("grip", "1.0")
+    files = [f"grip-report/identified.{kind}" for kind in ("urdf", "xml")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        read = [load_folded(file) for file in files]
+    bodies = [robot.followers[0].parameters for robot in read]
+    np.testing.assert_allclose(*bodies, atol=1e-9)
+    assert bodies[0][0] > 0
 
 
 def test_what_stands_against_a_file_is_one_line(write, table, capsys):

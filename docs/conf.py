@@ -1,6 +1,9 @@
 """Settings of the documentation; ``sphinx-build -W docs docs/_build/html``."""
 
 import re
+import sys
+from importlib import resources
+from pathlib import Path
 
 import matplotlib as mpl
 from sphinx_gallery.sorting import ExplicitOrder
@@ -8,6 +11,8 @@ from sphinx_gallery.sorting import ExplicitOrder
 import sklearn_vbjfa
 
 mpl.use("Agg")
+# The guide's own directives.
+sys.path.insert(0, str(Path(__file__).parent / "_ext"))
 
 project = "sklearn_vbjfa"
 author = "The sklearn_vbjfa developers"
@@ -20,10 +25,13 @@ extensions = [
     "sphinx.ext.extlinks",
     "sphinx.ext.mathjax",
     "numpydoc",
+    "recorded_directives",
+    "sphinx_design",
     "sphinx_gallery.gen_gallery",
+    "effect_pages",
 ]
 templates_path = ["_templates"]
-# tables/ holds pieces that benchmarks.rst includes.
+# tables/ holds pieces that other pages include.
 exclude_patterns = ["_build", "tables", "Thumbs.db"]
 root_doc = "index"
 
@@ -36,12 +44,27 @@ numpydoc_show_class_members = False
 default_role = "autolink"
 
 html_theme = "pydata_sphinx_theme"
+html_title = f"{project} {release}"
 html_theme_options = {
+    "logo": {"text": project},
     "navigation_with_keys": False,
     "show_prev_next": False,
     "secondary_sidebar_items": ["page-toc"],
+    # The version of Sphinx and of the theme helps nobody who reads this.
+    "footer_start": ["copyright"],
+    "footer_end": [],
 }
+# The first page leads on by itself.
+html_sidebars = {"index": []}
 html_show_sourcelink = False
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+
+# MathJax from the installed package, with every extension and its glyphs in one file:
+# formulas are shown without a network, from a folder too.
+_mathjax = resources.files("mathjax") / "static" / "mathjax" / "es5"
+html_static_path.append(str(_mathjax / "tex-svg-full.js"))
+mathjax_path = "tex-svg-full.js"
 
 sphinx_gallery_conf = {
     "examples_dirs": "../examples",
@@ -55,7 +78,7 @@ sphinx_gallery_conf = {
             "../examples/3_articles",
         ]
     ),
-    "within_subsection_order": "FileNameSortKey",
+    "within_subsection_order": "gallery_order.MostWantedFirst",
     "write_computation_times": False,
     "show_memory": False,
     "download_all_examples": False,

@@ -1,9 +1,11 @@
 """The guide, the README and the code say the same, and their examples run."""
 
 import importlib.metadata
+import importlib.util
 import inspect
 import math
 import re
+import sys
 import textwrap
 from collections import Counter
 from pathlib import Path
@@ -140,40 +142,6 @@ def test_names_in_api_are_where_it_says():
             module = {m.__name__: m for m in modules}[name]
         elif re.fullmatch(r"    \w+", line):
             assert line.strip() in module.__all__
-
-
-def guide_of(effect):
-    """Entry of an effect in the guide, as its class has it."""
-    symbols = list(effect.parameters([1.0] * len(effect.coefficients)))
-    turning, sliding = (effect.parameter_units(p) for p in (False, True))
-    symbols += [
-        name for name in effect.shape() if turning.get(name, "") and name not in symbols
-    ]
-    told = []
-    for symbol in symbols:
-        units = dict.fromkeys(unit[symbol] for unit in (turning, sliding))
-        told.append(f"{symbol} [{' or '.join(unit or '-' for unit in units)}]")
-    lines = [
-        f"``{effect.name}``: {effect.label}",
-        rf"    .. math:: \tau = {effect.formula}",
-        "",
-        f"    :parameters: {', '.join(told)}",
-        f"    :visible if: {effect.visible}",
-        f"    :record next: {effect.record}",
-    ]
-    if effect.contains:
-        lines.append(f"    :contains: {', '.join(effect.contains)}")
-    return "\n".join(lines) + "\n"
-
-
-def test_every_effect_has_its_formula_in_the_guide():
-    text = read(DOCS / "effects.rst")
-    section = text[text.index("The library\n---") : text.index("One's own effect\n---")]
-    listed = re.findall(r"^``(\w+)``: ", section, flags=re.M)
-    assert listed == list(effects.available())
-    for effect in effects.resolve():
-        assert effect.formula, effect.name
-        assert guide_of(effect) + "\n" in section, guide_of(effect)
 
 
 def constants_of_the_loop():
@@ -326,6 +294,142 @@ def test_included_tables_exist():
         assert (DOCS / name).is_file()
 
 
+def test_links_of_the_readme_lead_to_files():
+    links = re.findall(r"\]\(([^)]+)\)", read(ROOT / "README.md"))
+    local = [link for link in links if not link.startswith("https://")]
+    assert "docs/images/residual.png" in local
+    for link in local:
+        assert (ROOT / link).is_file(), link
+
+
+def script(path, patch):
+    """Import a script of the documentation for as long as `patch` holds."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    # Data classes look their module up.
+    patch.setitem(sys.modules, path.stem, module)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    with pytest.MonkeyPatch.context() as patch:
+        yield script(DOCS / "_ext" / "recorded.py", patch)
+
+
+WRITTEN = """Of two robots.
+
+=======  ===========
+robot      error [%]
+=======  ===========
+one              1.5
+two, b
+=======  ===========
+
+Pooled: 1.5 %.
+"""
+
+
+def test_recorded_tables_are_read(recorded):
+    (table,) = recorded.tables_in(WRITTEN)
+    assert table.headers == ("robot", "error [%]")
+    assert table.rows == (("one", "1.5"), ("two, b", ""))
+    assert table.column("robot") == ("one", "two, b")
+    assert table.chosen(["error [%]"], ["one"]).rows == (("1.5",),)
+    assert recorded.paragraph_in(WRITTEN, "Pooled") == "Pooled: 1.5 %."
+
+
+def test_what_is_not_recorded_is_refused(recorded):
+    (table,) = recorded.tables_in(WRITTEN)
+    with pytest.raises(KeyError, match="no column 'seconds', there are robot, error"):
+        table.column("seconds")
+    with pytest.raises(KeyError, match=r"no rows \['three'\], there are one, two, b"):
+        table.chosen(rows=["three"])
+    with pytest.raises(ValueError, match="0 paragraphs begin with 'Mean'"):
+        recorded.paragraph_in(WRITTEN, "Mean")
+    with pytest.raises(ValueError, match="three lines of equals signs"):
+        recorded.tables_in("==  ==\na   b\n==  ==\n")
+
+
+def test_every_recorded_table_can_be_read(recorded):
+    for path in sorted((DOCS / "tables").glob("*.rst")):
+        assert recorded.tables_in(read(path)), path.name
+
+
+def test_evidence_shows_what_was_recorded(recorded):
+    text = read(DOCS / "evidence.rst")
+    shown = re.findall(r"\.\. recorded-table:: (\w+)\n((?:    :.*\n)*)", text)
+    assert len(shown) >= 6
+    for name, options in shown:
+        given = dict(re.findall(r":(\w+): (.*)", options))
+        parts = {
+            key: given[key].split(" | ") for key in ("columns", "rows") if key in given
+        }
+        table = recorded.tables_in(recorded.read(name))[0]
+        assert table.chosen(**parts).rows, name
+    for name, words in re.findall(
+        r"\.\. recorded-line:: (\w+)\n    :begins: (.*)", text
+    ):
+        assert recorded.paragraph_in(recorded.read(name), words)
+
+
+def test_growth_is_drawn_from_its_table(recorded, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    growth = script(DOCS / "images" / "growth.py", monkeypatch)
+    found = growth.figures_of(recorded.read("growth"))
+    axes = growth.draw(found).axes
+    (table, _, _) = recorded.tables_in(recorded.read("growth"))
+    (row,) = (row for row in table.rows if row[0] == "Ridge")
+    heights = [float(re.search(r"([\d.]+) s", cell)[1]) for cell in row[1:]]
+    drawn = [list(line.get_ydata()) for line in axes[0].lines]
+    assert heights in drawn
+    assert [len(axis.lines) for axis in axes] == [len(p.lines) for p in growth.PANELS]
+    assert found["joints"]["RobotIdentifier"].keys() == {1, 6, 12, 25}  # 50 was not run
+
+
+def test_picture_of_the_residual_is_of_what_was_found(monkeypatch):
+    pytest.importorskip("pinocchio")
+    pytest.importorskip("matplotlib")
+    residual = script(DOCS / "images" / "residual.py", monkeypatch)
+    recording = datasets.load_demo_recording()
+    loop = residual.identify(recording, recording.groups == 0)
+    before, after = residual.draw(recording, loop, recording.groups == 1).axes
+    left = [axis.lines[0].get_ydata().std() for axis in (before, after)]
+    assert left[1] < 0.25 * left[0]
+    # The law follows the points: its kink lies at no load.
+    line = before.lines[-1]
+    assert line.get_xdata()[1] == 0.0
+    size = recording.undeclared["load_friction"][1]
+    slope = (line.get_ydata()[2] - line.get_ydata()[1]) / line.get_xdata()[2]
+    assert slope == pytest.approx(size, rel=0.1)
+
+
+def test_first_page_shows_the_commands_of_the_readme():
+    text = read(DOCS / "index.rst")
+    block = re.search(r"\.\. code-block:: bash\n\n((?:    .*\n)+)", text)[1]
+    assert textwrap.dedent(block).splitlines() == SETUP[0].split(" && ")
+    assert "literalinclude:: ../README.md" in text
+    assert read(ROOT / "README.md").count("```text") == 1
+
+
+def test_every_page_is_in_one_menu():
+    listed = Counter()
+    for page in DOCS.rglob("*.rst"):
+        for block in re.findall(
+            r"\.\. toctree::\n(?:    :.*\n)*\n((?:    .*\n)+)", read(page)
+        ):
+            names = (
+                re.sub(r".*<(.*)>", r"\1", line).strip() for line in block.split("\n")
+            )
+            folder = page.parent.relative_to(DOCS)
+            listed.update((folder / name).as_posix() for name in names if name)
+    pages = {page.stem for page in DOCS.glob("*.rst")} - {"index"}
+    assert pages <= set(listed)
+    assert {name for name, count in listed.items() if count > 1} == set()
+
+
 @pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: page.name)
 def test_examples_run(page, tmp_path, monkeypatch):
     pytest.importorskip("pinocchio")
@@ -333,3 +437,13 @@ def test_examples_run(page, tmp_path, monkeypatch):
     namespace = {"__name__": "__main__"}
     for block in code_blocks(page):
         exec(compile(block, str(page), "exec"), namespace)
+
+
+def test_examples_that_come_first_exist(monkeypatch):
+    order = script(DOCS / "_ext" / "gallery_order.py", monkeypatch)
+    there = [path.name for path in (ROOT / "examples").rglob("plot_*.py")]
+    assert set(order.FIRST) <= set(there)
+    key = order.MostWantedFirst("examples")
+    assert sorted([*there, "plot_another.py"], key=key)[: len(order.FIRST)] == list(
+        order.FIRST
+    )

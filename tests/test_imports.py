@@ -110,7 +110,7 @@ ROOMS = (
 # Rooms that stay apart although the order would allow it.
 APART = {
     "effects": set(),
-    "physical": {"_core"},
+    "physical": {"_core", "effects"},
     "regression": {"_core"},
     "model": {"physical"},
     "recording": {"model"},

@@ -101,15 +101,25 @@ figures = {
 # Figures 6, 7 and 8
 # ------------------
 
-labels = ["position [rad]", "velocity [rad/s]", "feedback [N m]"]
-fig, axes = plt.subplots(1, 3, figsize=(10, 3.6), layout="constrained")
+colors = {"VB": "black"}
+fig, axes = plt.subplots(1, 3, figsize=(9, 2.9), sharey=True, layout="constrained")
+labels = ["position error [rad]", "velocity error [rad/s]", "feedback [N m]"]
 for k, (ax, label) in enumerate(zip(axes, labels)):
-    heights = [averages[k] for averages in figures.values()]
+    lengths = np.array([averages[k] for averages in figures.values()])
+    bars = ax.barh(
+        list(figures),
+        np.nan_to_num(lengths),
+        color=[colors.get(name, "0.75") for name in figures],
+    )
     # A robot that had to be stopped has no bar, as in the paper.
-    bars = ["black" if name == "VB" else "0.7" for name in figures]
-    ax.bar(list(figures), np.nan_to_num(heights), color=bars)
-    ax.set_title(f"Fig. {6 + k}: {label}")
-    ax.tick_params(axis="x", rotation=45)
+    texts = [f"{x:#.2g}" if np.isfinite(x) else "stopped" for x in lengths]
+    ax.bar_label(bars, texts, padding=4)
+    ax.set_title(f"Fig. {6 + k}: {label}", fontsize=10)
+    ax.set_xticks([])
+    ax.margins(x=0.2)
+    ax.spines[["top", "right", "bottom"]].set_visible(False)
+axes[0].invert_yaxis()
+fig.suptitle("With smooth inputs the methods are equal", weight="bold")
 plt.show()
 
 # %%

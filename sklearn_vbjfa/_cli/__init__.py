@@ -1,6 +1,7 @@
 """Command line: close the loop, simulate, compare methods, list effects and sets."""
 
 import argparse
+import contextlib
 import os
 import shlex
 import shutil
@@ -8,7 +9,13 @@ import signal
 import sys
 import textwrap
 
-from sklearn_vbjfa._cli._stopping import Stopped, open_streams, stoppable, stopped_by
+from sklearn_vbjfa._cli._stopping import (
+    Stopped,
+    ignore_stops,
+    open_streams,
+    stoppable,
+    stopped_by,
+)
 
 # Longest message [characters].
 _LONGEST = 900
@@ -45,19 +52,27 @@ def main(argv=None):
     except (KeyboardInterrupt, Stopped) as stop:
         return _tell_stop(getattr(stop, "number", signal.SIGINT), arguments)
     except MemoryError:
-        print(
-            "sklearn-vbjfa: not enough memory; give a shorter recording or fewer "
-            "effects (--effects)",
-            file=sys.stderr,
+        _tell(
+            "not enough memory; give a shorter recording or fewer effects (--effects)"
         )
         return 2
     except (ValueError, OSError, ImportError) as error:
         if stopped_by() is not None:
             return _tell_stop(stopped_by(), arguments)
-        line = one_line(getattr(error, "reason", error))
+        line = one_line(_in_words(error, arguments))
         _say(line, _command(argv, getattr(error, "options", None)))
         return 2
     return 0
+
+
+def _in_words(error, arguments):
+    """Return what a refusal says, without what only concerns callers of a function."""
+    if isinstance(error, OSError) and error.strerror:
+        # Writing to a stream names no file.
+        what = error.filename or "the standard output"
+        done = arguments is not None and arguments.written
+        return f"{what}: {error.strerror}{'; all files were written' if done else ''}"
+    return getattr(error, "reason", error)
 
 
 # Options of the command line, by the arguments of `read_recording`.
@@ -65,6 +80,7 @@ _OPTIONS = {
     "columns": "--columns",
     "gains": "--gain",
     "joint_names": "--joints",
+    "out": "--out",
     "preset": "--preset",
     "time_unit": "--time-unit",
     "topic": "--topic",
@@ -84,7 +100,10 @@ def _command(argv, options):
         elif "=" not in str(word):
             next(given, None)
     for option, value in changed.items():
-        words += [option, value]
+        if isinstance(value, tuple):
+            value = ",".join(x if isinstance(x, str) else f"{x:.15g}" for x in value)
+        if value is not None:
+            words += [option, value]
     return f"python -m sklearn_vbjfa {shlex.join(words)}"
 
 
@@ -94,11 +113,7 @@ def _tell_stop(number, arguments):
     how = "interrupted" if number == signal.SIGINT else f"stopped ({name})"
     written = arguments is not None and arguments.written
     _clear_progress()
-    print(
-        f"sklearn-vbjfa: {how}, {'all files were' if written else 'nothing was'} "
-        "written",
-        file=sys.stderr,
-    )
+    _tell(f"{how}, {'all files were' if written else 'nothing was'} written")
     return 128 + number
 
 
@@ -115,11 +130,10 @@ def program():
         return main()
     except KeyboardInterrupt:
         # Before or after a run takes care of it.
-        print("sklearn-vbjfa: interrupted", file=sys.stderr)
+        _tell("interrupted")
         return 128 + signal.SIGINT
     finally:
-        # What is left is to end.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        ignore_stops()
 
 
 def _arguments(argv):
@@ -143,16 +157,24 @@ def _no_more_output():
 
 def _say(message, command=""):
     """Print a refusal: one line, which a terminal gets wrapped but for a command."""
-    text = f"sklearn-vbjfa: {message}"
     if command:
-        text += "; this would work:"
+        message += "; this would work:"
     if sys.stderr is not None and sys.stderr.isatty():
         width = max(shutil.get_terminal_size().columns, 40)
-        lines = [textwrap.fill(text, width, break_on_hyphens=False), command]
-        text = "\n".join(filter(None, lines))
+        name = "sklearn-vbjfa: "
+        lines = textwrap.fill(
+            message, width, initial_indent=name, break_on_hyphens=False
+        )
+        message = "\n".join(filter(None, [lines.removeprefix(name), command]))
     elif command:
-        text += f" {command}"
-    print(text, file=sys.stderr)
+        message += f" {command}"
+    _tell(message)
+
+
+def _tell(message):
+    """Print a message to stderr; one that nobody can read is no error of its own."""
+    with contextlib.suppress(OSError):
+        print(f"sklearn-vbjfa: {message}", file=sys.stderr, flush=True)
 
 
 def one_line(message):
@@ -160,7 +182,8 @@ def one_line(message):
     text = " ".join(str(message).split())
     if len(text) > _LONGEST:
         left = len(text) - _LONGEST
-        text = f"{text[:-300][: _LONGEST - 300]} ({left} characters) {text[-300:]}"
+        begin, end = text[: _LONGEST - 300], text[-300:]
+        text = f"{begin} (and {left} characters more) {end}"
     return text
 
 
@@ -191,25 +214,7 @@ def _parser():
     _close_loop.add_to(commands)
     _inspect.add_to(commands)
     _simulate.add_to(commands)
-    identify = commands.add_parser(
-        "identify",
-        help="identify a measured set and compare methods on its held-out part",
-        description="Identify a recording and compare methods on its held-out part.",
-    )
-    identify.add_argument(
-        "--data",
-        default="demo",
-        metavar="NAME",
-        help="demo (default) or a measured set; see the command datasets",
-    )
-    identify.add_argument(
-        "--data-home",
-        default=None,
-        metavar="DIR",
-        help="folder of the measured sets, by default scikit-learn's data folder; "
-        "missing files are downloaded to it",
-    )
-    identify.set_defaults(run=_identify.run)
+    _identify.add_to(commands)
     effects = commands.add_parser("effects", help="list the library of effects")
     effects.set_defaults(run=_effects)
     datasets = commands.add_parser("datasets", help="list the measured sets")

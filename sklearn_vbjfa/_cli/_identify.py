@@ -1,31 +1,140 @@
 """The command ``identify``: held-out errors of several methods on one recording."""
 
 import sys
+import tempfile
 import warnings
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli import _input, _options
+
+# What is identified of a recording of one's own, where no option says so.
+_DEFAULTS = {"friction": "viscous,coulomb", "cutoff": "auto"}
+_OF_RECORDING = (*_options.OF_READING, *_DEFAULTS, "urdf")
+_OF_SETS = ("data", "data_home")
+
+
+def add_to(commands):
+    """Add the command to a parser."""
+    parser = commands.add_parser(
+        "identify",
+        help="identify a recording and compare methods on its held-out part",
+        description="Identify a recording and compare the torque errors of fourteen "
+        "methods on the part of it that was held out: of your own recording the last "
+        "30 % (of each, if it holds several). Without RECORDING, the one that comes "
+        "with the package, or a measured set. Nothing is written.",
+    )
+    _options.add_optional_file(parser)
+    parser.add_argument(
+        "--data",
+        default=None,
+        metavar="NAME",
+        help="demo (default) or a measured set; see the command datasets",
+    )
+    parser.add_argument(
+        "--data-home",
+        default=None,
+        metavar="DIR",
+        help="folder of the measured sets, by default scikit-learn's data folder; "
+        "missing files are downloaded to it",
+    )
+    _options.add_recording(parser, signals=False)
+    _options.add_friction(parser)
+    _options.add_cutoff(parser)
+    parser.set_defaults(run=run, **dict.fromkeys(_DEFAULTS))
 
 
 def run(arguments):
     """Identify a recording and compare methods on its held-out part."""
-    from sklearn_vbjfa import RobotIdentifier
-    from sklearn_vbjfa.datasets._catalogue import protocols
     from sklearn_vbjfa.robot._comparison import compare_methods
 
-    known = protocols()
-    if arguments.data not in known:
-        raise ValueError(
-            f"no recording is called {arguments.data!r}; expected one of "
-            f"{', '.join(known)}."
+    _check(arguments)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        warnings.catch_warnings(record=True) as caught,
+    ):
+        warnings.simplefilter("always")
+        if arguments.recording is None:
+            task = _of_catalogue(arguments)
+        else:
+            task = _own(arguments, Path(folder))
+        train, test = task.protocol.split(task.recording)
+        try:
+            results, fitted = compare_methods(
+                task.identifier,
+                _part(task.recording, train),
+                _part(task.recording, test),
+                on_progress=_progress(),
+            )
+        except ValueError as error:
+            if arguments.recording is None:
+                raise
+            # The options are valid, so the recording is at fault.
+            raise ValueError(f"{arguments.recording}: {error}") from error
+    print(_report(task, results, fitted))
+    say_warnings(caught)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Task:
+    """What is identified.
+
+    Attributes
+    ----------
+    recording : Recording
+        Recording.
+    protocol : Protocol
+        What of it is fitted, and what is held out.
+    identifier : RobotIdentifier
+        Settings that all methods share.
+    held : tuple of str
+        Joints of the description that were not recorded.
+    """
+
+    recording: object
+    protocol: object
+    identifier: object
+    held: tuple = ()
+
+
+def _check(arguments):
+    """Refuse options that do not go together, and fill in the others."""
+    if arguments.recording is None:
+        _options.refuse_given(
+            arguments,
+            _OF_RECORDING,
+            "needs a RECORDING; without one, a measured set is identified (--data), by "
+            "default the recording that comes with the package",
         )
-    protocol = known[arguments.data]
-    if arguments.data == "demo":
+    else:
+        _options.refuse_given(
+            arguments, _OF_SETS, "is for the measured sets; leave it or RECORDING out"
+        )
+        if arguments.urdf is None:
+            raise ValueError("give --urdf FILE, the description of the robot.")
+    for name, value in _DEFAULTS.items():
+        if getattr(arguments, name) is None:
+            setattr(arguments, name, value)
+
+
+def _of_catalogue(arguments):
+    """Load a measured set, or the recording that comes with the package."""
+    from sklearn_vbjfa import RobotIdentifier
+    from sklearn_vbjfa.datasets._catalogue import protocols
+
+    known, name = protocols(), arguments.data or "demo"
+    if name not in known:
+        raise ValueError(
+            f"no recording is called {name!r}; expected one of {', '.join(known)}."
+        )
+    protocol = known[name]
+    if name == "demo":
         recording = protocol.load()
     else:
-        recording = protocol.load(data_home=arguments.data_home)
-    train, test = protocol.split(recording)
+        home = arguments.data_home
+        recording = protocol.load(data_home=home and _input.path(home))
     identifier = RobotIdentifier(
         recording.robot_model(),
         dt=recording.dt,
@@ -33,16 +142,37 @@ def run(arguments):
         cutoff=protocol.cutoff,
         standstill=protocol.standstill,
     )
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        results, fitted = compare_methods(
-            identifier,
-            _part(recording, train),
-            _part(recording, test),
-            on_progress=_progress(),
-        )
-    print(_report(recording, protocol, results, fitted))
-    say_warnings(caught)
+    return _Task(recording=recording, protocol=protocol, identifier=identifier)
+
+
+def _own(arguments, folder):
+    """Read a recording of one's own."""
+    from sklearn_vbjfa import RobotIdentifier
+    from sklearn_vbjfa.datasets._catalogue import Protocol
+    from sklearn_vbjfa.effects import _declared
+
+    source = _input.path(arguments.recording)
+    friction = _input.names("--friction", arguments.friction, _declared.available())
+    cutoff = _input.cutoff(arguments.cutoff)
+    gains = _input.gains(arguments.gain)
+    taken = _input.taken(arguments, gains, folder)
+    _input.check_nyquist(cutoff, taken.recording, source)
+    _input.check_gains(gains, None, taken.urdf)
+    _input.check_channels(taken.recording, taken.urdf, source)
+    identifier = RobotIdentifier(
+        str(taken.urdf),
+        dt=taken.recording.dt,
+        friction=friction,
+        cutoff=cutoff,
+        torque_noise=taken.recording.torque_noise,
+        gains="unknown" if gains == "unknown" else None,
+    )
+    return _Task(
+        recording=taken.recording,
+        protocol=Protocol(friction=friction, cutoff=cutoff),
+        identifier=identifier,
+        held=taken.held,
+    )
 
 
 def _part(recording, rows):
@@ -83,9 +213,10 @@ def told(caught):
     )
 
 
-def _report(recording, protocol, results, fitted):
+def _report(task, results, fitted):
     from tabulate import tabulate
 
+    recording, protocol = task.recording, task.protocol
     names = fitted.joint_names_
     percent = [
         [result.name, *(100 * result.error), _overall(result)] for result in results
@@ -103,13 +234,17 @@ def _report(recording, protocol, results, fitted):
     )
     lines = [
         f"{recording}",
-        f"{protocol.describe(recording)}; {cutoff}, standstill masked; friction: "
-        f"{', '.join(protocol.friction)}",
+        _input.wrapped(
+            f"{protocol.describe(recording)}; {cutoff}, standstill masked; friction: "
+            f"{', '.join(protocol.friction) or 'none'}",
+            sys.stdout,
+        ),
+        *([f"held at zero: {', '.join(task.held)}"] if task.held else []),
         "",
         "held-out torque error [% of the torque's standard deviation]",
         table,
         "",
-        _consistency(results, len(names)),
+        _input.wrapped(_consistency(results, len(names)), sys.stdout),
     ]
     failed = [f"{r.name} failed: {r.message}" for r in results if r.message]
     return "\n".join(lines + failed)

@@ -12,6 +12,7 @@ import shutil
 import sys
 import tempfile
 import textwrap
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +21,48 @@ import numpy as np
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # Fewer consecutive samples show nothing.
 _MIN_SAMPLES = 64
+
+
+class Refused(ValueError):
+    """An argument in whose place another would do.
+
+    Attributes
+    ----------
+    options : dict of str to str
+        What would do, by the names that a command is made of.
+    """
+
+    def __init__(self, reason, options):
+        super().__init__(reason)
+        self.options = options
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Taken:
+    """A recording of one's own and its robot.
+
+    Attributes
+    ----------
+    recording : Recording
+        Recording.
+    urdf : Path
+        Description in which the joints that were not recorded are fixed.
+    held : tuple of str
+        Those joints.
+    """
+
+    recording: object
+    urdf: Path
+    held: tuple
+
+
+def taken(arguments, gains, folder):
+    """Read a recording and its robot; what is written of the robot goes to `folder`."""
+    urdf, joints = path(arguments.urdf), joint_names(arguments.joints)
+    urdf, held = robot(urdf, joints, folder)
+    recording = read(arguments, urdf, joints, gains)
+    urdf, held = hold_others(urdf, recording, held, folder)
+    return Taken(recording=recording, urdf=urdf, held=tuple(held))
 
 
 def robot(urdf, joints, folder):
@@ -88,8 +131,11 @@ def _parser_messages(said):
             said += dict.fromkeys(errors)
 
 
-def read(arguments, urdf, joints, gains):
-    """Read a recording that is long enough."""
+def read(arguments, urdf, joints, gains, *, identified=True):
+    """Read a recording that is long enough.
+
+    identified : whether gains that are unknown can be identified.
+    """
     from sklearn_vbjfa.datasets import read_recording
     from sklearn_vbjfa.recording._refusal import RecordingRefused
 
@@ -107,7 +153,7 @@ def read(arguments, urdf, joints, gains):
     )
     motor = [x for x in recording.torque_units if x not in ("N m", "N")]
     if motor and gains is None:
-        one = recording.nv == 1
+        one = recording.nv == 1 or not identified
         raise RecordingRefused(
             f"{source}: the torques are recorded in {motor[0]}; give the factors to N "
             "m, torque constant times gear ratio, one for each of "
@@ -152,6 +198,16 @@ def other_joints(urdf, held):
     if follow:
         lines.append(f"follow other joints, without columns: {', '.join(follow)}")
     return lines
+
+
+def check_channels(recording, urdf, source):
+    """Refuse channels that cannot be what their names say."""
+    from sklearn_vbjfa.inspection import inspect_recording
+
+    findings = inspect_recording(recording, urdf)
+    errors = [found.message for found in findings if found.severity == "error"]
+    if errors:
+        raise ValueError(f"{source}: {' '.join(errors)}")
 
 
 def signals(text, recording, source):
@@ -218,10 +274,10 @@ def check_overwriting(out, names, inputs, endings=()):
     for name in names:
         for given in inputs:
             if (out / name).exists() and given.exists() and given.samefile(out / name):
-                raise ValueError(
+                raise Refused(
                     f"{given} is read by this run, which would write over it; give "
-                    f"another folder, such as --out {_beside(out)}, or --force to "
-                    "lose it."
+                    "another folder, or --force to lose it",
+                    {"out": str(_beside(out))},
                 )
     # Hidden files are those of folders and editors.
     held = {p.name for p in out.iterdir() if not p.name.startswith(".")}
@@ -231,17 +287,22 @@ def check_overwriting(out, names, inputs, endings=()):
     )
     if foreign:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
-        raise ValueError(
+        raise Refused(
             f"{out} holds {', '.join(foreign[:3])}{more}, which no run has written; "
-            f"give a folder of its own, such as --out {_beside(out)}, or --force to "
-            "write beside what is there."
+            "give a folder of its own, or --force to write beside what is there",
+            {"out": str(_beside(out))},
         )
 
 
 def _beside(out):
     """Name a folder in it that does not exist, for a message."""
-    names = itertools.chain(["report"], (f"report-{k}" for k in itertools.count(2)))
-    return next(out / name for name in names if not (out / name).exists())
+    return _free(out / "report")
+
+
+def _free(folder):
+    """Return a path, with a number behind it if there is something already."""
+    more = (folder.with_name(f"{folder.name}-{k}") for k in itertools.count(2))
+    return next(x for x in itertools.chain([folder], more) if not x.exists())
 
 
 def check_folder(out):
@@ -249,9 +310,10 @@ def check_folder(out):
     for folder in (out, *out.parents):
         if folder.exists():
             if not folder.is_dir():
-                raise ValueError(
-                    f"{folder} is a file; --out must name a folder, such as "
-                    f"{folder.with_name(f'{folder.stem}-report')}."
+                other = _free(folder.with_name(f"{folder.stem}-report"))
+                raise Refused(
+                    f"{folder} is a file, where --out must name a folder",
+                    {"out": str(other)},
                 )
             if not os.access(folder, os.W_OK):
                 raise ValueError(f"{folder} cannot be written to; give another --out.")

@@ -1,5 +1,6 @@
 """The command ``inspect``: what a recording is, and what it can show."""
 
+import sys
 import tempfile
 import warnings
 from pathlib import Path
@@ -28,22 +29,20 @@ def run(arguments):
     """Read a recording and describe it."""
     from sklearn_vbjfa.inspection import inspect_recording, motion_of
 
-    source, urdf = arguments.recording, _input.path(arguments.urdf)
-    joints = _input.joint_names(arguments.joints)
+    source = arguments.recording
     gains = _input.gains(arguments.gain)
     with (
         tempfile.TemporaryDirectory() as folder,
         warnings.catch_warnings(record=True) as caught,
     ):
         warnings.simplefilter("always")
-        urdf, held = _input.robot(urdf, joints, Path(folder))
         # A current is as good as a torque here: nothing is identified.
-        recording = _input.read(arguments, urdf, joints, gains or "unknown")
-        urdf, held = _input.hold_others(urdf, recording, held, Path(folder))
+        taken = _input.taken(arguments, gains or "unknown", Path(folder))
+        recording, urdf = taken.recording, str(taken.urdf)
         _input.signals(arguments.signals, recording, source)
-        findings = inspect_recording(recording, str(urdf))
-        motions = motion_of(recording, str(urdf))
-        others = _input.other_joints(urdf, held)
+        findings = inspect_recording(recording, urdf)
+        motions = motion_of(recording, urdf)
+        others = _input.other_joints(urdf, taken.held)
     text = [*_what(recording, others), "", *_table(recording, motions), ""]
     print("\n".join([*text, *_wrong(recording, findings), "", *_shown(motions)]))
     say_warnings(caught)
@@ -55,11 +54,13 @@ def _what(recording, others):
     listed = [
         f"{name} {length:.4g} s" for name, length in zip(recording.group_names, lengths)
     ]
-    more = ", ..." if len(listed) > 8 else ""
     lines = [
         str(recording),
-        f"{recording.n_samples * recording.dt:.4g} s at {1 / recording.dt:.6g} Hz: "
-        f"{', '.join(listed[:8])}{more}",
+        _input.wrapped(
+            f"{recording.n_samples * recording.dt:.4g} s at {1 / recording.dt:.6g} Hz: "
+            f"{', '.join(listed)}",
+            sys.stdout,
+        ),
     ]
     if recording.signals:
         names = [name for name in recording.signals if name != "a"]

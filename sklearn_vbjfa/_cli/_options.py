@@ -1,5 +1,8 @@
 """Options that commands for a recording of one's own have in common."""
 
+# Options that say how a recording is read, by their names in the arguments.
+OF_READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
+
 # What a recording may be, for the help.
 RECORDING = (
     "CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with columns "
@@ -24,8 +27,21 @@ def add_file(parser):
     )
 
 
-def add_recording(parser):
-    """Add the options that say how a recording is read."""
+def add_optional_file(parser):
+    """Add the recording and the robot, which some runs go without."""
+    parser.add_argument(
+        "recording", nargs="?", default=None, metavar="RECORDING", help=RECORDING
+    )
+    parser.add_argument(
+        "--urdf",
+        default=None,
+        metavar="FILE",
+        help="description of the robot, URDF or MJCF",
+    )
+
+
+def add_recording(parser, *, signals=True):
+    """Add the options that say how a recording is read, and what is read beside it."""
     parser.add_argument(
         "--joints",
         default=None,
@@ -72,6 +88,8 @@ def add_recording(parser):
         "joint, such as 8,8,5; or unknown: they are proportional to the torques (motor "
         "currents), and the factors are identified relative to one of them",
     )
+    if not signals:
+        return
     parser.add_argument(
         "--signals",
         default=None,
@@ -83,13 +101,7 @@ def add_recording(parser):
 
 def add_model(parser):
     """Add the options that say what is identified."""
-    parser.add_argument(
-        "--friction",
-        default="viscous,coulomb",
-        metavar="NAMES",
-        help="friction of the declared model: none, or any of viscous,coulomb,offset,"
-        "rotor_inertia; by default viscous,coulomb",
-    )
+    add_friction(parser)
     parser.add_argument(
         "--known-mass",
         action="append",
@@ -99,6 +111,22 @@ def add_model(parser):
         "what is fixed to it, or payload=KG of what is picked up or put down; may be "
         "repeated",
     )
+    add_cutoff(parser)
+
+
+def add_friction(parser):
+    """Add the friction of the declared model."""
+    parser.add_argument(
+        "--friction",
+        default="viscous,coulomb",
+        metavar="NAMES",
+        help="friction of the declared model: none, or any of viscous,coulomb,offset,"
+        "rotor_inertia; by default viscous,coulomb",
+    )
+
+
+def add_cutoff(parser):
+    """Add the cut-off of the low-pass."""
     parser.add_argument(
         "--cutoff",
         default="auto",
@@ -121,3 +149,15 @@ def add_out(parser, ending):
         action="store_true",
         help="write to --out even if it holds files of others, or an input of this run",
     )
+
+
+def refuse_given(arguments, names, why):
+    """Refuse the first of some options that is given."""
+    for name in names:
+        if getattr(arguments, name) not in (None, []):
+            raise ValueError(f"{spelled(name)} {why}.")
+
+
+def spelled(name):
+    """Return an option as it is typed."""
+    return f"--{name.replace('_', '-')}"

@@ -28,8 +28,8 @@ _SHARE = 0.7
 _JITTER = 0.01
 # Options of an identification, and what they are where none is given.
 _DEFAULTS = {"friction": "viscous,coulomb", "effects": "none", "cutoff": "auto"}
-_OF_IDENTIFICATION = ("urdf", *_DEFAULTS, "gain", "known_mass")
-_OF_RECORDING = ("urdf", "model", "joints", "dt", "signals")
+_OF_IDENTIFICATION = ("urdf", *_DEFAULTS, "known_mass")
+_OF_RECORDING = (*_options.OF_READING, "urdf", "model", "signals")
 
 
 def add_to(commands):
@@ -44,19 +44,7 @@ def add_to(commands):
         "RECORDING, the one that comes with the package. Writes simulation.csv and, "
         "with matplotlib, a picture of each recording.",
     )
-    parser.add_argument(
-        "recording",
-        nargs="?",
-        default=None,
-        metavar="RECORDING",
-        help=_options.RECORDING,
-    )
-    parser.add_argument(
-        "--urdf",
-        default=None,
-        metavar="FILE",
-        help="description of the robot, URDF or MJCF",
-    )
+    _options.add_optional_file(parser)
     parser.add_argument(
         "--model",
         default=None,
@@ -183,30 +171,25 @@ def _say_no_pictures():
 
 def _check(arguments):
     """Refuse options that do not go together, and fill in the others."""
-    given = {
-        name
-        for name in (*_OF_IDENTIFICATION, *_OF_RECORDING)
-        if getattr(arguments, name) not in (None, [])
-    }
     if arguments.recording is None:
-        for name in _OF_RECORDING:
-            if name in given:
-                raise ValueError(
-                    f"{_option(name)} needs a RECORDING; without one, the recording "
-                    "that comes with the package is simulated."
-                )
+        _options.refuse_given(
+            arguments,
+            _OF_RECORDING,
+            "needs a RECORDING; without one, the recording that comes with the package "
+            "is simulated",
+        )
     elif arguments.model is None and arguments.urdf is None:
         raise ValueError(
             "give --urdf FILE, the description of the robot, or --model FILE, an "
             "identified robot."
         )
     if arguments.model is not None:
-        for name in _OF_IDENTIFICATION:
-            if name in given:
-                raise ValueError(
-                    f"{_option(name)} belongs to an identification, and the robot of "
-                    "--model is identified; give one of the two."
-                )
+        _options.refuse_given(
+            arguments,
+            _OF_IDENTIFICATION,
+            "belongs to an identification, and the robot of --model is identified; "
+            "give one of the two",
+        )
     if not 0 < arguments.window < np.inf:
         raise ValueError(
             f"--window must be a positive number of seconds; got {arguments.window:g}."
@@ -214,10 +197,6 @@ def _check(arguments):
     for name, value in _DEFAULTS.items():
         if getattr(arguments, name) is None:
             setattr(arguments, name, value)
-
-
-def _option(name):
-    return f"--{name.replace('_', '-')}"
 
 
 # -- robots ----------------------------------------------------------------------------
@@ -244,18 +223,15 @@ def _saved(arguments, source, folder):
         )
     urdf = folder / "robot.urdf"
     urdf.write_text(robot.description_, encoding="utf-8")
-    gains = _input.gains(arguments.gain)
-    if gains is None and robot.gains_ is not None:
-        # Its torques are what the channels read.
-        gains = "unknown"
-    recording = _input.read(arguments, urdf, joints or names, gains)
+    gains = _saved_gains(arguments, robot)
+    recording = _input.read(arguments, urdf, joints or names, gains, identified=False)
     if robot.dt is not None and abs(recording.dt - robot.dt) > _JITTER * robot.dt:
         raise ValueError(
             f"{source}: is sampled every {recording.dt:.6g} s, and {arguments.model} "
             f"was identified at {robot.dt:.6g} s; resample the recording to that "
             "period, or identify from this one."
         )
-    _check_channels(recording, urdf, source)
+    _input.check_channels(recording, urdf, source)
     effects = ", ".join(
         f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
     )
@@ -266,6 +242,24 @@ def _saved(arguments, source, folder):
         signals=_input.signals(arguments.signals, recording, source),
         told=f"model: {arguments.model}, effects: {effects or 'none'}",
     )
+
+
+def _saved_gains(arguments, robot):
+    """Return the gains of a recording for a saved robot, "unknown" for its own."""
+    gains = _input.gains(arguments.gain)
+    if robot.gains_ is None:
+        if gains == "unknown":
+            raise ValueError(
+                f"--gain unknown belongs to an identification, and {arguments.model} "
+                "was identified from torques in N m or N; give the factors to them."
+            )
+        return gains
+    if gains not in (None, "unknown"):
+        raise ValueError(
+            f"{arguments.model} was identified with unknown gains, so that its torques "
+            "are what the channels read; leave --gain out."
+        )
+    return "unknown"
 
 
 def _identified(arguments, source, folder):
@@ -280,7 +274,6 @@ def _identified(arguments, source, folder):
     if library != "all":
         library = _input.names("--effects", library, effects.available())
     cutoff = _input.cutoff(arguments.cutoff)
-    joints = _input.joint_names(arguments.joints)
     gains = _input.gains(arguments.gain)
     masses = _input.known_masses(arguments.known_mass, gains)
     signals, held = None, ()
@@ -288,10 +281,9 @@ def _identified(arguments, source, folder):
         recording = load_demo_recording()
         urdf = recording.urdf
     else:
-        urdf, held = _input.robot(_input.path(arguments.urdf), joints, folder)
-        recording = _input.read(arguments, urdf, joints, gains)
-        urdf, held = _input.hold_others(urdf, recording, held, folder)
-        _check_channels(recording, urdf, source)
+        taken = _input.taken(arguments, gains, folder)
+        recording, urdf, held = taken.recording, taken.urdf, taken.held
+        _input.check_channels(recording, urdf, source)
         signals = _input.signals(arguments.signals, recording, source)
     _input.check_nyquist(cutoff, recording, source)
     _input.check_gains(gains, masses, urdf)
@@ -327,16 +319,6 @@ def _identified(arguments, source, folder):
         signals=_at(signals, rest),
         told=told,
     )
-
-
-def _check_channels(recording, urdf, source):
-    """Refuse channels that cannot be what their names say."""
-    from sklearn_vbjfa.inspection import inspect_recording
-
-    findings = inspect_recording(recording, urdf)
-    errors = [found.message for found in findings if found.severity == "error"]
-    if errors:
-        raise ValueError(f"{source}: {' '.join(errors)}")
 
 
 def _robots(recording, urdf, library, known, settings):

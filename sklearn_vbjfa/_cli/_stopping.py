@@ -71,6 +71,12 @@ def stoppable():
     return _handlers(_stop)
 
 
+def ignore_stops():
+    """Let a process that has done its work end in peace."""
+    for number in _STOPS:
+        signal.signal(number, signal.SIG_IGN)
+
+
 @contextlib.contextmanager
 def undisturbed():
     """Postpone signals until a few files are written."""

@@ -211,7 +211,11 @@ class TorqueFilter(Effect):
 
     name = "torque_filter"
     label = "filter of the torque signal"
-    formula = r"F_T\,\tau - \tau"
+    formula = (
+        r"F\,\tau - \tau, \quad"
+        r" F(\omega) = \frac{1}{1 + i\,\omega\,\mathrm{time\_constant}}"
+        r" \quad\text{or}\quad e^{-(\omega\,\mathrm{time\_constant})^2 / 2}"
+    )
     coefficients = ("time_constant_estimate",)
     units = (TIME,)
     named_units = (("time_constant", TIME), ("cutoff", ("Hz", "Hz")))

@@ -290,7 +290,10 @@ class LoadFriction(_Smoothed):
 
     name = "load_friction"
     label = "load-dependent friction"
-    formula = r"\mu\,|\tau_\mathrm{load}|\,\mathrm{sign}(v)"
+    formula = (
+        r"\mu\,|\tau_\mathrm{load}|\,\mathrm{sign}(v) \quad\text{or}\quad"
+        r" \mu\,|\tau_\mathrm{load}| \tanh(v / \mathrm{smoothing})"
+    )
     coefficients = ("mu",)
     nonnegative = ("mu",)
     units = (("", ""),)

@@ -31,19 +31,6 @@ _MOST_JOINTS = 200
 _AXIAL = ("revolute", "continuous", "prismatic")
 _MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
 
-INERTIAL_NAMES = (
-    "m",
-    "mc_x",
-    "mc_y",
-    "mc_z",
-    "I_xx",
-    "I_xy",
-    "I_yy",
-    "I_xz",
-    "I_yz",
-    "I_zz",
-)
-
 
 def load_model(model):
     """Return a pinocchio model whose joints all have one degree of freedom.

@@ -6,11 +6,16 @@ from numbers import Integral
 
 import numpy as np
 
-from sklearn_vbjfa.physical._pseudo_inertia import N_INERTIAL
+from sklearn_vbjfa.effects import _declared
+from sklearn_vbjfa.physical._pseudo_inertia import INERTIAL_NAMES, N_INERTIAL
 
 # The paper's layout, and this package's default friction: ten inertial parameters and
 # the viscous friction of the joint.
 _PAPER_WIDTH = 11
+_HOW_TO_NAME = (
+    "name the columns, as data frames of RigidBodyFeatures do "
+    '(set_output(transform="pandas")) and parameter_names does'
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +43,12 @@ class ParameterLayout:
 
 
 def resolve_layout(
-    n_features, *, parameters_per_joint="auto", body_starts=None, nonnegative="auto"
+    n_features,
+    *,
+    parameters_per_joint="auto",
+    body_starts=None,
+    nonnegative="auto",
+    parameter_names=None,
 ):
     """Find the bodies and the non-negative columns of a parameter vector.
 
@@ -52,6 +62,8 @@ def resolve_layout(
         See :class:`PhysicalProjector`.
     nonnegative : "auto", array-like of int or of bool, default="auto"
         See :class:`PhysicalProjector`.
+    parameter_names : array-like of str of shape (n_features,) or None, default=None
+        See :class:`PhysicalProjector`.
 
     Returns
     -------
@@ -62,7 +74,8 @@ def resolve_layout(
     ------
     ValueError
         If the columns are not a whole number of joints, bodies overlap or leave the
-        vector, a non-negative column belongs to a body, or "auto" cannot know.
+        vector, a non-negative column belongs to a body, the names tear a body apart,
+        or "auto" cannot know.
 
     Warns
     -----
@@ -77,25 +90,32 @@ def resolve_layout(
     >>> layout.body_starts, layout.nonnegative
     (array([ 0, 12]), array([10, 11, 22]))
     """
+    names = _check_names(parameter_names, n_features)
+    named = None if names is None else _named_bodies(names)
+    width = None
     if body_starts is not None:
         starts = _check_body_starts(body_starts, n_features)
-        width = None
+    elif named is not None and _is_auto(parameters_per_joint):
+        starts = named
     else:
         width = _check_width(parameters_per_joint, n_features)
         starts = np.arange(0, n_features - width + 1, width)
     in_body = np.zeros(n_features, dtype=bool)
     in_body[starts[:, None] + np.arange(N_INERTIAL)] = True
 
-    if isinstance(nonnegative, str) and nonnegative == "auto":
-        if width == _PAPER_WIDTH or not starts.size or in_body.all():
+    if _is_auto(nonnegative):
+        if named is not None:
+            signs = np.array([_is_nonnegative(name) for name in names])
+            kept = np.flatnonzero(signs & ~in_body)
+        elif width == _PAPER_WIDTH or not starts.size or in_body.all():
             kept = np.flatnonzero(~in_body) if starts.size else np.array([], dtype=int)
         else:
             raise ValueError(
                 'nonnegative="auto" knows the layouts of 10 and 11 columns per joint '
                 f"(the eleventh is viscous friction); here {int((~in_body).sum())} "
                 "columns belong to no body and some effects, an offset say, may be "
-                "negative. List the columns that must not be negative, or pass () for "
-                "none."
+                f"negative. Either {_HOW_TO_NAME}, or set nonnegative to the columns "
+                "that must not be negative, () for none."
             )
     else:
         kept = _check_nonnegative(nonnegative, n_features)
@@ -106,6 +126,54 @@ def resolve_layout(
                 "friction and effect columns alone."
             )
     return ParameterLayout(n_features=n_features, body_starts=starts, nonnegative=kept)
+
+
+def _is_auto(value):
+    """Whether an option is left to be found out."""
+    return isinstance(value, str) and value == "auto"
+
+
+def _check_names(names, n_features):
+    """List of names, one a column, or None."""
+    if names is None:
+        return None
+    names = [str(name) for name in names]
+    if len(names) != n_features:
+        raise ValueError(
+            f"parameter_names must hold {n_features} names, one a column; got "
+            f"{len(names)}."
+        )
+    return names
+
+
+def _named_bodies(names):
+    """First columns of the bodies that names such as "joint_1:m" tell; None without."""
+    split = [name.rpartition(":") for name in names]
+    inertial = [bool(colon) and name in INERTIAL_NAMES for _, colon, name in split]
+    if not any(inertial):
+        return None
+    starts, at = [], 0
+    while at < len(names):
+        if not inertial[at]:
+            at += 1
+            continue
+        joint = split[at][0]
+        body = [f"{joint}:{name}" for name in INERTIAL_NAMES]
+        if names[at : at + N_INERTIAL] != body:
+            raise ValueError(
+                f"The columns named {joint!r} are not the body of one joint from "
+                f"column {at} on: expected {body[0]}, {body[1]} to {body[-1]} in the "
+                f"order of RigidBodyFeatures; got {', '.join(names[at : at + 10])}."
+            )
+        starts.append(at)
+        at += N_INERTIAL
+    return np.array(starts)
+
+
+def _is_nonnegative(name):
+    """Whether a column such as "joint_1:viscous" is of friction that resists motion."""
+    effect = name.rpartition(":")[2]
+    return effect in _declared.available() and _declared.nonnegative(effect)
 
 
 def _check_width(width, n_features):
@@ -137,8 +205,8 @@ def _check_width(width, n_features):
         if not plain and not paper:
             raise ValueError(
                 f"{n_features} columns are not a whole number of joints with 10 or 11 "
-                "parameters each. Set parameters_per_joint, or body_starts where "
-                "joints differ."
+                f"parameters each. Either {_HOW_TO_NAME}, or set parameters_per_joint, "
+                "or body_starts where joints differ."
             )
         return _PAPER_WIDTH if paper else N_INERTIAL
     if isinstance(width, bool) or not isinstance(width, Integral) or width < N_INERTIAL:

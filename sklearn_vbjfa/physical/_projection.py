@@ -335,6 +335,7 @@ class Projection:
         anchor,
         anchor_weight,
         max_solver_iter,
+        parameter_names,
     ):
         """Validate the options of :func:`project` for rows (n_samples, n_features)."""
         _check_options(constraint, margin, anchor_weight, max_solver_iter)
@@ -344,6 +345,7 @@ class Projection:
             parameters_per_joint=parameters_per_joint,
             body_starts=body_starts,
             nonnegative=nonnegative,
+            parameter_names=parameter_names,
         )
         if anchor is not None:
             anchor = _check_vector(anchor, "anchor", n_features)
@@ -509,6 +511,7 @@ def project(
     anchor=None,
     anchor_weight=1e-8,
     max_solver_iter=200,
+    parameter_names=None,
 ):
     r"""Find the physically consistent parameter vector nearest to a given one.
 
@@ -546,6 +549,8 @@ def project(
         Strength of that pull; see `anchor_cost` of the result.
     max_solver_iter : int, default=200
         Iterations of one solve.
+    parameter_names : array-like of str of shape (n_features,) or None, default=None
+        Names of the columns, which tell bodies and friction apart.
 
     Returns
     -------
@@ -591,5 +596,6 @@ def project(
         anchor=anchor,
         anchor_weight=anchor_weight,
         max_solver_iter=max_solver_iter,
+        parameter_names=parameter_names,
     )
     return projection(theta)

@@ -37,10 +37,12 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     parameters_per_joint : "auto" or int >= 10, default="auto"
         Columns of one joint: its ten inertial parameters, then its friction and
-        effect columns.  "auto" takes 11 (the paper's, viscous friction last) or 10,
-        whichever divides the number of columns; if both do, 11, with a warning.  A
-        vector with fewer than ten columns holds no body: it passes through unchanged,
-        with a warning.  Any other number of columns is refused.
+        effect columns.  "auto" reads the names of the columns, if they have any such
+        as "joint_1:m" (see `parameter_names`).  Otherwise it takes 11 (the paper's,
+        viscous friction last) or 10, whichever divides the number of columns; if both
+        do, 11, with a warning.  A vector with fewer than ten columns holds no body: it
+        passes through unchanged, with a warning.  Any other number of columns is
+        refused.
 
     body_starts : array-like of int of shape (n_bodies,) or None, default=None
         First column of each body's ten, for joints with different numbers of extra
@@ -50,8 +52,10 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     nonnegative : "auto", array-like of int or array-like of bool, default="auto"
         Columns outside the bodies that must not be negative (viscous and Coulomb
         friction, rotor inertia): column numbers, or a mask of shape (n_features,).
-        "auto" is the eleventh column of a joint of eleven; a layout with other extra
-        columns has to say, since an offset may have either sign.
+        "auto" reads the names: "joint_1:viscous", "joint_1:coulomb" and
+        "joint_1:rotor_inertia" must not be negative, all others may have either sign.
+        Without names it is the eleventh column of a joint of eleven; a layout with
+        other extra columns has to say, since an offset may have either sign.
 
     margin : float, default=1e-8
         Least eigenvalue of each body's matrix, in units of the body's mass and length
@@ -84,6 +88,14 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     max_solver_iter : int, default=200
         Largest number of interior-point iterations of one solve.
+
+    parameter_names : array-like of str of shape (n_features,) or None, default=None
+        Names of the columns, such as `RigidBodyFeatures.parameter_names_`: a joint, a
+        colon, and what the parameter is.  None takes those of the data frame seen in
+        `fit`; `JointTorqueRegressor` passes on those of its features.  Names without
+        any "joint:m" say nothing.
+
+        .. versionadded:: 0.2
 
     Attributes
     ----------
@@ -150,6 +162,14 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     >>> projected = PhysicalProjector().fit_transform(theta)
     >>> projected[0, [4, 6, 9, 10]].round(4) + 0.0
     array([1.3333, 1.3333, 2.6667, 0.    ])
+
+    With names, an offset is told from friction.
+
+    >>> columns = "m mc_x mc_y mc_z I_xx I_xy I_yy I_xz I_yz I_zz viscous offset"
+    >>> names = [f"elbow:{column}" for column in columns.split()]
+    >>> named = PhysicalProjector(parameter_names=names)
+    >>> named.fit_transform([[*theta[0], -0.2]])[0, 10:].round(4) + 0.0
+    array([ 0. , -0.2])
     """
 
     def __init__(
@@ -166,6 +186,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         anchor=None,
         anchor_weight=1e-8,
         max_solver_iter=200,
+        parameter_names=None,
     ):
         self.constraint = constraint
         self.metric = metric
@@ -178,6 +199,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         self.anchor = anchor
         self.anchor_weight = anchor_weight
         self.max_solver_iter = max_solver_iter
+        self.parameter_names = parameter_names
 
     def fit(self, X, y=None):
         """Learn the layout, the scales of the bodies and the metric.
@@ -200,7 +222,10 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             If an option is wrong or does not match the number of columns.
         """
         X = validate_data(self, X, dtype=np.float64)
-        self._projection = Projection.of(X, **self.get_params(deep=False))
+        options = self.get_params(deep=False)
+        if self.parameter_names is None:
+            options["parameter_names"] = getattr(self, "feature_names_in_", None)
+        self._projection = Projection.of(X, **options)
         self.metric_ = self._projection.metric.matrix
         self.mass_scale_ = self._projection.mass_scale
         self.length_scale_ = self._projection.length_scale

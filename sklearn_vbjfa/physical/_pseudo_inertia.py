@@ -10,7 +10,20 @@ Consistent Inertial Parameter Identification", IEEE RA-L 3(1), 2018 [WKS2018]_.
 
 import numpy as np
 
-N_INERTIAL = 10
+# A body's parameters in Pinocchio's order, as columns and reports name them.
+INERTIAL_NAMES = (
+    "m",
+    "mc_x",
+    "mc_y",
+    "mc_z",
+    "I_xx",
+    "I_xy",
+    "I_yy",
+    "I_xz",
+    "I_yz",
+    "I_zz",
+)
+N_INERTIAL = len(INERTIAL_NAMES)
 CONSTRAINTS = ("pseudo-inertia", "eq30")
 
 # Row and column of each of the six inertia parameters, in Pinocchio's order.

@@ -5,23 +5,38 @@ and of a gripper may publish on one topic. The joints are taken that give most s
 from all messages that have them.
 """
 
+import difflib
 import re
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from sklearn_vbjfa.recording._quoting import listed
 from sklearn_vbjfa.recording._refusal import RecordingRefused
 from sklearn_vbjfa.recording._table import LARGEST, Source, Table
 
 ENDINGS = (".bag", ".db3", ".mcap")
 _TYPE = "sensor_msgs/msg/JointState"
-# What mends a bag that was cut, by its ending.
+# What mends a bag that was cut, and what unpacks one, by its ending.
 _MEND = {
     ".bag": "rosbag reindex {}",
-    ".db3": "ros2 bag reindex FOLDER, or sqlite3 {} .recover",
+    ".db3": "sqlite3 {} .recover | sqlite3 whole.db3",
     ".mcap": "mcap recover {} -o whole.mcap",
+}
+_UNPACK = {
+    ".bag": "rosbag decompress {}",
+    ".db3": "ros2 bag convert -i {} -o plain.yaml, where plain.yaml says "
+    "output_bags: [{{uri: plain, all_topics: true}}]",
+    ".mcap": "mcap decompress {} -o plain.mcap",
+}
+# How a bag begins, by its ending.
+_BEGIN = {
+    ".bag": b"#ROSBAG V",
+    ".db3": b"SQLite format 3\0",
+    ".mcap": b"\x89MCAP0\r\n",
 }
 
 
@@ -52,6 +67,8 @@ def read_bag(paths: Sequence[Source], shown: Path, topic, wanted) -> Table:
             'pip install "sklearn-vbjfa[bags]"'
         ) from error
     files = [path.file for path in paths]
+    for path in paths:
+        _check_begin(path)
     try:
         # Reading such a bag without its description gives packed bytes.
         with AnyReader(
@@ -62,21 +79,44 @@ def read_bag(paths: Sequence[Source], shown: Path, topic, wanted) -> Table:
         raise
     except Exception as error:
         # The parsers of three formats fail on damage in many ways of their own.
-        raise _broken(shown, files[0].suffix.lower(), error) from error
+        raise _broken(shown, paths, error) from error
 
 
 class _Refused(RecordingRefused):
     """A refusal of what a bag holds, not of damage."""
 
 
-def _broken(shown, ending, error):
-    reason = " ".join(str(error).split())[:120].rstrip(".") or type(error).__name__
+def _check_begin(path):
+    """Refuse a file that is not what its ending says."""
+    begin = _BEGIN.get(path.file.suffix.lower(), b"")
+    if not begin:
+        return
+    with path.file.open("rb") as file:
+        found = file.read(len(begin))
+    if found != begin:
+        what = "is empty" if not found else "does not begin like one"
+        raise ValueError(
+            f"{path}: is called {path.file.suffix} and {what}; record it anew, or "
+            "correct its ending."
+        )
+
+
+def _broken(shown, paths, error):
+    """Return the refusal of a bag that cannot be read, with what may mend it."""
+    # rosbags quotes what an error held as a tuple.
+    reason = re.sub(r"\(['\"](.*?)['\"],\)", r"\1", " ".join(str(error).split()))
+    reason = reason.rstrip(".") or type(error).__name__
+    first = paths[0].file
+    ending = first.suffix.lower()
+    # What was unpacked for reading is where no one can mend it.
+    at = first if first.is_relative_to(shown) else shown
     if re.search("compress|zstd|lz4|bz2", reason, re.IGNORECASE):
-        remedy = "convert it without compression (ros2 bag convert, rosbag decompress)"
+        unpack = _UNPACK.get(ending, _UNPACK[".db3"]).format(shlex.quote(str(at)))
+        remedy = f"unpack it by the tool that has packed it: {unpack}"
     else:
-        mend = _MEND.get(ending, "ros2 bag reindex {}").format(shown)
-        remedy = f"it may be cut in the middle: {mend}"
-    return ValueError(f"{shown}: is no whole bag ({reason}); {remedy}.")
+        mend = _MEND.get(ending, "ros2 bag reindex {}").format(shlex.quote(str(at)))
+        remedy = f"it may be cut in the middle, what is left may be saved: {mend}"
+    return ValueError(f"{shown}: is no whole bag ({reason}); {remedy}")
 
 
 def _joint_states(bag, shown, topic, wanted):
@@ -108,13 +148,13 @@ def _connections(bag, shown, topic, wanted):
         if not chosen:
             raise _Refused(
                 f"{shown}: has no topic {topic}; {_contents(bag)}.",
-                {"topic": topics[0]} if len(topics) == 1 else {},
+                _nearest_topic(topic, topics),
             )
         if chosen[0].msgtype != _TYPE:
             raise _Refused(
                 f"{shown}: topic {topic} holds {chosen[0].msgtype}, expected {_TYPE}; "
                 f"{_contents(bag)}.",
-                {"topic": topics[0]} if len(topics) == 1 else {},
+                _nearest_topic(topic, topics),
             )
         return chosen
     if not topics:
@@ -127,12 +167,18 @@ def _connections(bag, shown, topic, wanted):
         if len(able) != 1:
             raise _Refused(
                 f"{shown}: holds {len(topics)} topics of joint states: "
-                f"{', '.join(topics[:12])}; give --topic with one of them (in Python: "
+                f"{listed(topics)}; give --topic with one of them (in Python: "
                 "topic=...).",
                 {"topic": (able or topics)[0]},
             )
         topics = able
     return [x for x in states if x.topic == topics[0]]
+
+
+def _nearest_topic(topic, topics):
+    """Return the option of the topic that was meant, {} if it cannot be told."""
+    meant = topics if len(topics) == 1 else difflib.get_close_matches(topic, topics, 1)
+    return {"topic": meant[0]} if meant else {}
 
 
 def _has_joints(bag, states, topic, wanted):
@@ -150,8 +196,7 @@ def _contents(bag):
     topics = sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections})
     if not topics:
         return "it holds no topics"
-    more = ", ..." if len(topics) > 8 else ""
-    return f"it holds {', '.join(topics[:8])}{more}"
+    return f"it holds {listed(topics)}"
 
 
 def _kinds(bag, connections):
@@ -163,7 +208,12 @@ def _kinds(bag, connections):
         n = len(message.position)
         # Without names the numbers of the joints must do.
         names = names or tuple(str(k + 1) for k in range(n))
+        order += 1
         if not n or len(names) != n or len(message.effort) != n:
+            bare += 1
+            continue
+        # Drivers send nan for what they do not know, or not yet.
+        if not np.isfinite(np.add(message.position, message.effort)).any():
             bare += 1
             continue
         kind = kinds.setdefault(names, _Kind())
@@ -174,7 +224,6 @@ def _kinds(bag, connections):
         kind.q.append(message.position)
         kind.v.append(message.velocity if len(message.velocity) == n else None)
         kind.tau.append(message.effort)
-        order += 1
     return kinds, bare
 
 
@@ -184,13 +233,16 @@ def _table(kinds, bare, shown, topic, wanted):
     rows = np.concatenate([kinds[names].order for names in own])
     order = np.argsort(rows)
     matrices = {
-        key: np.concatenate([_values(kinds[x], key, x, joints) for x in own])[order]
+        key: np.concatenate([_values(kinds[x], key, x, joints) for x in own])
         for key in ("q", "tau")
     }
+    known = np.isfinite(np.hstack(list(matrices.values()))).all(axis=1)
+    order = order[known[order]]
     if all(x is not None for names in own for x in kinds[names].v):
-        matrices["v"] = np.concatenate(
-            [_values(kinds[x], "v", x, joints) for x in own]
-        )[order]
+        v = np.concatenate([_values(kinds[x], "v", x, joints) for x in own])
+        if np.isfinite(v[order]).all():
+            matrices["v"] = v
+    matrices = {key: matrix[order] for key, matrix in matrices.items()}
     stamps, notes = _stamps([kinds[x] for x in own], order)
     columns = {"t": stamps}
     numbered = all(name.isdecimal() for name in joints)
@@ -199,13 +251,25 @@ def _table(kinds, bare, shown, topic, wanted):
         columns |= {f"{key}{mark}{name}": x for name, x in zip(joints, matrix.T)}
     total = sum(len(kind.order) for kind in kinds.values()) + bare
     others = sorted({name for names in kinds for name in names} - set(joints))
-    if others:
-        why = "the robot has none of that name, or they come in other messages"
-        notes.append(f"joint(s) {', '.join(others[:12])} of {topic} left out: {why}.")
-    if total > rows.size:
+    of_robot = [x for x in others if x in wanted]
+    strange = "the robot has none of that name"
+    if not wanted:
+        strange = "they come in other messages, or without numbers"
+    moved = max((_travel(kinds, x) for x in of_robot), default=0.0)
+    for left, why in (
+        ([x for x in others if x not in of_robot], strange),
+        (
+            of_robot,
+            "they come in other messages, or without numbers, and move there by up to "
+            f"{moved:.3g} rad or m",
+        ),
+    ):
+        if left:
+            notes.append(f"joint(s) {listed(left)} of {topic} left out: {why}.")
+    if total > order.size:
         notes.append(
-            f"{total - rows.size} of {total} messages of {topic} lack some of the "
-            "joints taken, or their efforts, and are left out."
+            f"{total - order.size} of {total} messages of {topic} lack some of the "
+            "joints taken, or numbers of theirs, and are left out."
         )
     notes.insert(
         0,
@@ -216,7 +280,7 @@ def _table(kinds, bare, shown, topic, wanted):
     return Table(
         path=shown,
         columns=columns,
-        where=lambda row: f"message {sorted_rows[row] + 1}",
+        where=lambda row: f"message {sorted_rows[row]}",
         joints=() if numbered else tuple(joints),
         notes=tuple(notes),
     )
@@ -224,9 +288,12 @@ def _table(kinds, bare, shown, topic, wanted):
 
 def _most(kinds, wanted):
     """Return the joints that give most samples, and the kinds that have them all."""
-    known = {names: tuple(x for x in names if x in wanted) for names in kinds}
+    numbers = {names: _with_numbers(kind, names) for names, kind in kinds.items()}
+    known = {
+        names: tuple(x for x in own if x in wanted) for names, own in numbers.items()
+    }
     if not any(known.values()):
-        known = {names: names for names in kinds}
+        known = numbers
 
     def samples(joints):
         having = [x for x in kinds if set(joints) <= set(x)]
@@ -234,6 +301,24 @@ def _most(kinds, wanted):
 
     joints = max(known.values(), key=samples)
     return joints, [x for x in kinds if set(joints) <= set(x)]
+
+
+def _with_numbers(kind, names):
+    """Return the joints that ever have a position and an effort in such messages."""
+    some = np.isfinite(np.array(kind.q)) & np.isfinite(np.array(kind.tau))
+    return tuple(name for name, known in zip(names, some.any(axis=0)) if known)
+
+
+def _travel(kinds, joint):
+    """Return how far a joint moves in the messages that have it [rad or m]."""
+    found = [
+        np.array(kind.q)[:, names.index(joint)]
+        for names, kind in kinds.items()
+        if joint in names
+    ]
+    values = np.concatenate(found)
+    values = values[np.isfinite(values)]
+    return float(np.ptp(values)) if values.size else 0.0
 
 
 def _values(kind, key, names, joints):

@@ -15,6 +15,7 @@ import zlib
 from pathlib import Path
 
 from sklearn_vbjfa.recording import _arrays, _bags, _parquet, _sheets, _text
+from sklearn_vbjfa.recording._quoting import listed
 from sklearn_vbjfa.recording._table import LARGEST, Source, Table
 
 # Endings that are read as text with separators.
@@ -113,9 +114,14 @@ def _read_folder(stack, path, topic, wanted):
             sources.append(_unpacked(stack, Source(packed, path), packed.suffix))
         if sources:
             return _bags.read_bag(sources, path, topic, wanted())
+    names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
+    for name in names:
+        stem, _, ending = name.rpartition(".")
+        if f".{ending}" in _OTHER_PACKERS and stem.endswith(_bags.ENDINGS):
+            raise _packed(path / name, f".{ending}")
     raise ValueError(
         f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "
-        "a LeRobot data set (meta/info.json)."
+        f"a LeRobot data set (meta/info.json). It holds {listed(names) or 'nothing'}."
     )
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.recording._presets import PRESETS, KnownLog
+from sklearn_vbjfa.recording._quoting import listed, quoted
 from sklearn_vbjfa.recording._table import Table
 from sklearn_vbjfa.recording._units import (
     Unit,
@@ -83,7 +84,7 @@ class Layout:
 
 
 class MappingRefused(ValueError):
-    """A mapping or preset does not fit; `missing` says what it asks for in vain."""
+    """A mapping does not fit the columns of a file, and why."""
 
 
 def parse_mapping(text) -> dict[str, str]:
@@ -184,27 +185,26 @@ def _expression(pattern):
 
 def by_mapping(table: Table, mapping: dict, joints=()) -> Layout:
     """Lay out the columns by a mapping, and the rest by their own names."""
-    roles, taken, missing = {}, {}, []
-    for key, pattern in mapping.items():
-        found = matches(pattern, table)
-        if not found:
-            missing.append(pattern)
-        for match in found:
-            role = _role(key, match.key)
-            if match.column in taken:
-                raise ValueError(
-                    f"{table.path}: columns names {match.column!r} twice, for "
-                    f"{taken[match.column]} and {key}; each column is one channel."
-                )
-            if role in roles:
-                raise ValueError(
-                    f"{table.path}: columns {roles[role].column!r} and "
-                    f"{match.column!r} both fit {key}={pattern}; say which one."
-                )
-            taken[match.column] = key
-            roles[role] = Role(column=match.column, unit=match.unit)
+    found = {key: matches(pattern, table) for key, pattern in mapping.items()}
+    missing = [mapping[key] for key, own in found.items() if not own]
     if missing:
-        raise MappingRefused(", ".join(missing))
+        raise MappingRefused(
+            f"has no column {', '.join(missing)}, which columns asks for; found "
+            f"{listed(table.columns)}"
+        )
+    taken = _claimed(mapping, found)
+    roles = {}
+    for key, own in found.items():
+        for match in own:
+            role = _role(key, match.key)
+            if taken[match.column] != key:
+                continue
+            if role in roles:
+                raise MappingRefused(
+                    f"columns {roles[role].column!r} and {match.column!r} both fit "
+                    f"{key}={mapping[key]}; say which one"
+                )
+            roles[role] = Role(column=match.column, unit=match.unit)
     kinds = {_kind(key) for key in mapping}
     plain = by_names(table, joints)
     for role, own in plain.roles.items():
@@ -217,6 +217,26 @@ def by_mapping(table: Table, mapping: dict, joints=()) -> Layout:
         roles |= {x.column: x for x in times}
         times = tuple(roles.pop(x) for x in ("t", "T") if x in roles and x in mapping)
     return Layout(roles=roles, times=times, certain=True)
+
+
+def _claimed(mapping, found):
+    """Return the key of a mapping for each column that fits one.
+
+    Of patterns that fit the same column, the one counts that spells out more of it.
+    """
+    spelled = {key: len(_EVERY.sub("", re.escape(x))) for key, x in mapping.items()}
+    taken = {}
+    for key, own in found.items():
+        for match in own:
+            other = taken.setdefault(match.column, key)
+            if other != key and spelled[other] == spelled[key]:
+                raise MappingRefused(
+                    f"columns names {match.column!r} twice, for {other} and {key}; "
+                    "each column is one channel"
+                )
+            if spelled[key] > spelled[other]:
+                taken[match.column] = key
+    return taken
 
 
 def _role(key, suffix):
@@ -292,13 +312,15 @@ def by_preset(table: Table, name: str | None, joints=()):
     return found
 
 
-def check_preset(name):
-    """Refuse a preset that does not exist."""
-    if name is not None and name not in PRESETS:
+def checked_preset(name):
+    """Return a preset as it is spelled here, None for None; refuse unknown ones."""
+    found = None if name is None else str(name).lower()
+    if found is not None and found not in PRESETS:
         raise ValueError(
             f"preset must be one of {', '.join(PRESETS)}; got {name!r}. For other "
             'names give columns, such as "q=position_{i},tau=effort_{i},t=time".'
         )
+    return found
 
 
 def _fitted(table, log: KnownLog, joints):
@@ -427,7 +449,7 @@ def seconds_of_dates(table: Table, column: str):
         match = _STAMP.fullmatch(text)
         if match is None:
             raise ValueError(
-                f"{table.path}: {text[:40]!r} in {table.where(row)}, column "
+                f"{table.path}: {quoted(text)} in {table.where(row)}, column "
                 f"{column!r}, is no date and time like the others; correct or remove "
                 "that row."
             )

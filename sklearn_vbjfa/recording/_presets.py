@@ -49,12 +49,17 @@ class KnownLog:
 
 
 _PLOTJUGGLER = (
-    "series of the parser of JointState (github.com/PlotJuggler/"
-    "plotjuggler-ros-plugins), in a file of its CSV exporter"
+    "series of plugins/ros2_parsers/jointstates_msg.h of github.com/PlotJuggler/"
+    "plotjuggler-ros-plugins, in a file of plotjuggler_plugins/StatePublisherCSV/"
+    "publisher_csv.cpp of github.com/facontidavide/PlotJuggler"
+)
+_ROSTOPIC = (
+    "_str_plot_fields in tools/rostopic/src/rostopic/__init__.py of github.com/ros/"
+    "ros_comm; wiki.ros.org/rostopic"
 )
 _RTDE = (
-    "outputs of the RTDE guide of universal-robots.com; numbers as in csv_writer.py of "
-    "github.com/UniversalRobots/RTDE_Python_Client_Library"
+    "outputs of the RTDE guide of universal-robots.com; numbers as in "
+    "rtde/csv_writer.py of github.com/UniversalRobots/RTDE_Python_Client_Library"
 )
 _RTDE_BESIDE = (
     r"(target|actual|output|input|standard|tool|ft|runtime|joint|safety|robot|speed|"
@@ -62,8 +67,10 @@ _RTDE_BESIDE = (
 )
 _LIBFRANKA = "logToCSV, src/log.cpp of github.com/frankaemika/libfranka"
 
-# Joints whose driver publishes motor currents [A] as efforts unless told otherwise:
-# joint_state_broadcaster of github.com/UniversalRobots/Universal_Robots_ROS2_Driver.
+# Joints whose driver publishes motor currents [A] as efforts, unless both driver and
+# controller are recent (PolyScope 5.23): see use_currents_as_efforts in
+# ur_robot_driver/doc/migration/makoa.rst of
+# github.com/UniversalRobots/Universal_Robots_ROS2_Driver.
 CURRENTS_AS_EFFORTS = {
     "Universal Robots": (
         ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
@@ -86,7 +93,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
     "ros": (
         KnownLog(
             what="/joint_states, written by rostopic echo -p",
-            source="wiki.ros.org/rostopic; github.com/jmscslgroup/catvehicle/issues/9",
+            source=f"{_ROSTOPIC}; github.com/jmscslgroup/catvehicle/issues/9",
             q="field.position{i}",
             v="field.velocity{i}",
             tau="field.effort{i}",
@@ -97,7 +104,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
         ),
         KnownLog(
             what="/joint_states, converted from a bag",
-            source="bagreader.py of github.com/jmscslgroup/bagpy",
+            source="bagpy/bagreader.py of github.com/jmscslgroup/bagpy",
             q="position_{i}",
             v="velocity_{i}",
             tau="effort_{i}",
@@ -158,7 +165,8 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
         ),
         KnownLog(
             what="franka_states, written by rostopic echo -p",
-            source="franka_msgs/FrankaState of github.com/frankaemika/franka_ros",
+            source="franka_msgs/msg/FrankaState.msg of github.com/frankaemika/"
+            f"franka_ros; {_ROSTOPIC}",
             q="field.q{i}",
             v="field.dq{i}",
             tau="field.tau_J{i}",
@@ -170,8 +178,11 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
     "lerobot": tuple(
         KnownLog(
             what="a LeRobot data set",
-            source="meta/info.json of LeRobotDataset 2 and 3, "
-            "huggingface.co/docs/lerobot; columns as in trossen and ALOHA sets",
+            # The library names no channel of torque of its own accord; these three
+            # are what it made of the ALOHA recordings.
+            source="lerobot/common/datasets/push_dataset_to_hub/aloha_hdf5_format.py "
+            "of github.com/huggingface/lerobot, commit 01942cb; names of the motors in "
+            "meta/info.json, huggingface.co/docs/lerobot",
             q=f"observation.state.{key}",
             v=f"observation.velocity.{key}",
             tau=f"observation.effort.{key}",

@@ -11,12 +11,20 @@ from sklearn_vbjfa.recording import _layout
 from sklearn_vbjfa.recording._files import read_table
 from sklearn_vbjfa.recording._layout import Layout, MappingRefused
 from sklearn_vbjfa.recording._presets import PRESETS, currents_as_efforts
+from sklearn_vbjfa.recording._quoting import listed, quoted
 from sklearn_vbjfa.recording._recording import Recording, _check_dt
-from sklearn_vbjfa.recording._refusal import RecordingRefused, nearest, suggestion
+from sklearn_vbjfa.recording._refusal import (
+    RecordingRefused,
+    nearest,
+    suggestion,
+    unit_is_wrong,
+    unit_of_steps,
+    usual_step,
+)
 from sklearn_vbjfa.recording._resample import on_grid
 from sklearn_vbjfa.recording._signals import as_numbers
 from sklearn_vbjfa.recording._table import Table
-from sklearn_vbjfa.recording._units import TIME_UNITS, unit_of
+from sklearn_vbjfa.recording._units import TIME_UNITS, split_unit, unit_of
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
@@ -129,8 +137,12 @@ def read_recording(
     """
     if dt is not None:
         _check_dt(dt)
-    mapping = {} if columns is None else _layout.parse_mapping(columns)
-    _layout.check_preset(preset)
+    asked = _Asked(
+        mapping={} if columns is None else _layout.parse_mapping(columns),
+        preset=_layout.checked_preset(preset),
+        timed=dt is not None,
+        gained=gains is not None,
+    )
     gains = _checked_gains(gains)
     if time_unit is not None and time_unit not in TIME_UNITS:
         raise ValueError(
@@ -143,16 +155,17 @@ def read_recording(
     model_names, prismatic = _robot(urdf, names)
     robot = _Joints(names=names or model_names, chosen=bool(names))
     notes = list(table.notes)
-    layout = _laid_out(table, mapping, preset, robot.names)
-    table = _without_blank_rows(table, layout, notes)
     dt = _given_period(table, dt)
-    found, robot = _channels(table, layout, mapping, robot, dt, notes)
+    asked = replace(asked, timed=dt is not None)
+    layout = _laid_out(table, asked, robot.names)
+    table = _without_blank_rows(table, layout, notes)
+    found, robot = _channels(table, layout, asked, robot, notes)
     names = robot.names
     channels, units = {}, {}
     for kind, columns_of in found.items():
         if columns_of:
             channels[kind], units[kind] = _values(table, kind, columns_of)
-    names = _check_joints(table, found, names)
+    names = _check_joints(table, found, asked, robot)
     slides = _check_units(table, found, units, names, model_names, prismatic)
     torque_units = _gained(table, channels, units["tau"], gains, names, slides)
     taken = {role.column for roles in found.values() for role in roles}
@@ -167,12 +180,12 @@ def read_recording(
     labels, segment = _segments(table, layout)
     taken |= {segment, *(() if time is None else time.column.split("+"))}
     signals, left_out = _signals(table, layout, taken, notes)
-    _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes)
+    _say_what_was_taken(table, layout, asked.mapping, found, time, time_unit, notes)
     maker = currents_as_efforts(names) if _is_effort(table, layout) else ""
     if maker and gains is None:
         notes.append(
-            f"efforts are taken as N m; drivers of {maker} publish motor currents [A] "
-            "under this name: if this one does, give gains (command line: --gain "
+            f"efforts are taken as N m; many drivers of {maker} publish motor currents "
+            "[A] under this name: if this one did, give gains (command line: --gain "
             "unknown, or the factors)."
         )
     motor = [unit for unit in torque_units if unit not in _TORQUES]
@@ -212,6 +225,16 @@ def _stem(path):
 
 
 # -- columns ---------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Asked:
+    """What the user says of the columns, and whether of the period and the gains."""
+
+    mapping: dict
+    preset: str | None
+    timed: bool
+    gained: bool
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,19 +279,20 @@ def _movable(urdf):
     return _loading.movable_joints(urdf)
 
 
-def _laid_out(table: Table, mapping, preset, names) -> Layout:
+def _laid_out(table: Table, asked, names) -> Layout:
     """Say which columns are which channels; refuse what does not fit."""
+    mapping, preset = asked.mapping, asked.preset
     if preset is not None and mapping:
-        raise ValueError("give columns or a preset, not both: a preset is a mapping.")
+        raise RecordingRefused(
+            "give columns or a preset, not both: a preset is a mapping.",
+            {"preset": None},
+        )
     if mapping:
         try:
             return _layout.by_mapping(table, mapping, names)
         except MappingRefused as error:
-            options = suggestion(table, names, ("q", "tau", "t"), {}, False)
             raise RecordingRefused(
-                f"{table.path}: has no column {error}, which columns asks for; found "
-                f"{_listed(table.columns)}.",
-                options,
+                f"{table.path}: {error}.", _otherwise(table, asked, names)
             ) from None
     plain = _layout.by_names(table, names)
     if table.joints:
@@ -287,13 +311,27 @@ def _laid_out(table: Table, mapping, preset, names) -> Layout:
         return _named(layout)
     if preset is not None:
         expected = " or ".join(f"{x.q} and {x.tau}" for x in PRESETS[preset])
-        options = suggestion(table, names, ("q", "tau", "t"), {}, False)
         raise RecordingRefused(
             f"{table.path}: does not fit the preset {preset!r}, which expects columns "
-            f"{expected}; found {_listed(table.columns)}.",
-            options,
+            f"{expected}; found {listed(table.columns)}.",
+            _otherwise(table, asked, names),
         )
     return plain
+
+
+def _otherwise(table: Table, asked, names):
+    """Return the options that would read a file, had the user said nothing of it."""
+    said = {"columns": asked.mapping, "preset": asked.preset}
+    nothing = {key: None for key, value in said.items() if value}
+    plain = _layout.by_names(table, names)
+    if all(_matched(plain, kind, names) for kind in ("q", "tau")):
+        return nothing
+    if len(_layout.by_preset(table, None, names)) == 1:
+        return nothing
+    found = suggestion(
+        table, names, ("q", "tau", "t"), {}, timed=asked.timed, gained=asked.gained
+    )
+    return nothing | found if found else {}
 
 
 def _named(layout: Layout) -> Layout:
@@ -335,7 +373,7 @@ def _matched(layout: Layout, kind, names):
     return (by_joint, by_number) if by_joint or by_number else ()
 
 
-def _channels(table: Table, layout, mapping, robot, dt, notes):
+def _channels(table: Table, layout, asked, robot, notes):
     """Return the roles of each kind, a list in the order of the joints, and the joints.
 
     Refuses, all at once, what is missing.
@@ -344,9 +382,9 @@ def _channels(table: Table, layout, mapping, robot, dt, notes):
     robot = replace(robot, names=names)
     matched = {kind: _matched(layout, kind, names) for kind in _layout.KINDS}
     missing = [kind for kind in ("q", "tau") if not matched[kind]]
-    no_time = dt is None and not layout.times
+    no_time = not (asked.timed or layout.times)
     if missing or no_time:
-        raise _all_missing(table, layout, mapping, names, missing, no_time)
+        raise _all_missing(table, layout, asked, names, missing, no_time)
     for pair in filter(None, matched.values()):
         _refuse_both(table, *pair, names)
     by_joint = {kind: pair[0] for kind, pair in matched.items() if pair}
@@ -377,12 +415,12 @@ def _held(table, layout, robot, by_joint, notes):
         others = [x for x in _own_joints(layout) if x not in robot.names]
         if others:
             notes.append(
-                f"joint(s) {_listed(others)} are none of the robot's and are left out."
+                f"joint(s) {listed(others)} are none of the robot's and are left out."
             )
     if robot.chosen or len(names) == len(robot.names):
         return robot
     held = [x for x in robot.names if x not in having]
-    notes.append(f"no columns of joint(s) {_listed(held)}: held at zero.")
+    notes.append(f"no columns of joint(s) {listed(held)}: held at zero.")
     return replace(robot, names=names)
 
 
@@ -410,7 +448,7 @@ def _in_order(table: Table, kind, pair, names):
         key = names[k] if by_joint else str(first + k)
         if key not in found:
             missing = f"{kind}_{names[k]}" if by_joint else f"{kind}{key}"
-            beside = _listed([role.column for (role, *_) in found.values()])
+            beside = listed([role.column for (role, *_) in found.values()])
             raise ValueError(
                 f"{table.path}: column {missing!r} is missing beside {beside}; every "
                 "joint needs one, in order."
@@ -419,13 +457,13 @@ def _in_order(table: Table, kind, pair, names):
     return roles
 
 
-def _all_missing(table, layout, mapping, names, missing, no_time):
+def _all_missing(table, layout, asked, names, missing, no_time):
     """Return the refusal that lists everything that is missing."""
     parts = []
     strangers = _own_joints(layout)
     if missing and strangers and names:
         parts.append(
-            f"its joints {_listed(strangers)} are none of the robot's, {_listed(names)}"
+            f"its joints {listed(strangers)} are none of the robot's, {listed(names)}"
         )
     for kind, what in (("q", "positions"), ("tau", "torques")):
         if kind in missing:
@@ -441,10 +479,11 @@ def _all_missing(table, layout, mapping, names, missing, no_time):
             if not missing
             else f"no time: expected a column t, or dt{near}"
         )
-    given = dict(mapping)
     needed = [*missing, *(["t"] if no_time else [])]
-    options = suggestion(table, names, needed, given, not no_time)
-    found = f"; found {_listed(table.columns)}" if missing else ""
+    options = suggestion(
+        table, names, needed, asked.mapping, timed=not no_time, gained=asked.gained
+    )
+    found = f"; found {listed(table.columns)}" if missing else ""
     offer = (
         '; rename them in the header, or give columns="q=NAME{i},tau=NAME{i},t=NAME"'
         if missing and not options
@@ -460,12 +499,6 @@ def _refuse_two(table, one, other):
             f"{table.path}: columns {one!r} and {other!r} could both be meant; rename "
             "or remove the one that is not."
         )
-
-
-def _listed(names):
-    """Name columns, some of many."""
-    names = [name if len(name) < 40 else f"{name[:37]}..." for name in names]
-    return ", ".join(names if len(names) <= 20 else [*names[:19], "..."])
 
 
 def _values(table: Table, kind, roles):
@@ -495,7 +528,7 @@ def _numbers(table: Table, column: str):
     values = table.columns[column]
     if values.dtype.kind not in "biuf":
         raise ValueError(
-            f"{table.path}: column {column!r} holds {str(values[0])[:40]!r} and not "
+            f"{table.path}: column {column!r} holds {quoted(str(values[0]))} and not "
             "numbers; correct or rename it."
         )
     with np.errstate(over="ignore"):
@@ -535,15 +568,16 @@ def _without_blank_rows(table: Table, layout, notes):
     )
 
 
-def _check_joints(table: Table, found, names):
+def _check_joints(table: Table, found, asked, robot):
     """Check the number of joints by the columns of each kind, return their names."""
+    names = robot.names
     used = {kind: [x.column for x in roles] for kind, roles in found.items() if roles}
     nv = len(used["q"])
     for kind, columns in used.items():
         if len(columns) != nv:
             raise ValueError(
-                f"{table.path}: {nv} column(s) q ({_listed(used['q'])}) and "
-                f"{len(columns)} column(s) {kind} ({_listed(columns)}); every joint "
+                f"{table.path}: {nv} column(s) q ({listed(used['q'])}) and "
+                f"{len(columns)} column(s) {kind} ({listed(columns)}); every joint "
                 "needs one of each."
             )
     if not names:
@@ -556,9 +590,16 @@ def _check_joints(table: Table, found, names):
             f"(command line: --joints {','.join(names[: min(nv, 8)])}), the others are "
             "then held at zero"
         )
-        raise ValueError(
+        options = {}
+        if nv < len(names) and not robot.chosen:
+            options = {"joint_names": names[:nv]}
+        if nv == 1 and "q" in asked.mapping:
+            # A pattern without {i} is the name of a single column.
+            options = _otherwise(table, asked, names) or options
+        raise RecordingRefused(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
-            f"({_listed(names)}); {remedy}."
+            f"({listed(names)}); {remedy}.",
+            options,
         )
     return names
 
@@ -602,9 +643,12 @@ def _gained(table: Table, channels, bases, gains, names, slides):
     if gains is None or isinstance(gains, str):
         return [base or unit for base, unit in zip(bases, own)]
     if len(gains) != len(names):
-        raise ValueError(
+        same = len(gains) == 1
+        raise RecordingRefused(
             f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
-            f"({_listed(names)}); expected one for each, in this order."
+            f"({listed(names)}); expected one for each, in this order"
+            f"{'' if same else ', or unknown, to have them identified'}.",
+            {"gains": gains * len(names) if same else "unknown"},
         )
     channels["tau"] = channels["tau"] * np.array(gains)
     return own
@@ -659,7 +703,7 @@ def _signals(table: Table, layout, taken, notes):
             signals[column] = numbers
     if left_out:
         notes.append(
-            f"column(s) {_listed(left_out)} hold no finite numbers and are left out."
+            f"column(s) {listed(left_out)} hold no finite numbers and are left out."
         )
     return signals, left_out
 
@@ -676,15 +720,14 @@ def _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes):
     stamped = ""
     if time is not None:
         unit = time_unit or time.unit or "s"
-        stamped = f"t = {time.column} [{unit}]"
+        stamped = f"t = {_with_unit(time.column, unit)}"
     if layout.what:
         for kind in ("q", "tau"):
             columns = [role.column for role in found[kind]]
             ends = (
                 columns[0] if len(columns) == 1 else f"{columns[0]} ... {columns[-1]}"
             )
-            unit = found[kind][0].unit
-            said.append(f"{kind} = {ends}{f' [{unit}]' if unit else ''}")
+            said.append(f"{kind} = {_with_unit(ends, found[kind][0].unit)}")
         said.append(stamped)
         notes.insert(0, f"taken as {layout.what}: {', '.join(x for x in said if x)}.")
     elif time is not None and not mapping and time.column not in ("t", "T"):
@@ -693,6 +736,13 @@ def _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes):
         said.append(f"converted from {', '.join(sorted(converted))}")
     if said and not layout.what:
         notes.insert(0, f"{'; '.join(said)}.")
+
+
+def _with_unit(columns, unit):
+    """Return columns with the unit behind them, unless their names have it there."""
+    if not unit or split_unit(columns)[1] == unit:
+        return columns
+    return f"{columns} [{unit}]"
 
 
 # -- time ------------------------------------------------------------------------------
@@ -709,7 +759,7 @@ def _time(table: Table, layout, dt, time_unit):
         if own:
             _refuse_two(table, times[0].column, times[1].column)
         raise RecordingRefused(
-            f"{table.path}: columns {_listed([x.column for x in times])} could all be "
+            f"{table.path}: columns {listed([x.column for x in times])} could all be "
             f"time; give columns='t={times[0].column}', or another of them.",
             {"columns": f"t={times[0].column}"},
         )
@@ -728,10 +778,30 @@ def _time(table: Table, layout, dt, time_unit):
         if len(parts) == 2:
             t = t + 1e-9 * (values[1] - values[1][0])
         if np.ptp(t) > 0 or role is times[-1]:
+            _check_unit(table, role, values[0], usual_step(t), time_unit)
             # Without a unit stamps stay as they are, for messages that quote them.
             exact = values[0] if factor == 1.0 and len(parts) == 1 else t
             return exact, role
     return None, None
+
+
+def _check_unit(table: Table, role, values, period, time_unit):
+    """Refuse a unit of time in which the period [s] is none of a robot that moves."""
+    step = usual_step(values)
+    # What goes up by one counts rows.
+    if step in (0.0, 1.0) or not unit_is_wrong(period):
+        return
+    unit = unit_of_steps(step)
+    said = time_unit or role.unit or "s"
+    if not unit or unit == said:
+        return
+    raise RecordingRefused(
+        f"{table.path}: time steps by {period:.4g} s at the median, too "
+        f"{'slow for a motion' if period > 1 else 'fast for a robot'}; column "
+        f"{role.column!r} cannot be in {said}, in {unit} this would be a period of "
+        f"{step * unit_of('t', unit).factor:.4g} s.",
+        {"time_unit": unit},
+    )
 
 
 def _given_period(table: Table, dt):

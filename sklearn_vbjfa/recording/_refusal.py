@@ -28,6 +28,8 @@ _OTHER = {"target", "cmd", "command", "commanded", "desired", "des", "ref", "goa
 _OTHER |= {"reference", "setpoint", "sp", "error", "err", "tcp", "cartesian", "ext"}
 _OTHER |= {"velocity", "vel", "speed", "qd", "dq", "acc", "acceleration", "d", "ff"}
 _OTHER |= {"temperature", "temp", "voltage", "stamp", "external", "soll", "window"}
+# Words of a motor's current.
+_CURRENT = {"current", "currents", "strom", "i"}
 # A name must have a word that says it by itself.
 _ENOUGH = 2
 # A clock that steps by this or more [s] is in another unit.
@@ -41,8 +43,9 @@ class RecordingRefused(ValueError):
     ----------
     reason : str
         What is wrong, without the options.
-    options : dict of str to str
-        The options, by the names of `read_recording`; empty if none would do.
+    options : dict of str to str, tuple or None
+        The options, by the names of `read_recording`; None for one to leave out. Empty
+        if none would do.
     """
 
     def __init__(self, reason, options=None):
@@ -62,12 +65,12 @@ class _Family:
     columns: tuple
 
 
-def suggestion(table: Table, joints, needed, given, held_time):
+def suggestion(table: Table, joints, needed, given, *, timed, gained):
     """Return the options that would read a file, {} if they cannot be told.
 
     joints : names of the robot's joints, empty if unknown; needed : kinds without a
-    column ("q", "tau", "t"); given : mapping as far as it stands; held_time : whether a
-    period is known.
+    column ("q", "tau", "t"); given : mapping as far as it stands; timed : whether a
+    period is known; gained : whether gains are.
     """
     mapping, numbered = dict(given), None
     families = _families(table, joints)
@@ -79,7 +82,12 @@ def suggestion(table: Table, joints, needed, given, held_time):
             mapping[kind] = best[kind].pattern
             numbered = best[kind].keys if "{i}" in best[kind].pattern else None
     options = {}
-    if "t" in needed and not held_time:
+    if "tau" in needed and not gained and len(best["tau"].keys) > 1:
+        words = _words(best["tau"].pattern)
+        if _CURRENT & set(words) and not split_unit(mapping["tau"])[1]:
+            mapping["tau"] += " [A]"
+            options["gains"] = "unknown"
+    if "t" in needed and not timed:
         column = _clock(table)
         if column is None:
             return {}
@@ -91,7 +99,7 @@ def suggestion(table: Table, joints, needed, given, held_time):
         return {}
     chosen = _joints_of(numbered, joints)
     if chosen:
-        options["joint_names"] = ",".join(chosen)
+        options["joint_names"] = chosen
     columns = ",".join(f"{kind}={pattern}" for kind, pattern in mapping.items())
     return {"columns": columns, **options}
 
@@ -138,11 +146,16 @@ def _is_row(pattern, found, joints):
     )
 
 
-def _score(pattern, kind):
-    """How well the words of a pattern say that it is of a kind."""
+def _words(pattern):
+    """Return the words in a pattern, in small letters."""
     text = re.sub(r"\{\w+\}", " ", pattern)
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
-    words = [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
+    return [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
+
+
+def _score(pattern, kind):
+    """How well the words of a pattern say that it is of a kind."""
+    words = _words(pattern)
     points = [_WORDS[kind].get(word, 0) for word in words]
     if not points or max(points) < _ENOUGH or _OTHER & set(words):
         return 0
@@ -214,13 +227,26 @@ def _clock_unit(table, column):
     values = table.columns[column]
     if values.dtype.kind not in "iuf" or split_unit(column)[1]:
         return ""
-    step = np.diff(values.astype(float))
-    step = float(np.median(step[step > 0]))
-    if step < _SLOWEST:
-        return "s"
+    return unit_of_steps(usual_step(values.astype(float)))
+
+
+def usual_step(t):
+    """Return the middle one of the steps by which a clock rises, 0 without any."""
+    step = np.diff(t)
+    step = step[step > 0]
+    return float(np.median(step)) if step.size else 0.0
+
+
+def unit_of_steps(step):
+    """Return the unit of time in which steps are those of a robot, "" for none."""
     fitting = [
         unit
         for unit, factor in zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9))
         if _FASTEST < step * factor < _SLOWEST
     ]
     return fitting[0] if fitting else ""
+
+
+def unit_is_wrong(period):
+    """Whether a period [s] is none of a robot that moves."""
+    return not _FASTEST < period < _SLOWEST

@@ -5,6 +5,7 @@ import zipfile
 
 import numpy as np
 
+from sklearn_vbjfa.recording._quoting import quoted
 from sklearn_vbjfa.recording._table import LARGEST, Source, Table
 from sklearn_vbjfa.recording._text import row_of_units
 
@@ -107,7 +108,7 @@ def _column(path, name, cells, where):
         for row, x in enumerate(cells):
             if x != "" and not isinstance(x, (bool, int, float)):
                 raise ValueError(
-                    f"{path}: {str(x)[:40]!r} in {where(row)}, column {name!r} is no "
+                    f"{path}: {quoted(str(x))} in {where(row)}, column {name!r} is no "
                     "number; correct or remove that line."
                 )
         return np.array([np.nan if x == "" else float(x) for x in cells])

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sklearn_vbjfa.recording._faults import ChannelFinding
+from sklearn_vbjfa.recording._quoting import quoted
 
 # A column is another channel under a new name if this share of its variance is that
 # channel's, but for a factor and an offset: the rest is noise and quantisation.
@@ -86,7 +87,7 @@ def as_numbers(values, n_samples):
         except (TypeError, ValueError):
             pass
     if numbers.dtype.kind not in "biuf":
-        return None, f"holds {str(values.ravel()[0])[:40]!r} and not numbers"
+        return None, f"holds {quoted(str(values.ravel()[0]))} and not numbers"
     numbers = numbers.astype(float)
     gaps = np.flatnonzero(~np.isfinite(numbers))
     if gaps.size:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.recording._quoting import listed
 from sklearn_vbjfa.recording._recording import check_dt
 
 # Stamps within this share of a period of equidistant times are a steady clock that was
@@ -434,5 +435,4 @@ def check_time_stamps(t, dt, parts):
 
 def _first(rows):
     """Name the first few of some rows."""
-    more = ", ..." if rows.size > 5 else ""
-    return f"row {', '.join(str(row) for row in rows[:5])}{more}"
+    return f"row {listed(rows)}"

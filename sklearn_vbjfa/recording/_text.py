@@ -9,9 +9,12 @@ commas between commas) and does not know the line that a row came from.
 import array
 import csv
 import re
+from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.recording._encodings import WINDOWS, encoding_of
+from sklearn_vbjfa.recording._quoting import quoted
 from sklearn_vbjfa.recording._table import Source, Table
 from sklearn_vbjfa.recording._units import is_unit
 
@@ -26,6 +29,17 @@ _NUMBER = re.compile(
 )
 # A cell of a spreadsheet, not the beginning of a comment.
 _SHEET_ERROR = re.compile(r"#(N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
+
+
+# By this line Excel is told the separator.
+_TOLD_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class _Text(Source):
+    """A text file, and its encoding."""
+
+    encoding: str
 
 
 class _Lines:
@@ -62,32 +76,27 @@ class _Lines:
 
 def _raw_lines(path):
     """Yield the number (from 0) and the text of every line."""
-    try:
-        with path.file.open(encoding="utf-8-sig") as file:
-            k = 0
-            while line := file.readline(_LONGEST_LINE):
-                if "\0" in line:
-                    raise ValueError(
-                        f"{path}: is no text but binary; save it as CSV in UTF-8."
-                    )
-                if len(line) == _LONGEST_LINE:
-                    raise ValueError(
-                        f"{path}: line {k + 1} has more than {_LONGEST_LINE} "
-                        "characters; expected one row per sample."
-                    )
-                yield k, line.rstrip("\n")
-                k += 1
-    except UnicodeDecodeError as error:
-        raise ValueError(
-            f"{path}: is no UTF-8 text ({error.reason} at byte {error.start}); save it "
-            "as CSV in UTF-8."
-        ) from error
+    with path.file.open(encoding=path.encoding) as file:
+        k = 0
+        while line := file.readline(_LONGEST_LINE):
+            if "\0" in line:
+                raise ValueError(
+                    f"{path}: is no text but binary; save it as CSV in UTF-8."
+                )
+            if len(line) == _LONGEST_LINE:
+                raise ValueError(
+                    f"{path}: line {k + 1} has more than {_LONGEST_LINE} "
+                    "characters; expected one row per sample."
+                )
+            yield k, line.rstrip("\n")
+            k += 1
 
 
 def read_text(path: Source) -> Table:
     """Read text with a header line; blank lines and comments (#) are skipped."""
+    text = _Text(path.file, path.shown, encoding_of(path))
     try:
-        return _read(path)
+        return _read(text)
     except csv.Error as error:
         raise ValueError(
             f"{path}: is no table of numbers ({error}); save it as CSV in UTF-8."
@@ -110,8 +119,6 @@ def _read(path):
         values = np.loadtxt(
             lines, delimiter=separator, comments=None, quotechar='"', ndmin=2
         )
-    except UnicodeDecodeError:
-        raise
     except ValueError as error:
         if str(error).startswith(f"{path}: "):
             raise
@@ -122,7 +129,14 @@ def _read(path):
     else:
         # Text, empty cells, decimal commas; or to say where the trouble is.
         columns = _cells(lines, names, separator)
-    return Table(path=path.shown, columns=columns, where=lines.where, units=units)
+    notes = ()
+    if path.encoding == WINDOWS:
+        notes = (
+            "is no UTF-8 text, read as Windows text (cp1252), as Excel saves CSV.",
+        )
+    return Table(
+        path=path.shown, columns=columns, where=lines.where, units=units, notes=notes
+    )
 
 
 def row_of_units(cells, names):
@@ -140,6 +154,8 @@ def _header(path):
     """Return the header's line number, the column names and the separator."""
     before = first = None
     for k, line in _raw_lines(path):
+        if _TOLD_SEPARATOR.fullmatch(line.strip()):
+            continue
         if line.split("#", 1)[0].strip():
             first = k, line
             break
@@ -176,16 +192,11 @@ def _header(path):
             )
         if name in seen:
             raise ValueError(
-                f"{path}: line {header + 1} names column {_short(name)} twice; each "
+                f"{path}: line {header + 1} names column {quoted(name)} twice; each "
                 "column needs its own name."
             )
         seen.add(name)
     return header, names, separator
-
-
-def _short(text):
-    """Quote a text, its beginning if it is long."""
-    return repr(text if len(text) < 60 else f"{text[:57]}...")
 
 
 def _separator(line: str) -> str | None:
@@ -225,7 +236,7 @@ def _cells(lines, names, separator):
                 f"{_remedy(line, cells, names, separator)}."
             )
         for k, cell in enumerate(cells):
-            if separator != ",":
+            if separator != "," and "." not in cell:
                 cell = cell.replace(",", ".", 1)
             if cell and not known[k]:
                 known[k] = True
@@ -237,8 +248,8 @@ def _cells(lines, names, separator):
                 columns[k].append(float(cell or "nan"))
             else:
                 raise ValueError(
-                    f"{lines.path}: {_short(cell)} in {lines.where(-1)}, column "
-                    f"{_short(names[k])} is no number; correct or remove that line."
+                    f"{lines.path}: {quoted(cell)} in {lines.where(-1)}, column "
+                    f"{quoted(names[k])} is no number; correct or remove that line."
                 )
     return {name: np.array(column) for name, column in zip(names, columns)}
 

@@ -452,6 +452,8 @@ def fit_projector(projector, model, theta, metric, friction, followers=None):
         starts = np.append(np.arange(0, p, per_joint), np.arange(p, bodies, 10))
         settings["body_starts"] = starts, None
     fitted = PhysicalProjector() if default else clone(projector)
+    # The layout follows from the robot, and effects have names of their own.
+    fitted.set_params(parameter_names=None)
     given = fitted.get_params()
     if given["anchor"] is None:
         anchor = consistent_anchor(

@@ -105,6 +105,11 @@ from sklearn_vbjfa.robot._written import mjcf_of, urdf_of
 class RecordingRegressorMixin(RegressorMixin):
     """A multi-output regressor whose rows are recordings in time order."""
 
+    # Labels of recordings that are passed are taken, as by `StateEstimator`.
+    __metadata_request__fit = {"groups": True}  # noqa: RUF012
+    __metadata_request__predict = {"groups": True}  # noqa: RUF012
+    __metadata_request__score = {"groups": True}  # noqa: RUF012
+
     def __sklearn_tags__(self):
         """Tags of a regressor with several outputs."""
         tags = super().__sklearn_tags__()

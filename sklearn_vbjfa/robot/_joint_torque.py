@@ -15,6 +15,7 @@ from sklearn_vbjfa._core._lowpass import decimate, filter_weight
 from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._equations import Equations
 from sklearn_vbjfa.robot._estimate import default_regressor, estimate
+from sklearn_vbjfa.robot._feature_columns import check_as_computed, parameter_names_of
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._recording_checks import check_weight
 
@@ -93,7 +94,10 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         with automatic relevance determination.
     projector : PhysicalProjector, default=None
         Transformer of parameter vectors; None does not project. If its `metric` is
-        None, the weighted Gram matrix of the fit is used (eq. 35 of [1]_).
+        None, the weighted Gram matrix of the fit is used (eq. 35 of [1]_); if its
+        `parameter_names` are None, those of the features, where X is a data frame
+        (``pipeline.set_output(transform="pandas")``): they tell which parameters are
+        bodies and which are friction that cannot be negative.
     joint_weights : "auto", None or array-like of shape (nv,), default="auto"
         Weights of the joints' equations [1 / torque squared]. ``"auto"``: the inverse
         of each joint's residual variance, by iterated weighted least squares. None:
@@ -128,6 +132,9 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         Number of equations of each joint.
     block_factors_ : list of ndarray of shape (n_rows, nv) or None
         Relative precision of each row's noise, piece by piece of the recording.
+    parameter_names_ : tuple of str or None
+        Names of the parameters, such as "joint_1:m", from those of the columns of
+        `RigidBodyFeatures`; None if X has no such names.
     regressor_, projector_ : estimator
         The fitted regressor and projector (None without).
     metric_ : ndarray of shape (p, p)
@@ -155,7 +162,16 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     weights. With metadata routing enabled (`sklearn.set_config`), a regressor that
     requests `sample_weight` gets the weights of the equations instead, and one that
     requests `groups`, such as ``LassoCV(cv=GroupKFold())``, the label of each
-    equation's recording.
+    equation's recording. Labels in `groups` are requested without being asked for:
+    with routing enabled, ``search.fit(X, y, groups=groups)`` splits by recordings and
+    keeps them apart here.
+
+    All joints share one parameter vector, so that nothing may rescale or mix the
+    columns between `RigidBodyFeatures` and this estimator. Columns that a scaler or a
+    PCA has passed are refused; as part of `regressor`
+    (``make_pipeline(StandardScaler(), Lasso())``) they do no harm, since the
+    coefficients are read off the whole. A single output without a projector gets a
+    warning instead: its coefficients are those of the columns as they are.
 
     Examples
     --------
@@ -169,6 +185,9 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     >>> model.fit(Phi.reshape(50, 6), tau).theta_.round(6)
     array([1., 2., 3.])
     """
+
+    # Labels of recordings that are passed are taken, as by `StateEstimator`.
+    __metadata_request__fit = {"groups": True}  # noqa: RUF012
 
     def __init__(
         self,
@@ -224,8 +243,9 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         Raises
         ------
         ValueError
-            If the columns of X do not divide among the joints of y, the instruments
-            have another shape, or no equation is left behind the low-pass.
+            If the columns of X do not divide among the joints of y or have been
+            rescaled, the instruments have another shape, or no equation is left
+            behind the low-pass.
         """
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True
@@ -236,8 +256,17 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         if X.shape[1] % nv:
             raise ValueError(
                 f"y has {nv} joints, so that the number of columns of X must be a "
-                f"multiple of {nv}; got {X.shape[1]}."
+                f"multiple of {nv}; got {X.shape[1]}. (PCA and selections of columns "
+                "belong into the regressor, not before it.)"
             )
+        names = getattr(self, "feature_names_in_", None)
+        self.parameter_names_ = parameter_names_of(names, nv)
+        check_as_computed(
+            X,
+            tau,
+            self.parameter_names_,
+            warn_only=nv == 1 and self.projector is None,
+        )
         weight = check_weight(sample_weight, tau.shape)
         if instruments is not None:
             instruments = np.asarray(instruments, dtype=float)
@@ -311,6 +340,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         """
         made = cls(**settings)
         made.lowpass_, made.projector_ = lowpass, None
+        made.parameter_names_ = None
         made._set(found)
         return made
 
@@ -329,8 +359,13 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         if self.projector is None:
             return theta.copy()
         self.projector_ = clone(self.projector)
-        if getattr(self.projector_, "metric", False) is None:
-            self.projector_.set_params(metric=self.metric_)
+        open_settings = {
+            "metric": self.metric_,
+            "parameter_names": self.parameter_names_,
+        }
+        for name, value in open_settings.items():
+            if getattr(self.projector_, name, False) is None:
+                self.projector_.set_params(**{name: value})
         return self.projector_.fit(theta[None]).transform(theta[None])[0]
 
     def predict(self, X):

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from sklearn_vbjfa.recording._quoting import quoted
+
 # What JSON has no number for.
 _SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
 # Width of a line that a list or an object of plain values stays on.
@@ -73,13 +75,13 @@ class Place:
         if isinstance(value, str):
             value = _SPELLED.get(value)
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.wrong(f"must hold a number, not {_short(self.value)}")
+            raise self.wrong(f"must hold a number, not {quoted(self.value)}")
         try:
             value = float(value)
         except OverflowError:
             raise self.wrong("holds a number that is too large") from None
         if finite and not math.isfinite(value):
-            raise self.wrong(f"must hold a finite number, not {_short(self.value)}")
+            raise self.wrong(f"must hold a finite number, not {quoted(self.value)}")
         return value
 
     def numbers(self, n=None, *, finite=False):
@@ -89,7 +91,7 @@ class Place:
     def text(self):
         """Return a str."""
         if not isinstance(self.value, str):
-            raise self.wrong(f"must hold a text, not {_short(self.value)}")
+            raise self.wrong(f"must hold a text, not {quoted(self.value)}")
         return self.value
 
     def texts(self, n=None):
@@ -100,21 +102,15 @@ class Place:
         """Return a text that is one of several."""
         if self.text() not in known:
             raise self.wrong(
-                f"must be one of {', '.join(known)}; it is {_short(self.value)}"
+                f"must be one of {', '.join(known)}; it is {quoted(self.value)}"
             )
         return self.value
 
     def truth(self):
         """Return a bool."""
         if not isinstance(self.value, bool):
-            raise self.wrong(f"must hold true or false, not {_short(self.value)}")
+            raise self.wrong(f"must hold true or false, not {quoted(self.value)}")
         return self.value
-
-
-def _short(value):
-    """Write a value from a file in a message, not all of a long one."""
-    told = repr(value)
-    return told if len(told) <= 40 else f"{told[:37]}..."
 
 
 def read_place(path):

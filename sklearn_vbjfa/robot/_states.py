@@ -77,6 +77,11 @@ class StateEstimator(TransformerMixin, BaseEstimator):
     True
     """
 
+    # Nothing may be differentiated across the border of two recordings, in any fold:
+    # with metadata routing, labels that are passed are taken.
+    __metadata_request__fit = {"groups": True}  # noqa: RUF012
+    __metadata_request__transform = {"groups": True}  # noqa: RUF012
+
     def __init__(self, dt, cutoff="auto"):
         self.dt = dt
         self.cutoff = cutoff

@@ -4,7 +4,8 @@ Run ``python tests/benchmarks/bench_growth.py [--study rows] [--missing] [--writ
 Each method runs in a process of its own, whose peak memory is the operating system's
 figure. What would take more than a minute or more than 4 GB, by extrapolation from the
 sizes before, is not run. Measured figures are kept in a file, so that a study can be
-measured in parts; the same problems and models are run by asv.
+measured in parts; the same problems and models are run by asv. The picture of the guide
+is drawn from the tables by ``python docs/images/growth.py``.
 """
 
 import importlib.metadata
@@ -24,7 +25,6 @@ from _growth_problems import (
     DISCOVERY,
     INPUT_NOISE,
     MOST_ROWS,
-    OURS,
     PROJECTION,
     RELEVANT,
     ROWS,
@@ -33,7 +33,7 @@ from _growth_problems import (
     UNDECLARED,
     make_task,
 )
-from _report import ROOT, parser, publish, rst_table, rst_title
+from _report import parser, publish, rst_table, rst_title
 
 MOST_SECONDS = 60.0
 MOST_MEGABYTES = 4096.0
@@ -45,7 +45,6 @@ REPEAT_SECONDS = 2.0
 FILL_SECONDS = 1.0
 MOST_RUNS = 50
 RESULTS = Path(__file__).resolve().parent / ".asv" / "growth.json"
-PICTURE = ROOT / "docs" / "images" / "growth.png"
 QUICK = {"rows": (10**3, 10**4), "columns": (10, 50), "joints": (1, 6)}
 TITLES = {
     "rows": f"Rows, {COLUMNS} columns",
@@ -209,54 +208,6 @@ def report(results, most_seconds=MOST_SECONDS):
     return "\n\n".join(parts)
 
 
-def figure(results):
-    """Logarithmic plots: time, memory and error by study."""
-    from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
-
-    quantities = {
-        "seconds": "processor time [s]",
-        "megabytes": "peak memory [MB]",
-        "error": "relative error",
-    }
-    picture = Figure(figsize=(12, 11), layout="constrained")
-    axes = picture.subplots(len(quantities), len(results), squeeze=False, sharex="col")
-    names = list(dict.fromkeys(m for found in results.values() for m in found))
-    marks = "os^Dv<>PX*pdh"
-    handles = {}
-    for column, (study, found) in enumerate(results.items()):
-        for row, (quantity, label) in enumerate(quantities.items()):
-            ax = axes[row, column]
-            for method, done in found.items():
-                number = names.index(method)
-                sizes = [n for n, entry in done.items() if "skipped" not in entry]
-                (handles[method],) = ax.plot(
-                    sizes,
-                    [done[n][quantity] for n in sizes],
-                    color=f"C{number % 10}",
-                    marker=marks[number % len(marks)],
-                    markersize=5,
-                    linewidth=2.0 if method in OURS else 1.0,
-                    linestyle="-" if number < 10 else "--",
-                )
-            ax.set_xscale("log")
-            ax.set_yscale("log")
-            if quantity == "megabytes":
-                # Less than a decade: a few round numbers.
-                ax.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
-                ax.yaxis.set_major_formatter(StrMethodFormatter("{x:.0f}"))
-                ax.yaxis.set_minor_formatter(NullFormatter())
-            ax.grid(alpha=0.3)
-            if column == 0:
-                ax.set_ylabel(label)
-        axes[0, column].set_title(TITLES[study])
-        axes[-1, column].set_xlabel(study)
-    picture.legend(
-        list(handles.values()), list(handles), loc="outside lower center", ncols=5
-    )
-    return picture
-
-
 def load(path):
     """Results kept in a file: study -> method -> size -> figures."""
     if not path.is_file():
@@ -281,7 +232,7 @@ def in_order(results):
 
 
 def main(argv=None, run=measure_apart):
-    """Measure, keep, print the tables and draw the picture."""
+    """Measure, keep, and print the tables."""
     arguments = parser(__doc__.splitlines()[0])
     arguments.add_argument("--study", action="append", choices=list(STUDIES))
     arguments.add_argument("--method", action="append", help="these methods alone")
@@ -328,9 +279,6 @@ def main(argv=None, run=measure_apart):
     results = in_order(results)
     write = arguments.write and not arguments.quick
     publish("growth", report(results, arguments.most_seconds), write=write)
-    if write:
-        PICTURE.parent.mkdir(parents=True, exist_ok=True)
-        figure(results).savefig(PICTURE, dpi=100)
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ def test_files_of_others_are_refused_by_name(out, names):
     with pytest.raises(ValueError, match=r"out holds notes\.txt, which no run") as told:
         _input.check_overwriting(out, OURS, [])
     assert "--force" in str(told.value)
-    assert f"--out {out / 'report'}," in str(told.value)
+    assert told.value.options == {"out": str(out / "report")}
 
 
 def test_many_files_of_others_are_counted(out):
@@ -84,9 +84,39 @@ def test_an_input_is_not_written_over(command, out, tmp_path, capsys):
 
 def test_an_output_folder_that_is_a_file_names_one_that_works(tmp_path):
     (tmp_path / "log.csv").write_text("")
-    message = r"log\.csv is a file; --out must name a folder, such as .*log-report\."
-    with pytest.raises(ValueError, match=message):
-        _input.check_folder(tmp_path / "log.csv")
+    for name in ("log-report", "log-report-2"):
+        with pytest.raises(
+            ValueError, match=r"log\.csv is a file, where --out"
+        ) as told:
+            _input.check_folder(tmp_path / "log.csv" / "deeper")
+        assert told.value.options == {"out": str(tmp_path / name)}
+        (tmp_path / name).mkdir()
+
+
+@pytest.mark.parametrize("given", [["--out", "log.csv"], ["--out=log.csv"]])
+def test_the_command_that_would_work_replaces_the_option(
+    given, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text("t,q1,tau1\n")
+    Path("arm.urdf").write_text("<robot/>")
+    argv = ["close-loop", "log.csv", "--urdf", "arm.urdf", *given, "--seed", "3"]
+    assert main(argv) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith(
+        "log.csv is a file, where --out must name a folder; this would work: python -m "
+        "sklearn_vbjfa close-loop log.csv --urdf arm.urdf --seed 3 --out log-report"
+    )
+
+
+def test_options_in_a_command():
+    argv = ["inspect", "a b.csv", "--preset=ur", "--gain", "8"]
+    options = {"preset": None, "gains": (8.0, 8.0), "joint_names": ("a", "b")}
+    assert _cli._command(argv, options | {"columns": "q=q {i}"}) == (
+        "python -m sklearn_vbjfa inspect 'a b.csv' --gain 8,8 --joints a,b --columns "
+        "'q=q {i}'"
+    )
+    assert _cli._command(argv, {}) == ""
 
 
 def test_the_home_folder_is_known(monkeypatch, tmp_path):
@@ -164,7 +194,7 @@ def test_a_refusal_is_wrapped_on_a_terminal_and_one_line_elsewhere(monkeypatch):
 def test_what_is_left_out_of_a_huge_message_is_counted():
     text = one_line("x" * 5000 + " end")
     assert "..." not in text
-    assert "(4104 characters)" in text
+    assert "(and 4104 characters more)" in text
     assert text.endswith(" end")
     assert len(text) < 1000
 

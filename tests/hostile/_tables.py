@@ -139,10 +139,15 @@ def cases():
 
     plain = clean_text()
     text("byte order mark", lambda rng: plain.encode("utf-8-sig"), "same")
-    for encoding in ("utf-16", "utf-16-le", "utf-16-be", "utf-32"):
+    for encoding in ("utf-16", "utf-32"):
+        text(encoding, lambda rng, e=encoding: plain.encode(e), "same")
+    for encoding in ("utf-16-le", "utf-16-be"):
         text(encoding, lambda rng, e=encoding: plain.encode(e), "refused", "UTF-8")
-    latin = plain.replace("tau2\n", "tau2,°C\n", 1).encode("latin-1")
-    text("latin-1", lambda rng: latin, "refused", "UTF-8")
+    degrees = plain.replace("t,", "# in °\nt,", 1)
+    text("latin-1", lambda rng: degrees.encode("latin-1"), "same", "cp1252")
+    both = degrees.encode() + b"# \xb0\n"
+    text("latin-1 in UTF-8", lambda rng: both, "refused", "UTF-8")
+    text("separator told", lambda rng: "sep=,\n" + plain, "same")
     for name, mark in (("comma", ","), ("semicolon", ";"), ("tab", "\t"), ("2", "  ")):
         text(f"separated by {name}", _joined(mark), "same")
     text("blanks after commas", _joined(",  "), "same")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.physical import resolve_layout
+from sklearn_vbjfa.physical._pseudo_inertia import INERTIAL_NAMES
 
 
 @pytest.mark.parametrize(
@@ -62,7 +63,7 @@ def test_body_starts_admit_joints_of_different_width():
         (
             24,
             {"parameters_per_joint": 12},
-            "List the columns that must not be negative",
+            "or set nonnegative to the columns that must not be neg",
         ),
         (21, {"body_starts": [0, 9]}, "two bodies overlap"),
         (21, {"body_starts": [0, 0]}, "names a column twice"),
@@ -88,4 +89,85 @@ def test_body_starts_admit_joints_of_different_width():
 )
 def test_wrong_layouts_are_refused(n_features, options, message):
     with pytest.raises(ValueError, match=message):
+        resolve_layout(n_features, **options)
+
+
+# -- by the names of the columns
+
+
+def named(*joints):
+    """Names of the columns of joints, each given with its extra columns."""
+    names = []
+    for joint, extras in joints:
+        names += [f"{joint}:{name}" for name in (*INERTIAL_NAMES, *extras)]
+    return names
+
+
+def test_names_tell_bodies_and_signs():
+    names = named(
+        ("a", ("viscous", "offset", "coulomb")), ("b:1", ()), ("c", ("rotor_inertia",))
+    )
+    names = ["temperature", *names, "a:spring", "coulomb"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        layout = resolve_layout(len(names), parameter_names=names)
+    assert layout.body_starts.tolist() == [1, 14, 24]
+    # "coulomb" alone is a friction too; a spring may be of either sign
+    assert [names[k] for k in layout.nonnegative] == [
+        "a:viscous",
+        "a:coulomb",
+        "c:rotor_inertia",
+        "coulomb",
+    ]
+
+
+def test_names_settle_what_the_number_of_columns_leaves_open():
+    names = named(*((f"j{k}", ()) for k in range(11)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        layout = resolve_layout(110, parameter_names=np.array(names, dtype=object))
+    assert layout.body_starts.tolist() == list(range(0, 110, 10))
+    assert layout.nonnegative.size == 0
+
+
+def test_what_is_given_goes_before_names():
+    names = named(("a", ("viscous", "offset")), ("b", ("viscous", "offset")))
+    layout = resolve_layout(24, parameter_names=names, nonnegative=[11])
+    assert layout.body_starts.tolist() == [0, 12]
+    assert layout.nonnegative.tolist() == [11]
+    layout = resolve_layout(24, parameter_names=names, body_starts=[12])
+    assert layout.body_starts.tolist() == [12]
+    assert layout.nonnegative.tolist() == [10, 22]
+
+
+def test_names_without_a_body_say_nothing():
+    plain = resolve_layout(11)
+    layout = resolve_layout(11, parameter_names=[f"x{k}" for k in range(11)])
+    assert layout.body_starts.tolist() == plain.body_starts.tolist()
+    assert layout.nonnegative.tolist() == plain.nonnegative.tolist() == [10]
+
+
+@pytest.mark.parametrize(
+    ("names", "message"),
+    [
+        (named(("a", ()))[:-1] + ["a:viscous"], "columns named 'a' are not the body"),
+        (named(("a", ()))[::-1], "expected a:m, a:mc_x to a:I_zz in the order of"),
+        (named(("a", ()))[:9], "are not the body of one joint from column 0"),
+        (["b:m", *named(("a", ()))], "columns named 'b' are not the body"),
+    ],
+)
+def test_torn_bodies_are_refused(names, message):
+    with pytest.raises(ValueError, match=message):
+        resolve_layout(len(names), parameter_names=names)
+
+
+def test_one_name_a_column():
+    with pytest.raises(ValueError, match="must hold 12 names, one a column; got 11"):
+        resolve_layout(12, parameter_names=named(("a", ("viscous",))))
+
+
+@pytest.mark.parametrize("columns", [(12, {"parameters_per_joint": 12}), (24, {})])
+def test_without_names_the_message_says_how_to_get_them(columns):
+    n_features, options = columns
+    with pytest.raises(ValueError, match=r'Either name .*set_output\(transform="pand'):
         resolve_layout(n_features, **options)

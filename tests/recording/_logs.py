@@ -6,7 +6,7 @@ Sources of the names:
   a number after an underscore, the list of names stays one cell.
   https://github.com/jmscslgroup/bagpy/blob/master/bagpy/bagreader.py
 - PlotJuggler: series of a JointState are TOPIC/JOINT/position, velocity, effort
-  (joint_states_msg.h of https://github.com/PlotJuggler/plotjuggler-ros-plugins), and
+  (jointstates_msg.h of https://github.com/PlotJuggler/plotjuggler-ros-plugins), and
   its CSV exporter puts ``__time`` before them in alphabetical order
   (StatePublisherCSV of https://github.com/PlotJuggler/PlotJuggler).
 - ``rostopic echo -p``: ``%time`` in nanoseconds, then ``field.`` before each name; as

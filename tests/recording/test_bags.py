@@ -248,7 +248,11 @@ def test_a_bag_that_was_cut(write, part):
     file.write_bytes(content[: int(part * len(content))])
     text, _ = refused(file)
     assert "is no whole bag" in text
-    assert "may be cut in the middle: ros" in text or "mcap recover" in text
+    mend = {".bag": "rosbag reindex {}", ".mcap": "mcap recover {} -o whole.mcap"}
+    mend[".db3"] = "sqlite3 {} .recover | sqlite3 whole.db3"
+    assert text.endswith(f"may be saved: {mend[file.suffix].format(file)}")
+    # No tuple of Python's.
+    assert "',)" not in text
 
 
 def test_damage_never_ends_in_another_error(write):
@@ -315,3 +319,85 @@ def test_a_refusal_carries_options(tmp_path):
         read_recording(write_ros2(tmp_path / "bag", topics))
     assert caught.value.options == {"topic": "/b"}
     assert str(caught.value).endswith("; try topic='/b'.")
+
+
+def test_a_topic_that_is_misspelled(tmp_path):
+    file = write_ros2(tmp_path / "bag", [arm(), arm(topic="/left/joint_states")])
+    text, options = refused(file, topic="/joint_state")
+    assert "has no topic /joint_state; it holds /joint_states (" in text
+    assert options == {"topic": "/joint_states"}
+    recording, _ = read(file, **options)
+    np.testing.assert_array_equal(recording.q, Q)
+    _, options = refused(file, topic="/tf")
+    assert options == {}
+
+
+def test_a_driver_that_does_not_know_yet(tmp_path):
+    begin = arm(tau=np.where(T[:, None] < 0.1, np.nan, TAU), v=list(np.full_like(Q, 0)))
+    begin.q[40] = np.array([np.nan, 0, 0])
+    begin.v[60] = np.array([np.nan, 0, 0])
+    recording, said = read(write_ros2(tmp_path / "bag", [begin]))
+    assert recording.n_samples == N - 10
+    np.testing.assert_allclose(recording.q, Q[10:], atol=1e-4)
+    assert "11 of 80 messages of /joint_states lack some of the joints taken" in said
+
+
+def test_a_joint_whose_effort_nobody_knows(tmp_path, made):
+    names, tau = made.joint_names, made.tau.copy()
+    tau[:, 5] = np.nan
+    file = write_ros2(tmp_path / "bag", [states(made.t, names, made.q, tau)])
+    recording, said = read(file, urdf=made.urdf)
+    assert recording.joint_names == names[:5]
+    moved = np.ptp(made.q[:, 5])
+    assert f"or without numbers, and move there by up to {moved:.3g} rad or m" in said
+    file = write_ros2(tmp_path / "none", [arm(tau=np.full_like(TAU, np.nan))])
+    text, _ = refused(file)
+    assert "none of the 80 messages of /joint_states has positions and efforts" in text
+
+
+def test_messages_are_counted_from_the_first(tmp_path):
+    late = arm(tau=np.where(T[:, None] < 0.1, np.nan, TAU))
+    late.q[20] = np.array([1e15, 0, 0])
+    text, _ = refused(write_ros2(tmp_path / "bag", [late]))
+    assert "1e+15 in message 21, column" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("arm.db3", b"", "is called .db3 and is empty"),
+        ("arm.bag", b"hello", "is called .bag and does not begin like one"),
+        ("arm.mcap", b"#ROSBAG V2.0\n", "is called .mcap and does not begin like one"),
+    ],
+)
+def test_a_file_that_is_no_bag(tmp_path, name, content, message):
+    path = tmp_path / name
+    path.write_bytes(content)
+    assert message in refused(path)[0]
+
+
+def test_a_folder_says_what_it_holds(tmp_path):
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    assert "It holds nothing." in refused(folder)[0]
+    (folder / "a.csv").write_text("t,q1\n")
+    assert "It holds a.csv." in refused(folder)[0]
+    (folder / "bag.db3.lz4").write_bytes(b"1")
+    text = str(refused_at(folder / "bag.db3.lz4", folder))
+    assert text.endswith(f"unpack it first: lz4 -d {folder / 'bag.db3.lz4'}")
+
+
+def refused_at(named, path):
+    """Return the refusal of a path that names another one."""
+    with pytest.raises(ValueError, match=str(named)) as caught:
+        read_recording(path)
+    return caught.value
+
+
+def test_a_bag_of_unknown_compression_names_the_tool(tmp_path):
+    file = write_ros2(tmp_path / "bag", [arm()], packed="MESSAGE")
+    description = file.parent / "metadata.yaml"
+    description.write_text(description.read_text().replace("zstd", "lz9"))
+    text, _ = refused(file.parent)
+    assert f"ros2 bag convert -i {file.parent} -o plain.yaml" in text
+    assert "output_bags: [{uri: plain, all_topics: true}]" in text

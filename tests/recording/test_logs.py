@@ -110,7 +110,7 @@ def test_efforts_of_a_robot_whose_driver_publishes_currents(made, tmp_path):
         text = text.replace(f"joint_{k + 1}/", f"{name}_joint/")
     path.write_text(text)
     _, said = read(path)
-    assert "drivers of Universal Robots publish motor currents [A]" in said[-1]
+    assert "many drivers of Universal Robots publish motor currents [A]" in said[-1]
 
 
 def test_joints_that_were_not_recorded_are_held(made, tmp_path):
@@ -397,7 +397,9 @@ def test_the_unit_of_time_is_given(tmp_path, unit, factor):
     columns = table()
     columns["t"] = factor * columns["t"]
     path = write(tmp_path / "arm.csv", columns)
-    with pytest.raises(ValueError, match=f"--time-unit {unit}"):
+    with pytest.raises(
+        ValueError, match=f"in {unit} this would .*try time_unit='{unit}'"
+    ):
         read_recording(path)
     recording, _ = read(path, time_unit=unit)
     assert recording.dt == pytest.approx(0.01)
@@ -462,3 +464,99 @@ def test_joints_named_like_units(tmp_path):
     recording, _ = read(path, joint_names=["m", "deg"])
     np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
     np.testing.assert_allclose(recording.tau[:, 0], columns["tau1"], atol=1e-9)
+
+
+# -- what would work -------------------------------------------------------------------
+
+
+def follow(path, **options):
+    """Read a file with the options that its refusal names; the first message, too."""
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(path, **options)
+    assert caught.value.options, str(caught.value)
+    for name in caught.value.options:
+        assert f"{name}=" in str(caught.value)
+    return str(caught.value), read(path, **options | caught.value.options)[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"columns": "q=q{i},tau=q{i}"}, "columns names 'q1' twice, for q and tau"),
+        ({"columns": "q1=q1,q2=q1"}, "columns names 'q1' twice, for q1 and q2"),
+        ({"columns": "q=angle{i}"}, r"has no column angle\{i\}, which columns asks"),
+        ({"preset": "franka"}, "does not fit the preset 'franka', which expects"),
+        ({"preset": "ur", "columns": "q=q{i}"}, "give columns or a preset, not both"),
+        ({"time_unit": "ns"}, "too fast for a robot; column 't' cannot be in ns, in s"),
+        ({"gains": (2.0,)}, r"1 gain\(s\) for 2 joint\(s\) .*one for each, in this"),
+        ({"gains": (2.0, 3.0, 4.0)}, r"3 gain\(s\) for 2 .*or unknown, to have them"),
+    ],
+)
+def test_a_plain_file_is_read_after_one_refusal(tmp_path, options, message):
+    columns = table()
+    path = write(tmp_path / "arm.csv", columns)
+    said, recording = follow(path, **options)
+    assert re.search(message, said), said
+    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
+    factor = 2.0 if options.get("gains") == (2.0,) else 1.0
+    torque = factor * columns["tau1"]
+    np.testing.assert_allclose(recording.tau[:, 0], torque, atol=1e-9)
+
+
+def test_a_preset_that_does_not_fit_gives_way_to_another(made, tmp_path):
+    path = KINDS["libfranka log"](made, tmp_path)
+    said, recording = follow(path, preset="ur")
+    assert "try preset=None" in said
+    np.testing.assert_allclose(recording.q, made.q, atol=1e-8)
+
+
+def test_a_preset_that_does_not_fit_gives_way_to_a_mapping(tmp_path):
+    columns = table()
+    names = {f"q{k}": f"axis{k}_angle" for k in (1, 2)}
+    names |= {f"tau{k}": f"axis{k}_moment" for k in (1, 2)}
+    motion = {k: x for k, x in renamed(names).items() if k[0] != "v"}
+    path = write(tmp_path / "arm.csv", motion)
+    _, recording = follow(path, preset="ur")
+    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)
+    # Only one of several joints was named.
+    robot = {"joint_names": ("shoulder", "elbow")}
+    mapping = "q=axis1_angle,tau=axis1_moment"
+    _, recording = follow(path, columns=mapping, **robot)
+    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
+
+
+def test_columns_of_currents_are_offered_with_their_gains(tmp_path):
+    names = {f"tau{k}": f"motor_current_{k}" for k in (1, 2)}
+    path = write(tmp_path / "arm.csv", renamed(names))
+    said, recording = follow(path)
+    assert "columns='tau=motor_current_{i} [A]', gains='unknown'" in said
+    assert recording.torque_units == ("A", "A")
+    # Gains that are known stay.
+    said, recording = follow(path, gains=(2.0, 3.0))
+    assert "unknown" not in said
+    assert recording.torque_units == ("N m", "N m")
+    np.testing.assert_allclose(recording.tau[:, 1], 3 * table()["tau2"], atol=1e-9)
+
+
+def test_the_first_joints_are_offered_for_fewer_columns(made, tmp_path):
+    path = KINDS["plain CSV"](made, tmp_path)
+    lines = path.read_text().splitlines()
+    keep = [k for k, x in enumerate(lines[0].split(",")) if x not in ("q6", "tau6")]
+    cells = [[line.split(",")[k] for k in keep] for line in lines]
+    path.write_text("\n".join(map(",".join, cells)))
+    _, recording = follow(path, urdf=made.urdf)
+    assert recording.joint_names == made.joint_names[:5]
+
+
+def test_of_two_patterns_that_fit_the_one_that_says_more_counts(tmp_path):
+    columns = table()
+    new = {"t": columns["t"]}
+    for name, j in (("shoulder", 1), ("elbow", 2)):
+        new |= {name: columns[f"q{j}"], f"{name}.torque": columns[f"tau{j}"]}
+    path = write(tmp_path / "arm.csv", new)
+    robot = {"joint_names": ("shoulder", "elbow")}
+    for order in ("q={joint},tau={joint}.torque", "tau={joint}.torque,q={joint}"):
+        mapping = f"{order},t=t"
+        recording, _ = read(path, columns=mapping, **robot)
+        np.testing.assert_allclose(recording.tau[:, 1], columns["tau2"], atol=1e-9)
+        np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)

@@ -416,7 +416,7 @@ def test_files_that_are_none(tmp_path):
     for name, content, message in (
         ("arm.log", b"", "unknown ending '.log'"),
         ("arm.npz", b"no archive", "is no whole npz file"),
-        ("arm.csv", b"\xff\xfeq", "is no UTF-8 text"),
+        ("arm.csv", b"\xff\xfeq", "is no UTF-16 text"),
     ):
         path = tmp_path / name
         path.write_bytes(content)
@@ -445,7 +445,7 @@ def test_contradicting_arguments_are_refused(csv, options, message):
 def test_stamps_in_milliseconds_are_refused(csv):
     columns = table()
     columns["t"] *= 1e3
-    with pytest.raises(ValueError, match="t must be in seconds"):
+    with pytest.raises(ValueError, match="column 't' cannot be in s, in ms"):
         read_recording(csv(columns))
 
 

@@ -151,13 +151,58 @@ def test_without_routing_the_steps_are_named(recording, weight):
     np.testing.assert_array_equal(model["torque"].theta_, routed["torque"].theta_)
 
 
-@pytest.mark.parametrize("step", ["states", "torque"])
-def test_what_no_step_asked_for_is_refused(recording, step, routing):
+def test_what_no_step_asked_for_is_refused(recording, weight, routing):
     model = chain(recording)
-    if step == "torque":
-        model["states"].set_fit_request(groups=True).set_transform_request(groups=True)
-    with pytest.raises(UnsetMetadataPassedError, match="groups"):
-        model.fit(recording.q, recording.tau, groups=recording.groups)
+    with pytest.raises(UnsetMetadataPassedError, match="sample_weight"):
+        model.fit(recording.q, recording.tau, sample_weight=weight)
+
+
+def test_groups_need_no_ceremony(recording, routing):
+    q, tau, groups = recording.q, recording.tau, recording.groups
+    search = GridSearchCV(
+        chain(recording), {"torque__cutoff": [3.0, 5.0]}, cv=FOLDS, error_score="raise"
+    )
+    search.fit(q, tau, groups=groups)
+    asked = GridSearchCV(
+        routed_chain(recording), {"torque__cutoff": [3.0, 5.0]}, cv=FOLDS
+    )
+    asked.fit(q, tau, groups=groups)
+    scores = (found.cv_results_["mean_test_score"] for found in (search, asked))
+    np.testing.assert_array_equal(*scores)
+    # each recording is differentiated by itself, also to predict and to score
+    best = search.best_estimator_
+    assert best.score(q, tau, groups=groups) > best.score(q, tau)
+    expected = r2_score(tau, best.predict(q, groups=groups))
+    assert best.score(q, tau, groups=groups) == expected
+
+
+def test_groups_of_the_identifier_need_no_ceremony(recording, routing):
+    q, tau, groups = recording.q, recording.tau, recording.groups
+    search = GridSearchCV(
+        identifier(recording), {"cutoff": [5.0]}, cv=FOLDS, error_score="raise"
+    )
+    search.fit(q, tau, groups=groups)
+    alone = identifier(recording).fit(q, tau, groups=groups)
+    np.testing.assert_array_equal(search.best_estimator_.theta_, alone.theta_)
+    train, test = splits(recording)[0]
+    alone.fit(q[train], tau[train], groups=groups[train])
+    expected = alone.score(q[test], tau[test], groups=groups[test])
+    assert search.cv_results_["split0_test_score"] == [expected]
+    loop = EffectDiscovery(identifier(recording))
+    for method in ("fit", "predict", "score"):
+        assert loop.get_metadata_routing().consumes(method, ["groups"]) == {"groups"}
+
+
+def test_groups_can_be_declined(recording, routing):
+    torque = JointTorqueRegressor(LinearRegression(), dt=DT, cutoff=5.0)
+    torque.set_fit_request(groups=False)
+    model = make_pipeline(RigidBodyFeatures(recording.urdf), torque)
+    blind = make_pipeline(RigidBodyFeatures(recording.urdf), clone(torque))
+    model.fit(recording.states, recording.tau)
+    blind.fit(recording.states, recording.tau)
+    np.testing.assert_array_equal(model[-1].theta_, blind[-1].theta_)
+    with pytest.raises(TypeError, match="groups"):
+        model.fit(recording.states, recording.tau, groups=recording.groups)
 
 
 # -- the regressor inside -------------------------------------------------------------

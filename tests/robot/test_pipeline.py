@@ -1,9 +1,12 @@
 """The chain out of scikit-learn's own parts: pipelines and searches."""
 
+import pickle
+
 import numpy as np
 import pytest
+from sklearn.base import clone
 from sklearn.cross_decomposition import PLSRegression
-from sklearn.linear_model import LassoCV, LinearRegression
+from sklearn.linear_model import Lasso, LassoCV, LinearRegression
 from sklearn.model_selection import GridSearchCV, GroupKFold, KFold, cross_val_score
 from sklearn.pipeline import Pipeline
 
@@ -123,6 +126,132 @@ def test_from_positions_to_a_possible_robot(recording):
     error = chain.predict(test.q) - test.tau_clean
     # positions of 1e-4 rad at 50 Hz, Coulomb friction at the wrong sample
     assert np.all(np.mean(error**2, axis=0) < 0.02 * test.tau_clean.var(axis=0))
+
+
+# -- features, regressor and projector in one
+
+
+@pytest.fixture(scope="module")
+def framed(recording):
+    """Pipeline with names: nothing is said of bodies, friction or their signs."""
+    pytest.importorskip("pandas")
+    chain = pipeline(
+        recording, regressor=LinearRegression(), projector=PhysicalProjector()
+    )
+    return chain.set_output(transform="pandas")
+
+
+def short(recording):
+    """Return a second of a recording."""
+    rows = slice(0, 50)
+    return recording.states[rows], recording.tau[rows]
+
+
+def test_the_projector_takes_signs_and_bodies_from_names(recording, framed):
+    X, y = short(recording)
+    # a channel in which friction would drive the third joint
+    y = y.copy()
+    y[:, 2] -= 2 * recording.friction["coulomb"][2] * np.sign(X[:, 8])
+    model = clone(framed).fit(X, y)
+    found = model["identify"]
+    assert found.parameter_names_ == model["features"].parameter_names_
+    by_hand = pipeline(
+        recording,
+        regressor=LinearRegression(),
+        projector=PhysicalProjector(
+            parameters_per_joint=12,
+            nonnegative=[12 * j + 10 + k for j in range(6) for k in range(2)],
+        ),
+    ).fit(X, y)
+    np.testing.assert_array_equal(found.theta_, by_hand["identify"].theta_)
+    # and there was something to do
+    raw = found.theta_unconstrained_.reshape(6, 12)
+    assert raw[2, 11] < 0
+    assert found.theta_.reshape(6, 12)[:, 10:].min() >= 0
+    assert framed["identify"].projector.parameter_names is None
+
+
+def test_an_offset_keeps_its_sign(recording):
+    pytest.importorskip("pandas")
+    chain = Pipeline(
+        [
+            ("features", RigidBodyFeatures(recording.urdf, friction=("offset",))),
+            (
+                "identify",
+                JointTorqueRegressor(LinearRegression(), PhysicalProjector()),
+            ),
+        ]
+    ).set_output(transform="pandas")
+    shift = np.array([-1.0, 1.0, -1.0, 1.0, -1.0, 1.0]) * recording.tau.std(axis=0)
+    chain.fit(recording.states, recording.tau_clean + shift)
+    model = chain["identify"]
+    offsets = model.theta_[10::11]
+    assert model.projector_.nonnegative_.size == 0
+    # eleven columns without names are the paper's: friction, not negative
+    assert np.all(np.sign(offsets) == np.sign(shift))
+
+
+def test_without_names_the_pipeline_says_what_to_do(recording):
+    chain = pipeline(recording, projector=PhysicalProjector())
+    with pytest.raises(ValueError, match=r'set_output\(transform="pandas"\)'):
+        chain.fit(*short(recording))
+    names = chain["features"].parameter_names_
+    chain.set_params(identify__projector__parameter_names=names)
+    assert chain.fit(*short(recording))["identify"].projector_.nonnegative_.size == 12
+
+
+def test_the_projector_works_on_a_frame_of_parameters(recording):
+    pandas = pytest.importorskip("pandas")
+    robot = RobotIdentifier(
+        recording.urdf, dt=recording.dt, friction=("viscous", "offset"), projector=None
+    ).fit(recording.q, recording.tau, groups=recording.groups)
+    frame = pandas.DataFrame([robot.theta_], columns=robot.parameter_names_)
+    projector = PhysicalProjector().set_output(transform="pandas")
+    projected = projector.fit_transform(frame)
+    assert list(projected.columns) == list(robot.parameter_names_)
+    signs = [robot.parameter_names_[k] for k in projector.nonnegative_]
+    assert signs == [f"joint_{j}:viscous" for j in range(1, 7)]
+
+
+def test_a_search_reaches_regressor_and_projector(recording, framed):
+    X, y = recording.states, recording.tau
+    blocks = np.arange(X.shape[0]) // 100
+    grid = [
+        {"identify__regressor": [Lasso()], "identify__regressor__alpha": [1e-3, 1.0]},
+        {
+            "identify__regressor": [PLSRegression()],
+            "identify__regressor__n_components": [1, 20],
+            "identify__projector": [None, PhysicalProjector()],
+        },
+        {
+            "identify__regressor": [VBJFARegressor(latent="correlated")],
+            "identify__regressor__input_noise": [0.0, 0.01],
+            "identify__projector__constraint": ["pseudo-inertia", "eq30"],
+            "features__friction": [("viscous",), FRICTION],
+        },
+    ]
+    search = GridSearchCV(framed, grid, cv=GroupKFold(2), error_score="raise")
+    search.fit(X, y, groups=blocks)
+    scores = search.cv_results_["mean_test_score"]
+    assert len(scores) == 2 + 4 + 8
+    assert np.all(np.isfinite(scores))
+    # useless settings lose: a penalty of 1 in unit columns, a single component
+    assert scores[0] > scores[1]
+    one, several = scores[[2, 4]], scores[[3, 5]]
+    assert min(several) > max(one)
+    # the robot has Coulomb friction
+    assert search.best_params_.get("features__friction", FRICTION) == FRICTION
+    assert search.best_estimator_["identify"].projector_ is not None
+
+
+def test_copies_of_the_pipeline(recording, framed):
+    X, y = short(recording)
+    model = clone(framed).fit(X, y)
+    for other in (clone(model).fit(X, y), pickle.loads(pickle.dumps(model))):
+        np.testing.assert_array_equal(
+            other["identify"].theta_, model["identify"].theta_
+        )
+        np.testing.assert_array_equal(other.predict(X), model.predict(X))
 
 
 def test_the_identifier_is_the_same_chain(recording):

@@ -57,6 +57,25 @@ class Chart:
 
 
 @dataclass(frozen=True, kw_only=True)
+class About:
+    """What an effect is.
+
+    Attributes
+    ----------
+    formula : str
+        What it adds to the torque, as MathML; empty where none is given.
+    paragraphs : tuple of str
+        In words.
+    link : str
+        Address of its page; empty for none.
+    """
+
+    formula: str
+    paragraphs: tuple
+    link: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Figure:
     """Charts that belong together, with the numbers behind them.
 
@@ -70,18 +89,18 @@ class Figure:
         For the library: names, kinds and packed values of the series.
     keys : tuple of (str, str)
         Class and text of each entry of the legend.
-    about : tuple of str
-        Paragraphs that are unfolded below.
-    link : str
-        Address of more about it; empty for none.
+    about : About or None
+        What is unfolded below.
+    anchor : str
+        Its place on a page; empty for none.
     """
 
     title: str
     charts: tuple
     data: dict
     keys: tuple
-    about: tuple = ()
-    link: str = ""
+    about: About | None = None
+    anchor: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,7 +135,7 @@ class _Frame:
 # -- the figures ------------------------------------------------------------------
 
 
-def effect_figure(curves, *, title, x_label, y_label, about=(), link=""):
+def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
     """Draw what a model leaves without and with an effect, over the effect's signal.
 
     Parameters
@@ -125,10 +144,10 @@ def effect_figure(curves, *, title, x_label, y_label, about=(), link=""):
         Cloud, means and law.
     title, x_label, y_label : str
         Of the figure and its axes, with units.
-    about : tuple of str
+    about : About or None
         What the effect is.
-    link : str
-        Page of the documentation; empty for none.
+    anchor : str
+        Its place on a page; empty for none.
 
     Returns
     -------
@@ -172,7 +191,7 @@ def effect_figure(curves, *, title, x_label, y_label, about=(), link=""):
             ("law", "fitted law"),
         ),
         about=about,
-        link=link,
+        anchor=anchor,
     )
 
 

@@ -1,13 +1,21 @@
 """Sections of a page that show what was measured: figures, parameters, provenance."""
 
+import html
 import importlib.metadata
 import inspect
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._charts import effect_figure, torque_figure
+from sklearn_vbjfa.diagnosis.report._charts import (
+    About,
+    Figure,
+    effect_figure,
+    torque_figure,
+)
+from sklearn_vbjfa.diagnosis.report._mathml import mathml
 from sklearn_vbjfa.diagnosis.search._findings import Provenance
 from sklearn_vbjfa.effects import available
 
@@ -31,17 +39,34 @@ class Figures:
 
 
 def effect_figures(outcome):
-    """Draw each effect over its own signal; None where there is nothing to draw."""
+    """Draw each effect over its own signal, and say what it is; None without any.
+
+    One with too few rows for a picture has the words alone.
+    """
     found = []
-    for effect, curves in zip(outcome.effects, outcome.curves.get("effects", ())):
-        if curves is None:
+    drawn = outcome.curves.get("effects", ())
+    for effect, curves, anchor in zip(outcome.effects, drawn, anchors(outcome)):
+        if not anchor:
             continue
-        joint = words.joint_label(outcome.joint_names, curves.joint)
-        unit = outcome.torque_units[curves.joint]
         kind = effect.effect
         title = words.capital(
             words.effect_at(outcome, effect.name, effect.joint, effect.parameters)
         )
+        about = None if kind is None else about_effect(kind)
+        if curves is None:
+            found.append(
+                Figure(
+                    title=title,
+                    charts=(),
+                    data={},
+                    keys=(),
+                    about=about,
+                    anchor=anchor,
+                )
+            )
+            continue
+        joint = words.joint_label(outcome.joint_names, curves.joint)
+        unit = outcome.torque_units[curves.joint]
         if curves.joint != effect.joint or (kind is not None and kind.whole_robot):
             title += f", seen on {joint}"
         found.append(
@@ -50,11 +75,25 @@ def effect_figures(outcome):
                 title=title,
                 x_label=_signal_label(curves, joint),
                 y_label=f"residual [{unit}]",
-                about=() if kind is None else _about(type(kind)),
-                link=documentation_of(effect.name),
+                about=about,
+                anchor=anchor,
             )
         )
     return Figures(figures=tuple(found)) if found else None
+
+
+def anchors(outcome):
+    """Return where each effect is drawn or explained on a page, a tuple of str.
+
+    Empty for one that is neither.
+    """
+    drawn = outcome.curves.get("effects", ())
+    if not drawn:
+        return ("",) * len(outcome.effects)
+    return tuple(
+        "" if curves is None and effect.effect is None else f"effect-{k}"
+        for k, (effect, curves) in enumerate(zip(outcome.effects, drawn), 1)
+    )
 
 
 def _signal_label(curves, joint):
@@ -66,12 +105,51 @@ def _signal_label(curves, joint):
     return f"{what} [{curves.unit}]"
 
 
-def _about(kind):
-    """Return what a class says it is: its docstring up to the parameters."""
+def about_effect(effect):
+    """Return what an effect is, an `About`: formula, docstring, source, page."""
+    told = [*explanation(type(effect)), _shown_by(effect), source_of(type(effect))]
+    return About(
+        formula=_typeset(effect.formula),
+        paragraphs=tuple(words.without_markup(one) for one in told if one),
+        link=documentation_of(effect.name),
+    )
+
+
+def _shown_by(effect):
+    """Say what a recording needs to show an effect; empty where its class does not."""
+    needs = (("To see it", effect.visible), ("To tell it from others", effect.record))
+    return " ".join(f"{goal}: {what}." for goal, what in needs if what)
+
+
+def explanation(kind):
+    """Return what a class says it is: its docstring up to the parameters, a tuple."""
     text = inspect.getdoc(kind) or ""
     paragraphs = text.split("\n\nParameters\n")[0].split("\n\n")
-    plain = (" ".join(paragraph.split()) for paragraph in paragraphs)
-    return tuple(words.without_markup(paragraph) for paragraph in plain if paragraph)
+    return tuple(
+        " ".join(paragraph.split()) for paragraph in paragraphs if paragraph.strip()
+    )
+
+
+def source_of(kind):
+    """Return the literature that a class names, with its number; empty for none."""
+    text = inspect.getdoc(kind) or ""
+    listed = text.partition("\nReferences\n----------\n")[2].partition("\n\n")[0]
+    return re.sub(r"^\.\. ", "", " ".join(listed.split()))
+
+
+def added_torque(formula):
+    """Write a formula of an effect, LaTeX, as what it adds to the torque."""
+    return rf"\Delta\tau = {formula}"
+
+
+def _typeset(formula):
+    """Typeset what an effect adds; one's own effect may have none, or any LaTeX."""
+    if not formula:
+        return ""
+    try:
+        return mathml(added_torque(formula))
+    except ValueError:
+        return f"<code>{html.escape(added_torque(formula))}</code>"
 
 
 def documentation_of(name):
@@ -85,7 +163,7 @@ def documentation_of(name):
     for entry in given:
         label, _, address = entry.partition(",")
         if label.strip().lower() == "documentation":
-            return f"{address.strip().rstrip('/')}/effects.html#{name}"
+            return f"{address.strip().rstrip('/')}/effects/{name}.html"
     return ""
 
 

@@ -109,6 +109,16 @@ def fragment(sections):
     )
 
 
+def figure(drawn):
+    """Write a `Figure` alone, without what moves it; `style` draws it."""
+    return _template("figure.html.j2").render(figure=drawn, zooms=False, **_SIZES)
+
+
+def style():
+    """Return the style sheet of all that is inside an element of class "vbjfa"."""
+    return _template("style.css.j2").render()
+
+
 @lru_cache
 def _vendored():
     """Return the library that zooms pictures: its script and style as they are.

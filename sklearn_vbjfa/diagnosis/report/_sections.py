@@ -64,6 +64,8 @@ class Table:
         Cells.
     details : tuple of tuple of str
         What a page unfolds below each row; empty for nothing.
+    links : tuple of str
+        Where on its page the effect of each row leads; empty for nowhere.
     numbers : bool
         Whether all columns but the first and the last are aligned as numbers are.
     """
@@ -71,6 +73,7 @@ class Table:
     heads: tuple = ()
     rows: tuple
     details: tuple = ()
+    links: tuple = ()
     numbers: bool = False
 
 
@@ -361,9 +364,11 @@ def _effects(outcome, verdict):
         cell = (*parameters, *known)
         rows.append((joint, label, cell, gain, words.p_cell(p), cannot))
     heads = ("joint", "effect", "parameters (90 %)", "squared error saved", "p")
+    shown = _evidence.anchors(outcome)
+    links = tuple(f"#{anchor}" if anchor else "" for anchor in shown)
     return Section(
         heading="Effects that were missing",
-        table=_table((*heads, "cannot be told from"), rows),
+        table=_table((*heads, "cannot be told from"), rows, links=links),
         terminal=_terminal(sentences, short),
     )
 

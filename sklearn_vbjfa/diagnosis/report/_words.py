@@ -221,8 +221,8 @@ def plural(count, noun):
 
 def without_markup(text):
     """Return a sentence of a docstring without the marks of reStructuredText."""
-    text = re.sub(r":\w+:`([^`]*)`", r"\1", text)
-    text = re.sub(r" ?\[\d+\]_", "", text)
+    text = re.sub(r":(\w+):`([^`]*)`", r"\1:\2", text)
+    text = re.sub(r"(\[\d+\])_", r"\1", text)
     return re.sub(r"`+([^`]*)`+", r"\1", text)
 
 

@@ -12,6 +12,7 @@ import pytest
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.report import _charts, _evidence, _render
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._mathml import mathml
 from sklearn_vbjfa.diagnosis.report._sections import _scale
 from sklearn_vbjfa.diagnosis.search import _drawn
 from sklearn_vbjfa.diagnosis.search._drawn import (
@@ -21,7 +22,7 @@ from sklearn_vbjfa.diagnosis.search._drawn import (
 )
 from sklearn_vbjfa.diagnosis.search._findings import Provenance
 from sklearn_vbjfa.diagnosis.search._identified import ParameterValue, RecordedMotion
-from sklearn_vbjfa.effects import Ripple
+from sklearn_vbjfa.effects import Ripple, resolve
 from tests.diagnosis.report._outcomes import make_outcome
 from tests.diagnosis.report.test_report import parsed
 
@@ -100,7 +101,7 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
 
 
 def figures(html):
-    return re.findall(r'<figure class="wide">.*?</figure>', html, re.DOTALL)
+    return re.findall(r'<figure class="wide"[^>]*>.*?</figure>', html, re.DOTALL)
 
 
 def numbers(figure):
@@ -338,14 +339,62 @@ def test_effects_link_to_their_documentation(monkeypatch):
 
     metadata = importlib.metadata
     monkeypatch.setattr(metadata, "metadata", lambda name: Metadata())
-    address = "https://docs.example.org/effects.html#ripple"
+    address = "https://docs.example.org/effects/ripple.html"
     assert _evidence.documentation_of("ripple") == address
     assert _evidence.documentation_of("my_own_effect") == ""
     assert f'<a href="{address}">' in Report(made(n_effects=3)).to_html()
 
 
 def test_what_a_class_says_is_shown_without_markup():
-    about = _evidence._about(Ripple)
-    assert about
-    assert not any("`" in text or "]_" in text for text in about)
-    assert not any("Parameters" in text for text in about)
+    for effect in resolve("all"):
+        about = _evidence.about_effect(effect)
+        assert len(about.paragraphs) >= 2
+        assert not any("`" in text or "]_" in text for text in about.paragraphs)
+        assert not any("Parameters" in text for text in about.paragraphs)
+        # What a text cites stands below it.
+        assert about.paragraphs[-1].startswith("[1] ")
+
+
+def test_a_figure_explains_its_effect_without_a_network():
+    html = Report(made()).to_html()
+    for figure in figures(html)[:2]:
+        details = re.search("<details>.*</details>", figure, re.DOTALL)[0]
+        assert mathml(r"\Delta\tau = " + Ripple.formula) in details
+        assert "Cogging of motors" in details
+        assert "Tuttle" in details
+        assert "href" not in details
+
+
+def test_an_effect_without_a_picture_is_explained_all_the_same():
+    outcome = made()
+    _, second = outcome.curves["effects"]
+    curves = outcome.curves | {"effects": (None, second)}
+    html = Report(replace(outcome, curves=curves)).to_html()
+    shown = figures(html)
+    assert len(shown) == 2 + 3
+    assert "Too few rows for a picture." in shown[0]
+    assert "Cogging of motors" in shown[0]
+    assert "<svg" not in shown[0]
+    assert 'class="numbers"' not in shown[0]
+    assert parsed(html).open == []
+
+
+def test_the_table_leads_to_what_each_effect_is():
+    outcome = made(nv=3, n_effects=3)
+    html = Report(outcome).to_html()
+    page = parsed(html)
+    links = [v for name, v in page.attributes if name == "href" and v.startswith("#")]
+    places = [value for name, value in page.attributes if name == "id"]
+    assert links == [f"#{place}" for place in places]
+    assert len(links) == 3
+    for effect, figure in zip(outcome.effects, figures(html)):
+        label = words.effect_label(outcome, effect.name, effect.parameters)
+        anchor = re.search('id="([^"]+)"', figure)[1]
+        assert f'<a href="#{anchor}">{label}</a>' in html
+    # Nothing to lead to, and pages in one notebook whose places would be the same.
+    for other in (
+        Report(make_outcome(nv=3, n_effects=3)).to_html(),
+        Report(outcome)._repr_html_(),
+    ):
+        assert "#effect-" not in other
+        assert 'id="effect-' not in other

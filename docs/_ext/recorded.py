@@ -1,0 +1,87 @@
+"""The tables in ``docs/tables`` as values: what benchmarks measured is not typed twice.
+
+A benchmark writes paragraphs and tables of reStructuredText, the latter between lines
+of equals signs, which tell where columns begin.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+TABLES = Path(__file__).resolve().parents[1] / "tables"
+_BORDER = re.compile(r"=+(  +=+)+")
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordedTable:
+    """A table as it was written.
+
+    Attributes
+    ----------
+    headers : tuple of str
+        Names of the columns.
+    rows : tuple of tuple of str
+        Cells.
+    """
+
+    headers: tuple
+    rows: tuple
+
+    def __post_init__(self):
+        for row in self.rows:
+            if len(row) != len(self.headers):
+                raise ValueError(f"{row} has not one cell for each of {self.headers}")
+
+    def column(self, name):
+        """Cells of a column, a tuple of str."""
+        if name not in self.headers:
+            raise KeyError(f"no column {name!r}, there are {', '.join(self.headers)}")
+        place = self.headers.index(name)
+        return tuple(row[place] for row in self.rows)
+
+    def chosen(self, columns=None, rows=None):
+        """Return the table with these columns, and the rows of these first cells."""
+        names = self.headers if columns is None else tuple(columns)
+        cells = tuple(zip(*(self.column(name) for name in names)))
+        if rows is not None:
+            known = self.column(self.headers[0])
+            missing = sorted(set(rows) - set(known))
+            if missing:
+                raise KeyError(f"no rows {missing}, there are {', '.join(known)}")
+            cells = tuple(
+                row for first, row in zip(known, cells, strict=True) if first in rows
+            )
+        return RecordedTable(headers=names, rows=cells)
+
+
+def read(name, folder=TABLES):
+    """Text of a file of tables, by its name without the ending."""
+    return (folder / f"{name}.rst").read_text(encoding="utf-8")
+
+
+def tables_in(text):
+    """All tables of a text, a tuple of RecordedTable."""
+    lines = text.splitlines()
+    borders = [k for k, line in enumerate(lines) if _BORDER.fullmatch(line.strip())]
+    if len(borders) % 3:
+        raise ValueError("a table needs three lines of equals signs")
+    found = []
+    for top, middle, bottom in zip(borders[::3], borders[1::3], borders[2::3]):
+        starts = [match.start() for match in re.finditer(r"=+", lines[top])]
+        (headers,) = (_cells(line, starts) for line in lines[top + 1 : middle])
+        rows = tuple(_cells(line, starts) for line in lines[middle + 1 : bottom])
+        found.append(RecordedTable(headers=headers, rows=rows))
+    return tuple(found)
+
+
+def _cells(line, starts):
+    """Texts of a line of which each column begins at one of `starts`."""
+    return tuple(line[a:b].strip() for a, b in zip(starts, [*starts[1:], None]))
+
+
+def paragraph_in(text, beginning):
+    """Return the one paragraph that begins so; ValueError if there is not one."""
+    found = [part for part in text.split("\n\n") if part.startswith(beginning)]
+    if len(found) != 1:
+        raise ValueError(f"{len(found)} paragraphs begin with {beginning!r}, not one")
+    return found[0].strip()

@@ -1,0 +1,105 @@
+"""The command identify on a recording of one's own."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.datasets._catalogue import Protocol
+from sklearn_vbjfa.robot._comparison import compare_methods
+from tests.hostile._case import URDF, clean_text
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "arm.csv").write_text(clean_text())
+    (tmp_path / "arm.urdf").write_text(URDF)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def identify(capsys, *argv):
+    """Return exit code, stdout and stderr."""
+    code = main(["identify", *argv])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def rows_of(text):
+    """Numbers of the rows of methods, by their names."""
+    found = {}
+    for line in text.splitlines():
+        words = line.rsplit(maxsplit=3)
+        if len(words) == 4 and words[1].replace(".", "").isdecimal():
+            found[words[0].strip()] = [float(x) for x in words[1:]]
+    return found
+
+
+def test_the_last_part_of_ones_own_recording_is_held_out(folder, capsys):
+    from sklearn_vbjfa import RobotIdentifier
+
+    code, out, err = identify(capsys, "arm.csv", "--urdf", "arm.urdf")
+    assert code == 0, err
+    assert "first 70 % of recording fitted, the rest held out" in out
+    rows = rows_of(out)
+    assert len(rows) == 14
+
+    recording = read_recording("arm.csv", urdf="arm.urdf")
+    train, test = Protocol().split(recording)
+    identifier = RobotIdentifier(
+        "arm.urdf", dt=recording.dt, friction=("viscous", "coulomb")
+    )
+    parts = [
+        (recording.q[rows], recording.tau[rows], recording.groups[rows])
+        for rows in (train, test)
+    ]
+    (result,), _ = compare_methods(identifier, *parts, names=["WLS"])
+    np.testing.assert_allclose(rows["WLS"][:2], 100 * result.error, atol=0.051)
+    # Nothing is written.
+    assert {path.name for path in folder.iterdir()} == {"arm.csv", "arm.urdf"}
+
+
+def test_it_is_read_like_by_the_other_commands(folder, capsys):
+    text = clean_text()
+    plain = identify(capsys, "arm.csv", "--urdf", "arm.urdf", "--friction", "none")
+    for name in ("q", "tau"):
+        text = text.replace(f"{name}1", f"axis 1 {name}").replace(
+            f"{name}2", f"axis 2 {name}"
+        )
+    (folder / "arm.csv").write_text(text.replace("t,", "clock,", 1))
+    mapping = "q=axis {i} q,tau=axis {i} tau,t=clock"
+    argv = ["arm.csv", "--urdf", "arm.urdf", "--friction", "none"]
+    code, out, err = identify(capsys, *argv, "--columns", mapping)
+    assert code == 0, err
+    assert "friction: none" in out
+    assert rows_of(out) == rows_of(plain[1])
+
+
+def test_swapped_channels_are_refused(folder, capsys):
+    text = clean_text().replace("tau1,tau2", "tau2,tau1", 1)
+    (folder / "arm.csv").write_text(text)
+    code, out, err = identify(capsys, "arm.csv", "--urdf", "arm.urdf")
+    assert (code, out) == (2, "")
+    assert "arm.csv" in err
+    assert len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("argv", "message"),
+    [
+        (["arm.csv"], "give --urdf FILE"),
+        (["--urdf", "arm.urdf"], "--urdf needs a RECORDING"),
+        (["--gain", "8,8"], "--gain needs a RECORDING"),
+        (["--columns", "q=a{i}"], "--columns needs a RECORDING"),
+        (["--friction", "none"], "--friction needs a RECORDING"),
+        (["arm.csv", "--urdf", "arm.urdf", "--data", "demo"], "--data is for the"),
+        (["none.csv", "--urdf", "arm.urdf"], "none.csv: no such file"),
+    ],
+)
+def test_options_that_do_not_go_together(argv, message, folder, capsys):
+    code, out, err = identify(capsys, *argv)
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert message in line

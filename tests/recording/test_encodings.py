@@ -1,0 +1,103 @@
+"""Text as Excel saves it: other encodings, decimal commas, units with signs."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.recording import _encodings
+from sklearn_vbjfa.recording._encodings import encoding_of
+from sklearn_vbjfa.recording._table import Source
+from tests.recording.test_reader import DT, N, table
+
+HEADER = ("t [ms]", "q1 [°]", "q2 [°]", "tau1 [Nm]", "tau2 [Nm]", "Öl [°C]")
+
+
+def german(separator):
+    """Text with decimal commas, and what it says in units of this package."""
+    columns = table()
+    cells = [1e3 * np.arange(N) * DT]
+    cells += [np.rad2deg(columns[name]) for name in ("q1", "q2")]
+    cells += [columns["tau1"], columns["tau2"], np.linspace(20, 40, N)]
+    lines = [separator.join(HEADER)]
+    for row in zip(*cells):
+        lines.append(separator.join(f"{x:.9f}".replace(".", ",") for x in row))
+    return "\r\n".join(lines) + "\r\n", columns
+
+
+@pytest.mark.parametrize(
+    ("separator", "encoding", "note"),
+    [
+        (";", "utf-8", ""),
+        (";", "utf-8-sig", ""),
+        (";", "cp1252", "is no UTF-8 text, read as Windows text (cp1252)"),
+        ("\t", "utf-16", ""),
+        ("\t", "utf-16-le with a mark", ""),
+        ("\t", "utf-16-be with a mark", ""),
+        (";", "utf-32", ""),
+    ],
+)
+@pytest.mark.parametrize("told", ["", '"sep={}"\r\n'])
+def test_excel_in_german(separator, encoding, note, told, tmp_path):
+    text, columns = german(separator)
+    text = told.format(separator) + text
+    if encoding.endswith(" with a mark"):
+        encoding, text = encoding.partition(" ")[0], "\N{BYTE ORDER MARK}" + text
+    path = tmp_path / "log.csv"
+    path.write_bytes(text.encode(encoding))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_recording(path)
+    notes = [str(x.message) for x in caught]
+    assert any(note in x for x in notes)
+    assert bool(note) == any("cp1252" in x for x in notes)
+    for name in ("q", "tau"):
+        expected = np.column_stack([columns[f"{name}{k}"] for k in (1, 2)])
+        np.testing.assert_allclose(getattr(recording, name), expected, atol=1e-8)
+    assert recording.dt == pytest.approx(DT)
+    np.testing.assert_allclose(recording.signals["Öl [°C]"], np.linspace(20, 40, N))
+
+
+def found(tmp_path, content):
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
+    return encoding_of(Source(path, path))
+
+
+@pytest.mark.parametrize("size", [1, 2, 3, 5, 1 << 20])
+def test_characters_on_the_border_of_two_pieces(size, tmp_path, monkeypatch):
+    monkeypatch.setattr(_encodings, "_CHUNK", size)
+    text = "t,µ,°,€,q1\n"
+    assert found(tmp_path, text.encode()) == "utf-8"
+    assert found(tmp_path, text.encode("cp1252")) == "cp1252"
+    assert found(tmp_path, text.encode("utf-16")) == "utf-16"
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        # No character of the code page.
+        (b"t,q1\x81\n", "is no UTF-8 text (invalid start byte at byte 4)"),
+        # A character in UTF-8 and one that is not.
+        ("t,q1 [°],".encode() + b"\xb0\n", "(invalid start byte at byte 10)"),
+        # Damage to a file in UTF-8, not at the beginning.
+        (b"t,q1\n" + 9 * b"0.1,0.2\n" + b"\x00\xff\n", "at byte 78)"),
+        ("t,q1\n".encode("utf-16")[:-1], "is no UTF-16 text (truncated data at"),
+    ],
+)
+@pytest.mark.parametrize("size", [3, 1 << 20])
+def test_what_is_no_text_is_refused(content, message, size, tmp_path, monkeypatch):
+    monkeypatch.setattr(_encodings, "_CHUNK", size)
+    with pytest.raises(ValueError, match=re.escape(message)) as told:
+        found(tmp_path, content)
+    assert str(told.value).endswith("save it as CSV in UTF-8.")
+
+
+def test_thousands_with_points_are_no_numbers(tmp_path):
+    text, _ = german(";")
+    path = tmp_path / "log.csv"
+    path.write_text(re.sub(r"\n0,", "\n1.000,", text, count=1), "utf-8")
+    with pytest.raises(ValueError, match=r"'1\.000,0"):
+        read_recording(path)

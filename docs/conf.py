@@ -38,6 +38,8 @@ root_doc = "index"
 extlinks = {"doi": ("https://doi.org/%s", "doi:%s")}
 autosummary_generate = True
 autodoc_member_order = "bysource"
+# "fit()" beside the page of a class, not "RobotIdentifier.fit()".
+toc_object_entries_show_parents = "hide"
 # The class pages list the members themselves, see _templates/autosummary/class.rst.
 numpydoc_show_class_members = False
 # `name` in a docstring is a name of Python, linked where there is a page for it.

@@ -3,6 +3,7 @@
 import argparse
 import contextlib
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -60,7 +61,8 @@ def main(argv=None):
         if stopped_by() is not None:
             return _tell_stop(stopped_by(), arguments)
         line = one_line(_in_words(error, arguments))
-        _say(line, _command(argv, getattr(error, "options", None)))
+        command = _command(argv, getattr(error, "options", None))
+        _say(line, command or _content(error))
         return 2
     return 0
 
@@ -77,13 +79,20 @@ def _in_words(error, arguments):
 
 # Options of the command line, by the arguments of `read_recording`.
 _OPTIONS = {
+    "acceleration": "--acceleration",
     "columns": "--columns",
+    "dt": "--dt",
+    "duration": "--duration",
     "gains": "--gain",
     "joint_names": "--joints",
     "out": "--out",
     "preset": "--preset",
+    "scale": "--scale",
+    "start": "--start",
     "time_unit": "--time-unit",
     "topic": "--topic",
+    "torque": "--torque",
+    "velocity": "--velocity",
 }
 
 
@@ -102,9 +111,19 @@ def _command(argv, options):
     for option, value in changed.items():
         if isinstance(value, tuple):
             value = ",".join(x if isinstance(x, str) else f"{x:.15g}" for x in value)
+        elif isinstance(value, float):
+            value = f"{value:.15g}"
         if value is not None:
-            words += [option, value]
+            # A list that begins with a minus would be taken for an option.
+            minus = str(value).startswith("-")
+            words += [f"{option}={value}"] if minus else [option, value]
     return f"python -m sklearn_vbjfa {shlex.join(words)}"
+
+
+def _content(error):
+    """Say what a file would have to hold; "" for nothing."""
+    content = getattr(error, "content", "")
+    return f"a file with {content}" if content else ""
 
 
 def _tell_stop(number, arguments):
@@ -139,9 +158,21 @@ def program():
 def _arguments(argv):
     """Parse arguments; what a parser prints may meet a reader that has left."""
     try:
-        return _parser().parse_args(argv)
+        given = sys.argv[1:] if argv is None else argv
+        return _parser().parse_args(_joined(list(map(str, given))))
     finally:
         _flush()
+
+
+def _joined(words):
+    """Join options and the lists of numbers behind them that begin with a minus."""
+    found = []
+    for word in words:
+        if found and found[-1] == "--start" and re.match(r"-\.?\d", word):
+            found[-1] += f"={word}"
+        else:
+            found.append(word)
+    return found
 
 
 def _flush():
@@ -201,7 +232,13 @@ def _clear_progress():
 
 def _parser():
     from sklearn_vbjfa import __version__
-    from sklearn_vbjfa._cli import _close_loop, _identify, _inspect, _simulate
+    from sklearn_vbjfa._cli import (
+        _close_loop,
+        _design,
+        _identify,
+        _inspect,
+        _simulate,
+    )
 
     parser = _Parser(
         prog="sklearn-vbjfa",
@@ -214,6 +251,7 @@ def _parser():
     _close_loop.add_to(commands)
     _inspect.add_to(commands)
     _simulate.add_to(commands)
+    _design.add_to(commands)
     _identify.add_to(commands)
     effects = commands.add_parser("effects", help="list the library of effects")
     effects.set_defaults(run=_effects)

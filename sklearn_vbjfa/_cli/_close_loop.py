@@ -109,9 +109,8 @@ def run(arguments):
         except (ValueError, ProjectionError) as error:
             # The options are valid, so the recording is at fault.
             raise ValueError(f"{source}: {error}") from error
-        text = [str(recording), str(loop.report_)]
-        if held:
-            text.insert(1, f"held at zero: {', '.join(held)}")
+        others = _input.other_joints(taken.urdf, held)
+        text = [str(recording), *others, str(loop.report_)]
         try:
             # Before anything is printed, as a reader such as head may end the run.
             provenance = Provenance(

@@ -189,6 +189,17 @@ def hold_others(urdf, recording, held, folder):
     return reduced, (*held, *more)
 
 
+def other_joints(urdf, held):
+    """Say which joints are held, and which follow others; a list of lines."""
+    from sklearn_vbjfa.model import _loading
+
+    lines = [f"held at zero: {', '.join(held)}"] if held else []
+    follow = [body.name for body in _loading.load_folded(urdf).followers]
+    if follow:
+        lines.append(f"follow other joints, without columns: {', '.join(follow)}")
+    return lines
+
+
 def check_channels(recording, urdf, source):
     """Refuse channels that cannot be what their names say."""
     from sklearn_vbjfa.inspection import inspect_recording
@@ -285,13 +296,23 @@ def check_overwriting(out, names, inputs, endings=()):
 
 def _beside(out):
     """Name a folder in it that does not exist, for a message."""
-    return _free(out / "report")
+    return free(out / "report")
 
 
-def _free(folder):
-    """Return a path, with a number behind it if there is something already."""
-    more = (folder.with_name(f"{folder.name}-{k}") for k in itertools.count(2))
-    return next(x for x in itertools.chain([folder], more) if not x.exists())
+def free(wanted, *endings):
+    """Return a path, with a number behind its stem if there is something already.
+
+    endings : of further files beside it, which must not be there either.
+    """
+    more = (
+        wanted.with_name(f"{wanted.stem}-{k}{wanted.suffix}")
+        for k in itertools.count(2)
+    )
+    return next(
+        x
+        for x in itertools.chain([wanted], more)
+        if not any(one.exists() for one in (x, *map(x.with_suffix, endings)))
+    )
 
 
 def check_folder(out):
@@ -299,7 +320,7 @@ def check_folder(out):
     for folder in (out, *out.parents):
         if folder.exists():
             if not folder.is_dir():
-                other = _free(folder.with_name(f"{folder.stem}-report"))
+                other = free(folder.with_name(f"{folder.stem}-report"))
                 raise Refused(
                     f"{folder} is a file, where --out must name a folder",
                     {"out": str(other)},

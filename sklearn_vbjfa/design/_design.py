@@ -14,11 +14,13 @@ from sklearn_vbjfa.design._limits import MotionLimits
 from sklearn_vbjfa.design._motion import DesignedMotion
 from sklearn_vbjfa.design._open_questions import (
     asked_effects,
+    is_steered,
     open_effects,
     read_report,
 )
 from sklearn_vbjfa.design._optimise import INSIDE, Problem, excess, optimise, shrunk
 from sklearn_vbjfa.design._promise import condition_number, expected_intervals, promise
+from sklearn_vbjfa.design._refusal import MotionRefused, rounded_up
 from sklearn_vbjfa.recording._recording import check_dt
 
 # Harmonics: few keep the motion smooth, many give it slow and fast parts.
@@ -233,13 +235,13 @@ def _reference(robot, limits, highest, rng):
 def _parted(robot, asked):
     """Split effects into those of the model and candidates beside it.
 
-    An effect that the model has and that is in doubt is a candidate.
+    What a report found is a candidate again: the next recording may say otherwise.
     """
-    doubted = {one.effect.key() for one in asked if one.why != "library"}
+    doubted = {(one.effect.name, one.effect.joint) for one in asked if one.doubted}
     own = [
         (effect, coef)
         for effect, coef in zip(robot.effects, robot.coefficients)
-        if effect.key() not in doubted or not effect.contains
+        if (effect.name, effect.joint) not in doubted and is_steered(effect)
     ]
     taken = {effect.key() for effect, _ in own}
     candidates = []
@@ -426,11 +428,13 @@ def _check_held(problem, names, rng):
     if best[j] < _HELD:
         _tell_collision(problem, poses, start is not None)
     where = f"any of {_POSES} random poses" if start is None else "the start"
-    raise ValueError(
+    enough = np.maximum(limits.torque, best * limits.torque / _HELD)
+    raise MotionRefused(
         f"The limits leave no room: to hold the robot still at {where}, {names[j]} "
         f"needs {best[j] * limits.torque[j]:.3g} of at most {limits.torque[j]:.3g}. "
-        f"Give a torque limit of {best[j] * limits.torque[j] / _HELD:.3g} or more"
-        + ("." if start is None else ", or another start.")
+        f"Give a torque limit of {enough[j]:.3g} or more"
+        + ("." if start is None else ", or another start."),
+        {"torque": rounded_up(enough)},
     )
 
 
@@ -453,6 +457,7 @@ def _made(problem, robot, z, first, noise, dt, fine, no_clearance):
         a=states[:, 2 * nv :],
         tau=problem.torques(equations),
         joint_names=robot.joint_names,
+        slides=tuple(map(bool, problem.model.prismatic)),
         dt=dt,
         duration=curve.period,
         limits=limits,

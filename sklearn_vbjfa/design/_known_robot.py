@@ -61,6 +61,8 @@ class KnownRobot:
     @classmethod
     def of(cls, model):
         """Take what is known from a path, a model or an identified robot."""
+        if isinstance(model, cls):
+            return model
         if hasattr(model, "_predictor"):
             return cls._identified(model)
         return cls._described(model)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.design._refusal import MotionRefused, rounded_up
 from sklearn_vbjfa.model._loading import (
     is_prismatic,
     joint_names,
@@ -19,6 +20,9 @@ _NO_LIMIT = 1e9
 # A motion that is worth recording goes there and back through this share of the range
 # of every joint, once at least.
 _LEAST_SHARE = 0.25
+# What is suggested where a limit is missing, over what it takes to hold still, for
+# motion as well.
+_TO_MOVE = 1.5
 # Time to full speed of the acceleration that is proposed where there is no limit [s].
 _RUN_UP = 0.5
 # Poses in which the torque of holding still is looked at.
@@ -117,7 +121,7 @@ class MotionLimits:
             )
 
     @classmethod
-    def of(cls, model, *, acceleration=None, torque=None):
+    def of(cls, model, *, position=None, velocity=None, acceleration=None, torque=None):
         """Take the limits of a robot description.
 
         Parameters
@@ -125,9 +129,10 @@ class MotionLimits:
         model : str, os.PathLike or pinocchio.Model
             Path of a URDF file, or a model. A joint that turns without end gets one
             turn about its zero.
-        acceleration, torque : array-like of shape (nv,), default=None
-            Limits to take in place of those of the description, which has none of
-            acceleration.
+        position : array-like of shape (nv, 2), default=None
+            Limits to take in place of those of the description; nan keeps one.
+        velocity, acceleration, torque : array-like of shape (nv,), default=None
+            The same. The description has none of acceleration.
 
         Returns
         -------
@@ -146,6 +151,15 @@ class MotionLimits:
             np.array(model.lowerPositionLimit, dtype=float),
             np.array(model.upperPositionLimit, dtype=float),
         )
+        if position is not None:
+            given = np.array(position, dtype=float)
+            low = np.where(np.isnan(given[:, 0]), low, given[:, 0])
+            high = np.where(np.isnan(given[:, 1]), high, given[:, 1])
+            for j in np.flatnonzero(~(low < high) & ~np.isnan(given).all(axis=1)):
+                raise ValueError(
+                    f"The limits leave {names[j]} no room: position from {low[j]:g} to "
+                    f"{high[j]:g}; the lowest must lie below the highest."
+                )
         endless = ~np.isfinite(low) | ~np.isfinite(high)
         endless |= (low < -_NO_LIMIT) | (high > _NO_LIMIT) | (low == high)
         sliding = np.asarray(is_prismatic(model))
@@ -158,25 +172,34 @@ class MotionLimits:
             np.where(endless, -_ONE_TURN, low),
             np.where(endless, _ONE_TURN, high),
         )
-        velocity = _known(model.velocityLimit)
-        for j in np.flatnonzero(~np.isfinite(velocity)):
-            raise ValueError(
-                f"The description gives no velocity limit of {names[j]}; give "
-                "limits=MotionLimits(...). Through half of its range in one second "
-                f"takes {0.5 * (high - low)[j]:.3g} {'m' if sliding[j] else 'rad'}/s."
+        velocity = _given(velocity, _known(model.velocityLimit))
+        if np.isinf(velocity).any():
+            half = 0.5 * (high - low)
+            told = ", ".join(
+                f"{names[j]} ({half[j]:.3g} {'m' if sliding[j] else 'rad'}/s)"
+                for j in np.flatnonzero(np.isinf(velocity))
             )
-        effort = _known(model.effortLimit) if torque is None else torque
-        if acceleration is None and not np.isfinite(effort).all():
-            lacking = np.flatnonzero(~np.isfinite(effort))
+            raise MotionRefused(
+                f"The description gives no velocity limit of {told}: in brackets, what "
+                "it takes through half of the range in one second. Give "
+                "limits=MotionLimits(...) with velocities.",
+                {"velocity": rounded_up(np.where(np.isinf(velocity), half, velocity))},
+            )
+        effort = _given(torque, _known(model.effortLimit))
+        acceleration = _given(acceleration, np.full(effort.shape, np.inf))
+        if (np.isinf(acceleration) & np.isinf(effort)).any():
+            lacking = np.flatnonzero(np.isinf(acceleration) & np.isinf(effort))
             weight = _holding(model, low, high)
             told = ", ".join(
                 f"{names[j]} ({weight[j]:.3g} {'N' if sliding[j] else 'N m'})"
                 for j in lacking
             )
-            raise ValueError(
+            wanted = np.maximum(_TO_MOVE * weight, 0.1 * _TO_MOVE * weight.max())
+            raise MotionRefused(
                 f"The description gives no torque limit of {told}: in brackets, what "
                 "it takes to hold the robot still in any pose. Give "
-                "limits=MotionLimits(...) with torques above that, or accelerations."
+                "limits=MotionLimits(...) with torques above that, or accelerations.",
+                {"torque": rounded_up(np.where(np.isinf(effort), wanted, effort))},
             )
         return cls(np.column_stack([low, high]), velocity, acceleration, effort)
 
@@ -198,11 +221,13 @@ class MotionLimits:
             )
         low, high = self.position.T
         for j in np.flatnonzero(~((start >= low) & (start <= high))):
-            inside = 0.5 * (low + high)[j] if np.isnan(start[j]) else start[j]
-            raise ValueError(
+            inside = np.where(np.isnan(start), 0.5 * (low + high), start)
+            inside = np.clip(inside, low, high)
+            raise MotionRefused(
                 f"start puts {names[j]} at {start[j]:g}, outside its limits "
                 f"[{low[j]:g}, {high[j]:g}]; start where the motion may be, for "
-                f"example at {np.clip(inside, low[j], high[j]):g}."
+                f"example at {inside[j]:g}.",
+                {"start": tuple(inside.tolist())},
             )
         return start
 
@@ -217,12 +242,21 @@ class MotionLimits:
         )
         slowest = int(np.argmax(needed))
         if duration < needed[slowest]:
-            raise ValueError(
+            raise MotionRefused(
                 f"duration={duration:g} s is too short for {names[slowest]}: at most "
                 f"{self.velocity[slowest]:g} fast, it takes {needed[slowest]:.3g} s "
                 f"through {_LEAST_SHARE:.0%} of its range and back. Give "
-                f"duration={np.ceil(needed[slowest]):g} or more, or a smaller range."
+                f"duration={np.ceil(needed[slowest]):g} or more, or a smaller range.",
+                {"duration": float(np.ceil(needed[slowest]))},
             )
+
+
+def _given(limit, described):
+    """Limits that are given (nv,), and where they are nan or None those described."""
+    if limit is None:
+        return described
+    limit = np.broadcast_to(np.asarray(limit, dtype=float), described.shape)
+    return np.where(np.isnan(limit), described, limit)
 
 
 def _known(limit):

@@ -22,6 +22,8 @@ class DesignedMotion:
         Torques that the model expects [N m or N].
     joint_names : tuple of str
         Joints.
+    slides : tuple of bool
+        Whether each slides, so that its units are m and N.
     dt, duration : float
         Sample period and length, one period of the motion [s].
     limits : MotionLimits
@@ -47,6 +49,8 @@ class DesignedMotion:
         That band [Hz].
     shows : tuple of Visible
         Effects that the motion will show, joint by joint.
+    parts : tuple of Parted
+        Pairs of effects that it was asked to tell apart.
     invisible : tuple of Invisible
         Effects that no motion shows, or not this one, and why.
     expected_intervals : tuple of ExpectedInterval
@@ -60,6 +64,7 @@ class DesignedMotion:
     a: np.ndarray
     tau: np.ndarray
     joint_names: tuple
+    slides: tuple
     dt: float
     duration: float
     limits: object
@@ -71,6 +76,7 @@ class DesignedMotion:
     band: float
     no_clearance: str = ""
     shows: tuple = ()
+    parts: tuple = ()
     invisible: tuple = ()
     expected_intervals: tuple = ()
     curve: object = field(default=None)

@@ -7,6 +7,8 @@ from scipy.special import ndtri
 
 from sklearn_vbjfa.design._criterion import DECIDED, worth
 
+# Why no motion shows an effect.
+SAME_COLUMNS = "what is fitted anyway does the same, whatever the motion"
 # Half width of a 90 % interval, in standard errors.
 _NINETY = float(ndtri(0.95))
 
@@ -57,6 +59,29 @@ class Visible:
     joint_name: str
     least: float
     rival: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parted:
+    """Two causes of which a report leaves open which one it is.
+
+    Attributes
+    ----------
+    names : tuple of (str, str)
+        Effects.
+    joint : int
+        Joint, from zero.
+    joint_name : str
+        Its name.
+    least : float
+        Smallest root mean square of the torque of either, in the most active
+        conditions, at which it is told from the other [N m or N].
+    """
+
+    names: tuple
+    joint: int
+    joint_name: str
+    least: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +157,8 @@ def promise(problem, robot, states, step, noise):
     judged = worth(problem.information(states, step), questions)
     effects = [one.effect for one in model.effects[model.n_own :]]
     asked = questions.beside > 0
+    # Of what the library holds beside it nobody has asked.
+    asked_for = questions.beside >= 1
     shows, invisible = [], []
     for k, effect in enumerate(effects):
         told = {
@@ -140,7 +167,7 @@ def promise(problem, robot, states, step, noise):
             "joint_name": robot.joint_names[effect.joint],
         }
         if not questions.alone[k] > 0:
-            reason = "lies in the span of the model's columns whatever the motion"
+            reason = SAME_COLUMNS
             invisible.append(Invisible(reason=reason, **told))
             continue
         evidence, rival = judged.alone[k], ""
@@ -151,4 +178,20 @@ def promise(problem, robot, states, step, noise):
                 evidence, rival = beside[nearest], effects[nearest].name
         least = float(noise[effect.joint] * np.sqrt(DECIDED / max(evidence, 1e-12)))
         shows.append(Visible(least=least, rival=rival, **told))
-    return {"shows": tuple(shows), "invisible": tuple(invisible)}
+    parts = []
+    for k, i in zip(*np.nonzero(np.triu(np.minimum(asked_for, asked_for.T)))):
+        weakest = min(judged.beside[k, i], judged.beside[i, k])
+        joint = effects[k].joint
+        parts.append(
+            Parted(
+                names=(effects[k].name, effects[i].name),
+                joint=joint,
+                joint_name=robot.joint_names[joint],
+                least=float(noise[joint] * np.sqrt(DECIDED / max(weakest, 1e-12))),
+            )
+        )
+    return {
+        "shows": tuple(shows),
+        "invisible": tuple(invisible),
+        "parts": tuple(sorted(parts, key=lambda one: (one.joint, one.least))),
+    }

@@ -180,7 +180,10 @@ def read_recording(
     labels, segment = _segments(table, layout)
     taken |= {segment, *(() if time is None else time.column.split("+"))}
     signals, left_out = _signals(table, layout, taken, notes)
-    _say_what_was_taken(table, layout, asked.mapping, found, time, time_unit, notes)
+    own = torque_units[0] if len(set(torque_units)) == 1 else ""
+    _say_what_was_taken(
+        table, layout, asked.mapping, found, time, time_unit, own, notes
+    )
     maker = currents_as_efforts(names) if _is_effort(table, layout) else ""
     if maker and gains is None:
         notes.append(
@@ -708,7 +711,9 @@ def _signals(table: Table, layout, taken, notes):
     return signals, left_out
 
 
-def _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes):
+def _say_what_was_taken(
+    table, layout, mapping, found, time, time_unit, torque_unit, notes
+):
     """Note, in one line, what was taken for what where the names do not say it."""
     said = []
     converted = {
@@ -727,7 +732,8 @@ def _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes):
             ends = (
                 columns[0] if len(columns) == 1 else f"{columns[0]} ... {columns[-1]}"
             )
-            said.append(f"{kind} = {_with_unit(ends, found[kind][0].unit)}")
+            unit = found[kind][0].unit or (torque_unit if kind == "tau" else "")
+            said.append(f"{kind} = {_with_unit(ends, unit)}")
         said.append(stamped)
         notes.insert(0, f"taken as {layout.what}: {', '.join(x for x in said if x)}.")
     elif time is not None and not mapping and time.column not in ("t", "T"):

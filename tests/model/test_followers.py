@@ -120,6 +120,23 @@ def test_torques_are_those_of_the_full_robot_seen_from_its_leaders(write):
     np.testing.assert_allclose(found, expected, atol=1e-12 * np.abs(expected).max())
 
 
+def test_a_model_alone_has_the_followers_where_they_stand(write):
+    """`load_model` holds them while their leaders are at zero; no mass is missing."""
+    path = write(GRIPPER)
+    model = load_model(path)
+    full = pin.buildModelFromXML(
+        path.read_text().replace('type="continuous"', 'type="revolute"')
+    )
+    q = np.zeros(full.nq)
+    for name in ("f2", "f3", "f4"):
+        q[full.joints[full.getJointId(name)].idx_q] = RELATIONS[name][2]
+    at = [full.joints[full.getJointId(name)].idx_v for name in ("j1", "j2", "grip")]
+    data = full.createData()
+    expected = pin.rnea(full, data, q, np.zeros(full.nv), np.zeros(full.nv))[at]
+    found = pin.rnea(model, model.createData(), *np.zeros((3, 3)))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
 def test_units_of_length_change_nothing_but_the_unit(write):
     """All lengths in centimetres: moments a hundred times, inertias ten thousand."""
     features = RigidBodyFeatures(write(GRIPPER)).load()
@@ -154,7 +171,9 @@ def test_held_followers(write, tmp_path):
     for one in (held, named, load_folded(path)):
         mass = sum(inertia.mass for inertia in one.model.inertias)
         mass += sum(body.parameters[0] for body in one.followers)
+        still = sum(inertia.mass for inertia in one.still.inertias)
         assert mass == pytest.approx(sum(range(1, 8)))
+        assert still == pytest.approx(sum(range(1, 8)))
 
 
 def test_one_that_carries_a_joint_of_its_own_cannot_be_folded(write):

@@ -119,6 +119,10 @@ class _Frame:
         share = (np.asarray(values, dtype=float) - low) / (high - low)
         return HEIGHT * (1.0 - np.clip(share, -0.02, 1.02))
 
+    def level(self, value):
+        """Path of a horizontal line."""
+        return f"M0 {self.down(value):.1f}H{WIDTH}"
+
     def x_ticks(self):
         return tuple(
             (100 * (value - self.x[0]) / (self.x[1] - self.x[0]), text)
@@ -243,6 +247,52 @@ def torque_figure(torques, line, *, title, y_label):
     )
 
 
+def line_figure(seconds, values, *, title, y_label, levels=()):
+    """Draw one signal over time between levels that it keeps to.
+
+    Parameters
+    ----------
+    seconds, values : ndarray of shape (n,)
+        Times [s] and values.
+    title, y_label : str
+        Of the figure and its vertical axis, with the unit.
+    levels : sequence of float
+        Levels. Those that would leave the signal less than a quarter of the height are
+        not drawn, but said.
+
+    Returns
+    -------
+    Figure
+        One chart.
+    """
+    low, high = float(values.min()), float(values.max())
+    size = max(high - low, max(abs(low), abs(high))) or 1.0
+    near = [x for x in levels if low - 3 * size <= x <= high + 3 * size]
+    far = [x for x in levels if x not in near]
+    ends = min(low, 0.0, *near), max(high, 0.0, *near)
+    room = 0.06 * (ends[1] - ends[0]) or 1.0
+    frame = _Frame(x=_ends(seconds), y=(ends[0] - room, ends[1] + room))
+    x_label = "time [s]"
+    rows = extremes(values, _CURVE)
+    shapes = [
+        Shape(kind="zero", path=_zero(frame)),
+        Shape(kind="limit", path="".join(map(frame.level, near))),
+        Shape(kind="line-after", path=_line(frame, seconds[rows], values[rows])),
+    ]
+    series = [(title, "line-after", values)]
+    series += [("limit", "limit", np.full(values.size, x)) for x in near]
+    keys = [("limit", "limit")] if near else []
+    if far:
+        told = " and ".join(words.number(x) for x in far)
+        keys.append(("limit", f"beyond the picture: {told}"))
+    return Figure(
+        title=title,
+        charts=(_chart(frame, "", x_label, y_label, shapes),),
+        data=_data(title, x_label, y_label, seconds, series),
+        keys=tuple(keys),
+    )
+
+
 def _chart(frame, title, x_label, y_label, shapes):
     return Chart(
         title=title,
@@ -316,7 +366,7 @@ def _band(frame, x, mean, half):
 
 
 def _zero(frame):
-    return f"M0 {frame.down(0.0):.1f}H{WIDTH}"
+    return frame.level(0.0)
 
 
 def _spans(frame, spans):

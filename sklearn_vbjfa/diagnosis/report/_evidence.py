@@ -196,9 +196,16 @@ class ParameterGroup:
 
 @dataclass(frozen=True, kw_only=True)
 class Parameters:
-    """Groups of parameters."""
+    """Groups of parameters, and the heads of their cells."""
 
     groups: tuple
+    heads: tuple = (
+        "parameter",
+        "identified (90 %)",
+        "robot description",
+        "unit",
+        "measured?",
+    )
 
 
 def parameter_groups(outcome):

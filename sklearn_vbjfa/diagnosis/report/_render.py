@@ -91,10 +91,13 @@ def markdown(sections):
     return _template("report.md.j2").render(sections=sections)
 
 
-def page(sections):
-    """Write the sections as a whole page."""
-    zooms = any(section.template == "figures" for section in sections)
-    return _template("page.html.j2").render(
+def page(sections, package=None):
+    """Write the sections as a whole page.
+
+    package : dotted name of one whose folder ``templates`` has further templates.
+    """
+    zooms = any(getattr(section.drawn, "figures", ()) for section in sections)
+    return _template("page.html.j2", package).render(
         sections=sections,
         zooms=zooms,
         library=_vendored() if zooms else {},
@@ -135,13 +138,14 @@ def _vendored():
 
 
 @lru_cache
-def _template(name):
+def _template(name, package=None):
     """Load a template, in which every value is escaped."""
-    from jinja2 import Environment, PackageLoader, StrictUndefined
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
     is_page = name.endswith(".html.j2")
+    packages = filter(None, ("sklearn_vbjfa.diagnosis.report", package))
     environment = Environment(
-        loader=PackageLoader("sklearn_vbjfa.diagnosis.report"),
+        loader=ChoiceLoader([PackageLoader(one) for one in packages]),
         autoescape=is_page,
         finalize=_page_value if is_page else _markdown_value,
         undefined=StrictUndefined,

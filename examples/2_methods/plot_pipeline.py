@@ -123,7 +123,7 @@ for key, search in searches.items():
 # Left: what the projection takes from the error of each regressor. Right: the joint on
 # which the choice and least squares differ most. The choice is the best here, which is
 # luck as well: over twenty robots, the blocks choose projected LASSO on most, while
-# projected VB-JFA has the lowest median error (``docs/benchmarks.rst``, "One pipeline, a
+# projected VB-JFA has the lowest median (``docs/benchmarks.rst``, "One pipeline, a
 # search"). What helps nearly always is the projection.
 
 figure, (left, right) = plt.subplots(

@@ -158,6 +158,10 @@ class EquationModel:
         own = np.concatenate(own, axis=2) if own else np.zeros((n, nv, 0))
         bodies = np.zeros((n, nv, self._theta.size))
         bodies[:, self._of_joint, self._of_parameter] = entries.T
+        # Torques and forces have units of their own: rows are over the joint's load.
+        unit = np.sqrt((motion.load**2).mean(axis=0))
+        unit[unit == 0] = 1.0
+        own, bodies = own / unit[:, None], bodies / unit[:, None]
         A, B = own.reshape(n * nv, -1), bodies.reshape(n * nv, -1)
         size = np.linalg.norm(B, axis=0)
         seen = np.flatnonzero(size > 1e-9 * size.max(initial=0.0))

@@ -285,11 +285,11 @@ def _improved(lagrangian, x):
 def shrunk(problem, z, t, inside, *, apart=True):
     """Scale a motion until it keeps all limits at the times t.
 
-    It is scaled about its start if that is given, else about the pose in it that takes
-    the least torque to hold. With `apart` its bodies keep their distance as well.
+    It is scaled about its start if that is given, else about the pose in it that is
+    furthest from the limits. With `apart` its bodies keep their distance as well.
     """
     basis = problem.curve.basis(t)
-    about = _least_strained(problem, z, basis)
+    about = _roomiest(problem, z, basis)
 
     def keeps(factor):
         states = problem.curve.states(_scaled(problem, z, factor, about), basis)
@@ -321,14 +321,16 @@ def shrunk(problem, z, t, inside, *, apart=True):
     return _scaled(problem, z, low, about)
 
 
-def _least_strained(problem, z, basis):
-    """Pose (nv,) of a motion that takes the least torque to hold."""
+def _roomiest(problem, z, basis):
+    """Pose (nv,) of a motion at rest in which it is furthest from its limits."""
     if problem.curve.start is not None:
         return problem.curve.start
     states = problem.curve.states(z, basis)
     states[:, problem.model.nv :] = 0.0
-    strain = np.abs(problem.torques(problem.model(states))) / problem.limits.torque
-    return states[np.argmin(strain.max(axis=1)), : problem.model.nv]
+    torques = problem.torques(problem.model(states))
+    sides = [g for g, _ in excess(problem, states, torques)]
+    worst = np.max(sides, axis=(0, 2))
+    return states[np.argmin(worst), : problem.model.nv]
 
 
 def _scaled(problem, z, factor, about):

@@ -303,11 +303,11 @@ def test_a_motion_is_scaled_about_a_pose_that_is_easily_held(tmp_path):
     from sklearn_vbjfa.design._optimise import shrunk
 
     path = chain(tmp_path, ("revolute", "revolute"), effort=60.0, seed=3)
-    limits = MotionLimits([[-1.5, 1.5]] * 2, [2.0, 2.0], torque=[60.0, 3.0])
+    limits = MotionLimits([[-1.5, 1.5]] * 2, [2.0, 2.0], torque=[60.0, 1.15])
     problem, z = problem_of(path, limits=limits)
     # Larger, and begun where the pendulum is level and cannot be held.
     z = 1.3 * z
-    z[:, -1] = [0.0, 1.4]
+    z[:, -1] = [0.0, 0.9]
     t = problem.times(160)
     basis = problem.curve.basis(t)
     found = shrunk(problem, z, t, 0.98)
@@ -321,13 +321,13 @@ def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
     # Dry friction jumps where the load is largest, between two samples.
     from sklearn_vbjfa.design._optimise import optimise, shrunk
 
-    path = chain(tmp_path, ("revolute", "revolute"), effort=15.0, seed=3)
+    path = chain(tmp_path, ("revolute", "revolute"), effort=3.0, seed=3)
     problem, z = problem_of(path)
     own = [one.effect for one in problem.model.effects]
     sizes = problem.coefficients.copy()
     for span, effect in zip(problem.model.spans, own):
         if effect.name == "coulomb":
-            sizes[span] = 3.0
+            sizes[span] = 0.5
     problem = replace(problem, coefficients=sizes)
     t = problem.times(160)
     found = optimise(problem, z, t, 0.98)
@@ -336,4 +336,4 @@ def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
     states = problem.curve.states(kept, problem.curve.basis(t))
     torques = problem.torques(problem.model(states, t))
     assert np.all(np.abs(torques) <= 0.98 * problem.limits.torque * (1 + 1e-8))
-    assert np.abs(torques / problem.limits.torque).max() > 0.9
+    assert np.abs(torques / problem.limits.torque).max() > 0.85

@@ -38,6 +38,8 @@ root_doc = "index"
 extlinks = {"doi": ("https://doi.org/%s", "doi:%s")}
 autosummary_generate = True
 autodoc_member_order = "bysource"
+# "fit()" beside the page of a class, not "RobotIdentifier.fit()".
+toc_object_entries_show_parents = "hide"
 # The class pages list the members themselves, see _templates/autosummary/class.rst.
 numpydoc_show_class_members = False
 # `name` in a docstring is a name of Python, linked where there is a page for it.
@@ -54,7 +56,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-# The first page leads on by itself, and so do those that are one long list.
+# The first page leads on by itself.
 html_sidebars = {"index": []}
 html_show_sourcelink = False
 html_static_path = ["_static"]
@@ -78,7 +80,7 @@ sphinx_gallery_conf = {
             "../examples/3_articles",
         ]
     ),
-    "within_subsection_order": "FileNameSortKey",
+    "within_subsection_order": "gallery_order.MostWantedFirst",
     "write_computation_times": False,
     "show_memory": False,
     "download_all_examples": False,

@@ -294,6 +294,14 @@ def test_included_tables_exist():
         assert (DOCS / name).is_file()
 
 
+def test_links_of_the_readme_lead_to_files():
+    links = re.findall(r"\]\(([^)]+)\)", read(ROOT / "README.md"))
+    local = [link for link in links if not link.startswith("https://")]
+    assert "docs/images/residual.png" in local
+    for link in local:
+        assert (ROOT / link).is_file(), link
+
+
 def script(path, patch):
     """Import a script of the documentation for as long as `patch` holds."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -429,3 +437,13 @@ def test_examples_run(page, tmp_path, monkeypatch):
     namespace = {"__name__": "__main__"}
     for block in code_blocks(page):
         exec(compile(block, str(page), "exec"), namespace)
+
+
+def test_examples_that_come_first_exist(monkeypatch):
+    order = script(DOCS / "_ext" / "gallery_order.py", monkeypatch)
+    there = [path.name for path in (ROOT / "examples").rglob("plot_*.py")]
+    assert set(order.FIRST) <= set(there)
+    key = order.MostWantedFirst("examples")
+    assert sorted([*there, "plot_another.py"], key=key)[: len(order.FIRST)] == list(
+        order.FIRST
+    )

@@ -1,6 +1,8 @@
 """Pages of the effects: one for each, and what they say is what the code computes."""
 
+import io
 import re
+import shutil
 import sys
 from pathlib import Path
 
@@ -20,12 +22,10 @@ from tests.effects._arms import (
 from tests.effects.test_effects import RECORDED, A, Q, T, V, X, signals
 
 pytest.importorskip("pinocchio")
-pytest.importorskip("numpydoc")
-pytest.importorskip("sphinx")
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 sys.path.insert(0, str(DOCS / "_ext"))
-import effect_pages  # noqa: E402
+import effect_facts  # noqa: E402
 import simulated_effects  # noqa: E402
 
 NAMES = effects.available()
@@ -70,9 +70,9 @@ def test_a_page_has_its_parts_and_links_to_others(name):
 def test_what_stands_in_a_formula_is_a_parameter_or_is_explained(name):
     use = USES[name]
     told = page(name) + " ".join(explanation(type(use.effect)))
-    parameters = effect_pages.parameters_of(use)
-    formula = effect_pages.symbols(use.effect.formula)
-    explained = effect_pages.symbols(
+    parameters = effect_facts.parameters_of(use)
+    formula = effect_facts.symbols(use.effect.formula)
+    explained = effect_facts.symbols(
         " ".join(re.findall(r":math:`([^`]*)`", told.replace("\n", " ")))
     )
     words = set(re.findall(r"\w+", told))
@@ -84,7 +84,7 @@ def test_what_stands_in_a_formula_is_a_parameter_or_is_explained(name):
 
 
 def test_symbols_are_read_as_the_code_has_them():
-    read = effect_pages.symbols
+    read = effect_facts.symbols
     assert read(r"\Delta F_c\,|v| + F_{vm}\,w") == {"dFc", "v", "Fvm", "w"}
     assert read(r"\frac{\partial\tau}{\partial q_j}\,\mathrm{time\_constant}") == {
         "tau",
@@ -110,6 +110,25 @@ def test_sources_are_in_the_bibliography(name):
     title = re.search('"([^"]+)"', source)[1]
     plain = re.sub(r"[{}]", "", bibliography).lower()
     assert title.lower() in plain, title
+
+
+@pytest.mark.parametrize("name", ["coupling", "ripple"])
+def test_measured_sizes_are_those_of_the_table(name):
+    table = " ".join((DOCS / "tables" / "figaroh.rst").read_text("utf-8").split())
+    sizes = re.findall(r"``(\w+)`` = ([\d.]+)", page(name))
+    assert len(sizes) == 2
+    for symbol, value in sizes:
+        assert f"{symbol} = {value} +-" in table, (symbol, value)
+
+
+@pytest.mark.parametrize("name", ["viscous", "coulomb", "offset"])
+def test_published_sizes_are_those_of_the_table(name):
+    table = (DOCS / "tables" / "protocol_emps.rst").read_text("utf-8")
+    label = {"viscous": "Fv", "coulomb": "Fc", "offset": "offset"}[name]
+    unit = {"viscous": "N s/m", "coulomb": "N", "offset": "N"}[name]
+    published = re.search(rf"^{label} \[{unit}\]\s+(\S+)", table, flags=re.M)[1]
+    told = re.search(rf"^(-?[\d.]+) {unit} on the linear drive", page(name), re.M)[1]
+    assert float(told) == round(float(published), len(told.partition(".")[2]))
 
 
 # -- the formulas ------------------------------------------------------------------
@@ -433,6 +452,38 @@ def test_known_equals_are_named():
         rivals = dict(simulated_effects.rivals_of(USES[name]).others)
         assert rivals[other] == pytest.approx(1.0, abs=1e-6)
     assert simulated_effects.rivals_of(USES["ripple"]).others == ()
+
+
+def test_the_first_rotors_are_hidden_and_the_others_are_not():
+    """The second axis is across the first, as the page has it."""
+    motion = simulated_effects.scene().motion
+    base = simulated_effects._declared_beside("rotor_inertia")
+    step = simulated_effects.EVERY
+    for joint in range(motion.n_joints):
+        rotor = effects.RotorInertia(joint=joint)
+        torque = simulated_effects.columns_of(rotor, motion)[::step, :, 0].ravel()
+        rest = torque - base @ (base.T @ torque)
+        hidden = rest @ rest < 1e-12 * (torque @ torque)
+        assert hidden == (joint < 2)
+
+
+def test_the_zero_of_a_wrist_is_an_axis_of_the_next_joint():
+    """Where the axis of the fourth joint runs through the fifth, and not elsewhere."""
+    motion = simulated_effects.scene().motion
+
+    def apart(joint):
+        zero = simulated_effects.columns_of(effects.JointZero(joint=joint), motion)
+        axis = effects.JointAxis(joint=joint + 1)
+        both = simulated_effects.columns_of(axis, motion).reshape(-1, 2)
+        zero = zero.ravel()
+        rest = zero - both @ np.linalg.lstsq(both, zero, rcond=None)[0]
+        return np.linalg.norm(rest) / np.linalg.norm(zero)
+
+    assert apart(3) < 1e-9
+    assert apart(2) > 0.1
+
+
+def test_what_contains_an_effect_is_known():
     assert set(simulated_effects.containing("spring")) == {"counterbalance", "backlash"}
 
 
@@ -454,7 +505,7 @@ def test_known_equals_are_named():
 )
 def test_files_have_what_the_page_says(name, urdf, mjcf):
     for found, told in zip(simulated_effects.destinations(USES[name]), (urdf, mjcf)):
-        assert effect_pages.told_of_file(found).startswith(told)
+        assert effect_facts.told_of_file(found).startswith(told)
 
 
 @pytest.mark.parametrize(
@@ -469,12 +520,54 @@ def test_files_have_what_the_page_says(name, urdf, mjcf):
     ],
 )
 def test_step_has_what_the_page_says(name, told):
-    found = effect_pages.told_of_step(USES[name])
+    found = effect_facts.told_of_step(USES[name])
     assert found == told or (len(told) > 20 and found.startswith(told))
 
 
 def test_the_style_follows_the_switch_of_the_guide():
-    sheet = effect_pages.style()
+    sheet = effect_facts.style()
     for theme, ink in (("light", "#1c2430"), ("dark", "#e6eaf0")):
         rule = re.search(rf'html\[data-theme="{theme}"\] \.vbjfa\{{([^}}]*)\}}', sheet)
         assert f"--ink:{ink}" in rule[1]
+
+
+CONF = """
+import sys
+sys.path.insert(0, {folder!r})
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.extlinks",
+    "sphinx.ext.mathjax",
+    "numpydoc",
+    "effect_pages",
+]
+extlinks = {{"doi": ("https://doi.org/%s", "doi:%s")}}
+default_role = "autolink"
+"""
+
+
+@pytest.mark.slow
+def test_the_pages_are_built_without_a_warning(tmp_path):
+    pytest.importorskip("numpydoc")
+    application = pytest.importorskip("sphinx.application")
+    source, out = tmp_path / "docs", tmp_path / "html"
+    shutil.copytree(DOCS / "effects", source / "effects")
+    listed = "".join(f"    effects/{name}\n" for name in NAMES)
+    index = f"Guide\n=====\n\n.. effect-index::\n\n.. toctree::\n\n{listed}"
+    (source / "index.rst").write_text(f"{index}    coming_from\n")
+    (source / "coming_from.rst").write_text("Coming from\n===========\n")
+    (source / "conf.py").write_text(CONF.format(folder=str(DOCS / "_ext")))
+    warned = io.StringIO()
+    sphinx = application.Sphinx(
+        source, source, out, tmp_path / "trees", "html", status=None, warning=warned
+    )
+    sphinx.build()
+    assert warned.getvalue() == ""
+    assert (out / "_static" / "effects.css").is_file()
+    cards = (out / "index.html").read_text(encoding="utf-8")
+    assert cards.count("<svg") == len(NAMES)
+    for name in NAMES:
+        html = (out / "effects" / f"{name}.html").read_text(encoding="utf-8")
+        assert html.count("<svg") == 1
+        assert "effects.css" in html

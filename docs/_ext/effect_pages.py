@@ -14,6 +14,13 @@ from pathlib import Path
 
 from docutils import nodes
 from docutils.statemachine import StringList
+from effect_facts import (
+    parameters_of,
+    style,
+    told_of_file,
+    told_of_step,
+    typeset,
+)
 from numpydoc.docscrape import ClassDoc
 from simulated_effects import (
     NOISE,
@@ -21,7 +28,6 @@ from simulated_effects import (
     destinations,
     figure_of,
     rivals_of,
-    step_reasons,
     uses,
 )
 from sphinx.util.docutils import SphinxDirective
@@ -30,35 +36,12 @@ from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis.report import _render
 from sklearn_vbjfa.diagnosis.report._charts import HEIGHT, WIDTH
 from sklearn_vbjfa.diagnosis.report._evidence import (
-    added_torque,
     explanation,
     source_of,
 )
 from sklearn_vbjfa.diagnosis.report._words import number
 
-# Attributes of a written file that come with others and say nothing by themselves.
-_WITH_OTHERS = {
-    "biastype",
-    "coef",
-    "joint",
-    "name",
-    "range",
-    "solimpfriction",
-    "solreffriction",
-}
 _SHEET = "effects.css"
-# The report follows the system; the guide has a switch of its own.
-_THEME = """
-.vbjfa{background:none;padding:0}
-.effect-cards{display:grid;gap:12px;
-grid-template-columns:repeat(auto-fill,minmax(min(100%,215px),1fr))}
-.effect-card{border:1px solid var(--pst-color-border,#ccc);border-radius:8px;
-padding:8px 10px;font-size:.9em}
-.effect-caption{font-size:.85em;margin-top:.4em}
-.effect-card p{margin:.3em 0 0}
-.effect-card svg{width:100%;height:84px;display:block}
-.effect-card svg path{fill:none;vector-effect:non-scaling-stroke}
-"""
 
 
 # -- what the classes say ----------------------------------------------------------
@@ -77,43 +60,6 @@ def drawn(name):
     return replace(figure, charts=figure.charts[:1])
 
 
-def symbols(formula):
-    r"""Names of what stands in a formula, as the code has them, a set of str.
-
-    ``F_{vm}`` is Fvm, ``\\Delta F_c`` is dFc, ``\\mathrm{time\\_constant}`` is
-    time_constant.
-    """
-    text = re.sub(r"\\text\{[^}]*\}|\\(left|right|q?quad|[,;: ])", " ", formula)
-    text = text.replace(r"\_", "_UNDERSCORE_").replace(r"\Delta", " d")
-    text = re.sub(r"\bd\s+(?=[A-Z\\])", "d", text)
-    text = re.sub(r"\\(sin|cos|tanh|frac|partial|ge|dot|ddot)(?![a-z])", " ", text)
-    text = re.sub(r"\\mathrm\{([^}]*)\}", r" \1 ", text)
-    text = text.replace("_UNDERSCORE_", "\x00")
-    found = re.findall(r"\\?[A-Za-z\x00]+(?:_(?:\{\s*\w+\s*\}|\w|\s\w+))?", text)
-    return {re.sub(r"[\\_{}\s]", "", one).replace("\x00", "_") for one in found}
-
-
-def parameters_of(use):
-    """Return what an effect's parameters are, name -> (units, how found).
-
-    Of all its forms: those that are plain come first.
-    """
-    kinds = {}
-    for effect in (type(use.effect)(joint=use.effect.joint), use.effect):
-        fitted = effect.parameters([1.0] * len(effect.coefficients))
-        turning, sliding = (effect.parameter_units(p) for p in (False, True))
-        for name in dict.fromkeys((*fitted, *effect.shape())):
-            units = [unit[name] for unit in (turning, sliding) if name in unit]
-            units = " or ".join(dict.fromkeys(units)).replace("^2", "²")
-            how = "fitted" if name in fitted else "tried"
-            if name in effect.continuous:
-                how = "searched" if name not in fitted else "fitted and searched"
-            if effect.in_model:
-                how = "corrected step by step"
-            kinds.setdefault(name, (units.replace("^3", "³"), how))
-    return kinds
-
-
 def described(kind):
     """Return what a class says of its parameters, name -> text."""
     return {
@@ -130,7 +76,9 @@ def _plain(text):
 
 
 def _shown(value):
-    return value if isinstance(value, str) else number(float(value))
+    if isinstance(value, tuple):
+        return ", ".join(map(_shown, value))
+    return f"``{value!r}``" if isinstance(value, str) else number(float(value))
 
 
 # -- directives --------------------------------------------------------------------
@@ -154,6 +102,8 @@ class _OfEffect(SphinxDirective):
         """Nodes of reStructuredText, a list."""
         holder = nodes.Element()
         source = f"effect {self.arguments[0]}" if self.arguments else "effects"
+        # Names in docstrings are those of the effects' module.
+        lines = [".. currentmodule:: sklearn_vbjfa.effects", "", *lines]
         text = StringList([line for one in lines for line in one.split("\n")], source)
         self.state.nested_parse(text, self.content_offset, holder)
         return holder.children
@@ -166,27 +116,27 @@ class Law(_OfEffect):
         """Make the nodes."""
         use, kind = self.use, type(self.use.effect)
         first, *more = map(_plain, explanation(kind))
-        lines = [first, "", ".. math::", "", f"    {added_torque(kind.formula)}", ""]
+        lines = [first, "", *typeset(kind.formula), ""]
         lines += [f"{one}\n" for one in more]
         told, now = described(kind), use.values
         lines += [
             ".. list-table::",
             "    :header-rows: 1",
-            "    :widths: 20 25 35 20",
+            "    :widths: auto",
             "",
             "    * - parameter",
             "      - unit",
-            "      - how it is found",
             "      - in the picture",
+            "      - what it is, how it is found",
         ]
         for name, (units, how) in parameters_of(use).items():
             what = f"{told[name].rstrip('.')}; {how}" if name in told else how
-            value = _shown(now[name][0]) if name in now else "–"
+            value = _shown(now[name]) if name in now else "–"
             lines += [
                 f"    * - ``{name}``",
                 f"      - {units or '–'}",
-                f"      - {what}",
                 f"      - {value}",
+                f"      - {what}",
             ]
         lines += ["", "Units are those of a revolute or a prismatic joint."]
         return self.parsed(lines)
@@ -203,7 +153,7 @@ class Picture(_OfEffect):
         seen = (
             ""
             if use.signal is None
-            else f" Reports draw it over its {own}, as for any robot."
+            else f" Reports draw it over its {own}, as they do for any robot."
         )
         caption = (
             "Simulated: a made-up six-axis arm that is known exactly, noise of "
@@ -273,50 +223,6 @@ class Facts(_OfEffect):
         return self.parsed([*lines, "", *([_plain(notes)] if notes else [])])
 
 
-def told_of_file(destination):
-    """Say what a file has of an effect."""
-    places = [one.split(": ") for one in destination.places]
-    places = [
-        f"``{name}`` of ``{tag}``" for tag, name in places if name not in _WITH_OTHERS
-    ]
-    where = ", ".join(places)
-    if not destination.lacks:
-        return where
-    lacks = destination.lacks.replace("; ", ";\n    ")
-    return f"in part ({where}): {lacks}" if where else f"no place: {lacks}"
-
-
-def told_of_step(use):
-    """Say whether torques state by state have an effect."""
-    reasons = step_reasons(use)
-    refused = {reason for _, reason in reasons if reason}
-    if not refused:
-        memory = " with a memory" if use.effect.memory == "past" else ""
-        return f"yes{memory}"
-    (why,) = refused
-    if all(reason for _, reason in reasons):
-        return f"no: {why}"
-    return f"yes; not with {_what_parts(reasons)}: {why}"
-
-
-def _what_parts(reasons):
-    """Name the shapes that are refused by what only they have."""
-    for name in reasons[0][0]:
-        with_it, without = (
-            {_sort(shape[name]) for shape, reason in reasons if bool(reason) is refused}
-            for refused in (True, False)
-        )
-        if with_it.isdisjoint(without):
-            return " or ".join(f"``{name}`` {one}" for one in sorted(with_it))
-    raise ValueError("no shape parameter parts what is refused.")
-
-
-def _sort(value):
-    if isinstance(value, str):
-        return f'"{value}"'
-    return "< 0" if value < 0 else "> 0"
-
-
 class Index(_OfEffect):
     """All effects with small pictures, in the order of the library."""
 
@@ -359,21 +265,6 @@ def thumbnail(figure):
 
 
 # -- style -------------------------------------------------------------------------
-
-
-def style():
-    """Return the report's style sheet, with the guide's own switch for dark pages."""
-    sheet = _render.style()
-    colours = re.findall(r"\.vbjfa\{(--ink:[^}]*?--untouched:[^;}]*)", sheet)
-    light, dark = colours[:2]
-    return "".join(
-        [
-            sheet,
-            _THEME,
-            f'html[data-theme="light"] .vbjfa{{{light}}}\n',
-            f'html[data-theme="dark"] .vbjfa{{{dark}}}\n',
-        ]
-    )
 
 
 def _write_style(app):

@@ -80,10 +80,8 @@ class Use:
 
     @property
     def values(self):
-        """Values of all parameters with units, name -> (value, unit)."""
-        found = self.effect.parameters(self.coef) | self.effect.shape()
-        units = self.effect.parameter_units()
-        return {name: (found[name], units[name]) for name in found if name in units}
+        """Values of all parameters of the form in use, by name."""
+        return self.effect.shape() | self.effect.parameters(self.coef)
 
 
 def _of_window(motion):

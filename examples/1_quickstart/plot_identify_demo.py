@@ -14,6 +14,7 @@ encoder noise of 1e-4 rad, torque noise of 5 %.
 # Two motions of 20 s each. The first is fitted, the second kept for testing. The
 # inertias of the robot description are wrong by some 30 %.
 
+# sphinx_gallery_thumbnail_number = 4
 import matplotlib.pyplot as plt
 import numpy as np
 

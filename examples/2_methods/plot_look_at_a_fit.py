@@ -14,6 +14,7 @@ truth.
 # and a third of their variance is noise; thirty inputs have nothing to do with the
 # output. One fit is given the noise of the inputs, the other is not.
 
+# sphinx_gallery_thumbnail_number = 2
 import matplotlib.pyplot as plt
 import numpy as np
 

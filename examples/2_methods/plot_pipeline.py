@@ -1,7 +1,7 @@
 """
-======================================================
-Three seconds, coarse encoders: one pipeline, a search
-======================================================
+====================================================
+Two seconds, coarse encoders: one pipeline, a search
+====================================================
 
 Features of the robot, a regressor and the projection onto possible robots make one
 scikit-learn pipeline. With little data and coarse encoders the choice among them
@@ -12,9 +12,9 @@ once, says what it was worth.
 # %%
 # The recording
 # -------------
-# A simulated arm for 3 s at 100 Hz, with encoders that scatter by 5 mrad (0.3 degrees)
-# and 5 % of noise in the torques. Its labels are blocks of one second: the search holds
-# each out in turn. The other motion, of 10 s, is the same robot's.
+# A simulated arm for 2 s at 100 Hz, with encoders that scatter by 5 mrad (0.3 degrees)
+# and 5 % of noise in the torques. Its labels are two blocks of one second: the search
+# fits one and predicts the other. The other motion, of 10 s, is the same robot's.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -35,7 +35,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 noise = {"encoder_noise": 5e-3, "torque_noise": 0.05}
 short = make_robot_recording(
-    duration=3.0, dt=0.01, frequency=1.0, **noise, random_state=0
+    duration=2.0, dt=0.01, frequency=1.0, **noise, random_state=0
 )
 other = make_robot_recording(
     duration=10.0,
@@ -53,8 +53,7 @@ blocks = np.arange(short.n_samples) // 100
 # ------------
 # Its frames carry the names of the features, from which the projector knows bodies and
 # friction. With metadata routing, the labels that choose the folds also keep the blocks
-# apart in the low-pass of the regressor: pieces of a recording of which the middle is
-# held out are not neighbours.
+# apart in the low-pass of the regressor, in every fold.
 
 sklearn.set_config(enable_metadata_routing=True)
 pipeline = Pipeline(
@@ -132,13 +131,13 @@ figure, (left, right) = plt.subplots(
 for row, name in enumerate(reversed(regressors)):
     before, after = (errors[name, kind] for kind in projectors)
     left.plot([before, after], [row, row], color="0.7", lw=3, zorder=0)
-    left.scatter(before, row, 70, "white", edgecolors="C0", linewidths=2)
-    left.scatter(after, row, 70, "C0")
-left.scatter([], [], 70, "white", edgecolors="C0", linewidths=2, label="as fitted")
-left.scatter([], [], 70, "C0", label="projected")
+    left.scatter(before, row, 110, "white", edgecolors="C0", linewidths=2)
+    left.scatter(after, row, 50, "C0")
+left.scatter([], [], 110, "white", edgecolors="C0", linewidths=2, label="as fitted")
+left.scatter([], [], 50, "C0", label="projected")
 row = list(reversed(regressors)).index(chosen[0])
 left.scatter(
-    errors[chosen], row, 260, "none", edgecolors="C3", linewidths=2, label="chosen"
+    errors[chosen], row, 320, "none", edgecolors="C3", linewidths=2, label="chosen"
 )
 left.set_yticks(range(len(regressors)), list(reversed(regressors)))
 left.set_xlim(0, 1.1 * max(errors.values()))
@@ -159,5 +158,7 @@ for label, tau, colour in (
     right.plot(t, missed, color=colour, label=label)
 right.set_xlabel("time [s]")
 right.set_ylabel(f"torque missed on {other.joint_names[joint]} [N m]")
-right.legend(loc="upper right")
+low, high = right.get_ylim()
+right.set_ylim(low, high + 0.15 * (high - low))
+right.legend(loc="upper right", ncols=2)
 plt.show()

@@ -109,9 +109,8 @@ def run(arguments):
         except (ValueError, ProjectionError) as error:
             # The options are valid, so the recording is at fault.
             raise ValueError(f"{source}: {error}") from error
-        text = [str(recording), str(loop.report_)]
-        if held:
-            text.insert(1, f"held at zero: {', '.join(held)}")
+        others = _input.other_joints(taken.urdf, held)
+        text = [str(recording), *others, str(loop.report_)]
         try:
             # Before anything is printed, as a reader such as head may end the run.
             provenance = Provenance(
@@ -129,9 +128,9 @@ def run(arguments):
             print("\n".join(text))
             raise
     print("\n".join(text))
-    if left_out:
-        print("\nMuJoCo has no place for, and identified.xml goes without:")
-        print("\n".join(f"- {one}" for one in left_out))
+    lines = [_left_out_line(name, left) for name, left in left_out.items() if left]
+    if lines:
+        print("\n" + "\n".join(_input.wrapped(x, sys.stdout) for x in lines))
     names = ", ".join(map(str, written))
     print(f"\n{_input.wrapped(f'written: {names}', sys.stdout)}")
     say_warnings(caught)
@@ -187,7 +186,7 @@ def close(
 def _write(loop, report, out):
     """Write all files or none; each appears complete.
 
-    Returns their paths, and what the MJCF file does not have.
+    Returns their paths, and what the descriptions do not have, by their names.
     """
     from sklearn_vbjfa.robot._known import known_parameters
 
@@ -202,12 +201,34 @@ def _write(loop, report, out):
         known = known_parameters(loop.identifier_)
         path = Path(folder, "parameters.csv")
         _write_parameters(loop.identifier_, known, path)
-        loop.identifier_.to_urdf(Path(folder, "identified.urdf"))
-        left_out = loop.identifier_.to_mjcf(Path(folder, "identified.xml"))
+        write = loop.identifier_.to_urdf, loop.identifier_.to_mjcf
+        left_out = {
+            name: to(Path(folder, name)) for name, to in zip(_IDENTIFIED, write)
+        }
         loop.identifier_.save(Path(folder, "identified.json"))
         for name in _FILES:
             os.replace(Path(folder, name), out / name)
     return [out / name for name in _FILES], left_out
+
+
+def _left_out_line(name, left):
+    """Say how many effects a description goes without, and which is the largest.
+
+    Torques and forces are not compared: the largest of each is named.
+    """
+    # What is not known is the smallest.
+    up = sorted(left, key=lambda one: np.nan_to_num(one.size, nan=-1.0))
+    largest = {one.unit: one for one in up}.values()
+    told = ", ".join(
+        f"{one.name} on {one.joint_name}"
+        + ("" if np.isnan(one.size) else f" ({one.size:.2g} {one.unit} rms)")
+        for one in largest
+    )
+    count = "an effect" if len(left) == 1 else f"{len(left)} effects, the largest"
+    return (
+        f"{name} has no place for {count}: {told}; it says why at its top, and "
+        "identified.json has all."
+    )
 
 
 def _write_parameters(robot, known, path):

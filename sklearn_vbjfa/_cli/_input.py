@@ -189,6 +189,17 @@ def hold_others(urdf, recording, held, folder):
     return reduced, (*held, *more)
 
 
+def other_joints(urdf, held):
+    """Say which joints are held, and which follow others; a list of lines."""
+    from sklearn_vbjfa.model import _loading
+
+    lines = [f"held at zero: {', '.join(held)}"] if held else []
+    follow = [body.name for body in _loading.load_folded(urdf).followers]
+    if follow:
+        lines.append(f"follow other joints, without columns: {', '.join(follow)}")
+    return lines
+
+
 def check_channels(recording, urdf, source):
     """Refuse channels that cannot be what their names say."""
     from sklearn_vbjfa.inspection import inspect_recording

@@ -42,13 +42,14 @@ def run(arguments):
         _input.signals(arguments.signals, recording, source)
         findings = inspect_recording(recording, urdf)
         motions = motion_of(recording, urdf)
-    text = [*_what(recording, taken.held), "", *_table(recording, motions), ""]
+        others = _input.other_joints(urdf, taken.held)
+    text = [*_what(recording, others), "", *_table(recording, motions), ""]
     print("\n".join([*text, *_wrong(recording, findings), "", *_shown(motions)]))
     say_warnings(caught)
 
 
-def _what(recording, held):
-    """Say what the data are."""
+def _what(recording, others):
+    """Say what the data are; others : lines on joints without columns."""
     lengths = np.bincount(recording.groups) * recording.dt
     listed = [
         f"{name} {length:.4g} s" for name, length in zip(recording.group_names, lengths)
@@ -66,9 +67,7 @@ def _what(recording, held):
         lines.append(f"signals beside the motion: {', '.join(names) or 'none'}")
     if recording.torque_noise is not None:
         lines.append("rows were interpolated on a uniform grid")
-    if held:
-        lines.append(f"held at zero: {', '.join(held)}")
-    return lines
+    return [*lines, *others]
 
 
 def _table(recording, motions):

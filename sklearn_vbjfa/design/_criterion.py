@@ -19,7 +19,7 @@ from scipy.linalg import cho_factor, cho_solve
 DECIDED = 50.0
 # What remains to be gained where nothing shows at all, of that.
 _HOPELESS = 1e-3
-_RIDGE = 1e-9
+_RIDGE, _LEAST = 1e-9, 1e-9
 # Worth of a condition number that is smaller by a factor e, for each parameter [nats],
 # and the power of its means of eigenvalues.
 BALANCE, _POWER = 3.0, 6.0
@@ -83,10 +83,12 @@ def worth(information, questions):
     """Judge an information matrix (n_columns, n_columns) of scaled columns."""
     D = questions.scale
     M = information * np.outer(D, D)
+    # A motion that hardly moves has next to no information, which is still a number.
+    M[np.diag_indices_from(M)] += _LEAST
     a = slice(0, questions.n_model)
     n = questions.n_model
     A = M[a, a]
-    size = np.sqrt(np.maximum(np.diag(A), np.finfo(float).tiny))
+    size = np.sqrt(np.diag(A))
     factor = cho_factor(A / np.outer(size, size) + _RIDGE * np.eye(n), lower=True)
     value = float(np.log(np.diag(factor[0])).sum() + np.log(size).sum())
     inverse = cho_solve(factor, np.eye(n)) / np.outer(size, size)

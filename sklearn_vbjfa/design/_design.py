@@ -14,6 +14,7 @@ from sklearn_vbjfa.design._limits import MotionLimits
 from sklearn_vbjfa.design._motion import DesignedMotion
 from sklearn_vbjfa.design._open_questions import (
     asked_effects,
+    is_steered,
     open_effects,
     read_report,
 )
@@ -35,6 +36,8 @@ _DRAWN, _REFERENCE = 40, 600
 # Poses that are tried for a start, and the share of the torque limits that may go into
 # holding it.
 _POSES, _HELD = 200, 0.85
+# Share of the limits within which motions are drawn.
+_DRAWN_INSIDE = 0.95
 # Margin to all limits at ten times the sampling of the design.
 MARGIN, _FINER = 0.02, 10
 # Smallest distance between bodies of a motion [m].
@@ -90,6 +93,8 @@ def design_motion(
 
     Raises
     ------
+    TypeError
+        If `limits` are no `MotionLimits`, or `report` is no report.
     ValueError
         If limits leave no room or are missing, the start lies outside them, or the
         duration is too short for the slowest joint.
@@ -131,6 +136,8 @@ def design_motion(
     duration = _checked_duration(duration, dt)
     if limits is None:
         limits = MotionLimits.of(robot.features.model_)
+    elif not isinstance(limits, MotionLimits):
+        raise TypeError(f"limits must be MotionLimits; got {type(limits).__name__}.")
     limits.check_for(names)
     limits.check_duration(duration, names)
     if start is not None:
@@ -228,13 +235,13 @@ def _reference(robot, limits, highest, rng):
 def _parted(robot, asked):
     """Split effects into those of the model and candidates beside it.
 
-    An effect that the model has and that is in doubt is a candidate.
+    What a report found is a candidate again: the next recording may say otherwise.
     """
-    doubted = {one.effect.key() for one in asked if one.why != "library"}
+    doubted = {(one.effect.name, one.effect.joint) for one in asked if one.doubted}
     own = [
         (effect, coef)
         for effect, coef in zip(robot.effects, robot.coefficients)
-        if effect.key() not in doubted or not effect.contains
+        if (effect.name, effect.joint) not in doubted and is_steered(effect)
     ]
     taken = {effect.key() for effect, _ in own}
     candidates = []
@@ -305,52 +312,91 @@ def _best_drawn(problem, rng):
     best, value = None, -np.inf
     for _ in range(_DRAWN):
         z = _drawn(problem, rng, basis, t)
+        if not (basis[1] @ z.T).any():
+            # drawn about a pose that torques do not hold
+            continue
         M = problem.information(problem.curve.states(z, basis), t[1])
         now = worth(M, problem.questions).value
         if now > value:
             best, value = z, now
+    if best is None:
+        raise ValueError(
+            f"The limits leave no room: torques hold the robot in few poses, and none "
+            f"of {_DRAWN} random motions starts in one. Give larger torque limits, or "
+            "a start."
+        )
     return best
 
 
 def _drawn(problem, rng, basis, t):
     """Draw a motion, each joint as large as its limits allow, all as large together."""
     curve, limits = problem.curve, problem.limits
-    low, high = limits.position.T
     z = rng.normal(size=(problem.model.nv, curve.size))
     if curve.start is None:
+        low, high = _inner(limits)
         z[:, -1] = 0.0
-    states = (basis @ z.T).transpose(1, 0, 2)
-    q, v, a = states[:, 0], states[:, 1], states[:, 2]
-    tops, bottoms = q.max(axis=0), q.min(axis=0)
-    if curve.start is None:
+        tops, bottoms = _ends(basis, z)
         room = (high - low) / np.maximum(tops - bottoms, 1e-12)
+        z *= (0.9 * _reach(limits, basis, z, room))[:, None]
+        tops, bottoms = _ends(basis, z)
+        z[:, -1] = _held_pose(problem, low - bottoms, high - tops, rng)
     else:
-        room = np.minimum(
-            (high - curve.start) / np.maximum(tops, 1e-12),
-            (low - curve.start) / np.minimum(bottoms, -1e-12),
-        )
-    reach = np.minimum(
+        z = _about_start(problem, z, basis, t)
+    return shrunk(problem, z, t, _DRAWN_INSIDE, apart=False)
+
+
+def _inner(limits):
+    """Range of positions (nv,), (nv,) within which motions are drawn."""
+    low, high = limits.position.T
+    left = 0.5 * (1.0 - _DRAWN_INSIDE) * (high - low)
+    return low + left, high - left
+
+
+def _ends(basis, z):
+    """Highest and lowest positions of motions, (nv,) each."""
+    q = basis[0] @ z.T
+    return q.max(axis=0), q.min(axis=0)
+
+
+def _reach(limits, basis, z, room):
+    """Factors (nv,) by which motions may grow, of which `room` positions allow."""
+    fastest, quickest = np.abs(basis[1:] @ z.T).max(axis=1)
+    return np.minimum(
         room,
         np.minimum(
-            limits.velocity / np.abs(v).max(axis=0),
-            limits.acceleration / np.abs(a).max(axis=0),
+            limits.velocity / np.maximum(fastest, 1e-12),
+            limits.acceleration / np.maximum(quickest, 1e-12),
         ),
     )
-    z *= (0.9 * reach)[:, None]
-    if curve.start is None:
-        lowest = low - 0.9 * reach * bottoms
-        highest = high - 0.9 * reach * tops
-        z[:, -1] = _held_pose(problem, lowest, highest, rng)
-    return shrunk(problem, z, t, 0.95, apart=False)
+
+
+def _about_start(problem, z, basis, t):
+    """Scale motions about a given start, half of them, and half to the wider side."""
+    start, limits = problem.curve.start, problem.limits
+    low, high = limits.position.T
+    tops, bottoms = _ends(basis, z)
+    room = np.minimum(
+        (high - start) / np.maximum(tops, 1e-12),
+        (low - start) / np.minimum(bottoms, -1e-12),
+    )
+    z = z * (0.45 * _reach(limits, basis, z, room))[:, None]
+    # There and back, at rest at both ends: it has room even if the start is a limit.
+    way = np.sin(np.pi * t / problem.curve.period) ** 4
+    way = np.linalg.lstsq(basis[0], way, rcond=None)[0][None]
+    aside = np.where(high - start > start - low, high - start, low - start)
+    grown = way * np.sign(aside)[:, None]
+    grown *= (0.45 * _reach(limits, basis, grown, np.abs(aside)))[:, None]
+    return z + grown
 
 
 def _held_pose(problem, lowest, highest, rng):
-    """Draw a pose between two that the torques hold against gravity."""
-    poses = rng.uniform(lowest, highest, size=(_POSES, lowest.size))
-    held, strain = _strain(problem, poses)
-    if not held.any():
-        return poses[np.argmin(strain.max(axis=1))]
-    return poses[np.flatnonzero(held)[0]]
+    """Draw a pose between two that the torques hold against gravity, or anywhere."""
+    for low, high in ((lowest, highest), _inner(problem.limits)):
+        poses = rng.uniform(low, high, size=(_POSES, lowest.size))
+        held, strain = _strain(problem, poses)
+        if held.any():
+            return poses[np.flatnonzero(held)[0]]
+    return poses[np.argmin(strain.max(axis=1))]
 
 
 def _strain(problem, poses):

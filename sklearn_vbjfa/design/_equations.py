@@ -158,6 +158,10 @@ class EquationModel:
         own = np.concatenate(own, axis=2) if own else np.zeros((n, nv, 0))
         bodies = np.zeros((n, nv, self._theta.size))
         bodies[:, self._of_joint, self._of_parameter] = entries.T
+        # Torques and forces have units of their own: rows are over the joint's load.
+        unit = np.sqrt((motion.load**2).mean(axis=0))
+        unit[unit == 0] = 1.0
+        own, bodies = own / unit[:, None], bodies / unit[:, None]
         A, B = own.reshape(n * nv, -1), bodies.reshape(n * nv, -1)
         size = np.linalg.norm(B, axis=0)
         seen = np.flatnonzero(size > 1e-9 * size.max(initial=0.0))
@@ -216,7 +220,6 @@ class EquationModel:
             rigid=lambda q, v, a: self.features.torques(
                 q, v, a, np.ascontiguousarray(inertial)
             ),
-            derivatives=self.features.derivatives(q, v, a, inertial),
             bandwidth=self.bandwidth,
             rest=self._rest,
         )
@@ -314,18 +317,16 @@ class EquationModel:
         """Differentiate columns with a memory by the coordinates of their joint."""
         j = one.effect.joint
         by_z = np.zeros_like(z)
+        now = _contracted(one.effect.columns(motion), own).sum()
+        h = _RELATIVE_STEP * max(np.abs(z[j]).max(), 1e-3)
         for i in range(curve.size):
-            h = _RELATIVE_STEP * max(np.abs(z[j]).max(), 1e-3)
-            ends = []
-            for step in (h, -h):
-                moved = {}
-                for name, part in zip("qva", basis):
-                    values = getattr(motion, name).copy()
-                    values[:, j] += step * part[:, i]
-                    moved[name] = values
-                made = one.effect.columns(replace(motion, **moved, _speeds={}))
-                ends.append(_contracted(made, own).sum())
-            by_z[j, i] = (ends[0] - ends[1]) / (2 * h)
+            moved = {}
+            for name, part in zip("qva", basis):
+                values = getattr(motion, name).copy()
+                values[:, j] += h * part[:, i]
+                moved[name] = values
+            made = one.effect.columns(replace(motion, **moved, _speeds={}))
+            by_z[j, i] = (_contracted(made, own).sum() - now) / h
         return by_z
 
     def _add_by_bodies(self, states, by_entries, by_states):

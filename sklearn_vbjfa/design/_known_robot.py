@@ -104,7 +104,10 @@ class KnownRobot:
         estimator = predictor.plan.state_estimator
         variance = getattr(estimator, "noise_variance_", np.zeros(nv))
         given = getattr(robot, "model", None)
-        noise = np.array(robot.noise_floor_, dtype=float)
+        # The floor has the encoders' share in it, which depends on the motion; a saved
+        # robot has no other.
+        noise = getattr(robot, "torque_noise_", robot.noise_floor_)
+        noise = np.array(noise, dtype=float)
         # A floor that is not known: what the model left is more than noise.
         left = getattr(robot, "output_noise_", np.full(nv, np.nan))
         return cls(

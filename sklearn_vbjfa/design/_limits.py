@@ -23,6 +23,8 @@ _LEAST_SHARE = 0.25
 # What is suggested where a limit is missing, over what it takes to hold still, for
 # motion as well.
 _TO_MOVE = 1.5
+# Time to full speed of the acceleration that is proposed where there is no limit [s].
+_RUN_UP = 0.5
 # Poses in which the torque of holding still is looked at.
 _POSES = 200
 
@@ -36,7 +38,7 @@ class MotionLimits:
     position : array-like of shape (nv, 2)
         Lowest and highest positions [rad or m].
     velocity : array-like of shape (nv,)
-        Largest speeds [rad/s or m/s].
+        Largest speeds [rad/s or m/s], finite.
     acceleration : array-like of shape (nv,), default=None
         Largest accelerations [rad/s^2 or m/s^2]; None or infinity where there is no
         limit but that of the torque.
@@ -106,6 +108,17 @@ class MotionLimits:
                     f"The limits leave joint {j + 1} no room: {name} of {value[j]:g}; "
                     "it must be positive."
                 )
+        for j in np.flatnonzero(np.isinf(self.velocity)):
+            raise ValueError(
+                f"velocity of joint {j + 1} has no limit; give one. Through half of "
+                f"its range in one second takes {0.5 * (high - low)[j]:.3g}."
+            )
+        for j in np.flatnonzero(np.isinf(self.acceleration) & np.isinf(self.torque)):
+            raise ValueError(
+                f"joint {j + 1} has a limit neither of acceleration nor of torque; "
+                f"give one. Its velocity of {self.velocity[j]:g} is reached in half a "
+                f"second with an acceleration of {self.velocity[j] / _RUN_UP:.3g}."
+            )
 
     @classmethod
     def of(cls, model, *, position=None, velocity=None, acceleration=None, torque=None):
@@ -208,7 +221,8 @@ class MotionLimits:
             )
         low, high = self.position.T
         for j in np.flatnonzero(~((start >= low) & (start <= high))):
-            inside = np.clip(np.where(np.isnan(start), 0.0, start), low, high)
+            inside = np.where(np.isnan(start), 0.5 * (low + high), start)
+            inside = np.clip(inside, low, high)
             raise MotionRefused(
                 f"start puts {names[j]} at {start[j]:g}, outside its limits "
                 f"[{low[j]:g}, {high[j]:g}]; start where the motion may be, for "

@@ -42,11 +42,19 @@ class OpenEffect:
         How much it matters whether it is there.
     why : str
         Who asks: "report", "caller" or "library".
+    doubted : bool
+        Whether the model has it, and the next recording has to confirm it.
     """
 
     effect: object
     weight: float
     why: str
+    doubted: bool = False
+
+
+def is_steered(effect):
+    """Whether a motion is bent for an effect: it is one of the joint's own torque."""
+    return effect.name not in _NOT_STEERED
 
 
 def read_report(report):
@@ -97,6 +105,12 @@ def asked_effects(effects, nv):
         effects = (effects,)
     for one in effects:
         (effect,) = resolve((one,))
+        if not is_steered(effect):
+            raise ValueError(
+                f"No motion is designed for {effect.name!r}: it follows the robot's "
+                "geometry, the time or the whole torque, and shows in any motion that "
+                "shows the rest. Leave it out of effects."
+            )
         everywhere = isinstance(one, (str, type))
         for joint in range(nv) if everywhere else [effect.joint]:
             if not 0 <= joint < nv:
@@ -126,12 +140,11 @@ def open_effects(data, names):
     """
     _check_joints(data, names)
     weights = {}
-    for found in data["effects"]:
-        if found.get("rivals"):
-            weights[found["name"], found["joint"]] = _ASKED
+    doubted = {(found["name"], found["joint"]) for found in data["effects"]}
+    weights |= dict.fromkeys(doubted, _ASKED)
     for step in data.get("rounds", ()):
-        doubted = step["action"] in ("refuse", "withdraw") or step.get("rivals")
-        if not doubted:
+        undecided = step["action"] in ("refuse", "withdraw") or step.get("rivals")
+        if not undecided:
             continue
         weights[step["name"], step["joint"]] = _ASKED
         for trial in step.get("rivals", ()):
@@ -152,7 +165,7 @@ def open_effects(data, names):
         effect = _made(name, joint, shapes.get((name, joint), {}))
         if effect is not None:
             why = "report" if weight == _ASKED else "library"
-            found.append(OpenEffect(effect, weight, why))
+            found.append(OpenEffect(effect, weight, why, (name, joint) in doubted))
     return sorted(found, key=lambda one: -one.weight)
 
 

@@ -147,7 +147,7 @@ class Effect(TransformerMixin, BaseEstimator):
     label : str
         What an engineer calls it, in a sentence; by default the name.
     formula : str
-        Its torque in LaTeX, as the guide shows it.
+        What it adds to the torque, in LaTeX: guide and reports typeset it.
     coefficients : tuple of str
         Symbols of the linear coefficients, one for each column.
     units : tuple of (str, str)

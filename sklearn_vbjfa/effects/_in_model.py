@@ -361,10 +361,10 @@ class JointAxis(ModelEffect):
     once; with the joint's own `JointZero` they are all turns of its placement [1]_.
     It shows where weight or inertia is carried around the axis and the joints before it
     move; in the last joint too, whose torque is that about the turned axis. Of a first
-    joint it is a `BaseTilt`; about the axis of the joint before it, it is that one's
-    `JointZero`. Hidden is what would turn the axis about itself, and, for a joint that
-    carries no weight, what its inertia alone has to show. Values within 10 degrees
-    count as plausible.
+    joint it is a `BaseTilt`; about the axis of the joint before it, where that runs
+    through this one, it is that joint's `JointZero`. Hidden is what would turn the axis
+    about itself, and, for a joint that carries no weight, what its inertia alone has to
+    show. Values within 10 degrees count as plausible.
 
     References
     ----------

@@ -148,10 +148,10 @@ class Counterbalance(Effect):
     label = "counterbalance"
     formula = (
         r"(F_r / l + k_{rL}) \sin x, \quad x = q - \mathrm{angle},"
-        r"\ l^2 = 1 + \mathrm{ratio}^2 - 2\,\mathrm{ratio} \cos x"
+        r" \quad l^2 = 1 + \mathrm{ratio}^2 - 2\,\mathrm{ratio} \cos x"
         r"\quad \text{or} \quad a \cos q + b \sin q + c \cos 2q + d \sin 2q + e"
     )
-    shape_units = (("ratio", ("", "")), ("angle", POSITION))
+    shape_units = (("ratio", ("", "")), ("angle", ("rad", "rad")))
     contains = ("offset", "spring")
     cyclic = ("angle",)
     depends = ("position",)

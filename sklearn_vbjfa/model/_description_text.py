@@ -57,7 +57,8 @@ def description_text(source, model):
         text = ElementTree.tostring(root, encoding="unicode")
         now = load_text(text, path)
     else:
-        text, now = text_of_tree(model), load_quietly(path)
+        robot = load_quietly(path)
+        text, now = text_of_tree(robot.full, robot.links), robot.model
     if not alike(now, model):
         raise ValueError(
             f"The robot description {str(path)!r} is another one than when the robot "
@@ -66,15 +67,13 @@ def description_text(source, model):
     return text
 
 
-def urdf_to_fill(source, model):
+def urdf_to_fill(source):
     """Return what the URDF of an identified robot is a copy of.
 
     Parameters
     ----------
     source : str, os.PathLike or pinocchio.Model
         What the robot was loaded from, or the text of a URDF.
-    model : pinocchio.Model
-        The loaded robot.
 
     Returns
     -------
@@ -83,7 +82,10 @@ def urdf_to_fill(source, model):
     """
     if is_text(source) or not isinstance(source, (str, os.PathLike)):
         return source
-    return source if is_urdf(source) else text_of_tree(model)
+    if is_urdf(source):
+        return source
+    robot = load_quietly(source)
+    return text_of_tree(robot.full, robot.links)
 
 
 def alike(one, other):
@@ -160,13 +162,15 @@ def in_order(model, names):
     return made
 
 
-def text_of_tree(model):
+def text_of_tree(model, followers=None):
     """Write the URDF of a tree of revolute and prismatic joints.
 
     Parameters
     ----------
     model : pinocchio.Model
         Robot, each joint of one degree of freedom.
+    followers : mapping of str to Link, default=None
+        Joints of it that follow others.
 
     Returns
     -------
@@ -204,8 +208,16 @@ def text_of_tree(model):
         if kind != "continuous":
             limits = {"lower": low, "upper": high} | limits
         _add(joint, "limit", **limits)
+        if followers and name in followers:
+            _add_mimic(joint, followers[name])
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def _add_mimic(joint, link):
+    """Write that a joint follows another one."""
+    _add(joint, "mimic", multiplier=link.multiplier, offset=link.offset)
+    joint.find("mimic").set("joint", link.leader)
 
 
 def _parents(model):

@@ -89,10 +89,25 @@ class Folded:
         Joints that are left, with their bodies.
     followers : tuple of FollowingBody
         Bodies that these move besides.
+    still : pinocchio.Model
+        The same joints, with the followers' bodies held where they are while the
+        leaders are at zero, so that no mass is missing.
+    full : pinocchio.Model
+        Robot in which followers are joints of their own.
+    links : mapping of str to Link
+        How they follow.
     """
 
     model: object
-    followers: tuple = ()
+    followers: tuple
+    still: object
+    full: object
+    links: dict
+
+    @classmethod
+    def without(cls, model):
+        """Return a robot that has no followers."""
+        return cls(model=model, followers=(), still=model, full=model, links={})
 
 
 def foldable(carriers, links, path):
@@ -169,17 +184,21 @@ def fold(full, links):
         Robot without them, and their bodies.
     """
     if not links:
-        return Folded(model=full)
+        return Folded.without(full)
     pin = import_pinocchio()
     names = list(full.names)
     left = [name for name in names[1:] if name not in links]
     empty = full.copy()
     for name in links:
         empty.inertias[names.index(name)] = pin.Inertia.Zero()
-    model = pin.buildReducedModel(
-        empty, [names.index(name) for name in links], np.zeros(full.nq)
+    at_zero = np.zeros(full.nq)
+    for name, link in links.items():
+        at_zero[full.joints[names.index(name)].idx_q] = link.offset
+    locked = [names.index(name) for name in links]
+    model, still = (
+        pin.buildReducedModel(one, locked, at_zero) for one in (empty, full)
     )
-    model.name = full.name
+    model.name = still.name = full.name
     steps = {}
     data = full.createData()
     for at, name in enumerate(names[1:], 1):
@@ -214,4 +233,6 @@ def fold(full, links):
                 parameters=parameters,
             )
         )
-    return Folded(model=model, followers=tuple(followers))
+    return Folded(
+        model=model, followers=tuple(followers), still=still, full=full, links=links
+    )

@@ -65,9 +65,10 @@ def load_model(model):
         an inertia that no solid body has is completed by a ball (see `solid_bodies`),
         joints have none of the springs, damping, friction and tendons of an MJCF file,
         and a joint that follows another one and carries joints that do not counts as a
-        joint of its own. Other joints that follow are left out, see `load_folded`.
+        joint of its own. What other joints that follow move is held where it is while
+        their leaders are at zero; `load_folded` has it apart.
     """
-    return load_folded(model).model
+    return load_folded(model).still
 
 
 def load_folded(model):
@@ -88,7 +89,7 @@ def load_folded(model):
         path = Path(model)
         return _from_description(pin, parse_description(path), path)
     if isinstance(model, pin.Model):
-        return Folded(model=_check_joints(model.copy()))
+        return Folded.without(_check_joints(model.copy()))
     raise TypeError(
         "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."
@@ -105,7 +106,7 @@ def load_reduced(path, moving):
     moving : sequence of str
         Names of the joints that move, in any order; the others are held at zero, of
         whatever kind they are, and what they carry is one body with its parent. A joint
-        that follows one of them is left out, as in `load_model`, unless it is named.
+        that follows one of them is as in `load_model`, unless it is named.
 
     Returns
     -------
@@ -116,7 +117,7 @@ def load_reduced(path, moving):
     tree = parse_description(path)
     if not _is_mjcf(tree, path):
         _hold_others(tree, path, moving)
-    return _from_description(import_pinocchio(), tree, path, moving).model
+    return _from_description(import_pinocchio(), tree, path, moving).still
 
 
 def movable_joints(path):
@@ -306,7 +307,7 @@ def load_text(text, path):
     Returns
     -------
     pinocchio.Model
-        As from `load_model`.
+        That of `load_folded`, without what followers move.
     """
     pin, path = import_pinocchio(), Path(path)
     with warnings.catch_warnings():
@@ -315,10 +316,10 @@ def load_text(text, path):
 
 
 def load_quietly(path):
-    """Return the model of a file, as `load_model`, of which everything was said."""
+    """Return the robot of a file, as `load_folded`, of which everything was said."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        return load_model(path)
+        return load_folded(path)
 
 
 def parse_description(path):

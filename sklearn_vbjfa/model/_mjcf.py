@@ -54,6 +54,41 @@ class Tendon:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class FollowingJoint:
+    """A joint without a motor that follows another one, and its body.
+
+    Attributes
+    ----------
+    name : str
+        Name of the joint.
+    carrier : str or None
+        Joint that carries it, which may follow as well; None for the base.
+    leader : int
+        Joint that it follows, from zero.
+    rate, offset : float
+        Its position is rate times that of the leader plus offset.
+    slides : bool
+        Whether it is prismatic.
+    placement : pinocchio.SE3
+        Where it is in the frame of its carrier.
+    axis : ndarray of shape (3,)
+        Its direction in its own frame.
+    body : ndarray of shape (10,)
+        Inertial parameters.
+    """
+
+    name: str
+    carrier: str | None
+    leader: int
+    rate: float
+    offset: float
+    slides: bool
+    placement: object
+    axis: np.ndarray
+    body: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class JointDynamics:
     """What joints do by themselves, beside the bodies that they carry.
 
@@ -95,7 +130,9 @@ class JointDynamics:
         return cls(**zeros, gain=np.ones(nv))
 
 
-def write_mjcf(path, model, bodies, dynamics, *, dt=None, name="robot", note=""):
+def write_mjcf(
+    path, model, bodies, dynamics, *, dt=None, name="robot", note="", followers=()
+):
     """Write a robot as MJCF.
 
     Parameters
@@ -115,13 +152,15 @@ def write_mjcf(path, model, bodies, dynamics, *, dt=None, name="robot", note="")
         Name of the model.
     note : str, default=""
         What a reader of the file has to know, a comment at its top.
+    followers : tuple of FollowingJoint, default=()
+        Joints that follow others, those that carry others first.
 
     Raises
     ------
     ValueError
         If a body has no positive mass, or a joint is helical.
     """
-    tree = _Tree(model, bodies, dynamics)
+    tree = _Tree(model, bodies, dynamics, followers)
     step = _time_step(dt)
     root = ElementTree.Element("mujoco", model=name)
     add_comment(root, note)
@@ -141,6 +180,8 @@ def write_mjcf(path, model, bodies, dynamics, *, dt=None, name="robot", note="")
     if dynamics.tendons:
         ElementTree.SubElement(default, "tendon", dry)
     tree.add_bodies(ElementTree.SubElement(root, "worldbody"))
+    if followers:
+        tree.add_equalities(ElementTree.SubElement(root, "equality"))
     if dynamics.tendons:
         tree.add_tendons(ElementTree.SubElement(root, "tendon"))
     tree.add_motors(ElementTree.SubElement(root, "actuator"))
@@ -161,11 +202,36 @@ def _quaternion(rotation):
     return numbers([turn.w, turn.x, turn.y, turn.z])
 
 
+def _body(carrier, name, placement, phi):
+    """Add a body with its mass; return its element."""
+    body = ElementTree.SubElement(
+        carrier,
+        "body",
+        name=name,
+        pos=numbers(placement.translation),
+        quat=_quaternion(placement.rotation),
+    )
+    mass, com, inertia = body_about_com(phi)
+    # MuJoCo diagonalises full matrices, to six digits only until version 3.3.
+    principal, axes = np.linalg.eigh(inertia)
+    axes[:, 0] *= np.linalg.det(axes)
+    ElementTree.SubElement(
+        body,
+        "inertial",
+        pos=numbers(com),
+        quat=_quaternion(axes),
+        mass=number(mass),
+        diaginertia=numbers(principal),
+    )
+    return body
+
+
 class _Tree:
     """Elements of the bodies, tendons and motors of a robot."""
 
-    def __init__(self, model, bodies, dynamics):
+    def __init__(self, model, bodies, dynamics, followers):
         self._model, self._bodies, self._dynamics = model, bodies, dynamics
+        self._followers = followers
         self._names = joint_names(model)
         self._slides = is_prismatic(model)
         parents = np.array([int(k) - 1 for k in model.parents][1:])
@@ -190,29 +256,38 @@ class _Tree:
         # Parents come first in Pinocchio's order.
         for j, parent in enumerate(self._shape.parents):
             elements[j] = self._add_body(elements[int(parent)], j)
+        named = {name: elements[j] for j, name in enumerate(self._names)}
+        for one in self._followers:
+            carrier = world if one.carrier is None else named[one.carrier]
+            body = _body(carrier, f"{one.name} body", one.placement, one.body)
+            named[one.name] = body
+            ElementTree.SubElement(
+                body,
+                "joint",
+                name=one.name,
+                type="slide" if one.slides else "hinge",
+                axis=numbers(one.axis),
+            )
+
+    def add_equalities(self, parent):
+        """Add what makes joints follow others."""
+        ref = self._dynamics.ref
+        for one in self._followers:
+            # MuJoCo counts positions of both from where the file puts them.
+            shift = one.offset + one.rate * ref[one.leader]
+            ElementTree.SubElement(
+                parent,
+                "joint",
+                name=f"{one.name} follows {self._names[one.leader]}",
+                joint1=one.name,
+                joint2=self._names[one.leader],
+                polycoef=numbers([shift, one.rate, 0.0, 0.0, 0.0]),
+            )
 
     def _add_body(self, carrier, j):
         """Add the body that a joint moves, and the joint; return its element."""
         dynamics, placement = self._dynamics, self._model.jointPlacements[j + 1]
-        body = ElementTree.SubElement(
-            carrier,
-            "body",
-            name=self._body_names[j],
-            pos=numbers(placement.translation),
-            quat=_quaternion(placement.rotation),
-        )
-        mass, com, inertia = body_about_com(self._bodies[j])
-        # MuJoCo diagonalises full matrices, to six digits only until version 3.3.
-        principal, axes = np.linalg.eigh(inertia)
-        axes[:, 0] *= np.linalg.det(axes)
-        ElementTree.SubElement(
-            body,
-            "inertial",
-            pos=numbers(com),
-            quat=_quaternion(axes),
-            mass=number(mass),
-            diaginertia=numbers(principal),
-        )
+        body = _body(carrier, self._body_names[j], placement, self._bodies[j])
         joint = ElementTree.SubElement(
             body,
             "joint",

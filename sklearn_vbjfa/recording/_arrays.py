@@ -36,11 +36,19 @@ def _laid_out(path: Source, arrays) -> Table:
         for name, values in arrays.items()
         if values.ndim > 0 and _is_channel(name)
     }
-    if not lengths:
+    matrices = any(values.ndim == 2 and len(values) > 1 for values in arrays.values())
+    if not lengths and not matrices:
         raise ValueError(
             f"{path}: holds {', '.join(arrays) or 'nothing'}; expected arrays q and "
             "tau of shape (n_samples, n_joints), or columns q1, ..., tau1, ..."
         )
+    if not any(name.lower().startswith(("q", "tau")) for name in lengths):
+        # Matrices of other names become columns, for a mapping to say what they are.
+        lengths = {
+            name: len(values)
+            for name, values in arrays.items()
+            if values.ndim == 2 and len(values) > 1
+        } or lengths
     n_rows = lengths.get("q", next(iter(lengths.values())))
     for name, length in lengths.items():
         if length != n_rows:

@@ -52,6 +52,18 @@ _OTHER_PACKERS = {
     ".tar": "tar xf",
     ".tgz": "tar xf",
 }
+# How to make a recording of what is not read here.
+_ADVICE = {
+    **dict.fromkeys(
+        (".yaml", ".yml"),
+        "of a topic, write ros2 topic echo --csv TOPIC > FILE.csv, or record a bag",
+    ),
+    **dict.fromkeys(
+        (".json", ".jsonl", ".h5", ".hdf5", ".feather", ".arrow", ".pkl", ".pickle"),
+        "read it in Python, where it is safe, and write numpy.savez(FILE, t=t, q=q, "
+        "tau=tau)",
+    ),
+}
 _READERS = {
     **dict.fromkeys(_TEXT, _text.read_text),
     **dict.fromkeys(_sheets.ENDINGS, _sheets.read_sheet),
@@ -155,8 +167,10 @@ def _read_file(stack, path, topic, wanted):
         return _bags.read_bag([source], source.shown, topic, wanted())
     _refuse_topic(source, topic)
     if ending not in _READERS:
+        advice = _ADVICE.get(ending, "")
         raise ValueError(
-            f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}."
+            f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}"
+            f"{f'; {advice}' if advice else '.'}"
         )
     return _READERS[ending](source)
 

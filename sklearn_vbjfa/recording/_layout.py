@@ -344,7 +344,7 @@ def _fitted(table, log: KnownLog, joints):
     for kind, found in channels.items():
         for match in found:
             if match.prefix == prefix and (kind != "v" or pairs["v"] >= shared):
-                unit = match.unit or (log.torque_unit if kind == "tau" else "")
+                unit = match.unit or (log.motor_unit if kind == "tau" else "")
                 roles[_role(kind, match.key)] = Role(column=match.column, unit=unit)
     times = _times(table, log, prefix)
     if not times:

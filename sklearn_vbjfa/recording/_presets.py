@@ -24,8 +24,10 @@ class KnownLog:
     times : tuple of str
         Columns of time, the best first; two with a plus between them are seconds and
         nanoseconds.
-    time_unit, torque_unit : str
-        Units of time and torque.
+    time_unit : str
+        Unit of time.
+    motor_unit : str, default=""
+        Unit of what is proportional to torques; "" where they are in N m or N.
     joints : str, default=""
         Column with all joints' names, or pattern of those with one of them each.
     segment : str, default=""
@@ -42,7 +44,7 @@ class KnownLog:
     v: str = ""
     times: tuple[str, ...]
     time_unit: str = "s"
-    torque_unit: str = "N m"
+    motor_unit: str = ""
     joints: str = ""
     segment: str = ""
     beside: tuple[str, ...] = ()
@@ -113,6 +115,17 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             beside=(r"Time", r"header\..*", r"name"),
         ),
         KnownLog(
+            what="/joint_states, written by ros2 topic echo --csv",
+            source="message_to_csv in rosidl_runtime_py/convert.py of github.com/ros2/"
+            "rosidl_runtime_py: values without a header, in the order of the message",
+            q="position_{i}",
+            v="velocity_{i}",
+            tau="effort_{i}",
+            times=("header.stamp.sec+header.stamp.nanosec",),
+            joints="name_{i}",
+            beside=(r"header\..*", r"name_\d+"),
+        ),
+        KnownLog(
             what="/joint_states, exported from PlotJuggler",
             source=_PLOTJUGGLER,
             q="*/{joint}/position",
@@ -148,7 +161,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             v="actual_qd_{i}",
             tau="actual_current_{i}",
             times=("timestamp",),
-            torque_unit="A",
+            motor_unit="A",
             beside=_RTDE_BESIDE,
         ),
     ),

@@ -180,7 +180,10 @@ def read_recording(
     labels, segment = _segments(table, layout)
     taken |= {segment, *(() if time is None else time.column.split("+"))}
     signals, left_out = _signals(table, layout, taken, notes)
-    _say_what_was_taken(table, layout, asked.mapping, found, time, time_unit, notes)
+    own = torque_units[0] if len(set(torque_units)) == 1 else ""
+    _say_what_was_taken(
+        table, layout, asked.mapping, found, time, time_unit, own, notes
+    )
     maker = currents_as_efforts(names) if _is_effort(table, layout) else ""
     if maker and gains is None:
         notes.append(
@@ -708,7 +711,9 @@ def _signals(table: Table, layout, taken, notes):
     return signals, left_out
 
 
-def _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes):
+def _say_what_was_taken(
+    table, layout, mapping, found, time, time_unit, torque_unit, notes
+):
     """Note, in one line, what was taken for what where the names do not say it."""
     said = []
     converted = {
@@ -727,7 +732,8 @@ def _say_what_was_taken(table, layout, mapping, found, time, time_unit, notes):
             ends = (
                 columns[0] if len(columns) == 1 else f"{columns[0]} ... {columns[-1]}"
             )
-            said.append(f"{kind} = {_with_unit(ends, found[kind][0].unit)}")
+            unit = found[kind][0].unit or (torque_unit if kind == "tau" else "")
+            said.append(f"{kind} = {_with_unit(ends, unit)}")
         said.append(stamped)
         notes.insert(0, f"taken as {layout.what}: {', '.join(x for x in said if x)}.")
     elif time is not None and not mapping and time.column not in ("t", "T"):
@@ -787,9 +793,11 @@ def _time(table: Table, layout, dt, time_unit):
 
 def _check_unit(table: Table, role, values, period, time_unit):
     """Refuse a unit of time in which the period [s] is none of a robot that moves."""
-    if not period or not unit_is_wrong(period):
+    step = usual_step(values)
+    # What goes up by one counts rows.
+    if step in (0.0, 1.0) or not unit_is_wrong(period):
         return
-    unit = unit_of_steps(usual_step(values))
+    unit = unit_of_steps(step)
     said = time_unit or role.unit or "s"
     if not unit or unit == said:
         return
@@ -797,7 +805,7 @@ def _check_unit(table: Table, role, values, period, time_unit):
         f"{table.path}: time steps by {period:.4g} s at the median, too "
         f"{'slow for a motion' if period > 1 else 'fast for a robot'}; column "
         f"{role.column!r} cannot be in {said}, in {unit} this would be a period of "
-        f"{usual_step(values) * unit_of('t', unit).factor:.4g} s.",
+        f"{step * unit_of('t', unit).factor:.4g} s.",
         {"time_unit": unit},
     )
 

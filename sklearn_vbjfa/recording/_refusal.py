@@ -5,13 +5,19 @@ options with which the file would be read.
 """
 
 import re
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
 
 from sklearn_vbjfa.recording._layout import TIME_NAMES
 from sklearn_vbjfa.recording._table import Table
-from sklearn_vbjfa.recording._units import TIME_UNITS, split_last_part, split_unit
+from sklearn_vbjfa.recording._units import (
+    TIME_UNITS,
+    split_last_part,
+    split_unit,
+    unit_of,
+)
 
 # Words in names, and how well they say what a column is.
 _WORDS = {
@@ -83,9 +89,12 @@ def suggestion(table: Table, joints, needed, given, *, timed, gained):
             numbered = best[kind].keys if "{i}" in best[kind].pattern else None
     options = {}
     if "tau" in needed and not gained and len(best["tau"].keys) > 1:
-        words = _words(best["tau"].pattern)
-        if _CURRENT & set(words) and not split_unit(mapping["tau"])[1]:
+        units = {split_unit(column)[1] for column in best["tau"].columns} - {""}
+        bases = {x.base for x in (unit_of("tau", unit) for unit in units) if x}
+        if not units and _CURRENT & set(_words(best["tau"].pattern)):
             mapping["tau"] += " [A]"
+            options["gains"] = "unknown"
+        elif bases - {"N m", "N"}:
             options["gains"] = "unknown"
     if "t" in needed and not timed:
         column = _clock(table)
@@ -115,19 +124,24 @@ def nearest(table: Table, kind, joints):
 def _families(table, joints):
     """Group the columns of numbers by their names without a number or joint."""
     groups = {}
-    for name, values in table.columns.items():
+    bare = Counter(split_unit(name)[0] for name in table.columns)
+    for column, values in table.columns.items():
         if values.dtype.kind not in "biuf":
             continue
+        # Joints that turn and joints that slide have units of their own.
+        name = split_unit(column)[0]
+        if bare[name] > 1:
+            name = column
         for joint in sorted(joints, key=len, reverse=True):
             at = name.find(joint)
             if at >= 0:
                 pattern = f"{name[:at]}{{joint}}{name[at + len(joint) :]}"
-                groups.setdefault(pattern, {})[joint] = name
+                groups.setdefault(pattern, {})[joint] = column
                 break
         # Any of its numbers may be the joint's.
         for match in re.finditer(r"\d+", split_unit(name)[0]):
             pattern = f"{name[: match.start()]}{{i}}{name[match.end() :]}"
-            groups.setdefault(pattern, {})[int(match[0])] = name
+            groups.setdefault(pattern, {})[int(match[0])] = column
     return [
         _Family(pattern, tuple(sorted(found, key=str)), tuple(found.values()))
         for pattern, found in groups.items()

@@ -39,6 +39,7 @@ def read_sheet(path: Source) -> Table:
             f"{path}: no rows of data; expected one row per sample below the names of "
             "the columns."
         )
+    filled = filled[_titles(rows, filled) :]
     header = _header(path, rows[filled[0]], filled[0])
     keep = [k for k, name in enumerate(header) if name]
     header = [header[k] for k in keep]
@@ -76,6 +77,28 @@ def _check_size(path):
             f"{path}: has {size / (1 << 30):.1f} GiB unpacked, too large to be read at "
             "once; save a shorter recording, or CSV."
         )
+
+
+def _titles(rows, filled):
+    """Count the rows above the names: the names fill the cells that numbers do.
+
+    The first row of numbers tells which; a row of units may stand between.
+    """
+    cells = {k: [j for j, x in enumerate(rows[k]) if x != ""] for k in filled}
+    count = next((n for n, k in enumerate(filled) if _is_data(rows[k])), 0)
+    k = filled[count]
+    if not count or cells[filled[0]] == cells[k]:
+        return 0
+    names = [n for n in range(count) if cells[filled[n]] == cells[k]]
+    texts = {n: [str(rows[filled[n]][j]) for j in cells[k]] for n in names}
+    names = [n for n in names if not row_of_units(texts[n], texts[n])]
+    return names[-1] if names else 0
+
+
+def _is_data(row):
+    """Whether most cells of a row that are filled are numbers."""
+    cells = [x for x in row if x != ""]
+    return 2 * sum(isinstance(x, (int, float)) for x in cells) > len(cells)
 
 
 def _header(path, row, line):

@@ -21,6 +21,8 @@ from sklearn_vbjfa.recording._units import is_unit
 # Separators that are guessed, and others that a header in one piece may have.
 _MARKS = (";", "\t", ",")
 _OTHER_MARKS = ("|", ":", "/")
+# Lines that an instrument may say of itself before the names of its columns.
+_LONGEST_PREAMBLE = 100
 # A longer line is not a row of a table.
 _LONGEST_LINE = 1 << 25
 # float() takes more (1_000, digits of other scripts), which no logger writes.
@@ -104,7 +106,7 @@ def read_text(path: Source) -> Table:
 
 
 def _read(path):
-    header, names, separator = _header(path)
+    header, names, separator, notes = _header(path)
     lines = _Lines(path, header)
     columns = None
     first = next(iter(lines), None)
@@ -129,14 +131,33 @@ def _read(path):
     else:
         # Text, empty cells, decimal commas; or to say where the trouble is.
         columns = _cells(lines, names, separator)
-    notes = ()
+    if "" in columns:
+        notes.append(_left_out_index(path, columns, header))
     if path.encoding == WINDOWS:
-        notes = (
-            "is no UTF-8 text, read as Windows text (cp1252), as Excel saves CSV.",
+        notes.append(
+            "is no UTF-8 text, read as Windows text (cp1252), as Excel saves CSV."
         )
     return Table(
-        path=path.shown, columns=columns, where=lines.where, units=units, notes=notes
+        path=path.shown,
+        columns=columns,
+        where=lines.where,
+        units=units,
+        notes=tuple(notes),
     )
+
+
+def _left_out_index(path, columns, header):
+    """Take out the first column, which has no name, if it counts rows; a note of it."""
+    values = columns.pop("")
+    counts = values.dtype.kind == "f" and np.array_equal(
+        values - values[0], np.arange(values.size)
+    )
+    if not (counts and columns):
+        raise ValueError(
+            f"{path}: column 1 has no name in line {header + 1}; name it (t, q1, "
+            "tau1, ...) or remove it."
+        )
+    return "the first column has no name and counts the rows: it is left out."
 
 
 def row_of_units(cells, names):
@@ -151,7 +172,7 @@ def row_of_units(cells, names):
 
 
 def _header(path):
-    """Return the header's line number, the column names and the separator."""
+    """Return the header's line number, the column names, the separator and notes."""
     before = first = None
     for k, line in _raw_lines(path):
         if _TOLD_SEPARATOR.fullmatch(line.strip()):
@@ -163,7 +184,10 @@ def _header(path):
             before = k, line
     if first is None:
         raise ValueError(f"{path}: no rows of data; expected one row per sample.")
-    header, text = first
+    echo = _echo_names(first[1])
+    if echo:
+        return first[0] - 1, echo, ",", []
+    header, text = _below_preamble(path, first)
     if all(_is_number(cell) for cell in _split(text, _separator(text))):
         # Numbers at once: the header may be the last comment before them.
         if before is None:
@@ -176,6 +200,11 @@ def _header(path):
     separator = _separator(text)
     names = [cell.strip("\"' ") for cell in _split(text, separator)]
     marks = [mark for mark in _OTHER_MARKS if mark in text]
+    if text.strip() == "header:":
+        raise ValueError(
+            f"{path}: holds messages as topic echo shows them; write them one a line, "
+            "ros2 topic echo --csv TOPIC > FILE.csv (rostopic echo -p), or record a bag"
+        )
     if len(names) == 1 and marks:
         raise ValueError(
             f"{path}: line {header + 1} is one cell, with {marks[0]!r} in it; separate "
@@ -185,7 +214,8 @@ def _header(path):
         names.pop()
     seen = set()
     for k, name in enumerate(names):
-        if not name:
+        # A data frame is written with its index, whose column has no name.
+        if not name and (k > 0 or len(names) == 1):
             raise ValueError(
                 f"{path}: column {k + 1} has no name in line {header + 1}; name it "
                 "(t, q1, tau1, ...) or remove it."
@@ -196,7 +226,61 @@ def _header(path):
                 "column needs its own name."
             )
         seen.add(name)
-    return header, names, separator
+    notes = []
+    if header > first[0] and before != (header, text):
+        notes.append(f"the names of the columns are in line {header + 1}.")
+    return header, names, separator, notes
+
+
+def _echo_names(line):
+    """Return names for the cells of a JointState by ``ros2 topic echo --csv``.
+
+    It writes the values of a message one after another and no header (message_to_csv in
+    rosidl_runtime_py/convert.py of github.com/ros2/rosidl_runtime_py): the stamp, the
+    frame, names, positions, velocities and efforts. [] if the line is not one.
+    """
+    cells = _split(line, ",")
+    n, rest = divmod(len(cells) - 3, 4)
+    if n < 1 or rest or not all(re.fullmatch(r"\d+", x) for x in cells[:2]):
+        return []
+    joints, numbers = cells[3 : 3 + n], cells[3 + n :]
+    if any(map(_is_number, joints)) or not all(map(_is_number, numbers)):
+        return []
+    names = ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id"]
+    for what in ("name", "position", "velocity", "effort"):
+        names += [f"{what}_{k}" for k in range(n)]
+    return names
+
+
+def _below_preamble(path, first):
+    """Return the line of names, below what an instrument says of itself.
+
+    The first row of numbers tells how many cells it has: it is the last line before
+    them with as many, where the first line has another number.
+    """
+    seen = []
+    for k, line in _raw_lines(path):
+        content = line.split("#", 1)[0]
+        if not content.strip() or k < first[0]:
+            continue
+        separator = _separator(content)
+        cells = _split(content, separator)
+        numbers = [_is_number(x.replace(",", ".", 1)) for x in cells if x]
+        if len(cells) > 1 and 2 * sum(numbers) > len(cells):
+            break
+        seen.append((k, line, len(cells), separator))
+        if len(seen) > _LONGEST_PREAMBLE:
+            return first
+    else:
+        return first
+    if not seen or seen[0][2] == len(cells):
+        return first
+    fitting = [x for x in seen if x[2] == len(cells) and x[3] == separator]
+    # A row of units stands between the names and the numbers.
+    names = [
+        x for x in fitting if not row_of_units(_split(x[1], x[3]), ["name"] * x[2])
+    ]
+    return names[-1][:2] if names else first
 
 
 def _separator(line: str) -> str | None:

@@ -39,13 +39,15 @@ def _table():
     current = {"A": 1.0, "mA": 1e-3, "amp": 1.0, "amps": 1.0, "ampere": 1.0}
     current |= {"Arms": 1.0, "amperes": 1.0}
     volts = {"V": 1.0, "mV": 1e-3, "volt": 1.0, "volts": 1.0}
-    counts = {x: 1.0 for x in ("count", "counts", "%", "‰", "permille", "percent")}
+    counts = {x: 1.0 for x in ("count", "counts")}
+    percent = {x: 1.0 for x in ("%", "percent")} | {x: 0.1 for x in ("‰", "permille")}
     per = {"speed": ("/s", "/sec", "ps"), "rate": ("/s^2", "/s2", "/s²", "/s/s", "ps2")}
     kinds = {
         "q": {"rad": angle, "m": length},
         "v": _derived(angle, length, per["speed"]),
         "a": _derived(angle, length, per["rate"]),
-        "tau": {"N m": torque, "N": force, "A": current, "V": volts, "count": counts},
+        "tau": {"N m": torque, "N": force, "A": current, "V": volts}
+        | {"count": counts, "%": percent},
         "t": {"s": seconds},
     }
     kinds["v"]["rad"] |= {"rpm": _TURN / 60, "1/min": _TURN / 60}

@@ -41,7 +41,7 @@ from sklearn_vbjfa.model._corrected import CorrectedModel
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.model._mjcf import JointDynamics, Tendon, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_identified
-from sklearn_vbjfa.robot._following import follower_parameters
+from sklearn_vbjfa.robot._following import follower_parameters, following_joints
 
 # Effects that have the column of a declared friction, whose coefficients add up.
 _PLAIN = {
@@ -141,6 +141,9 @@ def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=()):
         dynamics,
         dt=robot.dt,
         note=_note(told, account.left),
+        followers=following_joints(
+            robot.effects, robot.coefficients, robot.joint_names
+        ),
     )
     return tuple(account.left)
 
@@ -390,8 +393,8 @@ def _mjcf_dynamics(account):
     couplings = []
     for effect, coef in account.uses:
         kind = type(effect)
-        if kind in _PLAIN or kind in (BaseTilt, JointAxis, TorqueGain):
-            continue  # in the sums, in the model, in the gains
+        if kind in _PLAIN or kind in (BaseTilt, JointAxis, TorqueGain, Follower):
+            continue  # in the sums, in the model, in the gains, bodies of their own
         if kind is JointZero:
             ref[effect.joint] += effect.zero
         elif kind is Spring:

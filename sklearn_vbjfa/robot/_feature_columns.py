@@ -15,6 +15,8 @@ import numpy as np
 _EXACT = 1e-6
 # Values of a column of signs, which may have any statistic exactly.
 _FEW_VALUES = 3
+# Columns looked at before all of them are.
+_FIRST = 8
 # Mean of a torque, relative to its root mean square, that columns without a mean miss.
 _MEAN_TORQUE = 0.1
 
@@ -138,77 +140,84 @@ def _impossible(X, nv, parameter_names):
 
 def _trace_of_a_scaler(X):
     """Say what all columns have in common that they cannot have, or nothing."""
-    low, high = X.min(axis=0), X.max(axis=0)
-    varying = high > low
-    count = np.count_nonzero(varying)
-    if count < 2 or X.shape[0] <= _FEW_VALUES:
+    varying = np.flatnonzero(X.max(axis=0) > X.min(axis=0))
+    if varying.size < 2 or X.shape[0] <= _FEW_VALUES:
         return ""
-    V, low, high = X[:, varying], low[varying], high[varying]
-    # The first column settles most cases; the rest is looked at only if it fits.
-    found = ""
-    if _all_one(V, lambda x: x.std(axis=0)):
-        found = "a standard deviation of 1, as StandardScaler leaves them"
-    elif _equal(low) and _equal(high):
-        found = f"a range of {low[0]:g} to {high[0]:g}, as MinMaxScaler leaves them"
-    elif _all_one(V, lambda x: np.abs(x).max(axis=0)):
-        found = "a largest absolute value of 1, as MaxAbsScaler leaves them"
-    elif _all_one(V, _quartile_range) and np.any(_quartile_range(V) > 0):
-        found = "an interquartile range of 1, as RobustScaler leaves them"
-    elif count > 2 and _uncorrelated(V[:, :2]) and _uncorrelated(V):
-        found = "no correlation with each other, as PCA leaves them"
-    if not found or not _varied(V):
+    for left_so, trace in _TRACES:
+        text = left_so(X[:, varying[:_FIRST]]) and left_so(X[:, varying])
+        if text and _varied(X, varying):
+            return f"all {varying.size} columns that vary have {text}, as {trace}"
+    return ""
+
+
+def _one_spread(V):
+    """Whether every standard deviation is 1."""
+    return "a standard deviation of 1" if _all_one(V.std(axis=0)) else ""
+
+
+def _one_range(V):
+    """Whether all columns have the same smallest and the same largest value."""
+    low, high = V.min(axis=0), V.max(axis=0)
+    size = _EXACT * np.abs(V).max()
+    if np.ptp(low) > size or np.ptp(high) > size:
         return ""
-    return f"all {count} columns that vary have {found}"
+    return f"a range of {low[0]:g} to {high[0]:g}"
 
 
-def _all_one(V, statistic):
-    """Whether a statistic is 1 for every column that has it, that is not zero."""
-    for part in (V[:, :8], V):
-        values = statistic(part)
-        if np.any((np.abs(values - 1.0) > _EXACT) & (values != 0.0)):
-            return False
-    return True
+def _one_size(V):
+    """Whether every largest absolute value is 1."""
+    largest = np.abs(V).max(axis=0)
+    return "a largest absolute value of 1" if _all_one(largest) else ""
 
 
-def _equal(values):
-    """Whether all numbers are the same."""
-    return np.ptp(values) <= _EXACT * np.abs(values).max()
-
-
-def _quartile_range(V):
-    """Interquartile range of each column, zero where most values are the same."""
+def _one_quartile_range(V):
+    """Whether every interquartile range is 1; columns of mostly one value have none."""
     first, third = np.percentile(V, [25.0, 75.0], axis=0)
-    return third - first
+    wide = (third - first)[third > first]
+    return "an interquartile range of 1" if wide.size and _all_one(wide) else ""
 
 
-def _uncorrelated(V):
-    """Whether columns have no correlation with each other."""
+def _no_correlation(V):
+    """Whether columns, three or more, have no correlation with each other."""
+    if V.shape[1] < 3:
+        return ""
     centred = V - V.mean(axis=0)
     centred /= np.sqrt(np.mean(centred**2, axis=0))
     gram = centred.T @ centred / V.shape[0]
-    return np.abs(gram - np.diag(np.diagonal(gram))).max() <= _EXACT
+    np.fill_diagonal(gram, 0.0)
+    return "no correlation with each other" if np.abs(gram).max() <= _EXACT else ""
 
 
-def _varied(V):
-    """Whether two columns at least take more values than signs do."""
-    many = (column for column in V.T if np.unique(column).size > _FEW_VALUES)
+# What transformers leave. Of most X, the first columns say that none of it is there.
+_TRACES = (
+    (_one_spread, "StandardScaler leaves them"),
+    (_one_range, "MinMaxScaler leaves them"),
+    (_one_size, "MaxAbsScaler leaves them"),
+    (_one_quartile_range, "RobustScaler leaves them"),
+    (_no_correlation, "PCA leaves them"),
+)
+
+
+def _all_one(values):
+    """Whether all numbers are 1."""
+    return bool(np.all(np.abs(values - 1.0) <= _EXACT))
+
+
+def _varied(X, columns):
+    """Whether two of some columns at least take more values than signs do."""
+    many = (j for j in columns if np.unique(X[:, j]).size > _FEW_VALUES)
     return len(list(itertools.islice(many, 2))) == 2
 
 
 def _is_centred(X):
-    """Whether all columns that vary have a mean of zero, to rounding."""
-    varying = np.ptp(X, axis=0) > 0
-    if np.count_nonzero(varying) < 2:
-        return False
-    V = X[:, varying]
-    rounding = 100 * np.finfo(float).eps * np.abs(V).max(axis=0)
-    return all(
-        np.all(np.abs(part.mean(axis=0)) <= rounding[: part.shape[1]])
-        for part in (V[:, :1], V)
-    )
+    """Whether all columns that vary, two or more, have a mean of zero, to rounding."""
+    varying = X.max(axis=0) > X.min(axis=0)
+    rounding = 100 * np.finfo(float).eps * np.abs(X).max(axis=0)
+    centred = np.abs(X.mean(axis=0)) <= rounding
+    return np.count_nonzero(varying) > 1 and bool(np.all(centred[varying]))
 
 
 def _is_centred_torque(tau):
     """Whether no torque has a mean worth speaking of."""
     size = np.sqrt(np.mean(tau**2, axis=0))
-    return np.all(np.abs(tau.mean(axis=0)) <= _MEAN_TORQUE * size)
+    return bool(np.all(np.abs(tau.mean(axis=0)) <= _MEAN_TORQUE * size))

@@ -3,6 +3,8 @@
 import numpy as np
 
 from sklearn_vbjfa.effects._follower import ChainJoint, Follower
+from sklearn_vbjfa.model._loading import import_pinocchio
+from sklearn_vbjfa.model._mjcf import FollowingJoint
 
 
 def with_followers(effects, features):
@@ -15,7 +17,7 @@ def with_followers(effects, features):
     features : RigidBodyFeatures
         Loaded features.
     """
-    declared = tuple(one for one in effects if not isinstance(one, Follower))
+    declared = tuple(one for one in effects if not _follows(one))
     return (*map(_follower, features.followers_), *declared)
 
 
@@ -27,8 +29,45 @@ def follower_parameters(effects, coefficients):
     return {
         effect.of: np.asarray(own)
         for effect, own in zip(effects, coefficients)
-        if isinstance(effect, Follower)
+        if _follows(effect)
     }
+
+
+def following_joints(effects, coefficients, names):
+    """Return the followers as MJCF has them, a tuple of `FollowingJoint`.
+
+    effects, coefficients : all effects of a robot and what each was found to be;
+    names : joints of the robot.
+    """
+    pin = import_pinocchio()
+    found = [pair for pair in zip(effects, coefficients) if _follows(pair[0])]
+    # What carries others has a shorter way to the base.
+    found.sort(key=lambda pair: len(pair[0].chain))
+    ways = {tuple(effect.chain): effect.of for effect, _ in found}
+    joints = []
+    for effect, own in found:
+        *above, last = map(ChainJoint.of_flat, effect.chain)
+        carrier = ways.get(tuple(effect.chain[:-1]))
+        if carrier is None and above:
+            carrier = names[above[-1].joint]
+        joints.append(
+            FollowingJoint(
+                name=effect.of,
+                carrier=carrier,
+                leader=last.joint,
+                rate=last.rate,
+                offset=last.offset,
+                slides=last.slides,
+                placement=pin.SE3(np.reshape(last.frame, (3, 3)), np.array(last.place)),
+                axis=np.asarray(last.axis),
+                body=np.asarray(own),
+            )
+        )
+    return tuple(joints)
+
+
+def _follows(effect):
+    return isinstance(effect, Follower)
 
 
 def nominal_followers(features):

@@ -253,7 +253,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         set, and undetermined directions to the model's values; no deviation is given
         for that.
     effects_ : tuple of Effect
-        Effects in use.
+        Effects in use: first the bodies of joints that follow others (``mimic`` of a
+        URDF), each with its ten inertial parameters.
     effect_ranges_ : tuple of EffectRange
         What each effect was fitted on, the declared friction joint by joint and then
         `effects_`: positions, speeds and loads of its joint behind the low-pass, in
@@ -308,6 +309,11 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
     Notes
     -----
+    Joints that follow others by the description, q_f = m q + o, have no columns. Their
+    bodies are felt by the joints that move them, tau = A' Phi(A q + b) pi: see
+    `effects_`. Effects that correct the robot's geometry leave those bodies where the
+    description has them.
+
     The regressor is computed and reduced to second moments piece by piece, and never
     held as a whole (unless `regressor` needs the equations themselves).
 

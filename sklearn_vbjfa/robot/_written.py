@@ -20,7 +20,7 @@ def urdf_of(robot, source, path):
     nominal = predictor.features.nominal_
     return to_urdf(
         path,
-        urdf_to_fill(source, nominal),
+        urdf_to_fill(source),
         predictor.torque_model(),
         robot.min_eigenvalues_,
         predictor.powers,

@@ -31,7 +31,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 SEEDS = (0, 20)
 # Seed of the other motion of the robot of seed 0, and so on.
 OTHER = 50
-DT, DURATION, BLOCK, CUTOFF, TORQUE_NOISE = 0.01, 3.0, 1.0, 10.0, 0.05
+DT, DURATION, BLOCK, CUTOFF, TORQUE_NOISE = 0.01, 2.0, 1.0, 10.0, 0.05
 ENCODERS = {"coarse, 5 mrad": 5e-3, "fine, 0.1 mrad": 1e-4}
 FRICTION = ("viscous", "coulomb")
 REGRESSORS = {

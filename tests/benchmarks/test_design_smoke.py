@@ -236,6 +236,7 @@ def test_an_error_counts_as_a_failure_and_is_told():
     task = {"seed": 10, "kind": "ripple", "size": 6.0}
     result = rivals.run(task, broken, duration=6.0, effects=["ripple"], max_effects=1)
     assert "no motion" in result["error"]
+    assert list(result["arms"]) == ["first", "random"]
     assert "designed FAILED" in rivals.line(result)
     assert "counted as failures: 10" in rivals.report([result])
 

@@ -21,6 +21,7 @@ from sklearn_vbjfa import EffectDiscovery, load_identified
 from sklearn_vbjfa._cli import _close_loop, _stopping, main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model._loading import load_model
+from sklearn_vbjfa.robot._exports import LeftOut
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -134,7 +135,9 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     assert page.startswith("<!DOCTYPE html>")
     assert "shoulder" in page
     links = set(re.findall(r'href="([^"]+)"', page))
-    assert links == {name for name in FILES if name != "report.html"}
+    inside = {link[1:] for link in links if link.startswith("#")}
+    assert inside <= set(re.findall(r'id="([^"]+)"', page))
+    assert {link for link in links if link[0] != "#"} == set(FILES) - {"report.html"}
     # a spring is seen over the position, and each joint has its torque over time
     assert page.count('<figure class="wide"') == 1 + 2
     assert re.search(r'class="x-name">position of [^<]*shoulder[^<]* \[rad\]<', page)
@@ -146,7 +149,9 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     saved = load_identified(folder / "identified.json")
     assert [(one.name, one.joint) for one in saved.effects_] == [("spring", 0)]
     # MuJoCo has springs: nothing is left out.
-    assert "identified.xml goes without" not in captured.out
+    assert "identified.xml has no place" not in captured.out
+    # URDF has none.
+    assert "identified.urdf has no place for an effect: spring on" in captured.out
     root = ElementTree.parse(folder / "identified.xml").getroot()
     joints = {x.get("name"): x for x in root.iter("joint") if x.get("name")}
     assert list(joints) == ["shoulder", "elbow"]
@@ -196,10 +201,37 @@ def test_what_mujoco_has_no_place_for_is_said(good, urdf, recording, capsys):
     options = ["--effects", "load_friction", "--no-ceiling"]
     assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
     lines = capsys.readouterr().out.splitlines()
-    at = lines.index("MuJoCo has no place for, and identified.xml goes without:")
-    assert lines[at + 1].startswith("- load_friction on shoulder (")
+    for name in ("identified.urdf", "identified.xml"):
+        (line,) = [x for x in lines if x.startswith(name)]
+        assert " has no place for an effect: load_friction on shoulder (" in line
     text = Path("arm-report/identified.xml").read_text(encoding="utf-8")
     assert "load_friction" in text[: text.index("-->")]
+
+
+@pytest.mark.parametrize(
+    ("sizes", "expected"),
+    [
+        ([1.234], "an effect: e0 on j0 (1.2 N m rms);"),
+        ([0.5, 3.0], "2 effects, the largest: e1 on j1 (3 N m rms);"),
+        ([0.5, 3.0, 0.1], "3 effects, the largest: e2 on j2 (0.1 N rms), e1 on j1 (3"),
+        ([np.nan], "an effect: e0 on j0;"),
+        ([np.nan, 0.2], "2 effects, the largest: e1 on j1 (0.2 N m rms);"),
+    ],
+)
+def test_a_description_says_how_much_it_goes_without(sizes, expected):
+    left = [
+        LeftOut(
+            name=f"e{k}",
+            joint=k,
+            joint_name=f"j{k}",
+            size=size,
+            unit="N" if k == 2 else "N m",
+            reason="why",
+        )
+        for k, size in enumerate(sizes)
+    ]
+    line = _close_loop._left_out_line("robot.xml", left)
+    assert line.startswith(f"robot.xml has no place for {expected}")
 
 
 def test_undetermined_parameters_have_no_deviation(tmp_path):
@@ -409,8 +441,10 @@ def with_hand(tmp_path):
 
 def test_more_joints_than_columns_are_named_with_the_option(good, with_hand, capsys):
     line = refusal(capsys, good, "--urdf", with_hand)
-    assert "2 column(s) q for 5 joint(s)" in line
-    for name in ("shoulder", "elbow", "grip", "grip_2", "drive"):
+    assert "2 column(s) q for 4 joint(s)" in line
+    # grip_2 follows grip and has no column of its own
+    assert "grip_2" not in line
+    for name in ("shoulder", "elbow", "grip", "drive"):
         assert name in line
     assert "--joints" in line
 
@@ -681,7 +715,7 @@ def test_one_array_is_no_npz(urdf, recording, tmp_path, capsys):
         (lambda text: "no robot", "not readable as URDF"),
         (lambda text: text[:200], "not readable as URDF"),
         (lambda text: '<robot name="arm"/>', "No link elements found"),
-        (lambda text: "<sdf/>", "Could not find the 'robot' element"),
+        (lambda text: "<sdf/>", "outermost element is <sdf>"),
         (lambda text: '<robot name="a"><link name="b"/></robot>', "no moving joint"),
         (
             lambda text: text.replace('child link="lower"', 'child link="hand"'),
@@ -723,8 +757,8 @@ def test_faults_of_a_robot(change, message, good, tmp_path, capfd):
         ("--cutoff inf", "--cutoff must be a positive frequency in Hz, auto or none"),
         ("--cutoff low", "--cutoff must be a positive frequency in Hz, auto or none"),
         ("--seed -1", "--seed must be from 0 to 2"),
-        ("--out arm.csv", "arm.csv is a file; --out must name a folder"),
-        ("--out arm.csv/below", "arm.csv is a file; --out must name a folder"),
+        ("--out arm.csv", "arm.csv is a file, where --out must name a folder"),
+        ("--out arm.csv/below", "arm.csv is a file, where --out must name a folder"),
     ],
 )
 def test_options_that_cannot_be(options, message, good, urdf, capsys):

@@ -125,7 +125,7 @@ def test_parameters_have_units(name, prismatic):
     assert all(isinstance(value, float) for value in values.values())
     assert set(values) | set(effect.continuous) <= set(units)
     # What turns by an angle does so on a joint that slides as well.
-    angles = {"phase", "roll", "pitch", "about_x", "about_y"}
+    angles = {"angle", "phase", "roll", "pitch", "about_x", "about_y"}
     assert "rad" not in " ".join(
         unit for key, unit in units.items() if prismatic and key not in angles
     )

@@ -207,7 +207,9 @@ def _stamp_cases():
     add("first one zero", _stamps(lambda t, rng: np.r_[0, t[1:] + 1e4]), "either")
     for unit, factor in (("ms", 1e3), ("us", 1e6), ("ns", 1e9), ("minutes", 1 / 60)):
         add(f"in {unit}", _stamps(lambda t, rng, f=factor: f * t), "refused")
-        kinds = "millisec|microsec|nanosec|minutes|in seconds"
+        kinds = (
+            "cannot be in s, in .s this|millisec|microsec|nanosec|minutes|in seconds"
+        )
         add(
             f"in {unit}, whole",
             _stamps(lambda t, rng, f=factor: np.round(f * t)),

@@ -162,7 +162,9 @@ class _Reader:
             way = ' mathvariant="normal"' if name[0].isupper() else ""
             return f"<mi{way}>{_GREEK[name]}</mi>"
         if name in _NAMED:
-            return f'<mi>{name}</mi><mo rspace="0.17em">&#x2061;</mo>'
+            thin = _SPACES["\\,"]
+            after = "0" if self._peek() in ("(", "\\left") else thin
+            return f'<mo lspace="{thin}" rspace="{after}">{name}</mo>'
         if name in _SIGNS:
             sign = _SIGNS[name]
             if name in ("partial", "infty"):

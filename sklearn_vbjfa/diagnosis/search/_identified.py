@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.model._loading import nominal_parameters
+from sklearn_vbjfa.robot._following import nominal_followers
 from sklearn_vbjfa.robot._known import known_parameters
 
 # Inertial parameters of a body, Pinocchio's.
@@ -68,6 +69,8 @@ def parameter_values(robot):
     if robot.gains_ is None or robot.gains_.absolute:
         at = np.arange(nv)[:, None] * (count // nv) + np.arange(_INERTIAL)
         nominal[at] = nominal_parameters(robot.features_.nominal_)
+        followers = nominal_followers(robot.features_).ravel()
+        nominal[count : count + followers.size] = followers
     found = []
     for name, value, std, unit, description, known in zip(
         robot.parameter_names_,

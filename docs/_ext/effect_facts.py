@@ -1,0 +1,147 @@
+"""What the pages of the effects say: read off the classes, in words and in LaTeX."""
+
+import re
+
+from simulated_effects import step_reasons
+
+from sklearn_vbjfa.diagnosis.report import _render
+from sklearn_vbjfa.diagnosis.report._evidence import added_torque
+
+# Attributes of a written file that come with others and say nothing by themselves.
+_WITH_OTHERS = {
+    "biastype",
+    "coef",
+    "joint",
+    "name",
+    "range",
+    "solimpfriction",
+    "solreffriction",
+}
+# Characters of LaTeX that fit in a line of a page.
+_LINE = 95
+# The report follows the system; the guide has a switch of its own.
+_THEME = """
+.vbjfa{background:none;padding:0}
+.effect-cards{display:grid;gap:12px;
+grid-template-columns:repeat(auto-fill,minmax(min(100%,215px),1fr))}
+.effect-card{border:1px solid var(--pst-color-border,#ccc);border-radius:8px;
+padding:8px 10px;font-size:.9em}
+.effect-caption{font-size:.85em;margin-top:.4em}
+.effect-card p{margin:.3em 0 0}
+.effect-card svg{width:100%;height:84px;display:block}
+.effect-card svg path{fill:none;vector-effect:non-scaling-stroke}
+"""
+
+
+def symbols(formula):
+    r"""Names of what stands in a formula, as the code has them, a set of str.
+
+    ``F_{vm}`` is Fvm, ``\Delta F_c`` is dFc, ``\mathrm{time\_constant}`` is
+    time_constant.
+    """
+    text = re.sub(r"\\text\{[^}]*\}|\\(left|right|q?quad|[,;: ])", " ", formula)
+    text = text.replace(r"\_", "_UNDERSCORE_").replace(r"\Delta", " d")
+    text = re.sub(r"\bd\s+(?=[A-Z\\])", "d", text)
+    text = re.sub(r"\\(sin|cos|tanh|frac|partial|ge|dot|ddot)(?![a-z])", " ", text)
+    text = re.sub(r"\\mathrm\{([^}]*)\}", r" \1 ", text)
+    text = text.replace("_UNDERSCORE_", "\x00")
+    found = re.findall(r"\\?[A-Za-z\x00]+(?:_(?:\{\s*\w+\s*\}|\w|\s\w+))?", text)
+    return {re.sub(r"[\\_{}\s]", "", one).replace("\x00", "_") for one in found}
+
+
+def parameters_of(use):
+    """Return what an effect's parameters are, name -> (units, how found).
+
+    Of all its forms: those that are plain come first.
+    """
+    kinds = {}
+    for effect in (type(use.effect)(joint=use.effect.joint), use.effect):
+        fitted = effect.parameters([1.0] * len(effect.coefficients))
+        turning, sliding = (effect.parameter_units(p) for p in (False, True))
+        for name in dict.fromkeys((*fitted, *effect.shape())):
+            units = [unit[name] for unit in (turning, sliding) if name in unit]
+            units = " or ".join(dict.fromkeys(units)).replace("^2", "²")
+            how = "fitted" if name in fitted else "tried"
+            if name in fitted and name not in symbols(effect.formula):
+                how = "follows from the others"
+            if name in effect.continuous:
+                how = "searched" if name not in fitted else "fitted and searched"
+            if name in effect.tangent:
+                how = "corrected step by step"
+            kinds.setdefault(name, (units.replace("^3", "³"), how))
+    return kinds
+
+
+def typeset(formula):
+    """Return a directive that shows what an effect adds, with a long one in lines."""
+    whole = added_torque(formula)
+    lines, first = [], ""
+    for part in re.split(r"\s*\\q?quad\s*", whole):
+        if part.strip() == r"\text{or}":
+            first = r"\text{or}\quad "
+        else:
+            lines.append(first + part)
+            first = ""
+    if len(whole) <= _LINE or len(lines) == 1:
+        return [".. math::", "", f"    {whole}"]
+    together = r" \\ ".join(lines)
+    return [".. math::", "", rf"    \begin{{gathered}} {together} \end{{gathered}}"]
+
+
+def told_of_file(destination):
+    """Say what a file has of an effect."""
+    places = [one.split(": ") for one in destination.places]
+    places = [
+        f"``{name}`` of ``{tag}``" for tag, name in places if name not in _WITH_OTHERS
+    ]
+    where = ", ".join(places)
+    if not destination.lacks:
+        return where
+    lacks = destination.lacks.replace("; ", ";\n    ")
+    return f"in part ({where}): {lacks}" if where else f"no place: {lacks}"
+
+
+def told_of_step(use):
+    """Say whether torques state by state have an effect."""
+    reasons = step_reasons(use)
+    refused = {reason for _, reason in reasons if reason}
+    if not refused:
+        memory = " with a memory" if use.effect.memory == "past" else ""
+        return f"yes{memory}"
+    (why,) = refused
+    if all(reason for _, reason in reasons):
+        return f"no: {why}"
+    return f"yes; not with {_what_parts(reasons)}: {why}"
+
+
+def _what_parts(reasons):
+    """Name the shapes that are refused by what only they have."""
+    for name in reasons[0][0]:
+        with_it, without = (
+            {_sort(shape[name]) for shape, reason in reasons if bool(reason) is refused}
+            for refused in (True, False)
+        )
+        if with_it.isdisjoint(without):
+            return " or ".join(f"``{name}`` {one}" for one in sorted(with_it))
+    raise ValueError("no shape parameter parts what is refused.")
+
+
+def _sort(value):
+    if isinstance(value, str):
+        return f'"{value}"'
+    return "< 0" if value < 0 else "> 0"
+
+
+def style():
+    """Return the report's style sheet, with the guide's own switch for dark pages."""
+    sheet = _render.style()
+    colours = re.findall(r"\.vbjfa\{(--ink:[^}]*?--untouched:[^;}]*)", sheet)
+    light, dark = colours[:2]
+    return "".join(
+        [
+            sheet,
+            _THEME,
+            f'html[data-theme="light"] .vbjfa{{{light}}}\n',
+            f'html[data-theme="dark"] .vbjfa{{{dark}}}\n',
+        ]
+    )

@@ -1,0 +1,184 @@
+"""MJCF in place of a URDF, and joints that follow, from the command line."""
+
+import warnings
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+pinocchio = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa._cli import main  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording, read_recording  # noqa: E402
+from sklearn_vbjfa.model._loading import (  # noqa: E402
+    joint_names,
+    load_folded,
+    load_model,
+)
+
+# A planar arm with a gripper, whose second finger follows the first, a four-bar linkage
+# at its tip, and a loose object beside it.
+HAND = """
+<body name="left" pos="0.3 0.02 0">
+  <joint name="grip" type="slide" axis="0 1 0" range="0 0.04"/>
+  <inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/></body>
+<body name="right" pos="0.3 -0.02 0">
+  <joint name="grip_2" type="slide" axis="0 -1 0"/>
+  <inertial pos="0 0 0" mass="0.2" diaginertia="1e-4 1e-4 1e-4"/></body>
+"""
+FOLLOW = '<equality><joint joint1="grip_2" joint2="grip"/></equality>'
+ROBOT = """<mujoco model="arm">
+<default><default class="big"><joint axis="0 1 0" damping="0.7" armature="0.1"
+  range="-170 170"/></default></default>
+<worldbody>
+<body name="upper" childclass="big"><joint name="shoulder"/>
+  <inertial pos="0.2 0 0" mass="3" diaginertia="0.01 0.05 0.05"/>
+  <body name="lower" pos="0.4 0 0"><joint name="elbow"/>
+    <inertial pos="0.15 0 0" mass="2" diaginertia="0.01 0.05 0.05"/>{hand}</body></body>
+{more}</worldbody>
+<actuator><motor joint="shoulder"/><motor joint="elbow"/></actuator>{after}</mujoco>
+"""
+PLAIN = ROBOT.format(hand="", more="", after="")
+BALL = """<body name="ball"><freejoint name="loose"/>
+<geom size="0.1"/></body>"""
+
+
+@pytest.fixture
+def write(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+    def to_file(text, name="arm.xml"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return to_file
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "arm.xml"
+    path.write_text(PLAIN)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        return make_robot_recording(
+            str(path), duration=15.0, n_harmonics=8, random_state=0
+        )
+
+
+@pytest.fixture
+def table(recording, tmp_path):
+    heads = ["t", "q1", "q2", "tau1", "tau2"]
+    columns = np.column_stack([recording.t, recording.q, recording.tau])
+    path = tmp_path / "swing.csv"
+    np.savetxt(path, columns, delimiter=",", header=",".join(heads), comments="")
+    return path
+
+
+def run(capsys, *argv):
+    """Return the exit code and what was printed."""
+    code = main([*map(str, argv)])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_a_run_from_mjcf_writes_every_file(write, table, recording, capsys):
+    path = write(PLAIN)
+    argv = ["close-loop", table, "--urdf", path, "--effects", "spring", "--no-ceiling"]
+    code, out, err = run(capsys, *argv)
+    assert code == 0
+    (note,) = err.splitlines()
+    assert note.startswith("note: The robot description 'arm.xml': not taken over")
+    assert "held" not in out
+    names = ("shoulder", "elbow")
+    urdf = pinocchio.buildModelFromUrdf("swing-report/identified.urdf")
+    assert tuple(urdf.names)[1:] == names
+    root = ElementTree.parse("swing-report/identified.xml").getroot()
+    assert root.tag == "mujoco"
+    assert [one.get("name") for one in root.findall(".//body/joint")] == list(names)
+    with pytest.warns(UserWarning, match="not taken over"):
+        again = load_model("swing-report/identified.xml")
+    states = np.random.default_rng(0).normal(size=(10, 3, 2))
+    for row in states:
+        np.testing.assert_allclose(
+            pinocchio.rnea(again, again.createData(), *row),
+            pinocchio.rnea(urdf, urdf.createData(), *row),
+            atol=1e-9,
+        )
+    # The file that was written is a robot to begin with, too.
+    written = "swing-report/identified.xml"
+    code, out, _ = run(capsys, "inspect", table, "--urdf", written)
+    assert code == 0
+    assert "nothing that the robot would show" in out
+
+
+def test_held_joints_of_mjcf(write, table, capsys):
+    path = write(ROBOT.format(hand=HAND, more=BALL, after=FOLLOW))
+    code, _, err = run(capsys, "inspect", table, "--urdf", path)
+    assert code == 2
+    assert "joint 'loose' lets its body float freely" in err
+    assert "--joints" in err
+    joints = ["--joints", "shoulder,elbow"]
+    argv = ["close-loop", table, "--urdf", path, *joints, "--effects", "spring"]
+    code, out, _ = run(capsys, *argv, "--no-ceiling")
+    assert code == 0
+    assert out.splitlines()[1] == "held at zero: grip, grip_2, loose"
+    for name in ("identified.urdf", "identified.xml"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            model = load_model(f"swing-report/{name}")
+        assert joint_names(model) == ("shoulder", "elbow")
+
+
+def test_a_follower_needs_no_columns(write, tmp_path, capsys):
+    path = write(ROBOT.format(hand=HAND, more="", after=FOLLOW))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        made = make_robot_recording(str(path), duration=10.0, random_state=0)
+    assert made.joint_names == ("shoulder", "elbow", "grip")
+    # As ROS has it: positions of all joints by name, efforts of those with motors.
+    heads = ["t", *[f"q_{n}" for n in made.joint_names], "q_grip_2"]
+    heads += [f"tau_{n}" for n in made.joint_names]
+    columns = [made.t, *made.q.T, made.q[:, 2], *made.tau.T]
+    source = tmp_path / "grip.csv"
+    np.savetxt(
+        source,
+        np.column_stack(columns),
+        delimiter=",",
+        header=",".join(heads),
+        comments="",
+    )
+    with pytest.warns(UserWarning, match="not taken over"):
+        read = read_recording(source, urdf=path)
+    assert read.joint_names == made.joint_names
+    code, out, _ = run(capsys, "inspect", source, "--urdf", path)
+    assert code == 0
+    said = "follow other joints, without columns: grip_2"
+    assert said in out.splitlines()
+    argv = ["close-loop", source, "--urdf", path, "--effects", "spring", "--no-ceiling"]
+    code, out, _ = run(capsys, *argv)
+    assert code == 0
+    assert said in out.splitlines()
+    mimic = ElementTree.parse("grip-report/identified.urdf").find(".//mimic")
+    assert (mimic.get("joint"), mimic.get("multiplier")) == ("grip", "1.0")
+    files = [f"grip-report/identified.{kind}" for kind in ("urdf", "xml")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        read = [load_folded(file) for file in files]
+    bodies = [robot.followers[0].parameters for robot in read]
+    np.testing.assert_allclose(*bodies, atol=1e-9)
+    assert bodies[0][0] > 0
+
+
+def test_what_stands_against_a_file_is_one_line(write, table, capsys):
+    loop = '<equality><connect name="rod" body1="lower" anchor="0 0 0"/></equality>'
+    path = write(ROBOT.format(hand="", more="", after=loop))
+    for command in ("inspect", "close-loop", "simulate"):
+        code, out, err = run(capsys, command, table, "--urdf", path)
+        assert code == 2
+        assert not out
+        (line,) = err.splitlines()
+        assert (
+            "<connect> 'rod' of <equality>, between lower and world, closes a" in line
+        )
+        assert line.startswith("sklearn-vbjfa: ")

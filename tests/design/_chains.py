@@ -1,0 +1,57 @@
+"""Robots that are in no collection: chains with drawn bodies, written as URDF."""
+
+from unittest import mock
+
+import numpy as np
+
+from sklearn_vbjfa.design import _design, design_motion
+
+_AXES = ("0 0 1", "0 1 0", "0.6 0 0.8", "0 1 0", "1 0 0", "0 1 0", "0 0 1")
+
+
+def _body(name, rng, size):
+    """Link with a mass and a physical inertia."""
+    mass = size**3 * rng.uniform(1.0, 3.0)
+    centre = size * rng.uniform(-0.05, 0.05, size=3) + size * np.array([0, 0, 0.1])
+    x, y, z = size**5 * rng.uniform(0.01, 0.02, size=3)
+    return (
+        f'<link name="{name}"><inertial><origin xyz="{centre[0]} {centre[1]} '
+        f'{centre[2]}"/><mass value="{mass}"/><inertia ixx="{y + z}" ixy="0" ixz="0" '
+        f'iyy="{x + z}" iyz="0" izz="{x + y}"/></inertial></link>'
+    )
+
+
+def chain(folder, kinds, *, seed=0, effort=40.0, velocity=2.0, reach=1.5, name="chain"):
+    """Write a chain of joints such as ("revolute", "prismatic"); return its path."""
+    rng = np.random.default_rng(seed)
+    parts = ['<link name="base"/>']
+    before = "base"
+    for k, kind in enumerate(kinds):
+        own = f"link_{k + 1}"
+        limit = f'effort="{effort}" velocity="{velocity}"'
+        if kind != "continuous":
+            limit += f' lower="-{reach}" upper="{reach}"'
+        parts.append(_body(own, rng, 1.0))
+        parts.append(
+            f'<joint name="{name}_{k + 1}" type="{kind}"><parent link="{before}"/>'
+            f'<child link="{own}"/><origin xyz="0.05 0 0.2" rpy="0.1 0.2 0"/>'
+            f'<axis xyz="{_AXES[k]}"/><limit {limit}/></joint>'
+        )
+        before = own
+    path = folder / f"{name}.urdf"
+    path.write_text(f'<robot name="{name}">{"".join(parts)}</robot>', encoding="utf-8")
+    return path
+
+
+def problem_of(model, **kwargs):
+    """Return the problem that a design would solve, and the motion it sets out from."""
+    kept = {}
+
+    def keep(problem, z):
+        kept["problem"], kept["first"] = problem, z
+        return z
+
+    kwargs = {"duration": 4.0, "dt": 0.02, "random_state": 0} | kwargs
+    with mock.patch.object(_design, "optimise", keep):
+        design_motion(model, **kwargs)
+    return kept["problem"], kept["first"]

@@ -1,0 +1,81 @@
+"""Fourier series: closed forms, derivatives, and standing still at both ends."""
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.design._curve import FourierCurve
+
+PERIOD = 7.0
+
+
+def drawn(start, n_harmonics=6, n_joints=3):
+    curve = FourierCurve(PERIOD, n_harmonics, n_joints, start)
+    return curve, np.random.default_rng(0).normal(size=(n_joints, curve.size))
+
+
+def parts(curve, z, t):
+    return np.split(curve.states(z, curve.basis(t)), 3, axis=1)
+
+
+@pytest.mark.parametrize("start", [None, np.array([0.3, -1.0, 2.0])])
+def test_it_is_the_series_of_its_own_coefficients(start):
+    curve, z = drawn(start)
+    t = np.linspace(0, PERIOD, 400, endpoint=False)
+    q, v, a = parts(curve, z, t)
+    # The coefficients, by projection on each harmonic.
+    w = 2 * np.pi / PERIOD
+    built, speed, second = np.zeros_like(q), np.zeros_like(q), np.zeros_like(q)
+    for k in range(1, 7):
+        c, s = np.cos(k * w * t)[:, None], np.sin(k * w * t)[:, None]
+        A, B = 2 * (c * q).mean(axis=0), 2 * (s * q).mean(axis=0)
+        built += A * c + B * s
+        speed += k * w * (B * c - A * s)
+        second -= (k * w) ** 2 * (A * c + B * s)
+    np.testing.assert_allclose(q - q.mean(axis=0), built, atol=1e-11)
+    np.testing.assert_allclose(v, speed, atol=1e-11)
+    np.testing.assert_allclose(a, second, atol=1e-10)
+
+
+@pytest.mark.parametrize("start", [None, np.array([0.3, -1.0, 2.0])])
+def test_velocity_and_acceleration_are_derivatives(start):
+    curve, z = drawn(start)
+    t, h = np.linspace(0.1, 6.9, 57), 1e-5
+    _, v, a = parts(curve, z, t)
+    ahead, behind = parts(curve, z, t + h), parts(curve, z, t - h)
+    np.testing.assert_allclose((ahead[0] - behind[0]) / (2 * h), v, atol=1e-7)
+    np.testing.assert_allclose((ahead[1] - behind[1]) / (2 * h), a, atol=1e-6)
+
+
+@pytest.mark.parametrize("start", [None, np.array([0.3, -1.0, 2.0])])
+def test_it_stands_still_where_it_begins_and_ends_and_repeats(start):
+    curve, z = drawn(start)
+    q, v, a = parts(curve, z, np.array([0.0, PERIOD, 5 * PERIOD]))
+    np.testing.assert_allclose(v, 0, atol=1e-11)
+    np.testing.assert_allclose(a, 0, atol=1e-10)
+    np.testing.assert_allclose(q, q[:1] * np.ones((3, 1)), atol=1e-11)
+    if start is not None:
+        np.testing.assert_allclose(q[0], start, atol=1e-12)
+    t = np.linspace(0, PERIOD, 11)
+    for now, later in zip(parts(curve, z, t), parts(curve, z, t + PERIOD)):
+        np.testing.assert_allclose(later, now, atol=1e-10)
+
+
+def test_nothing_else_is_held():
+    # 2 K coefficients, two of which the ends fix; and the start.
+    assert FourierCurve(PERIOD, 6, 1).size == 11
+    assert FourierCurve(PERIOD, 6, 1, np.zeros(1)).size == 10
+    free = FourierCurve(PERIOD, 6, 1, np.zeros(1)).basis(np.linspace(0, PERIOD, 99))[0]
+    assert np.linalg.matrix_rank(free) == 10
+
+
+def test_gradients_are_pulled_back():
+    curve, z = drawn(None)
+    basis = curve.basis(np.linspace(0, PERIOD, 20))
+    by = np.random.default_rng(1).normal(size=(20, 9))
+    told = curve.pulled_back(by, basis)
+    for j in range(3):
+        for k in range(curve.size):
+            step = np.zeros_like(z)
+            step[j, k] = 1.0
+            change = curve.states(z + step, basis) - curve.states(z, basis)
+            assert told[j, k] == pytest.approx((by * change).sum())

@@ -1,0 +1,199 @@
+"""Information, torques and gradients of a design, against Pinocchio and differences."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.design import MotionLimits  # noqa: E402
+from sklearn_vbjfa.design._criterion import worth  # noqa: E402
+from sklearn_vbjfa.design._optimise import _Lagrangian  # noqa: E402
+from tests.design._chains import chain, problem_of  # noqa: E402
+
+KINDS = ("revolute", "prismatic", "continuous")
+SMOOTH = ("viscous_quadratic", "load_friction", "spring", "rotor_inertia")
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return chain(tmp_path_factory.mktemp("chain"), KINDS, effort=80.0)
+
+
+@pytest.fixture(scope="module")
+def designed(path):
+    return problem_of(path)
+
+
+def drawn_states(problem, n=40):
+    rng = np.random.default_rng(4)
+    nv = problem.model.nv
+    return rng.uniform(-1, 1, size=(n, 3 * nv)) * np.repeat([1.0, 2.0, 5.0], nv)
+
+
+def literal_rows(model, problem, q, v, a):
+    """Rows (nv, n_columns) of one sample: Pinocchio's regressor and the friction's."""
+    data, nv, still = model.createData(), model.nv, problem.still
+    rows = np.zeros((nv, problem.model.n_columns))
+    bodies = pin.computeJointTorqueRegressor(model, data, q, v, a)
+    first = len(problem.model.base)
+    rows[:, :first] = bodies[:, problem.model.base]
+    for span, one in zip(problem.model.spans, problem.model.effects):
+        j = one.effect.joint
+        # The mean of the sign of a velocity that is known with this deviation.
+        sign = math.erf(v[j] / (math.sqrt(2) * still[j]))
+        rows[j, span] = {"viscous": v[j], "coulomb": sign}[one.effect.name]
+    return rows
+
+
+def test_information_is_the_sum_over_samples_and_joints(designed):
+    problem, _ = designed
+    model = problem.model.features.model_
+    states = drawn_states(problem)
+    expected = np.zeros((problem.model.n_columns,) * 2)
+    for q, v, a in (np.split(row, 3) for row in states):
+        rows = literal_rows(model, problem, q, v, a)
+        for j in range(model.nv):
+            moving = v[j] ** 2 / (v[j] ** 2 + problem.still[j] ** 2)
+            weight = problem.precision[j] * 0.01 * moving
+            expected += weight * np.outer(rows[j], rows[j])
+    found = problem.information(states, 0.01)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9 * expected.max())
+
+
+def test_base_columns_and_friction_give_the_torques(designed):
+    # Of the nominal robot: no friction, the description's inertias.
+    problem, _ = designed
+    model = problem.model.features.model_
+    states = drawn_states(problem)
+    found = problem.torques(problem.model(states))
+    data = model.createData()
+    for row, torque in zip(states, found):
+        expected = pin.rnea(model, data, *np.split(row, 3))
+        np.testing.assert_allclose(torque, expected, atol=1e-8)
+
+
+def test_no_base_column_is_a_combination_of_others(designed):
+    problem, _ = designed
+    M = problem.information(drawn_states(problem, 400), 0.01)
+    size = np.sqrt(np.diag(M))
+    assert np.linalg.eigvalsh(M / np.outer(size, size))[0] > 1e-6
+
+
+def test_samples_in_between_add_nothing(designed):
+    problem, z = designed
+    found = []
+    for per_period in (16, 32, 64):
+        t = problem.times(per_period)
+        states = problem.curve.states(z, problem.curve.basis(t))
+        found.append(problem.information(states, t[1]))
+    size = np.sqrt(np.diag(found[2]))
+    apart = [(np.abs(M - found[2]) / np.outer(size, size)).max() for M in found[:2]]
+    # Standing still is short beside a sample: what is left converges with sampling.
+    assert apart[0] < 0.05
+    assert apart[1] < 0.01
+    values = [worth(M, problem.questions).value for M in found]
+    # On average one or two per cent of the deviation of a coefficient.
+    assert abs(values[0] - values[2]) < 0.02 * problem.model.n_columns
+
+
+def gradient_error(problem, z, joints=None):
+    """Largest difference to central differences, over the size of the gradient."""
+    lagrangian = _Lagrangian(problem)
+    # Limits are exceeded, so that penalties count, and there are multipliers.
+    x = 1.15 * z.ravel()
+    lagrangian(x)
+    lagrangian.tighten(x)
+    _, told = lagrangian(x)
+    rng = np.random.default_rng(0)
+    worst = 0.0
+    for _ in range(6):
+        way = rng.normal(size=x.size).reshape(z.shape)
+        if joints is not None:
+            way[[j for j in range(len(z)) if j not in joints]] = 0.0
+        way = way.ravel() / np.linalg.norm(way)
+        h = 1e-5
+        ends = [lagrangian(x + sign * h * way)[0] for sign in (1, -1)]
+        change = (ends[0] - ends[1]) / (2 * h)
+        worst = max(worst, abs(change - told @ way) / np.linalg.norm(told))
+    return worst
+
+
+def test_gradient_of_the_whole_lagrangian(designed):
+    problem, z = designed
+    assert gradient_error(problem, z) < 1e-5
+
+
+def test_gradient_with_a_start(path):
+    problem, z = problem_of(path, start=[0.2, -0.1, 0.5])
+    assert gradient_error(problem, z) < 1e-5
+
+
+def test_gradient_with_effects_to_part(path):
+    problem, z = problem_of(path, effects=SMOOTH)
+    assert len(problem.questions.effects) == 3 * len(SMOOTH)
+    assert gradient_error(problem, z) < 1e-4
+
+
+def test_gradient_with_effects_that_remember(path):
+    problem, z = problem_of(path, effects=("presliding", "spring"))
+    assert any(one.remembers for one in problem.model.effects)
+    assert gradient_error(problem, z) < 0.05
+
+
+def test_torque_limits_alone_have_their_gradient(tmp_path):
+    weak = chain(tmp_path, ("revolute", "revolute"), effort=7.0)
+    problem, z = problem_of(weak)
+    assert gradient_error(problem, z) < 1e-5
+
+
+def test_noise_of_all_joints_alike_changes_no_gradient(designed):
+    problem, z = designed
+    louder = replace(problem, precision=problem.precision / 9.0)
+    one, other = _Lagrangian(problem)(z.ravel()), _Lagrangian(louder)(z.ravel())
+    np.testing.assert_allclose(other[1], one[1], rtol=1e-6, atol=1e-6)
+    # Each of the columns has three times the standard deviation.
+    assert other[0] - one[0] == pytest.approx(problem.model.n_model * np.log(3.0))
+
+
+def in_millimetres(model):
+    """Return a robot in mm and kg: lengths, and with them torques and forces."""
+    made = model.copy()
+    for k in range(1, made.njoints):
+        placement = made.jointPlacements[k]
+        made.jointPlacements[k] = pin.SE3(
+            placement.rotation, 1e3 * placement.translation
+        )
+        body = made.inertias[k]
+        made.inertias[k] = pin.Inertia(body.mass, 1e3 * body.lever, 1e6 * body.inertia)
+    made.gravity = pin.Motion(1e3 * made.gravity.linear, np.zeros(3))
+    return made
+
+
+def test_metres_or_millimetres(tmp_path):
+    path = chain(tmp_path, ("revolute", "prismatic", "revolute"), effort=60.0)
+    metres = pin.buildModelFromUrdf(str(path))
+    unit, torque = np.array([1.0, 1e3, 1.0]), np.array([1e6, 1e3, 1e6])
+    position = np.array([[-1.5, 1.5]] * 3)
+    values, motions = [], []
+    for model, length, size in (
+        (metres, np.ones(3), np.ones(3)),
+        (in_millimetres(metres), unit, torque),
+    ):
+        limits = MotionLimits(
+            length[:, None] * position, 2 * length, torque=60.0 * size
+        )
+        problem, z = problem_of(
+            model, limits=limits, effects=("spring", "load_friction")
+        )
+        t = problem.times()
+        basis = problem.curve.basis(t)
+        states = [problem.curve.states(f * z, basis) for f in (0.9, 1.0)]
+        told = [worth(problem.information(x, t[1]), problem.questions) for x in states]
+        values.append((told[1].value - told[0].value, told[1].alone, told[1].beside))
+        motions.append(states[1] / np.tile(length, 3))
+    np.testing.assert_allclose(motions[1], motions[0], atol=1e-5)
+    for one, other in zip(*values):
+        np.testing.assert_allclose(other, one, rtol=1e-4, atol=1e-6)

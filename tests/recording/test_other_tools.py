@@ -1,0 +1,239 @@
+"""Tables as other tools write them: titles, an index, no header, mixed units."""
+
+import re
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.recording._refusal import RecordingRefused
+from tests.recording.test_reader import DT, N, table, write
+
+JOINTS = ("shoulder", "lift")
+ROBOT = """<robot name="r"><link name="base"/>
+<link name="l1"><inertial><mass value="2"/><origin xyz="0.1 0 0"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="l2"><inertial><mass value="1"/><origin xyz="0 0 0.1"/>
+<inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="l1"/>
+<axis xyz="0 1 0"/><limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
+<joint name="lift" type="prismatic"><parent link="l1"/><child link="l2"/>
+<axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
+</robot>"""
+
+
+def read(path, **options):
+    """Return a recording and what was said."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_recording(path, **options)
+    return recording, [str(x.message) for x in caught]
+
+
+def same(recording):
+    columns = table()
+    for name in ("q", "tau"):
+        expected = np.column_stack([columns[f"{name}{k}"] for k in (1, 2)])
+        np.testing.assert_allclose(getattr(recording, name), expected, atol=1e-8)
+    assert recording.dt == pytest.approx(DT)
+
+
+@pytest.fixture
+def urdf(tmp_path):
+    pytest.importorskip("pinocchio")
+    path = tmp_path / "robot.urdf"
+    path.write_text(ROBOT)
+    return path
+
+
+def rows(separator=","):
+    """Lines of the table, the header first."""
+    columns = {name: table()[name] for name in ("t", "q1", "q2", "tau1", "tau2")}
+    lines = [separator.join(columns)]
+    return lines + [
+        separator.join(f"{x:.10g}" for x in row) for row in zip(*columns.values())
+    ]
+
+
+# -- what stands above the names -------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "titles",
+    [
+        ["Scope Project"],
+        ["Name,Scope 3", "Date,2024-05-01", ""],
+        ["one,two,three", "4 words,of,it"],
+    ],
+)
+@pytest.mark.parametrize("units", [False, True])
+def test_titles_above_the_names(titles, units, tmp_path):
+    lines = rows()
+    if units:
+        lines.insert(1, "s,rad,rad,Nm,Nm")
+    path = tmp_path / "arm.csv"
+    path.write_text("\n".join([*titles, *lines]))
+    recording, said = read(path)
+    same(recording)
+    assert f"the names of the columns are in line {len(titles) + 1}." in said[-1]
+    # Lines are those of the file.
+    first = len(titles) + units + 2
+    lines[2 + units] = lines[2 + units].replace(",", ",off", 1)
+    path.write_text("\n".join([*titles, *lines]))
+    with pytest.raises(ValueError, match=rf"'off.*in line {first + 1}, column 'q1'"):
+        read(path)
+
+
+def test_a_short_first_row_is_no_title(tmp_path):
+    lines = rows()
+    lines[1] = "0,0.1,0.2"
+    path = tmp_path / "arm.csv"
+    path.write_text("\n".join(lines))
+    with pytest.raises(ValueError, match="line 2 has 3 cells, the header names 5"):
+        read(path)
+
+
+@pytest.mark.parametrize("units", [False, True])
+def test_titles_of_a_sheet(units, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    pytest.importorskip("python_calamine")
+    book = openpyxl.Workbook()
+    sheet = book.active
+    sheet.append(["Measurement", 3])
+    sheet.append([])
+    header, *lines = rows()
+    sheet.append(header.split(","))
+    if units:
+        sheet.append(["s", "rad", "rad", "Nm", "Nm"])
+    for line in lines:
+        sheet.append([float(x) for x in line.split(",")])
+    path = tmp_path / "arm.xlsx"
+    book.save(path)
+    same(read(path)[0])
+
+
+# -- an index, no header ---------------------------------------------------------------
+
+
+def test_the_index_of_a_data_frame(tmp_path):
+    path = tmp_path / "arm.csv"
+    header, *lines = rows()
+    numbered = [f"{k},{line}" for k, line in enumerate(lines)]
+    path.write_text("\n".join([f",{header}", *numbered]))
+    recording, said = read(path)
+    same(recording)
+    assert not recording.signals
+    assert "the first column has no name and counts the rows" in said[-1]
+    # What does not count the rows has to have a name.
+    path.write_text("\n".join([f",{header}", *(f"7,{line}" for line in lines)]))
+    with pytest.raises(ValueError, match="column 1 has no name in line 1; name it"):
+        read(path)
+    path.write_text("\n".join([header.replace(",q2", ",", 1), *lines]))
+    with pytest.raises(ValueError, match="column 3 has no name in line 1"):
+        read(path)
+
+
+def echo(names=lambda k: JOINTS):
+    """Lines of ``ros2 topic echo --csv``."""
+    columns = table()
+    for k in range(N):
+        t = 5.75 + DT * k
+        stamp = [str(int(t)), str(round(t % 1 * 1e9)), "base_link"]
+        q, tau = ([columns[f"{x}{j}"][k] for j in (1, 2)] for x in ("q", "tau"))
+        numbers = [repr(float(x)) for x in (*q, 0.0, 0.0, *tau)]
+        yield ",".join([*stamp, *names(k), *numbers])
+
+
+def test_joint_states_without_a_header(tmp_path, urdf):
+    path = tmp_path / "echo.csv"
+    path.write_text("\n".join(echo()) + "\n")
+    recording, said = read(path, urdf=urdf)
+    same(recording)
+    assert recording.joint_names == JOINTS
+    assert recording.torque_units == ("N m", "N")
+    assert "written by ros2 topic echo --csv: q = position_0 ... position_1" in said[0]
+    path.write_text("\n".join(echo(lambda k: JOINTS if k % 2 else JOINTS[::-1])))
+    with pytest.raises(ValueError, match="names of the joints change from row to row"):
+        read(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "advice"),
+    [
+        ("echo.yaml", "ros2 topic echo --csv TOPIC > FILE.csv, or record a bag"),
+        ("echo.txt", "ros2 topic echo --csv TOPIC > FILE.csv (rostopic echo -p)"),
+        ("log.h5", "write numpy.savez(FILE, t=t, q=q, tau=tau)"),
+    ],
+)
+def test_what_is_not_read_says_what_would_be(name, advice, tmp_path):
+    path = tmp_path / name
+    path.write_text("header:\n  stamp:\n    sec: 1\n")
+    with pytest.raises(ValueError, match=re.escape(advice)):
+        read(path)
+
+
+# -- units -----------------------------------------------------------------------------
+
+
+def test_joints_with_units_of_their_own(tmp_path, urdf):
+    columns = table()
+    new = {
+        "Zeit [ms]": 1e3 * columns["t"],
+        "shoulder.ActPos [deg]": np.rad2deg(columns["q1"]),
+        "lift.ActPos [mm]": 1e3 * columns["q2"],
+        "shoulder.ActTorque [mNm]": 1e3 * columns["tau1"],
+        "lift.ActTorque [N]": columns["tau2"],
+    }
+    path = write(tmp_path / "arm.csv", new)
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(path, urdf=urdf)
+    assert caught.value.options == {"columns": "q={joint}.ActPos,tau={joint}.ActTorque"}
+    recording, _ = read(path, urdf=urdf, **caught.value.options)
+    same(recording)
+
+
+def test_efforts_of_sliding_joints_are_forces(tmp_path, urdf):
+    columns = table()
+    stamp = [str(round(1e9 * t)) for t in columns["t"]]
+    header = ["%time", "field.name0", "field.name1", "field.position0"]
+    header += ["field.position1", "field.effort0", "field.effort1"]
+    lines = [",".join(header)]
+    for k in range(N):
+        values = [columns[x][k] for x in ("q1", "q2", "tau1", "tau2")]
+        lines.append(",".join([stamp[k], *JOINTS, *(f"{x:.10g}" for x in values)]))
+    path = tmp_path / "rostopic.csv"
+    path.write_text("\n".join(lines))
+    recording, _ = read(path, urdf=urdf)
+    same(recording)
+    assert recording.torque_units == ("N m", "N")
+
+
+@pytest.mark.parametrize("unit", ["A", "%", "V"])
+def test_units_of_a_motor_are_offered_with_gains(unit, tmp_path):
+    columns = table()
+    new = {"t": columns["t"]}
+    for j in (1, 2):
+        new |= {f"axis {j} angle": columns[f"q{j}"]}
+        new |= {f"axis {j} moment [{unit}]": columns[f"tau{j}"]}
+    path = write(tmp_path / "arm.csv", new)
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(path)
+    assert caught.value.options["gains"] == "unknown"
+    recording, _ = read(path, **caught.value.options)
+    assert recording.torque_units == (unit, unit)
+
+
+# -- arrays ----------------------------------------------------------------------------
+
+
+def test_matrices_of_other_names(tmp_path):
+    columns = table()
+    q = np.column_stack([columns["q1"], columns["q2"]])
+    tau = np.column_stack([columns["tau1"], columns["tau2"]])
+    path = tmp_path / "arm.npz"
+    np.savez(path, time=columns["t"], positions=q, efforts=tau, note="x")
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(path)
+    assert caught.value.options == {"columns": "q=positions{i},tau=efforts{i}"}
+    same(read(path, **caught.value.options)[0])

@@ -1,0 +1,224 @@
+"""Robots with joints that follow: identified, saved, written, simulated."""
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import (  # noqa: E402
+    EffectDiscovery,
+    RobotIdentifier,
+    load_identified,
+)
+from sklearn_vbjfa.effects import Coulomb  # noqa: E402
+from sklearn_vbjfa.model._loading import joint_names, load_folded  # noqa: E402
+from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
+
+LINKS = {"upper": 4.0, "lower": 3.0, "left": 1.0, "right": 1.2}
+JOINTS = (
+    ("shoulder", "base", "upper", "revolute", "0 1 0", ""),
+    ("elbow", "upper", "lower", "revolute", "1 0 0", ""),
+    ("grip", "lower", "left", "prismatic", "1 1 0", ""),
+    (
+        "follow",
+        "lower",
+        "right",
+        "revolute",
+        "1 0 1",
+        '<mimic joint="grip" multiplier="-2.5" offset="0.2"/>',
+    ),
+)
+# Of the joints in Pinocchio's order: shoulder, elbow, follow, grip.
+A = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, -2.5], [0, 0, 1.0]])
+B = np.array([0.0, 0.0, 0.2, 0.0])
+VISCOUS = np.array([1.0, 0.5, 3.0])
+DT = 0.005
+
+
+def description():
+    links = "".join(
+        f'<link name="{name}"><inertial><origin xyz=".1 .02 .03"/>'
+        f'<mass value="{mass}"/><inertia ixx=".010" iyy=".012" izz=".013" ixy="0" '
+        'ixz="0" iyz="0"/></inertial></link>'
+        for name, mass in LINKS.items()
+    )
+    joints = "".join(
+        f'<joint name="{name}" type="{kind}"><origin xyz=".1 .2 .3" rpy=".1 .2 .3"/>'
+        f'<parent link="{parent}"/><child link="{child}"/><axis xyz="{axis}"/>'
+        f'<limit lower="-3" upper="3" effort="1" velocity="20"/>{mimic}</joint>'
+        for name, parent, child, kind, axis, mimic in JOINTS
+    )
+    return f'<robot name="gripper"><link name="base"/>{links}{joints}</robot>'
+
+
+def torques(model, q, v, a):
+    """Torques of a full model that the three leaders feel, (n, 3)."""
+    data = model.createData()
+    rows = [(A @ x + B, A @ y, A @ z) for x, y, z in zip(q, v, a)]
+    return np.array([A.T @ pin.rnea(model, data, *row) for row in rows])
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """Positions, velocities and accelerations (n, 3) of sums of sines."""
+    rng, t = np.random.default_rng(0), DT * np.arange(3000)
+    found = np.zeros((3, t.size, 3))
+    for j, size in enumerate((1.0, 1.0, 0.5)):
+        rates, phases = rng.uniform(1, 8, size=6), rng.uniform(0, 6, size=6)
+        sizes = size * rng.uniform(0.05, 0.4, size=6)
+        angle = np.outer(t, rates) + phases
+        found[0, :, j] = np.sin(angle) @ sizes
+        found[1, :, j] = np.cos(angle) @ (sizes * rates)
+        found[2, :, j] = -np.sin(angle) @ (sizes * rates**2)
+    return found
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "gripper.urdf"
+    path.write_text(description())
+    return path
+
+
+@pytest.fixture(scope="module")
+def recorded(path, motion):
+    """Noisy positions and torques of the leaders alone."""
+    rng = np.random.default_rng(1)
+    tau = torques(pin.buildModelFromUrdf(str(path)), *motion) + VISCOUS * motion[1]
+    q = motion[0] + 1e-5 * rng.normal(size=motion[0].shape)
+    return q, tau + 0.02 * rng.normal(size=tau.shape)
+
+
+@pytest.fixture(scope="module")
+def fitted(path, recorded):
+    # From a description with other masses than those of the robot.
+    other = path.with_name("nominal.urdf")
+    text = path.read_text().replace('value="1.2"', 'value="0.7"')
+    other.write_text(text.replace('value="3.0"', 'value="2.0"'))
+    return RobotIdentifier(str(other), dt=DT).fit(*recorded)
+
+
+def test_a_recording_needs_no_columns_of_a_follower(fitted, recorded, motion, path):
+    assert fitted.joint_names_ == ("shoulder", "elbow", "grip")
+    q, _ = recorded
+    true = torques(pin.buildModelFromUrdf(str(path)), *motion) + VISCOUS * motion[1]
+    error = np.sqrt(np.mean((fitted.predict(q) - true) ** 2, axis=0))
+    assert (error < 0.01 * true.std(axis=0)).all()
+
+
+def test_a_follower_has_ten_parameters_of_its_own(fitted):
+    names = [name for name in fitted.parameter_names_ if name.startswith("follow:")]
+    assert len(names) == 10
+    assert names[0] == "follow:m"
+    at = fitted.parameter_names_.index("follow:m")
+    assert fitted.parameter_units_[at] == "kg"
+    body = fitted.theta_[at : at + 10]
+    assert min_eigenvalue(body[None])[0] > 0
+    # It swings about an axis of its own, which shows a moment of inertia about it.
+    axis = np.array([1.0, 0.0, 1.0]) / np.sqrt(2)
+    full = pin.Inertia(1.2, np.array([0.1, 0.02, 0.03]), np.diag([0.01, 0.012, 0.013]))
+    xx, xy, yy, xz, yz, zz = body[4:]
+    found = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    true = pin.Inertia.FromDynamicParameters(full.toDynamicParameters())
+    moment = true.matrix()[3:, 3:]
+    assert axis @ found @ axis == pytest.approx(axis @ moment @ axis, rel=0.02)
+
+
+def test_a_saved_robot_is_the_same(fitted, recorded, motion, tmp_path):
+    fitted.save(tmp_path / "robot.json")
+    read = load_identified(tmp_path / "robot.json")
+    q, _ = recorded
+    np.testing.assert_array_equal(read.predict(q), fitted.predict(q))
+    states = np.hstack(motion)[:50]
+    steps = [read.step(*row.reshape(3, 3)) for row in states]
+    np.testing.assert_allclose(steps, read.predict(states), atol=1e-9)
+    for write in ("to_urdf", "to_mjcf"):
+        for robot, name in ((fitted, "one"), (read, "other")):
+            assert getattr(robot, write)(tmp_path / name) == ()
+        assert (tmp_path / "one").read_text() == (tmp_path / "other").read_text()
+
+
+def test_a_written_urdf_has_the_follower(fitted, motion, tmp_path):
+    target = tmp_path / "identified.urdf"
+    fitted.to_urdf(target)
+    assert target.read_text().count("<mimic ") == 1
+    model = pin.buildModelFromUrdf(str(target))
+    viscous = fitted.theta_[
+        [
+            fitted.parameter_names_.index(f"{name}:viscous")
+            for name in fitted.joint_names_
+        ]
+    ]
+    found = torques(model, *motion) + viscous * motion[1]
+    expected = fitted.predict(np.hstack(motion))
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+
+
+def test_a_written_mjcf_has_the_follower(fitted, motion, tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    target = tmp_path / "identified.xml"
+    fitted.to_mjcf(target)
+    model = mujoco.MjModel.from_xml_path(str(target))
+    names = [model.joint(j).name for j in range(model.njnt)]
+    assert names == ["shoulder", "elbow", "grip", "follow"]
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    data, found = mujoco.MjData(model), []
+    order = [0, 1, 3, 2]
+    for x, y, z in zip(*motion[:, :100]):
+        data.qpos[:], data.qvel[:] = (A @ x + B)[order], (A @ y)[order]
+        data.qacc[:] = (A @ z)[order]
+        mujoco.mj_inverse(model, data)
+        found.append(A[order].T @ data.qfrc_inverse)
+    expected = fitted.predict(np.hstack(motion[:, :100]))
+    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
+    # And it is the same robot to those who read it here.
+    with pytest.warns(UserWarning, match="the damping of shoulder, elbow, grip"):
+        read = load_folded(target)
+    assert joint_names(read.model) == fitted.joint_names_
+    (body,) = read.followers
+    at = fitted.parameter_names_.index("follow:m")
+    np.testing.assert_allclose(body.parameters, fitted.theta_[at : at + 10], atol=1e-9)
+    assert (body.chain[-1].rate, body.chain[-1].offset) == (-2.5, 0.2)
+
+
+def test_mujoco_closes_the_gripper(fitted, tmp_path):
+    """The equality that is written moves the follower with its leader."""
+    mujoco = pytest.importorskip("mujoco")
+    fitted.to_mjcf(tmp_path / "identified.xml")
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "identified.xml"))
+    data = mujoco.MjData(model)
+    data.qpos[3] = 0.2
+    data.ctrl[2] = 5.0
+    for _ in range(400):
+        mujoco.mj_step(model, data)
+    assert abs(data.qpos[2]) > 0.02
+    assert data.qpos[3] == pytest.approx(0.2 - 2.5 * data.qpos[2], abs=1e-3)
+
+
+def test_a_search_finds_what_is_missing_beside_a_follower(path, recorded, motion):
+    q, tau = recorded
+    tau = tau + 2.0 * np.sign(motion[1]) * [0.0, 1.0, 0.0]
+    loop = EffectDiscovery(
+        RobotIdentifier(str(path), dt=DT),
+        effects=["coulomb", "spring"],
+        ceiling=False,
+    ).fit(q, tau)
+    found = [(one.name, one.joint) for one in loop.effects_]
+    assert found == [("coulomb", 1)]
+    assert [e.name for e in loop.identifier_.effects_] == ["follower", "coulomb"]
+    assert loop.identifier_.effects_[1].joint == 1
+
+
+def test_a_declared_effect_comes_behind_the_followers(path, recorded):
+    robot = RobotIdentifier(str(path), dt=DT, effects=[Coulomb(1)]).fit(*recorded)
+    assert [effect.name for effect in robot.effects_] == ["follower", "coulomb"]
+    again = RobotIdentifier(str(path), dt=DT, effects=robot.effects_).fit(*recorded)
+    np.testing.assert_array_equal(again.theta_, robot.theta_)
+
+
+def test_a_follower_swings_in_a_simulation(fitted, motion, recorded):
+    """From a measured state, driven by measured torques."""
+    _, tau = recorded
+    simulated = fitted.simulate(tau[:200], motion[0, 0], motion[1, 0])
+    assert np.abs(simulated[199, :3] - motion[0, 199]).max() < 0.02
+    assert np.abs(motion[0, 199] - motion[0, 0]).max() > 0.2

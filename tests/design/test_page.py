@@ -187,7 +187,7 @@ def test_intervals_of_both_recordings(motion):
     # 1 / hypot(1 / 0.4, 1 / 0.3) = 0.24
     assert viscous == ["1.0 ± 0.4", "± 0.3", "± 0.24", "kg", "1.7 times narrower"]
     ripple = cells[cells.index("ripple") + 1 :][:5]
-    assert ripple == ["7 ± 1", "± 4", "± 0.97", "kg", "as now"]
+    assert ripple == ["7.0 ± 1.0", "± 4", "± 0.97", "kg", "as now"]
     body = cells[cells.index("I") + 1 :][:5]
     assert body == ["2", "± 0.5", "-", "kg", ""]
     text = "\n".join(summary(motion, background(found=found)))

@@ -28,7 +28,13 @@ import traceback
 import warnings
 
 import numpy as np
-from _design_motions import Designed, random_motion, top_harmonic
+from _design_motions import (
+    Designed,
+    identified,
+    random_motion,
+    rigid,
+    top_harmonic,
+)
 from _design_robots import HARMONICS, POOR, draw_robot, execute
 from _ledger import Ledger, results_of
 from _report import commit, parser, publish, rst_table
@@ -130,7 +136,9 @@ def run(task, design=designed, duration=DURATION, dt=DT):
 
     try:
         poor = robot.limits.part(**POOR)
-        motion = random_motion(robot.nominal, poor, duration, HARMONICS, draws[0])
+        motion = random_motion(
+            rigid(robot.nominal), poor, duration, HARMONICS, draws[0]
+        )
         first = recorded(motion, draws[1])
         identifier = fitted(robot, [first], dt)
         begun = time.perf_counter()
@@ -140,7 +148,7 @@ def run(task, design=designed, duration=DURATION, dt=DT):
         result["design_seconds"] = time.perf_counter() - begun
         ours = recorded(motion, draws[2])
         motion = random_motion(
-            robot.nominal, robot.limits, duration, harmonics, draws[3]
+            identified(identifier), robot.limits, duration, harmonics, draws[3]
         )
         theirs = recorded(motion, draws[4])
         for study, before in (("both", [first]), ("alone", [])):

@@ -4,9 +4,9 @@ Run ``python tests/benchmarks/bench_design_intervals.py --seeds FIRST LAST [--jo
 [--out FILE] [--write]``; both seeds are included, 0 to 99 are for work, 100 to 199 to
 confirm, once.
 
-Data: the robots, limits, controller, noise and motions of ``bench_design_rivals.py``,
-of the same seeds, without their undeclared effects: the declared model is right, and
-every motion leaves the same noise. `RobotIdentifier` is fitted to the poor first
+Data: robots, limits, controller, noise and motions as in ``bench_design_rivals.py``, with
+three or four joints, as there is time for them here, and without the undeclared effect:
+the declared model is right, and every motion leaves the same noise. `RobotIdentifier` is fitted to the poor first
 recording; ``design_motion(identifier, ...)``, without a report, makes the designed
 motion from it, within the limits that the random one touches. Both are executed by the
 low-gain controller for 20 s, and what is compared is
@@ -51,6 +51,7 @@ from scipy import stats
 from sklearn_vbjfa import RobotIdentifier
 
 TARGET = 0.5
+JOINTS = (3, 4)
 NINETY = stats.norm.ppf(0.95)
 STUDIES = {"both": "both recordings", "alone": "the second alone"}
 
@@ -127,7 +128,7 @@ def run(task, design=designed, duration=DURATION, dt=DT):
         The task and its result, as plain numbers and lists.
     """
     seed, started = task["seed"], time.perf_counter()
-    robot = draw_robot(task["kind"], task["size"], seed)
+    robot = draw_robot(task["kind"], task["size"], seed, n_joints=JOINTS)
     result = {"seed": seed, "commit": commit(), "n_joints": robot.model.nv}
     draws = np.random.default_rng([seed, 3]).spawn(5)
 

@@ -4,12 +4,13 @@ Run ``python tests/benchmarks/bench_design_intervals.py --seeds FIRST LAST [--jo
 [--out FILE] [--write]``; both seeds are included, 0 to 99 are for work, 100 to 199 to
 confirm, once.
 
-Data: robots, limits, controller, noise and motions as in ``bench_design_rivals.py``, with
-three or four joints, as there is time for them here, and without the undeclared effect:
-the declared model is right, and every motion leaves the same noise. `RobotIdentifier` is fitted to the poor first
-recording; ``design_motion(identifier, ...)``, without a report, makes the designed
-motion from it, within the limits that the random one touches. Both are executed by the
-low-gain controller for 20 s, and what is compared is
+Data: robots, limits, controller, noise and motions as in ``bench_design_rivals.py``,
+with three or four joints, as there is time for them here, and without the undeclared
+effect: the declared model is right, and every motion leaves the same noise.
+`RobotIdentifier` is fitted to the poor first recording; ``design_motion(identifier,
+...)``, without a report, makes the designed motion from it, within the limits that the
+random one touches. Both are executed by the low-gain controller for 20 s, and what is
+compared is
 
 - both recordings: fitted to the first and the second together, as one would;
 - the second alone.

@@ -467,7 +467,7 @@ def _constant(name, j, x):
         "constant_torque",
         (int(j),),
         "error",
-        f"The torque of {name} is constant ({x[0]:.6g}) while the joint moves: the "
+        f"The torque of {name} is constant ({x[0] + 0.0:.6g}) while the joint moves: the "
         "channel carries no information; record it, or lock the joint in the model.",
     )
 

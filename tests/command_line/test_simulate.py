@@ -367,7 +367,10 @@ def test_the_demo_needs_no_arguments(tmp_path, monkeypatch, capsys):
         ("arm.csv --urdf U --effects rust", "--effects does not know 'rust'"),
         ("arm.csv --urdf U --cutoff 60", "--cutoff must be below 50 Hz"),
         ("arm.csv --urdf U --signals temperature", "holds no columns beside time"),
-        ("arm.csv --urdf U --out arm.csv", "arm.csv is a file; --out must name a f"),
+        (
+            "arm.csv --urdf U --out arm.csv",
+            "arm.csv is a file, where --out must name a f",
+        ),
         ("arm.csv --urdf U --joints elbow", "2 column(s) q for 1 joint(s)"),
     ],
 )

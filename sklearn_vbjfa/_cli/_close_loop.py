@@ -129,8 +129,7 @@ def run(arguments):
             print("\n".join(text))
             raise
     print("\n".join(text))
-    lines = [_left_out_line(name, left) for name, left in left_out.items() if left]
-    lines += _next_motion(report.outcome, out)
+    lines = [*_left_out_lines(left_out), *_next_motion(report.outcome, out)]
     if lines:
         print("\n" + "\n".join(_input.wrapped(x, sys.stdout) for x in lines))
     names = ", ".join(map(str, written))
@@ -228,11 +227,25 @@ def _next_motion(outcome, out):
     ]
 
 
-def _left_out_line(name, left):
-    """Say how many effects a description goes without, and which is the largest.
+def _left_out_lines(left_out):
+    """Say what descriptions go without, those that go without the same in one line.
 
-    Torques and forces are not compared: the largest of each is named.
+    left_out : dict of str to tuple of LeftOut, by the names of the files.
     """
+    names = {}
+    for name, left in left_out.items():
+        if left:
+            names.setdefault(_left_out_text(left), []).append(name)
+    return [
+        f"{' and '.join(files)} {'have' if len(files) > 1 else 'has'} no place for "
+        f"{text}; {'they say' if len(files) > 1 else 'it says'} why at the top, and "
+        "identified.json has all."
+        for text, files in names.items()
+    ]
+
+
+def _left_out_text(left):
+    """Count effects and name the largest; torques and forces are not compared."""
     # What is not known is the smallest.
     up = sorted(left, key=lambda one: np.nan_to_num(one.size, nan=-1.0))
     largest = {one.unit: one for one in up}.values()
@@ -242,10 +255,7 @@ def _left_out_line(name, left):
         for one in largest
     )
     count = "an effect" if len(left) == 1 else f"{len(left)} effects, the largest"
-    return (
-        f"{name} has no place for {count}: {told}; it says why at its top, and "
-        "identified.json has all."
-    )
+    return f"{count}: {told}"
 
 
 def _write_parameters(robot, known, path):

@@ -43,7 +43,7 @@ KINDS = (
     "rotor_inertia",
     "coupling",
 )
-JOINTS = (3, 4)
+JOINTS = (2, 3)
 REACH = (1.0, 1.6)  # rad, half the range
 SPEED = (2.0, 3.0)  # rad/s
 # Time in which a joint reaches its full speed [s].
@@ -71,7 +71,7 @@ SUBSTEPS = 10
 # Error at which the feedback alone gives a joint's typical torque [rad], and cut-off
 # of the derivative of the error [Hz].
 SOFTNESS, DAMPING_RATIO, CUTOFF = 0.1, 0.7, 20.0
-ATTEMPTS = 20
+ATTEMPTS = 200
 
 
 # -- effects, one state at a time ------------------------------------------------------

@@ -4,7 +4,7 @@ Run ``python tests/benchmarks/bench_design_rivals.py --seeds FIRST LAST [--jobs 
 [--out FILE] [--write]``; both seeds are included, 0 to 99 are for work, 100 to 199 to
 confirm, once.
 
-Data: ``_design_robots.py``. Robot s has three or four joints, inertias that differ from
+Data: ``_design_robots.py``. Robot s has two or three joints, inertias that differ from
 those declared, viscous friction (half of the robots Coulomb friction too, declared)
 and one undeclared effect, of the kind s modulo 13. Along a random reference motion
 within all limits, the part of the effect that the declared columns cannot absorb has a

@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shlex
 import sys
 import tempfile
 import warnings
@@ -129,6 +130,7 @@ def run(arguments):
             raise
     print("\n".join(text))
     lines = [_left_out_line(name, left) for name, left in left_out.items() if left]
+    lines += _next_motion(report.outcome, out)
     if lines:
         print("\n" + "\n".join(_input.wrapped(x, sys.stdout) for x in lines))
     names = ", ".join(map(str, written))
@@ -209,6 +211,21 @@ def _write(loop, report, out):
         for name in _FILES:
             os.replace(Path(folder, name), out / name)
     return [out / name for name in _FILES], left_out
+
+
+def _next_motion(outcome, out):
+    """Name the command that designs the motion for what is open, a list of str."""
+    is_open = (
+        outcome.unexplained
+        or any(effect.rivals for effect in outcome.effects)
+        or any(one.reason == "excitation" for one in outcome.hidden)
+    )
+    if not is_open:
+        return []
+    return [
+        "A motion that decides what is open: python -m sklearn_vbjfa design --report "
+        f"{shlex.quote(str(out))}"
+    ]
 
 
 def _left_out_line(name, left):

@@ -176,8 +176,8 @@ def design_motion(
     )
     _check_held(problem, names, rng)
     first = _best_drawn(problem, rng)
-    found = optimise(problem, first)
     fine = np.arange(_FINER * problem.times().size) * (problem.times()[1] / _FINER)
+    found = optimise(problem, first, fine, 1.0 - MARGIN)
     z = shrunk(problem, found, fine, 1.0 - MARGIN)
     return _made(problem, robot, z, first, noise, dt, fine, no_clearance)
 

@@ -22,6 +22,10 @@ from sklearn_vbjfa.design._criterion import information_of, worth
 INSIDE = 0.97
 # Rounds of multipliers, steps in each, and the factor between penalties.
 _ROUNDS, _STEPS, _HARDER = 7, 45, 3.0
+# Rounds in which limits are kept between the samples as well, with this to spare.
+_MORE_ROUNDS, _SPARE = 4, 1e-3
+# By how much a motion is made smaller, step by step.
+_GAPS = 1e-4 * 1.6 ** np.arange(20)
 # Penalty at first: an excess of one per cent at one sample costs this much [nats].
 _FIRST_COST = 0.02
 # Distances between bodies are looked at in every so many samples.
@@ -110,26 +114,27 @@ class Problem:
 def excess(problem, states, torques, inside=INSIDE):
     """How far limits are exceeded, relative: a list of (n, nv) for each side.
 
-    Each with its slope: what it gains by one unit of the signal.
+    Each with its slope: what it gains by one unit of the signal. Kept are shares
+    `inside` of the limits: one, or of each of the four and each joint, (4, nv).
     """
     limits = problem.limits
+    shares = np.broadcast_to(inside, (4, len(limits.velocity)))
     q, v, a = np.split(states, 3, axis=1)
     low, high = limits.position.T
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     if problem.curve.start is not None:
         # A start near an end of the range keeps the margin that it has.
-        half = half / inside
         reach = np.abs(problem.curve.start - middle)
-        half = np.maximum(half * inside, np.minimum(reach / inside, half))
+        half = np.maximum(half, np.minimum(reach, half) / shares[0])
     found = []
-    for signal, centre, size in (
-        (q, middle, half),
-        (v, 0.0, limits.velocity),
-        (a, 0.0, limits.acceleration),
-        (torques, 0.0, limits.torque),
+    for signal, centre, size, share in (
+        (q, middle, half, shares[0]),
+        (v, 0.0, limits.velocity, shares[1]),
+        (a, 0.0, limits.acceleration, shares[2]),
+        (torques, 0.0, limits.torque, shares[3]),
     ):
-        scaled = (signal - centre) / (inside * size)
-        slope = 1.0 / (inside * size)
+        scaled = (signal - centre) / (share * size)
+        slope = 1.0 / (share * size)
         found.append((scaled - 1.0, slope))
         found.append((-scaled - 1.0, -slope))
     return found
@@ -143,6 +148,7 @@ class _Lagrangian:
         self.t = problem.times()
         self.step = self.t[1]
         self.basis = problem.curve.basis(self.t)
+        self.inside = np.full((4, problem.model.nv), INSIDE)
         self.multipliers = None
         self.penalty = 2 * _FIRST_COST / 1e-4
         self.shape = (problem.model.nv, problem.curve.size)
@@ -188,7 +194,7 @@ class _Lagrangian:
 
     def _penalised(self, states, torques):
         """Cost of the limits, and its derivative by states and torques (n, 4 nv)."""
-        found = excess(self.problem, states, torques)
+        found = excess(self.problem, states, torques, self.inside)
         if self.multipliers is None:
             self.multipliers = [np.zeros_like(g) for g, _ in found]
         cost, by = 0.0, [0.0] * 4
@@ -215,7 +221,8 @@ class _Lagrangian:
         states = self.states(x)
         torques = self.problem.torques(self.problem.model(states, self.t))
         worst = 0.0
-        for k, (g, _) in enumerate(excess(self.problem, states, torques)):
+        found = excess(self.problem, states, torques, self.inside)
+        for k, (g, _) in enumerate(found):
             self.multipliers[k] = np.maximum(
                 self.multipliers[k] + self.penalty * g, 0.0
             )
@@ -223,65 +230,113 @@ class _Lagrangian:
         self.penalty *= _HARDER
         return worst
 
+    def keep_between(self, x, fine, inside):
+        """Keep back what samples in between, at times `fine`, need of the limits.
 
-def optimise(problem, z):
+        Returns by how much they exceed the share `inside` of the limits.
+        """
+        problem = self.problem
+        basis = problem.curve.basis(fine)
+        states = problem.curve.states(x.reshape(self.shape), basis)
+        torques = problem.torques(problem.model(states, fine))
+        sides = [g for g, _ in excess(problem, states, torques, inside)]
+        over = np.maximum(np.max(sides[::2], axis=1), np.max(sides[1::2], axis=1))
+        self.inside /= 1.0 + np.where(over > 0, over + _SPARE, 0.0)
+        return over.max()
+
+
+def optimise(problem, z, fine, inside):
     """Improve a motion, coordinates (nv, size), until nothing is gained.
 
-    It may exceed the limits by a trace: see `shrunk`.
+    At the times `fine`, many more than those of the design, it keeps the share `inside`
+    of the limits, which it may exceed by a trace: see `shrunk`.
     """
     lagrangian = _Lagrangian(problem)
     x = np.array(z, dtype=float).ravel()
     before = np.inf
     for _ in range(_ROUNDS):
-        found = minimize(
-            lagrangian,
-            x,
-            jac=True,
-            method="L-BFGS-B",
-            options={"maxiter": _STEPS, "maxcor": 20},
-        )
-        x = found.x
+        x, value = _improved(lagrangian, x)
         worst = lagrangian.tighten(x)
-        settled = abs(before - found.fun) < 0.05
-        before = found.fun
+        settled = abs(before - value) < 0.05
+        before = value
         if worst < _TOLERATED and settled:
             break
+    # Where friction turns round at the load's peak, torques jump between samples.
+    for _ in range(_MORE_ROUNDS):
+        if lagrangian.keep_between(x, fine, inside) <= 0.0:
+            break
+        x, _ = _improved(lagrangian, x)
+        lagrangian.tighten(x)
     return x.reshape(lagrangian.shape)
 
 
-def shrunk(problem, z, t, inside, *, apart=True):
-    """Scale a motion about its start until it keeps all limits at the times t.
+def _improved(lagrangian, x):
+    """Return the result of one round and its value."""
+    found = minimize(
+        lagrangian,
+        x,
+        jac=True,
+        method="L-BFGS-B",
+        options={"maxiter": _STEPS, "maxcor": 20},
+    )
+    return found.x, found.fun
 
-    With `apart` its bodies keep their distance as well.
+
+def shrunk(problem, z, t, inside, *, apart=True):
+    """Scale a motion until it keeps all limits at the times t.
+
+    It is scaled about its start if that is given, else about the pose in it that is
+    furthest from the limits. With `apart` its bodies keep their distance as well.
     """
     basis = problem.curve.basis(t)
+    about = _roomiest(problem, z, basis)
 
     def keeps(factor):
-        states = problem.curve.states(_scaled(problem, z, factor), basis)
+        states = problem.curve.states(_scaled(problem, z, factor, about), basis)
         torques = problem.torques(problem.model(states, t))
         over = max(
             float(g.max(initial=-1.0))
             for g, _ in excess(problem, states, torques, inside)
         )
-        if apart and problem.clearance is not None:
+        if over <= 1e-9 and apart and problem.clearance is not None:
             q = states[:, : problem.model.nv]
-            over = max(over, 1.0 - problem.clearance.smallest(q) / problem.room)
+            over = 1.0 - problem.clearance.smallest(q) / problem.room
         return over <= 1e-9
 
     if keeps(1.0):
         return z
-    low, high = 0.0, 1.0
-    for _ in range(30):
+    # A smaller motion may take a larger torque, nearer to a pose that is hard to hold:
+    # the largest factor is looked for from above.
+    high = 1.0
+    for gap in _GAPS:
+        low = 1.0 - gap
+        if keeps(low):
+            break
+        high = low
+    else:
+        low = 0.0
+    for _ in range(6):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if keeps(middle) else (low, middle)
-    return _scaled(problem, z, low)
+    return _scaled(problem, z, low, about)
 
 
-def _scaled(problem, z, factor):
-    """Make the motion smaller about its start."""
+def _roomiest(problem, z, basis):
+    """Pose (nv,) of a motion at rest in which it is furthest from its limits."""
     if problem.curve.start is not None:
-        return factor * z
-    # The last coordinate is the start itself.
+        return problem.curve.start
+    states = problem.curve.states(z, basis)
+    states[:, problem.model.nv :] = 0.0
+    torques = problem.torques(problem.model(states))
+    sides = [g for g, _ in excess(problem, states, torques)]
+    worst = np.max(sides, axis=(0, 2))
+    return states[np.argmin(worst), : problem.model.nv]
+
+
+def _scaled(problem, z, factor, about):
+    """Make the motion smaller about a pose."""
     scaled = factor * z
-    scaled[:, -1] = z[:, -1]
+    if problem.curve.start is None:
+        # The last coordinate is the start itself.
+        scaled[:, -1] += (1.0 - factor) * about
     return scaled

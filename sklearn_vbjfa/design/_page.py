@@ -524,9 +524,9 @@ def _decides_text(motion):
     if motion.parts:
         own = motion.parts
         told = [
-            f"- {words.joint_label(motion.joint_names, one.joint)}: "
-            f"{effect_label(one.names[0])} or {effect_label(one.names[1])}, from "
-            f"{_newtons(motion, one.least, one.joint)}"
+            f"- {words.joint_label(motion.joint_names, one.joint)}, from "
+            f"{_newtons(motion, one.least, one.joint)}: "
+            f"{effect_label(one.names[0])} or {effect_label(one.names[1])}"
             for one in own
         ]
         head = "It tells apart, from these torques on"

@@ -433,7 +433,7 @@ def _check_known(moving, names, path):
     if unknown:
         raise ValueError(
             f"{str(path)!r}: the robot has no movable joint {unknown[0]!r}; it has "
-            f"{', '.join(names) or 'none'}."
+            f"{', '.join(map(str, names)) or 'none'}."
         )
 
 

@@ -47,7 +47,7 @@ def problem_of(model, **kwargs):
     """Return the problem that a design would solve, and the motion it sets out from."""
     kept = {}
 
-    def keep(problem, z):
+    def keep(problem, z, *_):
         kept["problem"], kept["first"] = problem, z
         return z
 

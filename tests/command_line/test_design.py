@@ -1,0 +1,400 @@
+"""The command design: a motion and its page, one line for what is wrong."""
+
+import contextlib
+import csv
+import io
+import json
+import os
+import re
+import shlex
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa._cli import _joined, main
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.design import design_motion
+from tests.command_line.test_close_loop import LINK, URDF
+
+pytest.importorskip("pinocchio")
+
+# Few harmonics, so that a motion takes a second or two.
+QUICK = ("--duration", "4", "--acceleration", "3")
+JOINTS = ["shoulder", "elbow"]
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    """Folder with a robot, and what close-loop leaves of it in ``report``."""
+    folder = tmp_path_factory.mktemp("robot")
+    urdf = folder / "arm.urdf"
+    urdf.write_text(URDF)
+    recording = make_robot_recording(
+        str(urdf), duration=8.0, dt=0.01, n_harmonics=4, random_state=0
+    )
+    report = folder / "report"
+    report.mkdir()
+    robot = RobotIdentifier(str(urdf), dt=recording.dt, friction=("viscous", "coulomb"))
+    robot.fit(recording.q, recording.tau).save(report / "identified.json")
+    content = {
+        "joint_names": JOINTS,
+        "effects": [
+            {"name": "stribeck", "joint": 0, "rivals": ["viscous_quadratic"]},
+        ],
+        "rounds": [
+            {
+                "action": "add",
+                "name": "stribeck",
+                "joint": 0,
+                "rivals": [{"name": "viscous_quadratic", "joint": 0}],
+            }
+        ],
+        "hidden": [
+            {"name": "joint_zero", "joint": 0, "reason": "span", "remedy": ""},
+            {"name": "joint_axis", "joint": 1, "reason": "together"}
+            | {"remedy": "base_tilt"},
+        ],
+        "parameters": [
+            {"name": "elbow:viscous", "value": 0.5, "interval": [-9.5, 10.5]}
+            | {"known": "yes", "unit": "N m s/rad"}
+        ],
+        "recorded": {"samples": 800, "seconds": 8.0, "rate": 100.0},
+        "provenance": {"file": "slow.csv", "description": str(urdf), "held": []},
+    }
+    (report / "report.json").write_text(json.dumps(content))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def designed(home):
+    """Folder, printed text and command of one run with a report."""
+    out = home / "new" / "motion.csv"
+    argv = ["--report", str(home / "report"), *QUICK, "--out", str(out)]
+    text, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.redirect_stderr(errors):
+        assert main(["design", *argv]) == 0
+    assert errors.getvalue() == ""
+    return out, text.getvalue(), argv
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Working folder with a robot alone."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "arm.urdf").write_text(URDF)
+    return tmp_path
+
+
+def refusal(capsys, *argv):
+    """Return the one line on stderr."""
+    assert main(["design", *map(str, argv)]) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    (line,) = captured.err.splitlines()
+    assert line.startswith("sklearn-vbjfa: ")
+    return line
+
+
+def offered(line):
+    """Return the arguments of the command that a refusal offers."""
+    command = line.partition("this would work: python -m sklearn_vbjfa ")[2]
+    assert command
+    return shlex.split(command)
+
+
+def read(path):
+    with path.open(newline="", encoding="utf-8") as file:
+        return {
+            key: np.array(values, dtype=float)
+            for key, values in zip(*_transposed(csv.reader(file)))
+        }
+
+
+def _transposed(rows):
+    heads, *rows = rows
+    return heads, list(zip(*rows))
+
+
+# -- a run -----------------------------------------------------------------------------
+
+
+def test_the_file_is_a_motion_within_its_limits(designed):
+    out, _, _ = designed
+    found = read(out)
+    heads = ["t"] + [f"{kind}_{name}" for kind in "qva" for name in JOINTS]
+    assert list(found) == heads
+    t = found["t"]
+    # The period of the recordings so far.
+    np.testing.assert_allclose(np.diff(t), 0.01)
+    assert t.size == 400
+    for name in JOINTS:
+        q, v, a = (found[f"{kind}_{name}"] for kind in "qva")
+        assert abs(v[0]) < 1e-9
+        assert abs(a[0]) < 1e-9
+        np.testing.assert_allclose(np.gradient(q, t)[1:-1], v[1:-1], atol=1e-3)
+        np.testing.assert_allclose(np.gradient(v, t)[1:-1], a[1:-1], atol=2e-2)
+        assert np.abs(q).max() <= 0.98 * 3
+        assert np.abs(v).max() <= 0.98 * 10
+        assert np.abs(a).max() <= 0.98 * 3
+
+
+def test_what_is_printed_fits_a_screen(designed):
+    out, text, _ = designed
+    lines = text.splitlines()
+    assert len(lines) < 30
+    assert lines[0].startswith("Motion of arm.urdf for what ")
+    assert "2 joints, 4 s at 100 Hz" in lines[0]
+    pair = next(x for x in lines if x.startswith("- joint 1 (shoulder), "))
+    assert re.search(r"from [\d.]+ N m: Stribeck friction or friction with", pair)
+    assert "elbow" in text
+    assert "98 %" in text
+    assert any(
+        x.startswith("Invisible: ") and "encoder zero" in x and "shoulder" in x
+        for x in lines
+    )
+    assert "no <collision>" in text
+    assert "1 of 1 intervals become narrower" in text
+    assert lines[-1] == f"written: {out}, {out.with_suffix('.html')}"
+    assert f"close-loop both.csv --urdf {out.parents[1] / 'arm.urdf'}" in lines[-2]
+    assert "slow.csv" in lines[-3]
+    assert "segment" in lines[-3]
+
+
+def test_the_page_has_what_was_printed(designed):
+    out, _, _ = designed
+    page = out.with_suffix(".html").read_text(encoding="utf-8")
+    assert page.count('<figure class="wide"') == 8
+    for said in ("Stribeck friction", "times narrower", "slow.csv", "no &lt;collision"):
+        assert said in page
+    assert "src=" not in page
+    assert "@import" not in page
+
+
+def test_the_same_again_gives_the_same(designed, capsys):
+    out, _, argv = designed
+    before = out.read_bytes()
+    line = refusal(capsys, *argv)
+    assert "motion.csv and " in line
+    assert "--force to replace them" in line
+    assert offered(line)[-1] == str(out.with_name("motion-2.csv"))
+    out.write_text("mine")
+    assert "exist" in refusal(capsys, *argv)
+    assert out.read_text() == "mine"
+    assert main(["design", *argv, "--force"]) == 0
+    assert out.read_bytes() == before
+
+
+def test_a_described_robot_with_held_joints_and_slow(here, capsys):
+    more = {"name": "hand", "joint": "grip", "parent": "lower", "origin": 0.3}
+    (here / "arm.urdf").write_text(
+        URDF.replace("</robot>", LINK.format(**more, centre=0.1, mass=1) + "</robot>")
+    )
+    Path("limits.csv").write_text(
+        "joint,lower,upper,velocity\nelbow,-1,0.5,\nshoulder,,,2\n"
+    )
+    argv = ["--urdf", "arm.urdf", "--joints", "shoulder,elbow", *QUICK]
+    argv += ["--limits", "limits.csv", "--scale", "0.5", "--dt", "0.02"]
+    argv += ["--duration", "5"]
+    argv += ["--start", "-1,0", "--effects", "stribeck,spring", "--seed", "3"]
+    assert main(["design", *argv]) == 0
+    text = capsys.readouterr().out
+    found = read(here / "motion.csv")
+    assert found["q_shoulder"][0] == -1
+    assert found["q_elbow"][0] == 0
+    assert -0.99 <= found["q_elbow"].min()
+    assert found["q_elbow"].max() <= 0.49
+    assert np.abs(found["v_shoulder"]).max() <= 0.98
+    assert np.abs(found["a_elbow"]).max() <= 0.98 * 1.5
+    assert np.diff(found["t"])[0] == pytest.approx(0.02)
+    assert "--joints shoulder,elbow" in text
+    assert "held" not in text
+    assert "Noise was not measured" in text
+    page = (here / "motion.html").read_text(encoding="utf-8")
+    assert "grip" in page
+    assert "50% of those of velocity" in page
+
+
+# -- bad input -------------------------------------------------------------------------
+
+
+def test_a_robot_is_needed(here, capsys):
+    line = refusal(capsys)
+    assert "--urdf FILE" in line
+    assert "--report FOLDER" in line
+    assert "no such robot" in refusal(capsys, "--urdf", "none.urdf")
+    Path("empty").mkdir()
+    assert "expected the folder" in refusal(capsys, "--report", "empty")
+    Path("empty/report.json").write_text('{"effects": [], "joint_names": ["a"]}')
+    line = refusal(capsys, "--report", "empty")
+    assert "identified.json does not exist" in line
+    assert "--urdf FILE" in line
+
+
+def test_the_report_of_another_robot(home, here, capsys):
+    report = home / "report"
+    Path("other.urdf").write_text(URDF.replace('xyz="0.4 0 0"', 'xyz="0.5 0 0"'))
+    line = refusal(capsys, "--report", report, "--urdf", "other.urdf")
+    assert "other.urdf is not the robot of" in line
+    assert "elbow" in line
+    Path("other.urdf").write_text(URDF.replace('"elbow"', '"knee"'))
+    line = refusal(capsys, "--report", report, "--urdf", "other.urdf")
+    assert "has no joint elbow" in line
+    assert "shoulder, knee" in line
+    line = refusal(capsys, "--report", report, "--joints", "elbow")
+    assert "--joints must name the joints" in line
+    # without identified.json the report names the joints
+    alone = here / "alone"
+    alone.mkdir()
+    (alone / "report.json").write_text((report / "report.json").read_text())
+    line = refusal(capsys, "--report", alone, "--urdf", "other.urdf")
+    assert "elbow" in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said", "option"),
+    [
+        ('effort="100"', 'effort="0"', "no torque limit of shoulder (", "--torque"),
+        ('velocity="10"', 'velocity="0"', "no velocity limit of sh", "--velocity"),
+        ('effort="100"', 'effort="1"', "needs ", "--torque"),
+    ],
+)
+def test_what_a_robot_lacks_is_a_number_that_works(
+    old, new, said, option, here, capsys
+):
+    Path("arm.urdf").write_text(URDF.replace(old, new))
+    line = refusal(capsys, "--urdf", "arm.urdf", *QUICK[:2], "--start", "0,0")
+    assert said in line
+    argv = offered(line)
+    assert option in argv
+    assert "limits=" not in line
+    assert main([*argv, "--acceleration", "3"]) == 0
+
+
+def test_durations_and_starts_that_would_do(here, capsys):
+    short = ("--urdf", "arm.urdf", "--duration", "0.5", "--acceleration", "3")
+    line = refusal(capsys, *short)
+    assert "too short for shoulder" in line
+    argv = offered(line)
+    wanted = float(argv[argv.index("--duration") + 1])
+    # (1 - cos) / 2 through a quarter of the range of 6 rad
+    assert wanted == np.ceil(2 * np.pi * np.sqrt(0.75 / 3))
+    assert main(argv) == 0
+    capsys.readouterr()
+    out = ("--out", "other.csv")
+    line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start", "-4,0.5")
+    assert "shoulder at -4, outside its limits [-3, 3]" in line
+    assert "--start=-3,0.5" in offered(line)
+    for start, said in (("1", "has 1 numbers"), ("1,nan", "must be positions")):
+        line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start", start)
+        assert said in line
+        assert "one for each of shoulder, elbow" in line
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("--duration", "nan"),
+        ("--duration", "0"),
+        ("--dt", "-1"),
+        ("--scale", "1.5"),
+        ("--scale", "nan"),
+    ],
+)
+def test_numbers_that_are_none(option, value, here, capsys):
+    line = refusal(capsys, "--urdf", "arm.urdf", f"{option}={value}")
+    assert f"{option} must be" in line
+    assert option in offered(line)
+
+
+@pytest.mark.parametrize("text", ["1,2,3", "1,-2", "a,b", "inf,1", ""])
+def test_limits_that_are_none(text, here, capsys):
+    line = refusal(capsys, "--urdf", "arm.urdf", f"--torque={text}")
+    assert "--torque" in line
+    assert "positive numbers" in line
+    assert "elbow" in line
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ("joint,lower,upper\nelbow,1,-1\n", "elbow no room: position from 1 to -1"),
+        ("joint,velocity\nelbow,nan\n", "velocity 'nan' of elbow"),
+        ("joint,velocity\nknee,1\n", "limits of 'knee'"),
+        ("joint,velocity\nelbow,1\nelbow,2\n", "elbow twice"),
+        ("joint,speed\nelbow,1\n", "'speed'"),
+        ("lower,upper\n1,2\n", "no column joint"),
+        ("joint,velocity\nelbow\n", "1 cells in row 2"),
+        ('{"elbow": 3}', "limits by joints"),
+        ('[{"joint": "elbow"', "not readable as JSON"),
+        ('[{"joint": "elbow", "torque": [1]}]', "torque [1] of elbow"),
+    ],
+)
+def test_a_file_of_limits_that_does_not_do_shows_one(content, said, here, capsys):
+    Path("limits.txt").write_text(content)
+    line = refusal(capsys, "--urdf", "arm.urdf", "--limits", "limits.txt")
+    assert said in line
+    shown = line.partition("this would work: a file with ")[2]
+    rows = json.loads(shown)
+    assert list(rows) == JOINTS
+    assert rows["elbow"]["lower"] == -3
+    assert rows["elbow"]["torque"] == 100
+
+
+def test_the_file_that_is_shown_works(here, capsys):
+    line = refusal(capsys, "--urdf", "arm.urdf", "--limits", "none.json")
+    shown = line.partition("this would work: a file with ")[2]
+    Path("none.json").write_text(shown)
+    argv = ["--urdf", "arm.urdf", "--limits", "none.json", "--duration", "4"]
+    assert main(["design", *argv, "--acceleration", "3"]) == 0
+
+
+def test_places_where_nothing_can_be_written(here, capsys):
+    urdf = ("--urdf", "arm.urdf")
+    Path("folder").mkdir()
+    line = refusal(capsys, *urdf, "--out", "folder")
+    assert offered(line)[-1] == os.path.join("folder", "motion.csv")
+    line = refusal(capsys, *urdf, "--out", "arm.urdf/motion.csv")
+    assert "arm.urdf is a file" in line
+    assert offered(line)[-1] == "arm-motion.csv"
+    assert offered(refusal(capsys, *urdf, "--out", "a.html"))[-1] == "a.csv"
+    Path("b.html").write_text("mine")
+    assert "b.html exists" in refusal(capsys, *urdf, "--out", "b.csv")
+    assert Path("b.html").read_text() == "mine"
+
+
+def test_lists_may_begin_with_a_minus():
+    assert _joined(["--start", "-1,2", "--dt", "1"]) == ["--start=-1,2", "--dt", "1"]
+    assert _joined(["--start", "-.5,2"]) == ["--start=-.5,2"]
+    assert _joined(["--start", "--dt"]) == ["--start", "--dt"]
+
+
+@pytest.mark.parametrize("folder", [".", "new/folder"])
+def test_a_run_that_is_interrupted_writes_nothing(folder, here, capsys, monkeypatch):
+    def stopped(*args, **kwargs):
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr("sklearn_vbjfa.design.design_motion", stopped)
+    argv = ["--urdf", "arm.urdf", "--out", f"{folder}/motion.csv"]
+    assert main(["design", *argv]) == 130
+    assert capsys.readouterr().err == (
+        "sklearn-vbjfa: interrupted, nothing was written\n"
+    )
+    assert [x.name for x in here.iterdir()] == ["arm.urdf"]
+
+
+def test_a_motion_outside_its_limits_is_not_written(here, capsys, monkeypatch):
+    def outside(*args, **kwargs):
+        found = design_motion(*args, **kwargs)
+        margins = found.margins | {"velocity": np.array([0.5, -0.031])}
+        return replace(found, within_limits=False, margins=margins)
+
+    monkeypatch.setattr("sklearn_vbjfa.design.design_motion", outside)
+    line = refusal(capsys, "--urdf", "arm.urdf", *QUICK)
+    assert "speed of joint 2 (elbow) is exceeded by 3.1 %" in line
+    assert "--start" in line
+    assert "--seed" in line
+    assert [x.name for x in here.iterdir()] == ["arm.urdf"]

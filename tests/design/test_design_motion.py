@@ -1,0 +1,339 @@
+"""Whole designs: limits, what they are worth, and what they promise, by other means."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.design import MotionLimits, design_motion  # noqa: E402
+from sklearn_vbjfa.design._criterion import worth  # noqa: E402
+from tests.design._chains import chain, problem_of  # noqa: E402
+
+KINDS = ("revolute", "prismatic", "continuous")
+SHORT = {"duration": 3.0, "dt": 0.02, "random_state": 0}
+
+
+def limits_of(nv, *, effort=60.0, reach=1.5, velocity=2.0):
+    position = np.array([[-reach, reach]] * nv)
+    return MotionLimits(
+        position, np.full(nv, velocity), np.full(nv, 8.0), np.full(nv, effort)
+    )
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return chain(tmp_path_factory.mktemp("designs"), KINDS, effort=60.0)
+
+
+@pytest.fixture(scope="module")
+def motion(path):
+    return design_motion(path, limits=limits_of(3), **SHORT)
+
+
+def literal_margins(model, limits, states):
+    """Smallest distances over the limits, by Pinocchio's inverse dynamics."""
+    data = model.createData()
+    q, v, a = np.split(states, 3, axis=1)
+    tau = np.array([pin.rnea(model, data, *np.split(row, 3)) for row in states])
+    low, high = limits.position.T
+    half = (high - low) / 2
+    return {
+        "position": np.minimum(high - q, q - low).min(axis=0) / half,
+        "velocity": 1 - np.abs(v).max(axis=0) / limits.velocity,
+        "acceleration": 1 - np.abs(a).max(axis=0) / limits.acceleration,
+        "torque": 1 - np.abs(tau).max(axis=0) / limits.torque,
+    }
+
+
+def test_margins_are_kept_between_the_samples(path, motion):
+    # Continuous joints have one position in the URDF: the model here has as well.
+    problem, _ = problem_of(path)
+    fine = np.linspace(0, SHORT["duration"], 5_000)
+    found = literal_margins(
+        problem.model.features.model_, motion.limits, motion.states(fine)
+    )
+    assert motion.within_limits
+    for name, values in found.items():
+        assert values.min() > 0.0195, name
+        np.testing.assert_allclose(motion.margins[name], values, atol=3e-3)
+    # Some limit is used.
+    assert min(values.min() for values in found.values()) < 0.06
+
+
+def test_columns_are_samples_of_one_motion(path, motion):
+    problem, _ = problem_of(path)
+    model = problem.model.features.model_
+    assert motion.t.shape == (150,)
+    assert motion.joint_names == ("chain_1", "chain_2", "chain_3")
+    states = motion.states(motion.t)
+    np.testing.assert_allclose(np.hstack([motion.q, motion.v, motion.a]), states)
+    data = model.createData()
+    tau = [pin.rnea(model, data, *np.split(row, 3)) for row in states]
+    np.testing.assert_allclose(motion.tau, tau, atol=1e-8)
+    ends = motion.states([0.0, motion.duration])
+    np.testing.assert_allclose(ends[:, 3:], 0.0, atol=1e-9)
+    np.testing.assert_allclose(ends[0], ends[1], atol=1e-9)
+
+
+def random_feasible(limits, model, duration, rng):
+    """Draw a Fourier motion that fills its limits, without code of the package."""
+    nv, t = model.nv, np.linspace(0, duration, 150)
+    k = np.arange(1, 6)
+    w = 2 * np.pi * k / duration
+    A, B = rng.normal(size=(2, 5, nv)) / k[:, None]
+    c, s = np.cos(np.outer(t, w)), np.sin(np.outer(t, w))
+    q = c @ A + s @ B
+    v = c @ (w[:, None] * B) - s @ (w[:, None] * A)
+    a = -c @ (w[:, None] ** 2 * A) - s @ (w[:, None] ** 2 * B)
+    centre = 0.5 * (q.max(axis=0) + q.min(axis=0))
+    states = [q - centre, v, a]
+    kept = (limits.position[:, 1], limits.velocity, limits.acceleration)
+    size = np.min([x / np.abs(y).max(axis=0) for x, y in zip(kept, states)], axis=0)
+    states = np.hstack([size * signal for signal in states])
+    while literal_margins(model, limits, states)["torque"].min() < 0.0:
+        states = 0.9 * states
+    return t, states
+
+
+def literal_information(model, states, dt, limits):
+    """Information per joint's torque limit on base parameters and friction."""
+    data = model.createData()
+    blocks = []
+    for row in states:
+        q, v, a = np.split(row, 3)
+        bodies = pin.computeJointTorqueRegressor(model, data, q, v, a)
+        friction = np.hstack([np.diag(v), np.diag(np.tanh(v / 0.04))])
+        blocks.append(np.hstack([bodies, friction]) / limits.torque[:, None])
+    X = np.concatenate(blocks)
+    return dt * X.T @ X
+
+
+def test_it_is_worth_more_than_random_motions(path, motion):
+    problem, _ = problem_of(path)
+    model, limits = problem.model.features.model_, motion.limits
+    rng = np.random.default_rng(0)
+    fine = np.linspace(0, motion.duration, 150)
+    own = literal_information(model, motion.states(fine), 0.02, limits)
+    n = 10 * model.nv
+    drawn = [random_feasible(limits, model, motion.duration, rng) for _ in range(40)]
+    random = [literal_information(model, states, 0.02, limits) for _, states in drawn]
+    # Base columns: those of the model, known by their number in the description.
+    kept = np.r_[problem.model.base, n : n + 2 * model.nv]
+
+    def judged(M):
+        M = M[np.ix_(kept, kept)]
+        return 0.5 * np.linalg.slogdet(M)[1]
+
+    best = max(judged(M) for M in random)
+    assert judged(own) > best + 3.0
+    assert motion.condition_number < motion.start_condition_number
+
+
+@pytest.mark.parametrize(
+    "kinds", [("revolute",), ("prismatic",), ("continuous", "revolute")]
+)
+def test_small_robots(tmp_path, kinds):
+    path = chain(tmp_path, kinds, effort=80.0)
+    motion = design_motion(path, **SHORT)
+    assert motion.within_limits
+    assert motion.q.shape == (150, len(kinds))
+    assert np.isfinite(motion.condition_number)
+    assert np.ptp(motion.q, axis=0).min() > 0.3
+
+
+def test_seven_joints_have_a_motion_to_set_out_from(tmp_path):
+    kinds = ("revolute",) * 7
+    problem, z = problem_of(chain(tmp_path, kinds, effort=120.0))
+    assert z.shape[0] == 7
+    t = problem.times()
+    M = problem.information(problem.curve.states(z, problem.curve.basis(t)), t[1])
+    assert np.isfinite(worth(M, problem.questions).value)
+
+
+def test_a_start_is_kept(tmp_path):
+    path = chain(tmp_path, ("revolute", "revolute"), effort=60.0)
+    start = np.array([0.4, -0.7])
+    motion = design_motion(path, start=start, **SHORT)
+    np.testing.assert_allclose(motion.q[0], start, atol=1e-9)
+    np.testing.assert_allclose(motion.states([3.0])[0, :2], start, atol=1e-9)
+    assert motion.within_limits
+    assert np.ptp(motion.q, axis=0).min() > 0.3
+
+
+@pytest.mark.parametrize("end", [-1.5, 1.5])
+def test_a_start_at_a_limit_leaves_a_motion(tmp_path, end):
+    path = chain(tmp_path, ("revolute", "revolute"), effort=60.0)
+    problem, z = problem_of(path, start=[end, 0.0])
+    q = problem.curve.states(z, problem.curve.basis(problem.times()))[:, :2]
+    assert np.all(np.abs(q) <= 1.5 + 1e-9)
+    assert np.ptp(q, axis=0).min() > 0.05
+
+
+def test_seeds_repeat_and_differ(tmp_path):
+    path = chain(tmp_path, ("revolute",), effort=60.0)
+    one, same, other = (
+        design_motion(path, **{**SHORT, "random_state": seed}) for seed in (0, 0, 1)
+    )
+    np.testing.assert_array_equal(one.q, same.q)
+    assert np.abs(one.q - other.q).max() > 1e-3
+
+
+def test_asymmetric_ranges(tmp_path):
+    path = chain(tmp_path, ("revolute", "revolute"), effort=80.0)
+    limits = MotionLimits([[1.0, 2.0], [-3.0, -1.0]], [2.0, 2.0], torque=[80.0, 80.0])
+    problem, z = problem_of(path, limits=limits)
+    q = problem.curve.states(z, problem.curve.basis(problem.times()))[:, :2]
+    assert np.all((q > limits.position[:, 0]) & (q < limits.position[:, 1]))
+    assert np.ptp(q, axis=0).min() > 0.1
+
+
+def test_a_duration_is_whole_samples(tmp_path):
+    path = chain(tmp_path, ("revolute",), effort=60.0)
+    problem, _ = problem_of(path, duration=3.009)
+    assert problem.curve.period == pytest.approx(3.0)
+
+
+def test_expected_intervals_are_those_of_least_squares(tmp_path, motion, path):
+    """Deviations of weighted least squares on noisy torques of the motion."""
+    problem, _ = problem_of(path, limits=motion.limits, duration=3.0)
+    dt, n_model = 0.005, problem.model.n_model
+    t = np.arange(0, 3.0, dt)
+    states = motion.states(t)
+    weight, _ = problem.weights(states, dt)
+    # White noise that has the deviation of the equations in the band of the fit.
+    white = motion.noise / np.sqrt(2 * motion.band * dt)
+    used = np.sqrt(weight / weight.max(axis=0))
+    equations = problem.model(states, t)
+    blocks = []
+    for j, (rows, place) in enumerate(zip(equations.rows, problem.model.places)):
+        full = np.zeros((len(t), n_model))
+        full[:, place] = (rows * used[:, j]).T / white[j]
+        blocks.append(full)
+    A = np.concatenate(blocks)
+    rng = np.random.default_rng(0)
+    noise = rng.normal(size=(len(A), 600)) * np.concatenate(used.T)[:, None]
+    errors = np.linalg.lstsq(A, noise, rcond=None)[0]
+    half = 1.6449 * errors.std(axis=1)
+    told = np.array([one.half_width for one in motion.expected_intervals])
+    assert len(told) == n_model
+    np.testing.assert_allclose(told, half, rtol=0.1)
+
+
+def test_names_and_units_of_intervals(motion):
+    told = {one.name: one.unit for one in motion.expected_intervals}
+    assert told["chain_1:viscous"] == "N m s/rad"
+    assert told["chain_2:viscous"] == "N s/m"
+    assert told["chain_2:coulomb"] == "N"
+    assert all(one.half_width > 0 for one in motion.expected_intervals)
+
+
+# -- effects to be parted --------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def parted(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("parted")
+    path = chain(folder, ("revolute", "revolute"), effort=40.0, seed=3)
+    asked = ("load_friction", "spring", "rotor_inertia")
+    return path, design_motion(path, effects=asked, **SHORT)
+
+
+def test_effects_by_hand_are_shown_or_told_invisible(parted):
+    _, motion = parted
+    shown = {(one.name, one.joint) for one in motion.shows}
+    hidden = {(one.name, one.joint) for one in motion.invisible}
+    assert shown | hidden == {
+        (name, joint)
+        for name in ("load_friction", "spring", "rotor_inertia")
+        for joint in (0, 1)
+    }
+    # The first joint's rotor acts on the torques as the inertia of its link does.
+    assert ("rotor_inertia", 0) in hidden
+    assert ("spring", 0) in shown
+    assert motion.within_limits
+    assert all(np.isfinite(one.least) and one.least > 0 for one in motion.shows)
+
+
+def test_a_motion_for_rivals_parts_them_better(parted):
+    # Than the best of the random motions that the design sets out from.
+    path, motion = parted
+    asked = ("load_friction", "spring", "rotor_inertia")
+    problem, first = problem_of(path, effects=asked, **SHORT)
+    t = problem.times()
+    drawn = problem.curve.states(first, problem.curve.basis(t))
+    before, after = (
+        worth(problem.information(states, t[1]), problem.questions)
+        for states in (drawn, motion.states(t))
+    )
+    pairs = problem.questions.beside > 0
+    assert pairs.any()
+    assert after.value > before.value + 3.0
+    assert np.log(after.beside[pairs] / before.beside[pairs]).mean() > 0.5
+
+
+def test_louder_encoders_count_against_accelerations(tmp_path):
+    from sklearn_vbjfa.design._known_robot import KnownRobot
+
+    path = chain(tmp_path, ("revolute", "prismatic"), effort=40.0)
+    quiet = KnownRobot.of(path)
+    limits = MotionLimits.of(path)
+    rng = np.random.default_rng(0)
+    states = rng.uniform(-1, 1, size=(300, 6))
+    highest, dt = 2.0, 0.01
+    guessed = quiet.noise(limits, states, highest, dt)
+    np.testing.assert_allclose(guessed, 0.01 * limits.torque)
+    loud = replace(quiet, encoder_noise=np.array([1e-3, 0.0]))
+    found = loud.noise(limits, states, highest, dt)
+    # White noise of the positions, twice differentiated, in the band of the states.
+    band = 3.0 * highest
+    f = np.linspace(0, band, 20_001)
+    density = 2 * dt * 1e-3**2 * (2 * np.pi * f) ** 4
+    variance = np.trapezoid(density, f)
+    model, data = quiet.features.model_, quiet.features.model_.createData()
+    mass = [pin.crba(model, data, row[:2]).copy() for row in states[:100]]
+    mass = np.array([np.triu(M) + np.triu(M, 1).T for M in mass])
+    share = (mass[:, :, 0] ** 2).mean(axis=0) * variance
+    np.testing.assert_allclose(found**2 - guessed**2, share, rtol=1e-3)
+
+
+def test_a_motion_is_scaled_about_a_pose_that_is_easily_held(tmp_path):
+    # A pendulum of a drive that holds it hanging but not level.
+    from sklearn_vbjfa.design._optimise import shrunk
+
+    path = chain(tmp_path, ("revolute", "revolute"), effort=60.0, seed=3)
+    limits = MotionLimits([[-1.5, 1.5]] * 2, [2.0, 2.0], torque=[60.0, 1.15])
+    problem, z = problem_of(path, limits=limits)
+    # Larger, and begun where the pendulum is level and cannot be held.
+    z = 1.3 * z
+    z[:, -1] = [0.0, 0.9]
+    t = problem.times(160)
+    basis = problem.curve.basis(t)
+    found = shrunk(problem, z, t, 0.98)
+    states = problem.curve.states(found, basis)
+    torques = problem.torques(problem.model(states, t))
+    assert np.all(np.abs(torques) <= 0.98 * limits.torque * (1 + 1e-8))
+    assert np.ptp(states[:, :2], axis=0).min() > 0.05
+
+
+def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
+    # Dry friction jumps where the load is largest, between two samples.
+    from sklearn_vbjfa.design._optimise import optimise, shrunk
+
+    path = chain(tmp_path, ("revolute", "revolute"), effort=3.0, seed=3)
+    problem, z = problem_of(path)
+    own = [one.effect for one in problem.model.effects]
+    sizes = problem.coefficients.copy()
+    for span, effect in zip(problem.model.spans, own):
+        if effect.name == "coulomb":
+            sizes[span] = 0.5
+    problem = replace(problem, coefficients=sizes)
+    t = problem.times(160)
+    found = optimise(problem, z, t, 0.98)
+    kept = shrunk(problem, found, t, 0.98)
+    assert np.linalg.norm(kept[:, :-1]) > 0.95 * np.linalg.norm(found[:, :-1])
+    states = problem.curve.states(kept, problem.curve.basis(t))
+    torques = problem.torques(problem.model(states, t))
+    assert np.all(np.abs(torques) <= 0.98 * problem.limits.torque * (1 + 1e-8))
+    assert np.abs(torques / problem.limits.torque).max() > 0.85

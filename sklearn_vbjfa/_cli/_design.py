@@ -368,7 +368,6 @@ def _robot(arguments, report, found, folder):
 def _described(arguments, found, folder):
     """Take a robot of which only the description is known."""
     from sklearn_vbjfa.design._known_robot import KnownRobot
-    from sklearn_vbjfa.model._loading import load_quietly
 
     given, joints = _input.path(arguments.urdf), _input.joint_names(arguments.joints)
     if not joints and found is not None:
@@ -378,7 +377,7 @@ def _described(arguments, found, folder):
     known = replace(KnownRobot.of(str(urdf)), description=str(given))
     return _Robot(
         known=known,
-        model=load_quietly(urdf),
+        model=known.features.model_,
         name=given.name,
         file=str(given),
         held=tuple(held),

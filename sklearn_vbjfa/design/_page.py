@@ -92,6 +92,22 @@ class Background:
     file: str = ""
     commands: tuple = ()
 
+    def rivals(self):
+        """Return pairs that a report could not tell apart, ({name, name}, joint)."""
+        found = self.found or {}
+        names = tuple(found.get("joint_names") or ())
+        pairs = set()
+        for one in (*(found.get("effects") or ()), *(found.get("rounds") or ())):
+            for rival in one.get("rivals") or ():
+                # Of an effect rivals are names, of a step of the search trials.
+                if isinstance(rival, str):
+                    name, _, where = rival.rpartition(" on ")
+                    rival = rival if where not in names else name
+                else:
+                    rival = rival["name"]
+                pairs.add((frozenset((one["name"], rival)), one["joint"]))
+        return pairs
+
     def present(self):
         """Return what a report says of each parameter, dict of str to `Present`."""
         known = {}
@@ -155,21 +171,79 @@ def _headline(motion, background):
 
 def _verdict(motion, background):
     """Say in a sentence what the motion is good for."""
-    if motion.parts:
-        first = _pair_text(motion, motion.parts[0])
-        more = len(motion.parts) - 1
-        told = f"It tells {first}" + (
-            f", and {words.plural(more, 'further pair')} of causes." if more else "."
-        )
-    elif motion.shows:
+    found = decisions(motion, background)
+    if found:
+        first = found[0]
+        where = words.joint_label(motion.joint_names, first.joint)
+        least = _newtons(motion, first.least, first.joint)
+        more = len(found) - 1
+        told = f"; and {words.plural(more, 'further question')}" * (more > 0)
+        return f"It decides, from {least} on: {first.causes} on {where}{told}."
+    if motion.shows:
         effects = len({one.name for one in motion.shows})
-        told = (
+        return (
             f"It determines the model, and shows {words.plural(effects, 'effect')} "
             "that the joints may have."
         )
-    else:
-        told = "It determines the model; no effect was asked for."
-    return told
+    return "It determines the model; no effect was asked for."
+
+
+@dataclass(frozen=True, kw_only=True)
+class Decision:
+    """What a motion decides: a question of a joint.
+
+    Attributes
+    ----------
+    joint : int
+        Joint, from zero.
+    causes : str
+        What is told apart, in words.
+    least : float
+        Smallest torque from which on all of it is [N m or N].
+    hardest : str
+        Of more than two causes, which two are the hardest to tell apart.
+    """
+
+    joint: int
+    causes: str
+    least: float
+    hardest: str = ""
+
+
+def decisions(motion, background):
+    """List what a motion decides, what the report names as rivals first.
+
+    Causes of a joint that no one has named as rivals are one question together.
+    """
+    named = background.rivals()
+    found, others = [], {}
+    for one in motion.parts:
+        if (frozenset(one.names), one.joint) in named:
+            found.append(_one_pair(one))
+        else:
+            others.setdefault(one.joint, []).append(one)
+    for joint, pairs in others.items():
+        hardest = max(pairs, key=lambda one: one.least)
+        if len(pairs) == 1:
+            found.append(_one_pair(hardest))
+            continue
+        causes = dict.fromkeys(name for one in pairs for name in one.names)
+        labels = [effect_label(name) for name in causes]
+        found.append(
+            Decision(
+                joint=joint,
+                causes=f"{words.join(labels, len(labels))} from one another",
+                least=hardest.least,
+                hardest=_one_pair(hardest).causes,
+            )
+        )
+    return found
+
+
+def _one_pair(one):
+    """Return a pair as a question of its own."""
+    causes = " or ".join(effect_label(name) for name in one.names)
+    return Decision(joint=one.joint, causes=causes, least=one.least)
 
 
 def _to_do(motion, background):
@@ -244,20 +318,23 @@ def _bar(motion, background, j, name):
 
 
 def _decided(motion, background):
-    """Say which pairs of causes the motion parts."""
-    rows = [
-        (
-            words.joint_label(motion.joint_names, one.joint),
-            f"{effect_label(one.names[0])} or {effect_label(one.names[1])}",
-            _newtons(motion, one.least, one.joint),
+    """Say what the motion decides."""
+    rows = []
+    for one in decisions(motion, background):
+        hardest = f"hardest: {one.hardest}" if one.hardest else ""
+        rows.append(
+            (
+                words.joint_label(motion.joint_names, one.joint),
+                words.capital(one.causes),
+                (_newtons(motion, one.least, one.joint), hardest)
+                if hardest
+                else _newtons(motion, one.least, one.joint),
+            )
         )
-        for one in motion.parts
-    ]
+    heads = ("joint", "causes", "told apart from")
     return Section(
         heading="What it decides",
-        table=Table(heads=("joint", "causes", "told apart from"), rows=tuple(rows))
-        if rows
-        else None,
+        table=Table(heads=heads, rows=tuple(rows)) if rows else None,
     )
 
 
@@ -343,7 +420,8 @@ def _intervals(motion, background):
                     _half_text(one.half_width),
                     _half_text(_together(one, now)),
                     one.unit,
-                    _change_text(change),
+                    _change_text(change)
+                    or ("a combination" if now is not None else ""),
                 )
             )
         known = [x for x in changes if not math.isnan(x)]
@@ -479,7 +557,7 @@ def summary(motion, background):
             _clearance_text(motion), _WIDTH, max_lines=2, placeholder=" ..."
         ),
         "",
-        *_decides_text(motion),
+        *_decides_text(motion, background),
         *_never_text(motion, background),
         _parameters_text(motion, background),
         _shortened(_noise_text(background)),
@@ -519,15 +597,14 @@ def _shares_text(motion, background):
     return [*table.splitlines(), *([f"and {left} joints that use less"] * (left > 0))]
 
 
-def _decides_text(motion):
+def _decides_text(motion, background):
     """List what is decided, or from which torques on effects show."""
-    if motion.parts:
-        own = motion.parts
+    found = decisions(motion, background)
+    if found:
         told = [
             f"- {words.joint_label(motion.joint_names, one.joint)}, from "
-            f"{_newtons(motion, one.least, one.joint)}: "
-            f"{effect_label(one.names[0])} or {effect_label(one.names[1])}"
-            for one in own
+            f"{_newtons(motion, one.least, one.joint)}: {one.causes}"
+            for one in found
         ]
         head = "It tells apart, from these torques on"
     elif motion.shows:
@@ -562,8 +639,8 @@ def _parameters_text(motion, background):
         return ""
     better, known, middle = narrower
     return (
-        f"Parameters: with both recordings {better} of {known} intervals become "
-        f"narrower, the middle one {words.number(middle, 2)} times"
+        f"Parameters: with both, {better} of {known} intervals become narrower, "
+        f"the middle one {words.number(middle, 2)} times"
     )
 
 
@@ -602,14 +679,6 @@ def effect_label(name):
     except ValueError:
         return name.replace("_", " ")
     return effect.describe({}, lambda joint: f"joint {joint + 1}")
-
-
-def _pair_text(motion, one):
-    label = words.joint_label(motion.joint_names, one.joint)
-    return (
-        f"{effect_label(one.names[0])} from {effect_label(one.names[1])} on {label} "
-        f"where either has {_newtons(motion, one.least, one.joint)} or more"
-    )
 
 
 def _bare(name):

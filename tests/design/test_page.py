@@ -11,6 +11,7 @@ import pytest
 from sklearn_vbjfa.design import MotionLimits, design_motion
 from sklearn_vbjfa.design._page import (
     Background,
+    decisions,
     effect_label,
     exceeded,
     invisible_sentences,
@@ -189,9 +190,50 @@ def test_intervals_of_both_recordings(motion):
     ripple = cells[cells.index("ripple") + 1 :][:5]
     assert ripple == ["7.0 ± 1.0", "± 4", "± 0.97", "kg", "as now"]
     body = cells[cells.index("I") + 1 :][:5]
-    assert body == ["2", "± 0.5", "-", "kg", ""]
+    assert body == ["2", "± 0.5", "-", "kg", "a combination"]
     text = "\n".join(summary(motion, background(found=found)))
     assert "1 of 2 intervals become narrower" in text
+
+
+def test_rivals_of_the_report_come_first(motion):
+    def pair(first, second, joint, least):
+        name = motion.joint_names[joint]
+        return Parted(names=(first, second), joint=joint, joint_name=name, least=least)
+
+    parts = (
+        pair("spring", "ripple", 0, 0.1),
+        pair("spring", "stribeck", 0, 0.3),
+        pair("ripple", "stribeck", 0, 0.2),
+        pair("spring", "ripple", 1, 0.7),
+        pair("spring", "stribeck", 1, 0.8),
+        pair("viscous_quadratic", "stribeck", 1, 0.9),
+    )
+    motion = replace(motion, parts=parts)
+    rounds = [
+        {"name": "stribeck", "joint": 1, "rivals": [{"name": "spring", "joint": 1}]},
+        {"name": "spring", "joint": 0, "rivals": []},
+    ]
+    effects = [
+        {"name": "stribeck", "joint": 1, "rivals": ["viscous_quadratic on slide"]}
+    ]
+    found = {"rounds": rounds, "effects": effects, "joint_names": motion.joint_names}
+    told = decisions(motion, background(found=found))
+    assert [(one.joint, one.least) for one in told] == [
+        (1, 0.8),
+        (1, 0.9),
+        (0, 0.3),
+        (1, 0.7),
+    ]
+    assert told[0].causes == "spring or Stribeck friction"
+    assert told[2].causes == (
+        "spring, torque ripple and Stribeck friction from one another"
+    )
+    assert told[2].hardest == "spring or Stribeck friction"
+    html = page(motion, background(found=found))
+    assert "spring or Stribeck friction on joint 2 (slide); and 3 further" in html
+    lines = summary(motion, background(found=found))
+    assert "- joint 2 (slide), from 0.8 N: spring or Stribeck friction" in lines
+    assert "- 1 more on the page" in lines
 
 
 def test_what_no_motion_shows_has_its_reason(motion):

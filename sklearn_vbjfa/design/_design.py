@@ -432,7 +432,7 @@ def _check_held(problem, names, rng):
     raise MotionRefused(
         f"The limits leave no room: to hold the robot still at {where}, {names[j]} "
         f"needs {best[j] * limits.torque[j]:.3g} of at most {limits.torque[j]:.3g}. "
-        f"Give a torque limit of {enough[j]:.3g} or more"
+        f"Give a torque limit of {rounded_up(enough)[j]:g} or more"
         + ("." if start is None else ", or another start."),
         {"torque": rounded_up(enough)},
     )

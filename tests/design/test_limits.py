@@ -1,0 +1,149 @@
+"""Motions that cannot be are refused with a number, and the number does."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.design import MotionLimits, design_motion
+from sklearn_vbjfa.model._loading import load_model
+from tests.design._chains import chain, problem_of
+
+RANGE = np.array([[-1.5, 1.5]] * 2)
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return chain(tmp_path_factory.mktemp("limits"), ("revolute",) * 2, effort=60.0)
+
+
+def limits(**changed):
+    given = {"position": RANGE, "velocity": [2.0, 2.0], "torque": [60.0, 60.0]}
+    return MotionLimits(**given | changed)
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"position": [[1.0, 1.0], [-1, 1]]}, "joint 1 no room: position from 1 to 1"),
+        ({"position": [[2.0, 1.0], [-1, 1]]}, "the lowest must lie below the highest"),
+        ({"position": [[np.nan, 1.0], [-1, 1]]}, "joint 1 no room: position from nan"),
+        ({"position": [[-1, 1], [-np.inf, 1.0]]}, "joint 2 has no end"),
+        ({"position": [-1.0, 1.0]}, r"shape \(nv, 2\); got shape \(2,\)"),
+        ({"velocity": [2.0]}, r"shape \(2,\) like position; got shape \(1,\)"),
+        ({"velocity": [2.0, 0.0]}, "joint 2 no room: velocity of 0; it must be pos"),
+        ({"velocity": [2.0, np.nan]}, "joint 2 no room: velocity of nan"),
+        ({"torque": [-3.0, 2.0]}, "joint 1 no room: torque of -3"),
+    ],
+)
+def test_limits_that_leave_no_room(changed, message):
+    with pytest.raises(ValueError, match=message):
+        limits(**changed)
+
+
+def test_no_velocity_limit_is_refused_with_one_that_does(path):
+    with pytest.raises(ValueError, match=r"one second takes 1\.5"):
+        limits(velocity=[np.inf, 2.0])
+    problem_of(path, limits=limits(velocity=[1.5, 2.0]))
+
+
+def test_neither_acceleration_nor_torque_is_refused_with_one_that_does(path):
+    with pytest.raises(ValueError, match="with an acceleration of 4"):
+        limits(torque=None)
+    problem_of(path, limits=limits(torque=None, acceleration=[4.0, 4.0]))
+
+
+def test_limits_are_those_of_the_description(tmp_path):
+    path = chain(tmp_path, ("revolute", "continuous"), effort=7.0, velocity=3.0)
+    for model in (path, load_model(path)):
+        found = MotionLimits.of(model)
+        np.testing.assert_allclose(found.position, [[-1.5, 1.5], [-np.pi, np.pi]])
+        np.testing.assert_allclose(found.velocity, 3.0)
+        np.testing.assert_allclose(found.torque, 7.0)
+        assert np.isinf(found.acceleration).all()
+
+
+def test_a_robot_without_torque_limits_gets_numbers_that_do(tmp_path):
+    bare = chain(tmp_path, ("revolute", "revolute"), effort=0.0)
+    with pytest.raises(ValueError, match="no torque limit of chain_1") as refused:
+        design_motion(bare, duration=4.0, dt=0.02)
+    told = refused.value.options["torque"]
+    problem_of(bare, limits=MotionLimits.of(bare, torque=told))
+
+
+def test_a_robot_without_velocity_limits_gets_numbers_that_do(tmp_path):
+    bare = chain(tmp_path, ("revolute", "revolute"), velocity=0.0)
+    with pytest.raises(ValueError, match="no velocity limit of chain_1") as refused:
+        design_motion(bare, duration=4.0, dt=0.02)
+    told = refused.value.options["velocity"]
+    problem_of(bare, limits=MotionLimits.of(bare, velocity=told))
+
+
+def number_after(text, words):
+    """Return the number that follows words of a message."""
+    return float(text.split(words)[1].split()[0].rstrip(".,"))
+
+
+def test_a_start_outside_gets_one_that_does(path):
+    with pytest.raises(ValueError, match=r"chain_2 at 1\.7, outside") as refused:
+        problem_of(path, start=[0.0, 1.7])
+    told = number_after(str(refused.value), "for example at ")
+    problem, z = problem_of(path, start=[0.0, told])
+    states = problem.curve.states(z, problem.curve.basis([0.0]))
+    np.testing.assert_allclose(states[0, :2], [0.0, 1.5])
+
+
+def test_a_start_that_is_no_number(path):
+    with pytest.raises(ValueError, match="for example at 0"):
+        problem_of(path, start=[np.nan, 0.0])
+    with pytest.raises(ValueError, match=r"shape \(2,\); got shape \(3,\)"):
+        problem_of(path, start=[0.0, 0.0, 0.0])
+
+
+def test_a_duration_too_short_gets_one_that_does(path):
+    slow = limits(velocity=[2.0, 0.1])
+    with pytest.raises(ValueError, match="too short for chain_2") as refused:
+        problem_of(path, duration=4.0, limits=slow)
+    told = number_after(str(refused.value), "Give duration=")
+    problem, z = problem_of(path, duration=told, limits=slow)
+    v = problem.curve.states(z, problem.curve.basis(problem.times()))[:, 2:4]
+    assert np.all(np.abs(v) <= slow.velocity)
+
+
+@pytest.mark.parametrize("duration", [0.0, -1.0, 0.05, np.nan, np.inf])
+def test_durations_without_samples(path, duration):
+    with pytest.raises(ValueError, match=r"ten samples of dt=0\.02 s at least"):
+        problem_of(path, duration=duration)
+
+
+@pytest.mark.parametrize("dt", [0.0, -0.01, np.nan])
+def test_sample_periods(path, dt):
+    with pytest.raises(ValueError, match="dt must be"):
+        problem_of(path, dt=dt)
+
+
+def test_a_weak_drive_gets_a_torque_that_does(path):
+    start = [0.0, 1.0]
+    weak = limits(torque=[60.0, 0.1])
+    with pytest.raises(ValueError, match="chain_2 needs") as refused:
+        problem_of(path, start=start, limits=weak)
+    told = number_after(str(refused.value), "a torque limit of ")
+    problem_of(path, start=start, limits=limits(torque=[60.0, told]))
+
+
+def test_limits_of_another_robot(path):
+    other = MotionLimits([[-1, 1]] * 3, [1.0] * 3, torque=[9.0] * 3)
+    with pytest.raises(ValueError, match="for 3 joints; the robot has 2: chain_1"):
+        problem_of(path, limits=other)
+    with pytest.raises(TypeError, match="limits must be MotionLimits; got dict"):
+        problem_of(path, limits={"velocity": 2.0})
+
+
+def test_models_that_are_none(path, tmp_path):
+    with pytest.raises(FileNotFoundError):
+        problem_of(tmp_path / "none.urdf")
+    with pytest.raises(TypeError, match="got int"):
+        problem_of(5)
+    with pytest.raises(ValueError, match="not fitted"):
+        problem_of(RobotIdentifier(path, dt=0.01))

@@ -554,7 +554,7 @@ def summary(motion, background):
         "",
         *_shares_text(motion, background),
         *textwrap.wrap(
-            _clearance_text(motion), _WIDTH, max_lines=2, placeholder=" ..."
+            _clearance_text(motion), _WIDTH, max_lines=3, placeholder=" ..."
         ),
         "",
         *_decides_text(motion, background),

@@ -15,6 +15,7 @@ import pytest
 import sklearn_vbjfa
 from sklearn_vbjfa import (
     datasets,
+    design,
     diagnosis,
     distributed,
     effects,
@@ -27,6 +28,7 @@ from tests.test_imports import APART, ROOMS
 PUBLIC_MODULES = (
     sklearn_vbjfa,
     datasets,
+    design,
     diagnosis,
     distributed,
     effects,

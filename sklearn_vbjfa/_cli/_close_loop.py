@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shlex
 import sys
 import tempfile
 import warnings
@@ -128,7 +129,7 @@ def run(arguments):
             print("\n".join(text))
             raise
     print("\n".join(text))
-    lines = [_left_out_line(name, left) for name, left in left_out.items() if left]
+    lines = [*_left_out_lines(left_out), *_next_motion(report.outcome, out)]
     if lines:
         print("\n" + "\n".join(_input.wrapped(x, sys.stdout) for x in lines))
     names = ", ".join(map(str, written))
@@ -211,11 +212,40 @@ def _write(loop, report, out):
     return [out / name for name in _FILES], left_out
 
 
-def _left_out_line(name, left):
-    """Say how many effects a description goes without, and which is the largest.
+def _next_motion(outcome, out):
+    """Name the command that designs the motion for what is open, a list of str."""
+    is_open = (
+        outcome.unexplained
+        or any(effect.rivals for effect in outcome.effects)
+        or any(one.reason == "excitation" for one in outcome.hidden)
+    )
+    if not is_open:
+        return []
+    return [
+        "A motion that decides what is open: python -m sklearn_vbjfa design --report "
+        f"{shlex.quote(str(out))}"
+    ]
 
-    Torques and forces are not compared: the largest of each is named.
+
+def _left_out_lines(left_out):
+    """Say what descriptions go without, those that go without the same in one line.
+
+    left_out : dict of str to tuple of LeftOut, by the names of the files.
     """
+    names = {}
+    for name, left in left_out.items():
+        if left:
+            names.setdefault(_left_out_text(left), []).append(name)
+    return [
+        f"{' and '.join(files)} {'have' if len(files) > 1 else 'has'} no place for "
+        f"{text}; {'they say' if len(files) > 1 else 'it says'} why at the top, and "
+        "identified.json has all."
+        for text, files in names.items()
+    ]
+
+
+def _left_out_text(left):
+    """Count effects and name the largest; torques and forces are not compared."""
     # What is not known is the smallest.
     up = sorted(left, key=lambda one: np.nan_to_num(one.size, nan=-1.0))
     largest = {one.unit: one for one in up}.values()
@@ -225,10 +255,7 @@ def _left_out_line(name, left):
         for one in largest
     )
     count = "an effect" if len(left) == 1 else f"{len(left)} effects, the largest"
-    return (
-        f"{name} has no place for {count}: {told}; it says why at its top, and "
-        "identified.json has all."
-    )
+    return f"{count}: {told}"
 
 
 def _write_parameters(robot, known, path):

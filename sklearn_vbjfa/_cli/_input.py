@@ -140,17 +140,25 @@ def read(arguments, urdf, joints, gains, *, identified=True):
     from sklearn_vbjfa.recording._refusal import RecordingRefused
 
     source = path(arguments.recording)
-    recording = read_recording(
-        source,
-        dt=arguments.dt,
-        urdf=str(urdf),
-        joint_names=joints or None,
-        columns=arguments.columns,
-        preset=arguments.preset,
-        topic=arguments.topic,
-        gains=gains,
-        time_unit=arguments.time_unit,
-    )
+    try:
+        recording = read_recording(
+            source,
+            dt=arguments.dt,
+            urdf=str(urdf),
+            joint_names=joints or None,
+            columns=arguments.columns,
+            preset=arguments.preset,
+            topic=arguments.topic,
+            gains=gains,
+            time_unit=arguments.time_unit,
+        )
+    except RecordingRefused as error:
+        if identified or error.options.get("gains") != "unknown":
+            raise
+        raise ValueError(
+            f"{error.reason}; give the factors to N m as well (--gain), one for each "
+            "joint."
+        ) from error
     motor = [x for x in recording.torque_units if x not in ("N m", "N")]
     if motor and gains is None:
         one = recording.nv == 1 or not identified

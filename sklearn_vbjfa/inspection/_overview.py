@@ -188,6 +188,9 @@ def _visible(speeds, reversals, ends, slides, load, torque):
     reason = ""
     if np.abs(load).max() <= 1e-6 * max(scale, 1e-12):
         reason = "gravity does not load it"
+    elif spread <= 1e-9 * np.abs(load).max():
+        # As on a vertical slide.
+        reason = "gravity loads it alike everywhere, accelerations alone vary its load"
     elif spread < _SAME_LOAD * scale:
         reason = f"its load by gravity varies by {spread:.2g} only"
     put("friction that varies with the load", reason)

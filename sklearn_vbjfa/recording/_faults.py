@@ -130,11 +130,10 @@ def inspect_samples(names, q, tau, dt, parts, rows, revolute):
     findings += finding
     finding, held = held_channels(names, q, tau, dt, lost, parts, still)
     findings += finding
-    for j in np.flatnonzero(~still):
-        if np.ptp(tau[:, j]) == 0:
-            usable[:, j] = False
-            findings.append(_constant(names[j], j, tau[:, j]))
-            continue
+    constant = ~still & (np.ptp(tau, axis=0) == 0)
+    usable[:, constant] = False
+    findings += _constant(names, np.flatnonzero(constant), tau)
+    for j in np.flatnonzero(~still & ~constant):
         finding, bad = _clipped(names[j], j, tau[:, j], moving, parts)
         coarse = _coarse(names[j], j, tau[:, j], moving, parts, held[1, j])
         findings += finding + coarse
@@ -462,14 +461,26 @@ def _still_joint(name, j, x):
     )
 
 
-def _constant(name, j, x):
-    return ChannelFinding(
-        "constant_torque",
-        (int(j),),
-        "error",
-        f"The torque of {name} is constant ({x[0]:.6g}) while the joint moves: the "
-        "channel carries no information; record it, or lock the joint in the model.",
-    )
+def _constant(names, joints, tau):
+    """Find torques that are constant while their joints move, all in one."""
+    if not joints.size:
+        return []
+    # No minus before zero.
+    values = " or ".join(dict.fromkeys(f"{tau[0, j] + 0.0:.6g}" for j in joints))
+    named = ", ".join(names[j] for j in joints)
+    if joints.size == 1:
+        text = (
+            f"The torque of {named} is constant ({values}) while the joint moves: the "
+            "channel carries no information; record it, or lock the joint in the model."
+        )
+    else:
+        text = (
+            f"The torques of {named} are constant ({values}) while the joints move: "
+            "their channels carry no information; record them, or lock the joints in "
+            "the model."
+        )
+    numbers = tuple(int(j) for j in joints)
+    return [ChannelFinding("constant_torque", numbers, "error", text)]
 
 
 def _coarse(name, j, x, moving, parts, held):

@@ -3,6 +3,8 @@
 Nothing here uses the code of the package: what is judged must not make its own rivals.
 """
 
+import functools
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,13 +154,30 @@ def _looks(period, n_harmonics):
     return period * np.arange(n) / n
 
 
-def random_motion(model, limits, period, n_harmonics, rng):
+def rigid(model):
+    """Return the torque of a model's rigid bodies, as `random_motion` takes it."""
+    return functools.partial(inverse_dynamics, model)
+
+
+def identified(identifier):
+    """Return the torque of an identified robot, as `random_motion` takes it."""
+
+    def torque(q, v, a):
+        # quicker than the recording that it was fitted to, and meant to be
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            return identifier.predict(np.hstack([q, v, a]))
+
+    return torque
+
+
+def random_motion(torque, limits, period, n_harmonics, rng):
     """Draw a random motion that touches its limits, that of the torque included.
 
     Parameters
     ----------
-    model : pinocchio.Model
-        Robot whose rigid bodies give the torque.
+    torque : callable
+        (q, v, a) -> torques (n, nv) of the robot.
     limits : Limits
         Limits.
     period : float
@@ -177,15 +196,14 @@ def random_motion(model, limits, period, n_harmonics, rng):
     looks = _looks(period, n_harmonics)
 
     def load(motion):
-        torque = inverse_dynamics(model, *motion.at(looks))
-        return np.max(np.abs(torque) / limits.torque)
+        return np.max(np.abs(torque(*motion.at(looks))) / limits.torque)
 
     for _ in range(ATTEMPTS):
         motion = draw_series(limits, period, n_harmonics, rng)
         if load(motion) <= 1.0:
             return motion
-        still = np.zeros((1, model.nv))
-        held = inverse_dynamics(model, motion.centre[None], still, still)
+        still = np.zeros((1, motion.centre.size))
+        held = torque(motion.centre[None], still, still)
         if np.any(np.abs(held) > 0.9 * limits.torque):
             continue
         low, high = 0.0, 1.0

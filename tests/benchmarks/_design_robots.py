@@ -12,10 +12,10 @@ drift, because the clock shows them and no motion does.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from _design_motions import Limits, random_motion
+from _design_motions import Limits, random_motion, rigid
 from _undeclared_effects import ADDED, STEEP, Draw, can_carry
 from _undeclared_hysteresis import lugre, maxwell_slip
 from _undeclared_robots import (
@@ -49,8 +49,8 @@ SPEED = (2.0, 3.0)  # rad/s
 # Time in which a joint reaches its full speed [s].
 RUN_UP = (0.2, 0.4)
 # Torque limit over the largest torque of states drawn evenly within the other limits,
-# and over that of standing still; torque of a drive at its peak over that limit, so
-# that there is room for friction and for what is not declared.
+# and over that of standing still, to which friction at full speed is added; torque of a
+# drive at its peak over that limit, so that there is room for what is not declared.
 TORQUE_SHARE, HOLDING, PEAK = 0.7, 1.3, 1.5
 STATES = 300
 # Least share of an effect that the declared columns cannot absorb: the rest is hidden,
@@ -370,7 +370,7 @@ def draw_robot(kind, size, seed, n_joints=JOINTS):
         nominal = nominal_robot("serial", rng, nv=int(rng.choice(n_joints)))
         limits = _draw_limits(nominal, rng)
         nv, t = nominal.nv, np.arange(round(REFERENCE * RATE)) / RATE
-        reference = random_motion(nominal, limits, REFERENCE, HARMONICS, rng)
+        reference = random_motion(rigid(nominal), limits, REFERENCE, HARMONICS, rng)
         if not feels_gravity(nominal, reference.at(t[::20])[0]):
             continue
         with_coulomb = kind != "coulomb" and rng.uniform() < 0.5
@@ -392,6 +392,9 @@ def draw_robot(kind, size, seed, n_joints=JOINTS):
         truth = _place(kind, scene, size, rng)
         if truth is None:
             continue
+        friction = scene.friction["viscous"] * limits.velocity
+        friction = friction + scene.friction.get("coulomb", 0.0)
+        limits = replace(limits, torque=limits.torque + friction)
         typical = np.sqrt(np.mean(scene.world.declared_torque**2, axis=0))
         stiffness = typical / SOFTNESS
         inertia = joint_inertia(nominal, scene.world.q)

@@ -41,7 +41,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
-from _design_motions import Designed, Limits, random_motion, top_harmonic
+from _design_motions import Designed, Limits, random_motion, rigid, top_harmonic
 from _report import ROOT, parser, publish, rst_table
 from _undeclared_robots import inverse_dynamics, regressor
 from scipy.linalg import qr
@@ -247,7 +247,7 @@ def run(name, urdf, n_motions=N_MOTIONS, design=designed):
     rivals = []
     for seed in range(n_motions):
         rng = np.random.default_rng(seed)
-        rival = random_motion(model, limits, DURATION, harmonics, rng)
+        rival = random_motion(rigid(model), limits, DURATION, harmonics, rng)
         rivals.append(figures(model, limits, base, rival))
     return {
         "name": name,

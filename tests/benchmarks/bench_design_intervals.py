@@ -4,12 +4,13 @@ Run ``python tests/benchmarks/bench_design_intervals.py --seeds FIRST LAST [--jo
 [--out FILE] [--write]``; both seeds are included, 0 to 99 are for work, 100 to 199 to
 confirm, once.
 
-Data: the robots, limits, controller, noise and motions of ``bench_design_rivals.py``,
-of the same seeds, without their undeclared effects: the declared model is right, and
-every motion leaves the same noise. `RobotIdentifier` is fitted to the poor first
-recording; ``design_motion(identifier, ...)``, without a report, makes the designed
-motion from it, within the limits that the random one touches. Both are executed by the
-low-gain controller for 20 s, and what is compared is
+Data: robots, limits, controller, noise and motions as in ``bench_design_rivals.py``,
+with three or four joints, as there is time for them here, and without the undeclared
+effect: the declared model is right, and every motion leaves the same noise.
+`RobotIdentifier` is fitted to the poor first recording; ``design_motion(identifier,
+...)``, without a report, makes the designed motion from it, within the limits that the
+random one touches. Both are executed by the low-gain controller for 20 s, and what is
+compared is
 
 - both recordings: fitted to the first and the second together, as one would;
 - the second alone.
@@ -28,7 +29,13 @@ import traceback
 import warnings
 
 import numpy as np
-from _design_motions import Designed, random_motion, top_harmonic
+from _design_motions import (
+    Designed,
+    identified,
+    random_motion,
+    rigid,
+    top_harmonic,
+)
 from _design_robots import HARMONICS, POOR, draw_robot, execute
 from _ledger import Ledger, results_of
 from _report import commit, parser, publish, rst_table
@@ -45,6 +52,7 @@ from scipy import stats
 from sklearn_vbjfa import RobotIdentifier
 
 TARGET = 0.5
+JOINTS = (3, 4)
 NINETY = stats.norm.ppf(0.95)
 STUDIES = {"both": "both recordings", "alone": "the second alone"}
 
@@ -121,7 +129,7 @@ def run(task, design=designed, duration=DURATION, dt=DT):
         The task and its result, as plain numbers and lists.
     """
     seed, started = task["seed"], time.perf_counter()
-    robot = draw_robot(task["kind"], task["size"], seed)
+    robot = draw_robot(task["kind"], task["size"], seed, n_joints=JOINTS)
     result = {"seed": seed, "commit": commit(), "n_joints": robot.model.nv}
     draws = np.random.default_rng([seed, 3]).spawn(5)
 
@@ -130,7 +138,9 @@ def run(task, design=designed, duration=DURATION, dt=DT):
 
     try:
         poor = robot.limits.part(**POOR)
-        motion = random_motion(robot.nominal, poor, duration, HARMONICS, draws[0])
+        motion = random_motion(
+            rigid(robot.nominal), poor, duration, HARMONICS, draws[0]
+        )
         first = recorded(motion, draws[1])
         identifier = fitted(robot, [first], dt)
         begun = time.perf_counter()
@@ -140,7 +150,7 @@ def run(task, design=designed, duration=DURATION, dt=DT):
         result["design_seconds"] = time.perf_counter() - begun
         ours = recorded(motion, draws[2])
         motion = random_motion(
-            robot.nominal, robot.limits, duration, harmonics, draws[3]
+            identified(identifier), robot.limits, duration, harmonics, draws[3]
         )
         theirs = recorded(motion, draws[4])
         for study, before in (("both", [first]), ("alone", [])):

@@ -16,8 +16,9 @@ Motions, 20 s each, at 100 Hz:
 
 - first: a random Fourier series within half of the range, a quarter of the speed and a
   tenth of the acceleration;
-- random: another one within all limits, which it touches; as many harmonics as the
-  designed one has, and amplitudes that fall with their order in three ways;
+- random: another one within all limits, which it touches, that of the torque by the
+  first loop's identified robot, as for the designed one; as many harmonics as that has,
+  and amplitudes that fall with their order in three ways;
 - designed: ``design_motion(identifier_, report=loop, ...)`` of the first loop, within
   the same limits.
 
@@ -40,7 +41,13 @@ import traceback
 import warnings
 
 import numpy as np
-from _design_motions import Designed, random_motion, top_harmonic
+from _design_motions import (
+    Designed,
+    identified,
+    random_motion,
+    rigid,
+    top_harmonic,
+)
 from _design_robots import HARMONICS, KINDS, POOR, draw_robot, execute
 from _ledger import Ledger, results_of
 from _report import commit, parser, publish, rst_table, rst_title
@@ -136,22 +143,25 @@ def close_loop(robot, executions, dt, **settings):
         )
 
 
-def motions_of(robot, seed, duration, design):
+def motions_of(robot, seed, duration, identifier, design):
     """Yield first, random and designed motion, each when it is asked for.
 
-    `design` returns the last of them, the number of its harmonics, and facts.
+    `identifier` returns what the first loop identified, which says whether a random
+    motion keeps the torque limits, as it does for the designed one; `design` returns
+    that, the number of its harmonics, and facts.
     """
     first, second = np.random.default_rng([seed, 1]).spawn(2)
     poor = robot.limits.part(**POOR)
-    yield random_motion(robot.nominal, poor, duration, HARMONICS, first), {}
+    yield random_motion(rigid(robot.nominal), poor, duration, HARMONICS, first), {}
     error = None
     try:
         motion, harmonics, facts = design()
     except Exception as found:
         # the random motion is judged all the same
         error, harmonics = found, HARMONICS
+    torque = identified(identifier())
     yield (
-        random_motion(robot.nominal, robot.limits, duration, harmonics, second),
+        random_motion(torque, robot.limits, duration, harmonics, second),
         {"harmonics": harmonics},
     )
     if error is not None:
@@ -201,7 +211,9 @@ def run(task, design=designed, duration=DURATION, dt=DT, **settings):
 
     try:
         executions = []
-        parts = motions_of(robot, seed, duration, made)
+        parts = motions_of(
+            robot, seed, duration, lambda: loops["first"].identifier_, made
+        )
         for arm, (motion, facts) in zip(ARMS, parts):
             executed = execute(robot, motion, duration, dt, noises[arm])
             begun = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Logs of eight tools and two real bags: what it takes to get them in.
+"""Logs of nine tools and two real bags: what it takes to get them in.
 
 Run as ``python tests/benchmarks/bench_logs.py [--bags FOLDER] [--write]``. One
 simulated robot is written as each tool writes it (`tests.recording._logs` says by which

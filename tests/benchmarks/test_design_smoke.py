@@ -36,9 +36,9 @@ def stand_in(seed):
     """Put a random motion in the place of the designed one."""
 
     def design(source, limits, duration, dt, seed_of_robot):
-        model = getattr(source, "identifier_", source).features_.model_
+        torque = motions.identified(getattr(source, "identifier_", source))
         rng = np.random.default_rng(seed)
-        made = motions.random_motion(model, limits, duration, HARMONICS, rng)
+        made = motions.random_motion(torque, limits, duration, HARMONICS, rng)
         return made, HARMONICS, {"within_limits": True}
 
     return design
@@ -66,7 +66,7 @@ def test_velocities_and_accelerations_are_derivatives():
 
 def test_every_joint_touches_its_nearest_limit(arm):
     made = motions.random_motion(
-        arm, limits(), PERIOD, HARMONICS, np.random.default_rng(3)
+        motions.rigid(arm), limits(), PERIOD, HARMONICS, np.random.default_rng(3)
     )
     margins = limits().margins(*made.at(np.linspace(0, PERIOD, 4001)), np.zeros((1, 3)))
     nearest = np.min([margins[k] for k in ("position", "velocity", "acceleration")], 0)
@@ -75,7 +75,7 @@ def test_every_joint_touches_its_nearest_limit(arm):
 
 def test_torque_limits_shrink_all_joints_together(arm):
     free = motions.random_motion(
-        arm, limits(), PERIOD, HARMONICS, np.random.default_rng(3)
+        motions.rigid(arm), limits(), PERIOD, HARMONICS, np.random.default_rng(3)
     )
     t = np.linspace(0, PERIOD, 401)
     peak = np.abs(inverse_dynamics(arm, *free.at(t))).max(axis=0)
@@ -87,7 +87,7 @@ def test_torque_limits_shrink_all_joints_together(arm):
         np.maximum(0.9 * peak, 1.2 * np.abs(held[0])),
     )
     made = motions.random_motion(
-        arm, tight, PERIOD, HARMONICS, np.random.default_rng(3)
+        motions.rigid(arm), tight, PERIOD, HARMONICS, np.random.default_rng(3)
     )
     load = np.abs(inverse_dynamics(arm, *made.at(t))) / tight.torque
     assert 0.97 < load.max() < 1.01
@@ -122,7 +122,11 @@ def test_the_highest_harmonic_is_read_off_a_motion():
 def test_an_executed_motion_obeys_the_law_of_its_effect(kind):
     robot = robots.draw_robot(kind, 3.0, 5, n_joints=(2,))
     motion = motions.random_motion(
-        robot.nominal, robot.limits, 5.0, HARMONICS, np.random.default_rng(6)
+        motions.rigid(robot.nominal),
+        robot.limits,
+        5.0,
+        HARMONICS,
+        np.random.default_rng(6),
     )
     made = robots.execute(robot, motion, 5.0, 0.01, np.random.default_rng(7))
     # between reversals, where a step of the integration turns with the friction
@@ -303,8 +307,8 @@ def test_one_robot_against_random_motions(monkeypatch):
         import pinocchio as pin
 
         rng = np.random.default_rng(3)
-        model = pin.buildModelFromUrdf(path)
-        return motions.random_motion(model, bounds, PERIOD, HARMONICS, rng), HARMONICS
+        torque = motions.rigid(pin.buildModelFromUrdf(path))
+        return motions.random_motion(torque, bounds, PERIOD, HARMONICS, rng), HARMONICS
 
     result = condition.run("kr300", urdf, n_motions=5, design=design)
     # the stand-in is one of the five

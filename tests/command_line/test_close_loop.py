@@ -201,9 +201,8 @@ def test_what_mujoco_has_no_place_for_is_said(good, urdf, recording, capsys):
     options = ["--effects", "load_friction", "--no-ceiling"]
     assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
     lines = capsys.readouterr().out.splitlines()
-    for name in ("identified.urdf", "identified.xml"):
-        (line,) = [x for x in lines if x.startswith(name)]
-        assert " has no place for an effect: load_friction on shoulder (" in line
+    (line,) = [x for x in lines if x.startswith("identified.urdf and identified.xml")]
+    assert " have no place for an effect: load_friction on shoulder (" in line
     text = Path("arm-report/identified.xml").read_text(encoding="utf-8")
     assert "load_friction" in text[: text.index("-->")]
 
@@ -230,8 +229,13 @@ def test_a_description_says_how_much_it_goes_without(sizes, expected):
         )
         for k, size in enumerate(sizes)
     ]
-    line = _close_loop._left_out_line("robot.xml", left)
+    (line,) = _close_loop._left_out_lines({"robot.urdf": (), "robot.xml": left})
     assert line.startswith(f"robot.xml has no place for {expected}")
+    more = {"robot.urdf": [*left, left[0]], "robot.xml": left}
+    assert [x[:10] for x in _close_loop._left_out_lines(more)] == [
+        "robot.urdf",
+        "robot.xml ",
+    ]
 
 
 def test_undetermined_parameters_have_no_deviation(tmp_path):

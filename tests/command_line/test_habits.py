@@ -127,6 +127,45 @@ def test_the_home_folder_is_known(monkeypatch, tmp_path):
     assert _input.path("~no_such_user_here/x") == Path("~no_such_user_here/x")
 
 
+# -- the end of a process --------------------------------------------------------------
+
+
+def test_what_has_done_its_work_ends_in_peace(monkeypatch, capsys):
+    stops = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.getsignal(number) for number in stops]
+    monkeypatch.setattr(sys, "argv", ["sklearn-vbjfa", "--version"])
+    try:
+        with pytest.raises(SystemExit):
+            _cli.program()
+        for number in stops:
+            assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        for number, handle in zip(stops, before):
+            signal.signal(number, handle)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a full device")
+@pytest.mark.parametrize(
+    ("argv", "stream", "code", "said"),
+    [
+        (["datasets"], "stdout", 2, "the standard output: No space left on device"),
+        (["inspect", "none.csv", "--urdf", "none.urdf"], "stderr", 2, ""),
+    ],
+)
+def test_a_full_disk(argv, stream, code, said):
+    with open("/dev/full", "w") as full:
+        streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, stream: full}
+        result = subprocess.run(
+            [sys.executable, "-m", "sklearn_vbjfa", *argv],
+            text=True,
+            check=False,
+            **streams,
+        )
+    assert result.returncode == code
+    assert said in (result.stderr or "")
+    assert "Traceback" not in (result.stderr or "")
+
+
 # -- tables ----------------------------------------------------------------------------
 
 

@@ -71,6 +71,27 @@ def refusal(capsys, *argv):
     return line
 
 
+def test_currents_with_known_gains_drive_a_saved_robot(good, saved, capsys):
+    plain = run(capsys, good, "--model", saved)
+    header, *lines = good.read_text().splitlines()
+    names = header.split(",")
+    torques = [k for k, name in enumerate(names) if name.startswith("tau")]
+    gains = dict(zip(torques, (8.0, 5.0)))
+    currents = [",".join(f"{x} [A]" if x[:3] == "tau" else x for x in names)]
+    for line in lines:
+        cells = line.split(",")
+        for k, gain in gains.items():
+            cells[k] = repr(float(cells[k]) / gain)
+        currents.append(",".join(cells))
+    good.write_text("\n".join(currents))
+    assert tables(run(capsys, good, "--model", saved, "--gain", "8,5")) == tables(plain)
+    line = refusal(capsys, good, "--model", saved)
+    assert "the torques are recorded in A; give the factors to N m" in line
+    assert "this would work" not in line
+    line = refusal(capsys, good, "--model", saved, "--gain", "unknown")
+    assert "--gain unknown belongs to an identification" in line
+
+
 def tables(text):
     """Read both tables: joint -> cells after the unit."""
     found = [{}, {}]
@@ -346,7 +367,10 @@ def test_the_demo_needs_no_arguments(tmp_path, monkeypatch, capsys):
         ("arm.csv --urdf U --effects rust", "--effects does not know 'rust'"),
         ("arm.csv --urdf U --cutoff 60", "--cutoff must be below 50 Hz"),
         ("arm.csv --urdf U --signals temperature", "holds no columns beside time"),
-        ("arm.csv --urdf U --out arm.csv", "arm.csv is a file; --out must name a f"),
+        (
+            "arm.csv --urdf U --out arm.csv",
+            "arm.csv is a file, where --out must name a f",
+        ),
         ("arm.csv --urdf U --joints elbow", "2 column(s) q for 1 joint(s)"),
     ],
 )

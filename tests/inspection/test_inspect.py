@@ -235,6 +235,13 @@ def test_channels_without_information(arm):
     q, tau = arm[0].q.copy(), arm[0].tau.copy()
     tau[:, 4] = 1.5
     only(inspect(arm, tau=tau), "constant_torque", (4,), "error")
+    # Of several it is said once.
+    tau[:, 2] = -0.0
+    (finding,) = inspect(arm, tau=tau)
+    assert finding.joints == (2, 4)
+    assert (
+        "joint_3, joint_5 are constant (0 or 1.5) while the joints" in finding.message
+    )
     q[:, 5] = 0.2 + 1e-4 * np.random.default_rng(0).normal(size=len(q))
     findings = inspect(arm, q=q)
     assert ("still_joint", (5,)) in found(findings)

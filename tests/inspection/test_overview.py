@@ -102,6 +102,21 @@ def test_a_vertical_axis_bears_no_load():
     assert "gravity does not load it" in " ".join(first.hides)
 
 
+def test_a_vertical_slide_bears_the_same_load_everywhere(tmp_path):
+    path = tmp_path / "lift.urdf"
+    path.write_text(
+        '<robot name="lift"><link name="base"/><link name="table"><inertial>'
+        '<mass value="3"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+        '</inertial></link><joint name="z" type="prismatic"><parent link="base"/>'
+        '<child link="table"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="99" velocity="9"/></joint></robot>'
+    )
+    made = make_robot_recording(str(path), duration=5.0, random_state=0)
+    (motion,) = motion_of(made)
+    assert motion.loads == pytest.approx((3 * 9.81, 3 * 9.81))
+    assert "gravity loads it alike everywhere" in " ".join(motion.hides)
+
+
 def test_other_units_of_torque_say_the_same():
     """Gains change what is measured, and nothing of the motion."""
     made = make_robot_recording(duration=5.0, random_state=0)

@@ -1,4 +1,4 @@
-"""One robot's recording as eight tools write it, by the names in their documentation.
+"""One robot's recording as several tools write it, by the names in their documentation.
 
 Sources of the names:
 
@@ -12,6 +12,9 @@ Sources of the names:
 - ``rostopic echo -p``: ``%time`` in nanoseconds, then ``field.`` before each name; as
   in https://github.com/jmscslgroup/catvehicle/issues/9 and
   https://wiki.ros.org/rostopic
+- ``ros2 topic echo --csv``: the values of a message without a header, in the order of
+  the message (``message_to_csv`` in rosidl_runtime_py/convert.py of
+  https://github.com/ros2/rosidl_runtime_py).
 - RTDE client library of Universal Robots, ``record.py``: blanks between the cells, and
   the number of the joint after an underscore (rtde/csv_writer.py of
   https://github.com/UniversalRobots/RTDE_Python_Client_Library); timestamp [s] and
@@ -99,6 +102,25 @@ def rostopic(recording, folder):
     return _write(folder / "rostopic.csv", header, rows)
 
 
+def ros2_echo(recording, folder):
+    """``ros2 topic echo --csv /joint_states``."""
+    order, n = _shuffled(recording), recording.nv
+    names = [recording.joint_names[j] for j in order]
+    rows = [
+        [
+            int(EPOCH) + int(t),
+            round(t % 1 * 1e9),
+            "base_link",
+            *names,
+            *_cells(recording.q[k, order]),
+            *n * ["0.0"],
+            *_cells(recording.tau[k, order]),
+        ]
+        for k, t in enumerate(recording.t)
+    ]
+    return _write(folder / "echo.csv", rows[0], rows[1:])
+
+
 def rtde(recording, folder):
     """``record.py``, with currents."""
     n = recording.nv
@@ -167,6 +189,7 @@ KINDS = {
     "ROS joint_states as CSV (bagpy)": ros_csv,
     "PlotJuggler": plotjuggler,
     "rostopic echo -p": rostopic,
+    "ros2 topic echo --csv": ros2_echo,
     "UR RTDE record": rtde,
     "libfranka log": libfranka,
     "German Excel": german_excel,

@@ -491,7 +491,8 @@ def _limits(arguments, robot):
     for option in ("velocity", "acceleration", "torque"):
         numbers = _numbers(f"--{option}", getattr(arguments, option), names)
         given[option] = given[option] if numbers is None else numbers
-    if robot.is_relative and np.isnan(given["acceleration"] + given["torque"]).all():
+    free = np.isnan(given["acceleration"]) & np.isnan(given["torque"])
+    if robot.is_relative and free.any():
         raise _input.Refused(
             "the gains of the torque channels are relative, so that the description's "
             "limits of torque in N m or N do not hold; give --acceleration, or "

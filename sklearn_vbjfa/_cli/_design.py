@@ -668,7 +668,7 @@ def _settings(arguments, file_of_limits, limits):
         for name in ("velocity", "acceleration", "torque")
         if getattr(arguments, name) is not None
     ]
-    source = ", ".join(filter(None, [file_of_limits, *own])) or "of the description"
+    source = ", ".join([file_of_limits or "of the description", *own])
     scale = f"{arguments.scale:.0%} of those of velocity and acceleration"
     if arguments.scale < 1 and np.isinf(limits.acceleration).any():
         scale += " (some joints have none of acceleration; their torque limits them)"

@@ -349,7 +349,7 @@ def _shown(motion, background):
         for j in joints:
             one = found.get((name, j))
             if one is None:
-                cells.append("")
+                cells.append("-")
                 continue
             beside = f"beside {effect_label(one.rival)}" if one.rival else ""
             least = _newtons(motion, one.least, j)

@@ -1,5 +1,6 @@
 """The command ``design``: the motion to record next, as a file and a page."""
 
+import contextlib
 import csv
 import io
 import json
@@ -160,8 +161,8 @@ class _Robot:
         Joints that are held.
     dt : float or None
         Sample period of its recordings so far [s].
-    notes : tuple of str
-        What to know of its units; empty for nothing.
+    is_relative : bool
+        Whether its torques are in units of a channel, not in N m or N.
     """
 
     known: object
@@ -170,7 +171,7 @@ class _Robot:
     file: str
     held: tuple = ()
     dt: float | None = None
-    notes: tuple = ()
+    is_relative: bool = False
 
 
 def run(arguments):
@@ -198,18 +199,17 @@ def run(arguments):
         limits, file_of_limits = _limits(arguments, robot)
         start = _numbers("--start", arguments.start, names, positive=False)
         dt = arguments.dt or _period(robot, found)
-        _say_progress(f"designing {arguments.duration:g} s for {len(names)} joints ...")
-        motion = design_motion(
-            robot.known,
-            duration=arguments.duration,
-            dt=dt,
-            limits=limits,
-            effects=asked,
-            report=found,
-            start=start,
-            random_state=seed,
-        )
-        _say_progress("")
+        with _progress(f"designing {arguments.duration:g} s for {len(names)} joints"):
+            motion = design_motion(
+                robot.known,
+                duration=arguments.duration,
+                dt=dt,
+                limits=limits,
+                effects=asked,
+                report=found,
+                start=start,
+                random_state=seed,
+            )
         if not motion.within_limits:
             raise ValueError(
                 f"no motion within the limits was found: {_page.exceeded(motion)}; "
@@ -241,16 +241,20 @@ def run(arguments):
     for step in background.commands:
         print(f"  {_input.wrapped(step, sys.stdout)}")
     print(f"written: {', '.join(map(str, written))}")
-    for note in robot.notes:
-        warnings_of = _input.wrapped(f"note: {note}", sys.stderr)
-        print(warnings_of, file=sys.stderr)
     say_warnings(caught)
 
 
-def _say_progress(text):
+@contextlib.contextmanager
+def _progress(text):
     """Show on a terminal what takes its time."""
-    if sys.stderr is not None and sys.stderr.isatty():
-        print(f"\r\033[K{text}", end="", file=sys.stderr, flush=True)
+    shows = sys.stderr is not None and sys.stderr.isatty()
+    if shows:
+        print(f"{text} ...", end="", file=sys.stderr, flush=True)
+    try:
+        yield
+    finally:
+        if shows:
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 # -- what is given ---------------------------------------------------------------------
@@ -408,12 +412,9 @@ def _identified(arguments, path, found, folder):
     elif file != str(path) and Path(file).is_file():
         # Meshes lie beside the file itself.
         description = Path(file)
-    gains, notes = robot.gains_, ()
-    if gains is not None and not gains.absolute:
-        notes = (
-            "gains of the torque channels are relative: limits of torque are taken in "
-            "the same units, those of the description not at all.",
-        )
+    gains = robot.gains_
+    is_relative = gains is not None and not gains.absolute
+    if is_relative:
         model = _without_torque_limits(model)
     return _Robot(
         known=replace(KnownRobot.of(robot), description=str(description)),
@@ -422,7 +423,7 @@ def _identified(arguments, path, found, folder):
         file=file,
         held=held,
         dt=robot.dt,
-        notes=notes,
+        is_relative=is_relative,
     )
 
 
@@ -490,6 +491,14 @@ def _limits(arguments, robot):
     for option in ("velocity", "acceleration", "torque"):
         numbers = _numbers(f"--{option}", getattr(arguments, option), names)
         given[option] = given[option] if numbers is None else numbers
+    free = np.isnan(given["acceleration"]) & np.isnan(given["torque"])
+    if robot.is_relative and free.any():
+        raise _input.Refused(
+            "the gains of the torque channels are relative, so that the description's "
+            "limits of torque in N m or N do not hold; give --acceleration, or "
+            "--torque in the units of the channels",
+            {"acceleration": tuple(2 * np.array(robot.model.velocityLimit))},
+        )
     # Limits of the description are in its own order.
     order = [names.index(name) for name in described]
     back = [described.index(name) for name in names]
@@ -659,7 +668,7 @@ def _settings(arguments, file_of_limits, limits):
         for name in ("velocity", "acceleration", "torque")
         if getattr(arguments, name) is not None
     ]
-    source = ", ".join(filter(None, [file_of_limits, *own])) or "of the description"
+    source = ", ".join([file_of_limits or "of the description", *own])
     scale = f"{arguments.scale:.0%} of those of velocity and acceleration"
     if arguments.scale < 1 and np.isinf(limits.acceleration).any():
         scale += " (some joints have none of acceleration; their torque limits them)"

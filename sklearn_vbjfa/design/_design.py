@@ -14,6 +14,7 @@ from sklearn_vbjfa.design._limits import MotionLimits
 from sklearn_vbjfa.design._motion import DesignedMotion
 from sklearn_vbjfa.design._open_questions import (
     asked_effects,
+    common_effects,
     is_steered,
     open_effects,
     read_report,
@@ -153,15 +154,20 @@ def design_motion(
         asked += open_effects(read_report(report), names)
     own, candidates = _parted(robot, asked)
     band = robot.band(curve.highest, dt)
-    equations = EquationModel(
-        robot.features,
-        robot.inertial,
-        [effect for effect, _ in own] + [one.effect for one in candidates],
-        n_own=len(own),
-        still=robot.still(limits),
-        reference=reference,
-        bandwidth=band,
-    )
+
+    def beside(candidates):
+        """Columns of the model and of candidates beside it."""
+        return EquationModel(
+            robot.features,
+            robot.inertial,
+            [effect for effect, _ in own] + [one.effect for one in candidates],
+            n_own=len(own),
+            still=robot.still(limits),
+            reference=reference,
+            bandwidth=band,
+        )
+
+    equations = beside(candidates)
     clearance, no_clearance = _clearance(robot)
     problem = Problem(
         curve=curve,
@@ -179,7 +185,14 @@ def design_motion(
     fine = np.arange(_FINER * problem.times().size) * (problem.times()[1] / _FINER)
     found = optimise(problem, first, fine, 1.0 - MARGIN)
     z = shrunk(problem, found, fine, 1.0 - MARGIN)
-    return _made(problem, robot, z, first, noise, dt, fine, no_clearance)
+    told = problem
+    if not candidates:
+        # Nobody asked, and it is told all the same what the motion shows.
+        _, candidates = _parted(robot, common_effects(robot.n_joints))
+        model = beside(candidates)
+        questions = _questions(model, candidates, reference, noise)
+        told = replace(problem, model=model, questions=questions)
+    return _made(problem, robot, z, first, noise, dt, fine, no_clearance, told)
 
 
 def _clearance(robot):
@@ -438,8 +451,8 @@ def _check_held(problem, names, rng):
     )
 
 
-def _made(problem, robot, z, first, noise, dt, fine, no_clearance):
-    """Collect the motion and what it promises."""
+def _made(problem, robot, z, first, noise, dt, fine, no_clearance, told):
+    """Collect the motion and what it promises, of effects by the problem `told`."""
     curve, limits = problem.curve, problem.limits
     t = np.arange(round(curve.period / dt)) * dt
     states = curve.states(z, curve.basis(t))
@@ -469,7 +482,7 @@ def _made(problem, robot, z, first, noise, dt, fine, no_clearance):
         noise=noise,
         band=robot.band(curve.highest, dt),
         expected_intervals=expected_intervals(problem, robot, design, samples[1]),
-        **promise(problem, robot, design, samples[1], noise),
+        **promise(told, robot, design, samples[1], noise),
         curve=curve,
         coordinates=z,
     )

@@ -123,6 +123,15 @@ def asked_effects(effects, nv):
     return found
 
 
+def common_effects(nv):
+    """Return as `OpenEffect`s what any of the joints may have."""
+    return [
+        OpenEffect(_made(name, joint, {}), _POSSIBLE, "library")
+        for joint in range(nv)
+        for name in _COMMON
+    ]
+
+
 def open_effects(data, names):
     """Return what a report leaves open, and what else the joints may have.
 

@@ -349,7 +349,7 @@ def _shown(motion, background):
         for j in joints:
             one = found.get((name, j))
             if one is None:
-                cells.append("")
+                cells.append("-")
                 continue
             beside = f"beside {effect_label(one.rival)}" if one.rival else ""
             least = _newtons(motion, one.least, j)
@@ -554,7 +554,7 @@ def summary(motion, background):
         "",
         *_shares_text(motion, background),
         *textwrap.wrap(
-            _clearance_text(motion), _WIDTH, max_lines=2, placeholder=" ..."
+            _clearance_text(motion), _WIDTH, max_lines=3, placeholder=" ..."
         ),
         "",
         *_decides_text(motion, background),

@@ -138,7 +138,7 @@ class Follower(Effect):
         screws = []
         for link in links:
             arm = frame @ np.asarray(link.place)
-            field = field + np.cross(dw, arm) + np.cross(w, np.cross(w, arm))
+            field = field + _cross(dw, arm) + _cross(w, _cross(w, arm))
             place = place + arm
             frame = frame @ np.reshape(link.frame, (3, 3))
             axis = frame @ np.asarray(link.axis)
@@ -148,12 +148,12 @@ class Follower(Effect):
             q, v, a = (x[:, None] for x in (q + link.offset, v, a))
             if link.slides:
                 shift = q * axis
-                field = field + np.cross(dw, shift) + np.cross(w, np.cross(w, shift))
-                field = field + 2 * np.cross(w, v * axis) + a * axis
+                field = field + _cross(dw, shift) + _cross(w, _cross(w, shift))
+                field = field + 2 * _cross(w, v * axis) + a * axis
                 place = place + shift
             else:
                 frame = frame @ _turns(np.asarray(link.axis), q[:, 0])
-                dw = dw + a * axis + np.cross(w, v * axis)
+                dw = dw + a * axis + _cross(w, v * axis)
                 w = w + v * axis
             screws.append((link, axis, place))
         force, moment = _wrench(frame, w, dw, field)
@@ -161,8 +161,8 @@ class Follower(Effect):
         for link, axis, origin in screws:
             torque = force
             if not link.slides:
-                lever = (place - origin)[:, :, None]
-                torque = moment + np.cross(lever, force, axis=1)
+                lever = place - origin
+                torque = moment + _skew(lever) @ force
             out[:, link.joint] += link.rate * np.einsum("ni,nik->nk", axis, torque)
         return out
 
@@ -177,6 +177,13 @@ def _turns(axis, angle):
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
     sine, cosine = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
     return np.eye(3) + sine * cross + (1 - cosine) * (cross @ cross)
+
+
+def _cross(x, y):
+    """Cross products of vectors (n, 3); for single rows quicker than NumPy's."""
+    x0, x1, x2 = x.T
+    y0, y1, y2 = y.T
+    return np.array([x1 * y2 - x2 * y1, x2 * y0 - x0 * y2, x0 * y1 - x1 * y0]).T
 
 
 def _skew(x):

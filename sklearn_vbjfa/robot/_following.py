@@ -66,6 +66,19 @@ def following_joints(effects, coefficients, names):
     return tuple(joints)
 
 
+def refuse_followers(effects, what, remedy):
+    """Refuse something that cannot be done with joints that follow others.
+
+    effects : all effects of a robot; what : what cannot be done; remedy : what can.
+    """
+    names = [effect.of for effect in effects if _follows(effect)]
+    if names:
+        raise ValueError(
+            f"{what} cannot do with joints that follow others, {', '.join(names)}: "
+            f"{remedy}, or give a description in which they are fixed joints."
+        )
+
+
 def _follows(effect):
     return isinstance(effect, Follower)
 

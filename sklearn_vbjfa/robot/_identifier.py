@@ -37,7 +37,7 @@ from sklearn_vbjfa.robot._equations import (
 )
 from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._following import with_followers
+from sklearn_vbjfa.robot._following import refuse_followers, with_followers
 from sklearn_vbjfa.robot._gains import (
     channel_gains,
     check_gains,
@@ -460,6 +460,10 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self._online = None
         check_criterion(self)
         self._declare()
+        if self.criterion == "simulation":
+            refuse_followers(
+                self.effects_, "criterion='simulation'", "use criterion='torque'"
+            )
         recording = self._take(X, y, groups, sample_weight, t, signals)
         reference = check_reference(self.controller, reference, recording.tau, self.dt)
         periods = measure_periods(self, recording, self.effects_)

@@ -10,6 +10,7 @@ from scipy.linalg import blas
 
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.robot._equations import RegressorRows
+from sklearn_vbjfa.robot._following import refuse_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, joint_moments
 from sklearn_vbjfa.robot._plan import takes_moments
 from sklearn_vbjfa.robot._ranges import SignalRanges
@@ -170,6 +171,7 @@ class OnlineMoments:
 def check_online(identifier, effects):
     """Reject settings of an identifier that online updates do not support."""
     forgetting = identifier.forgetting
+    refuse_followers(effects, "partial_fit", "use fit")
     if not (np.ndim(forgetting) == 0 and 0 < forgetting <= 1):
         raise ValueError(
             "forgetting must be a number in (0, 1], the weight that a row keeps with "

@@ -218,6 +218,33 @@ def test_a_described_robot_with_held_joints_and_slow(here, capsys):
     assert "50% of those of velocity" in page
 
 
+def test_bodies_are_kept_apart_where_the_description_has_shapes(here, capsys):
+    shape = "<collision><origin xyz='{} 0 0'/><geometry><sphere radius='0.1'/>"
+    shape += "</geometry></collision></link>"
+    more = {"name": "hand", "joint": "grip", "parent": "lower", "origin": 0.3}
+    robot = URDF.replace("</robot>", LINK.format(**more, centre=0.1, mass=1))
+    base, upper, lower, hand = robot.replace(
+        '<link name="base"/>', '<link name="base"></link>'
+    ).split("</link>")[:4]
+    rest = robot.split("</link>")[-1]
+    places = zip((base, upper, lower, hand), (0, 0.2, 0.2, 0.1))
+    Path("arm.urdf").write_text(
+        "".join(link + shape.format(x) for link, x in places) + rest + "</robot>"
+    )
+    argv = ["--urdf", "arm.urdf", "--joints", "shoulder,elbow", *QUICK]
+    assert main(["design", *argv]) == 0
+    (said,) = re.findall(r"Bodies stay (.*) mm apart", capsys.readouterr().out)
+    elbow = read(here / "motion.csv")["q_elbow"]
+    # Lower arm and hand to the base, hand to the upper arm.
+    far = [
+        np.hypot(pivot + x * np.cos(elbow), x * np.sin(elbow)).min()
+        for pivot, x in ((0.4, 0.2), (0.4, 0.4), (0.2, 0.4))
+    ]
+    nearest = 1e3 * (min(far) - 0.2)
+    assert nearest >= 9.9
+    assert float(said) == pytest.approx(nearest, abs=1.0)
+
+
 # -- bad input -------------------------------------------------------------------------
 
 
@@ -272,6 +299,24 @@ def test_what_a_robot_lacks_is_a_number_that_works(
     assert option in argv
     assert "limits=" not in line
     assert main([*argv, "--acceleration", "3"]) == 0
+
+
+def test_relative_gains_need_limits_of_their_own(home, here, capsys):
+    recording = make_robot_recording(
+        str(home / "arm.urdf"), duration=8.0, dt=0.01, n_harmonics=4, random_state=0
+    )
+    robot = RobotIdentifier(
+        str(home / "arm.urdf"), dt=0.01, friction=("viscous",), gains="unknown"
+    )
+    folder = here / "report"
+    folder.mkdir()
+    robot.fit(recording.q, recording.tau / 8).save(folder / "identified.json")
+    (folder / "report.json").write_text((home / "report/report.json").read_text())
+    line = refusal(capsys, "--report", folder, "--duration", "4")
+    assert "gains of the torque channels are relative" in line
+    assert offered(line)[-2:] == ["--acceleration", "20,20"]
+    assert main(["design", "--report", str(folder), *QUICK]) == 0
+    assert re.search(r"joint 1 \(shoulder\) .* -$", capsys.readouterr().out, re.M)
 
 
 def test_durations_and_starts_that_would_do(here, capsys):

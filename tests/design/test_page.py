@@ -236,6 +236,23 @@ def test_rivals_of_the_report_come_first(motion):
     assert "- 1 more on the page" in lines
 
 
+def test_what_it_shows_is_said_although_nobody_asked(tmp_path):
+    urdf = tmp_path / "crane.urdf"
+    urdf.write_text(URDF)
+    limits = MotionLimits.of(urdf, acceleration=[4.0, 2.0])
+    made = design_motion(
+        str(urdf), duration=4.0, dt=0.02, limits=limits, random_state=0
+    )
+    assert not made.parts
+    shown = {(one.name, one.joint) for one in made.shows}
+    assert {("stribeck", 0), ("ripple", 1)} <= shown
+    assert all(0 < one.least < np.inf for one in made.shows)
+    assert ("rotor_inertia", 0) in {(one.name, one.joint) for one in made.invisible}
+    text = "\n".join(summary(made, background()))
+    assert "It shows, from these torques on\n- joint 1 (turn): " in text
+    assert "What it decides" not in page(made, background())
+
+
 def test_what_no_motion_shows_has_its_reason(motion):
     (sentence,) = invisible_sentences(motion, background())
     assert sentence.startswith("rotor inertia (joint 1 (turn))")

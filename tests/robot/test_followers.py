@@ -222,3 +222,14 @@ def test_a_follower_swings_in_a_simulation(fitted, motion, recorded):
     simulated = fitted.simulate(tau[:200], motion[0, 0], motion[1, 0])
     assert np.abs(simulated[199, :3] - motion[0, 199]).max() < 0.02
     assert np.abs(motion[0, 199] - motion[0, 0]).max() > 0.2
+
+
+def test_refuses_in_words_what_followers_cannot_do(path, recorded, motion):
+    q, tau = recorded
+    robot = RobotIdentifier(str(path), dt=DT, criterion="simulation")
+    words = "follow others, follow: use criterion='torque', or give a description"
+    with pytest.raises(ValueError, match=words):
+        robot.fit(q, tau)
+    robot = RobotIdentifier(str(path), dt=DT)
+    with pytest.raises(ValueError, match=r"partial_fit cannot .* follow: use fit, or"):
+        robot.partial_fit(np.hstack(motion), tau)

@@ -137,9 +137,9 @@ for symbol, (low, high) in cables.intervals.items():
 # Why it works
 # ------------
 # Both causes are fitted to the first recording, in the shapes that the search found. On
-# its motion they expect the same torques, up to a fraction of the noise; on the designed
-# one they do not. The models warn that they are asked beyond what they have seen, which
-# is the point here.
+# its motion they expect the same torques, up to a fraction of the noise; on the
+# designed one they do not. The models warn that they are asked beyond what they have
+# seen, which is the point here.
 
 step = next(step for step in loop.rounds_ if step.name == "spring" and step.rivals)
 shapes = {trial.name: trial.shape for trial in (step, step.rivals[0])}

@@ -198,6 +198,6 @@ for axis, (name, values) in zip(axes, signals.items()):
     for end in (-1, 1):
         axis.axhline(end, color="0.4", lw=0.8, ls=":")
     axis.set_ylabel(f"{name} / limit")
-axes[0].legend(ncols=3, loc="lower right")
+figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=3)
 axes[-1].set_xlabel("time [s]")
 plt.show()

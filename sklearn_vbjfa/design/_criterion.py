@@ -22,7 +22,7 @@ _HOPELESS = 1e-3
 _RIDGE, _LEAST = 1e-9, 1e-9
 # Worth of a condition number that is smaller by a factor e, for each parameter [nats],
 # and the power of its means of eigenvalues.
-BALANCE, _POWER = 3.0, 6.0
+BALANCE, _POWER = 2.0, 6.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,7 +33,7 @@ _SPREAD = 2.0
 _PER_SAMPLE = 0.06
 # Random motions of which the best is improved, and states at which columns are
 # compared.
-_DRAWN, _REFERENCE = 40, 600
+_DRAWN, _STARTS, _REFERENCE = 40, 3, 600
 # Poses that are tried for a start, and the share of the torque limits that may go into
 # holding it.
 _POSES, _HELD = 200, 0.85
@@ -181,9 +181,9 @@ def design_motion(
         room=ROOM,
     )
     _check_held(problem, names, rng)
-    first = _best_drawn(problem, rng)
+    drawn = _best_drawn(problem, rng)
     fine = np.arange(_FINER * problem.times().size) * (problem.times()[1] / _FINER)
-    found = optimise(problem, first, fine, 1.0 - MARGIN)
+    found, first = optimise(problem, drawn, fine, 1.0 - MARGIN)
     z = shrunk(problem, found, fine, 1.0 - MARGIN)
     told = problem
     if not candidates:
@@ -336,26 +336,24 @@ def _tell_collision(problem, poses, is_start):
 
 
 def _best_drawn(problem, rng):
-    """Draw motions that touch a limit, and return the best by the criterion."""
+    """Draw motions that touch a limit, and return the best by the criterion, a list."""
     t = problem.times()
     basis = problem.curve.basis(t)
-    best, value = None, -np.inf
-    for _ in range(_DRAWN):
+    found = []
+    for k in range(_DRAWN):
         z = _drawn(problem, rng, basis, t)
         if not (basis[1] @ z.T).any():
             # drawn about a pose that torques do not hold
             continue
         M = problem.information(problem.curve.states(z, basis), t[1])
-        now = worth(M, problem.questions).value
-        if now > value:
-            best, value = z, now
-    if best is None:
+        found.append((-worth(M, problem.questions).value, k, z))
+    if not found:
         raise ValueError(
             f"The limits leave no room: torques hold the robot in few poses, and none "
             f"of {_DRAWN} random motions starts in one. Give larger torque limits, or "
             "a start."
         )
-    return best
+    return [z for _, _, z in sorted(found, key=lambda one: one[:2])[:_STARTS]]
 
 
 def _drawn(problem, rng, basis, t):

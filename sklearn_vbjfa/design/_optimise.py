@@ -246,16 +246,22 @@ class _Lagrangian:
         return over.max()
 
 
-def optimise(problem, z, fine, inside):
-    """Improve a motion, coordinates (nv, size), until nothing is gained.
+def optimise(problem, starts, fine, inside):
+    """Improve motions, coordinates (nv, size) each, and the best of them to the end.
 
     At the times `fine`, many more than those of the design, it keeps the share `inside`
-    of the limits, which it may exceed by a trace: see `shrunk`.
+    of the limits, which it may exceed by a trace: see `shrunk`. Returns its coordinates
+    and the motion that it was improved from.
     """
-    lagrangian = _Lagrangian(problem)
-    x = np.array(z, dtype=float).ravel()
+    tried = []
+    for z in starts:
+        lagrangian = _Lagrangian(problem)
+        x, value = _improved(lagrangian, np.array(z, dtype=float).ravel())
+        tried.append((value, len(tried), x, lagrangian))
+    _, best, x, lagrangian = min(tried, key=lambda one: one[:2])
+    lagrangian.tighten(x)
     before = np.inf
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS - 1):
         x, value = _improved(lagrangian, x)
         worst = lagrangian.tighten(x)
         settled = abs(before - value) < 0.05
@@ -268,7 +274,7 @@ def optimise(problem, z, fine, inside):
             break
         x, _ = _improved(lagrangian, x)
         lagrangian.tighten(x)
-    return x.reshape(lagrangian.shape)
+    return x.reshape(lagrangian.shape), starts[best]
 
 
 def _improved(lagrangian, x):

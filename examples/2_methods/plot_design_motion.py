@@ -83,10 +83,15 @@ def slow(t):
     return np.hstack([q, v, -(size * w**2 * np.sin(angle)).sum(axis=0)])
 
 
+# The drives have no gears: without backlash, and without rotors of their own.
+EFFECTS = ("asymmetric_friction", "stribeck", "viscous_quadratic", "load_friction")
+EFFECTS += ("offset", "spring", "counterbalance", "ripple")
+
+
 def search(*recordings):
     """Close the loop on recordings."""
     robot = RobotIdentifier(model, dt=DT, friction=("viscous", "coulomb"))
-    loop = EffectDiscovery(robot, ceiling=False, random_state=0)
+    loop = EffectDiscovery(robot, effects=EFFECTS, ceiling=False, random_state=0)
     q, tau = (np.concatenate(parts) for parts in zip(*recordings))
     groups = np.repeat(np.arange(len(recordings)), [len(q) for q, _ in recordings])
     loop.fit(q, tau, groups=groups)

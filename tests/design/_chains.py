@@ -44,12 +44,12 @@ def chain(folder, kinds, *, seed=0, effort=40.0, velocity=2.0, reach=1.5, name="
 
 
 def problem_of(model, **kwargs):
-    """Return the problem that a design would solve, and the motion it sets out from."""
+    """Return the problem of a design, and the best motion that it sets out from."""
     kept = {}
 
-    def keep(problem, z, *_):
-        kept["problem"], kept["first"] = problem, z
-        return z
+    def keep(problem, starts, *_):
+        kept["problem"], kept["first"] = problem, starts[0]
+        return starts[0], starts[0]
 
     kwargs = {"duration": 4.0, "dt": 0.02, "random_state": 0} | kwargs
     with mock.patch.object(_design, "optimise", keep):

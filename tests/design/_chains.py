@@ -47,9 +47,9 @@ def problem_of(model, **kwargs):
     """Return the problem that a design would solve, and the motion it sets out from."""
     kept = {}
 
-    def keep(problem, z, *_):
-        kept["problem"], kept["first"] = problem, z
-        return z
+    def keep(problem, starts, *_):
+        kept["problem"], kept["first"] = problem, starts[0]
+        return starts[0], starts[0]
 
     kwargs = {"duration": 4.0, "dt": 0.02, "random_state": 0} | kwargs
     with mock.patch.object(_design, "optimise", keep):

@@ -330,7 +330,7 @@ def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
             sizes[span] = 0.5
     problem = replace(problem, coefficients=sizes)
     t = problem.times(160)
-    found = optimise(problem, z, t, 0.98)
+    found, _ = optimise(problem, [z], t, 0.98)
     kept = shrunk(problem, found, t, 0.98)
     assert np.linalg.norm(kept[:, :-1]) > 0.95 * np.linalg.norm(found[:, :-1])
     states = problem.curve.states(kept, problem.curve.basis(t))

@@ -257,8 +257,13 @@ def _parted(robot, asked):
         if (effect.name, effect.joint) not in doubted and is_steered(effect)
     ]
     taken = {effect.key() for effect, _ in own}
+    found = {(effect.name, effect.joint): effect for effect in robot.effects}
     candidates = []
     for one in asked:
+        if one.doubted:
+            # in the shape that it has in the model
+            known = found.get((one.effect.name, one.effect.joint), one.effect)
+            one = replace(one, effect=known)
         if one.effect.key() not in taken:
             taken.add(one.effect.key())
             candidates.append(one)
@@ -287,7 +292,11 @@ def _questions(equations, candidates, reference, noise):
 
 
 def _coefficients(robot, equations, own, reference):
-    """Coefficients of the model's columns (n_model,), which give its torques."""
+    """Coefficients of all columns (n_columns,), which give the robot's torques.
+
+    Zero are those of effects that it may have; those that it has count, also where they
+    are in doubt.
+    """
     rows = equations(reference)
     n = equations.n_model
     A, y = [], []
@@ -303,7 +312,15 @@ def _coefficients(robot, equations, own, reference):
     A, y = np.concatenate(A), np.concatenate(y)
     size = np.sqrt((A**2).mean(axis=0))
     size[size == 0] = 1.0
-    return np.linalg.lstsq(A / size, y, rcond=None)[0] / size
+    found = np.zeros(equations.n_columns)
+    found[:n] = np.linalg.lstsq(A / size, y, rcond=None)[0] / size
+    known = {
+        effect.key(): np.atleast_1d(coef)
+        for effect, coef in zip(robot.effects, robot.coefficients)
+    }
+    for span, one in zip(equations.spans[len(own) :], equations.effects[len(own) :]):
+        found[span] = known.get(one.effect.key(), 0.0)
+    return found
 
 
 def _tell_collision(problem, poses, is_start):

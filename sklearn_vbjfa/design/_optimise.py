@@ -48,8 +48,9 @@ class Problem:
         What is asked.
     limits : MotionLimits
         Limits.
-    coefficients : ndarray of shape (n_model,)
-        Coefficients of the model's columns, for the torques.
+    coefficients : ndarray of shape (n_columns,)
+        Coefficients of the columns, for the torques: zero of effects that the robot is
+        not known to have.
     precision : ndarray of shape (nv,)
         Information per second and squared entry: independent samples per second over
         the variance of a joint's noise.
@@ -105,9 +106,9 @@ class Problem:
         )
 
     def _own(self, place):
-        """Coefficients of the columns of a joint; zero of those the model lacks."""
+        """Coefficients of the columns of a joint; zero of those not known."""
         known = np.zeros(self.model.n_columns)
-        known[: self.model.n_model] = self.coefficients
+        known[: self.coefficients.size] = self.coefficients
         return known[place]
 
 

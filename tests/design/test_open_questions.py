@@ -1,0 +1,144 @@
+"""What a report leaves open becomes what the motion decides."""
+
+import json
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.design import design_motion  # noqa: E402
+from sklearn_vbjfa.effects import Ripple, Spring  # noqa: E402
+from tests.design._chains import chain, problem_of  # noqa: E402
+
+DT, STIFFNESS = 0.01, 12.0
+
+
+@pytest.fixture(scope="module")
+def path(tmp_path_factory):
+    return chain(tmp_path_factory.mktemp("open"), ("revolute",) * 2, effort=60.0)
+
+
+@pytest.fixture(scope="module")
+def loop(path):
+    """Search in a recording of a robot with a spring on its second joint."""
+    model = pin.buildModelFromUrdf(str(path))
+    data, t = model.createData(), DT * np.arange(1500)
+    phase = 2 * np.pi * np.outer(t, [0.31, 0.43])
+    w = 2 * np.pi * np.array([0.31, 0.43])
+    q = 0.8 * np.sin(phase) + 0.4 * np.sin(3 * phase)
+    v = w * (0.8 * np.cos(phase) + 1.2 * np.cos(3 * phase))
+    a = -(w**2) * (0.8 * np.sin(phase) + 3.6 * np.sin(3 * phase))
+    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+    tau += 0.5 * v
+    tau[:, 1] += STIFFNESS * (q[:, 1] - 0.2)
+    rng = np.random.default_rng(0)
+    tau += 0.05 * rng.normal(size=tau.shape)
+    robot = RobotIdentifier(path, dt=DT)
+    found = EffectDiscovery(
+        robot, effects=("spring", "coulomb", "offset"), ceiling=False, random_state=0
+    )
+    return found.fit(q + 1e-5 * rng.normal(size=q.shape), tau)
+
+
+def asked_of(problem):
+    effects = problem.model.effects[problem.model.n_own :]
+    return {
+        (one.effect.name, one.effect.joint): weight
+        for one, weight in zip(effects, problem.questions.alone)
+    }
+
+
+def test_all_kinds_of_reports_ask_the_same(loop, tmp_path):
+    assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 1)]
+    data = loop.report_.to_dict()
+    (tmp_path / "report.json").write_text(json.dumps(data), encoding="utf-8")
+    kinds = (loop, loop.report_, data, tmp_path, str(tmp_path / "report.json"))
+    asked = [asked_of(problem_of(loop.identifier_, report=kind)[0]) for kind in kinds]
+    assert all(one == asked[0] for one in asked)
+    # What was found is to be confirmed, and counts more than what nobody named.
+    weights = [weight for weight in asked[0].values() if weight > 0]
+    assert asked[0]["spring", 1] == max(weights) > min(weights)
+
+
+def test_what_is_in_doubt_still_takes_its_torque(loop):
+    problem, _ = problem_of(loop.identifier_, report=loop)
+    rng = np.random.default_rng(0)
+    states = rng.uniform(-1, 1, size=(50, 6))
+    found = problem.torques(problem.model(states))
+    expected = loop.identifier_.predict(states)
+    # But for the sign of a velocity that may be zero: here there is no dry friction.
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
+    problem, _ = problem_of(loop.identifier_)
+    states = np.random.default_rng(0).uniform(-1, 1, size=(50, 6))
+    expected = loop.identifier_.predict(states)
+    found = problem.torques(problem.model(states))
+    np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    # Louder joints count less, as their variance.
+    loud = RobotIdentifier(path, dt=DT, torque_noise=np.array([0.1, 0.4]))
+    loud.fit(*recording_of(path))
+    precision = problem_of(loud)[0].precision
+    assert precision[0] / precision[1] == pytest.approx(16.0, rel=0.2)
+
+
+def recording_of(path):
+    model = pin.buildModelFromUrdf(str(path))
+    data, t = model.createData(), DT * np.arange(800)
+    w = 2 * np.pi * np.array([0.5, 0.8])
+    q = 0.8 * np.sin(np.outer(t, w))
+    v, a = 0.8 * w * np.cos(np.outer(t, w)), -(w**2) * q
+    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+    return q, tau + 0.5 * v
+
+
+def test_effects_by_hand(path):
+    problem, _ = problem_of(path, effects=("spring", Ripple(joint=1)))
+    asked = set(asked_of(problem))
+    assert asked == {("spring", 0), ("spring", 1), ("ripple", 1)}
+    assert set(asked_of(problem_of(path, effects=Spring(joint=1))[0])) == {
+        ("spring", 1)
+    }
+
+
+@pytest.mark.parametrize(
+    ("effects", "message"),
+    [
+        (("nothing",), "Unknown effect 'nothing'"),
+        ((Spring(joint=2),), "on joint 2, counted from zero; the robot has 2 joints"),
+        (("base_tilt",), "No motion is designed for 'base_tilt'"),
+    ],
+)
+def test_effects_that_cannot_be_asked_for(path, effects, message):
+    with pytest.raises(ValueError, match=message):
+        problem_of(path, effects=effects)
+
+
+def test_reports_that_are_none(path, tmp_path, loop):
+    with pytest.raises(TypeError, match="got int"):
+        problem_of(path, report=5)
+    with pytest.raises(FileNotFoundError, match="No report at"):
+        problem_of(path, report=tmp_path / "nowhere")
+    (tmp_path / "report.json").write_text("{", encoding="utf-8")
+    with pytest.raises(ValueError, match="not readable as JSON"):
+        problem_of(path, report=tmp_path)
+    (tmp_path / "report.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(ValueError, match="not a report of close-loop"):
+        problem_of(path, report=tmp_path)
+    other = chain(tmp_path, ("revolute",) * 2, name="other")
+    with pytest.raises(ValueError, match="report is of joints chain_1, chain_2"):
+        problem_of(other, report=loop)
+
+
+def test_a_report_bends_the_motion_and_tells_what_it_shows(loop):
+    motion = design_motion(
+        loop.identifier_, report=loop, duration=3.0, dt=0.02, random_state=0
+    )
+    assert motion.within_limits
+    told = {(one.name, one.joint): one for one in motion.shows}
+    assert told["spring", 1].joint_name == "chain_2"
+    # Twelve newton metres per radian are plain to see.
+    assert 0 < told["spring", 1].least < 0.2 * STIFFNESS

@@ -317,6 +317,13 @@ def test_a_motion_is_scaled_about_a_pose_that_is_easily_held(tmp_path):
     assert np.ptp(states[:, :2], axis=0).min() > 0.05
 
 
+def value_of(problem, z):
+    """Criterion [nats] of a motion."""
+    t = problem.times()
+    states = problem.curve.states(z, problem.curve.basis(t))
+    return worth(problem.information(states, t[1]), problem.questions).value
+
+
 def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
     # Dry friction jumps where the load is largest, between two samples.
     from sklearn_vbjfa.design._optimise import optimise, shrunk
@@ -336,4 +343,6 @@ def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
     states = problem.curve.states(kept, problem.curve.basis(t))
     torques = problem.torques(problem.model(states, t))
     assert np.all(np.abs(torques) <= 0.98 * problem.limits.torque * (1 + 1e-8))
-    assert np.abs(torques / problem.limits.torque).max() > 0.85
+    # What the limits between the samples cost the criterion is next to nothing.
+    loose, _ = optimise(problem, [z], problem.times(), 0.98)
+    assert value_of(problem, kept) > value_of(problem, loose) - 1.0

@@ -42,7 +42,7 @@ from pathlib import Path
 
 import numpy as np
 from _design_motions import Designed, Limits, random_motion, rigid, top_harmonic
-from _report import ROOT, parser, publish, rst_table
+from _report import ROOT, commit, parser, publish, rst_table
 from _undeclared_robots import inverse_dynamics, regressor
 from scipy.linalg import qr
 
@@ -336,9 +336,9 @@ def report(results):
         "robot",
         "harmonics",
         "base",
-        "condition: designed / best / median",
-        "weighted: designed / best / median",
-        "scaled alike: designed / best / median",
+        "condition",
+        "weighted",
+        "scaled alike",
         "nats over best / median",
         "least margin",
         "time",
@@ -351,10 +351,12 @@ def report(results):
     return "\n\n".join(
         [
             f"{results[0]['n_motions']} random motions (seeds 0 to "
-            f"{results[0]['n_motions'] - 1}), {DURATION:g} s; best and median of them "
-            "by each figure.",
+            f"{results[0]['n_motions'] - 1}), {DURATION:g} s. "
+            "Conditions are those of the designed motion / of the best / of the median "
+            "random one, by each figure anew.",
             rst_table(rows, headers),
             targets,
+            f"Version of the package: {commit()}.",
         ]
     )
 

@@ -215,7 +215,7 @@ def test_equal_states_leave_the_projection_to_the_model(recording):
 def test_what_is_no_robot(recording):
     for model, kind, message in (
         ("nowhere.urdf", FileNotFoundError, "No robot description at 'nowhere.urdf'"),
-        (7, TypeError, "path of a URDF file or a pinocchio.Model, got int"),
+        (7, TypeError, "path of a URDF or MJCF file or a pinocchio.Model, got int"),
     ):
         with pytest.raises(kind, match=message):
             RobotIdentifier(model, dt=0.01).fit(recording.q, recording.tau)

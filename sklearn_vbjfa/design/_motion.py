@@ -106,7 +106,7 @@ class DesignedMotion:
         return self.curve.states(self.coordinates, self.curve.basis(t))
 
     def to_csv(self, path):
-        """Write the motion as CSV: ``t``, then ``q_``, ``v_`` and ``a_`` of every joint.
+        """Write the motion as CSV: ``t``, and ``q_``, ``v_``, ``a_`` of every joint.
 
         Parameters
         ----------

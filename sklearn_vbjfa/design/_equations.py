@@ -61,10 +61,6 @@ class EffectColumns:
                 remembers |= bool(one.any())
         return cls(effect, tuple(inputs), remembers)
 
-    def columns(self, motion, nv):
-        """Columns (n, nv, k) if all joints have them, else (n, k) of its own."""
-        return self.effect.columns(motion)
-
 
 def _signals_of(motion):
     """Yield (name, joint, values (n,)) of the signals of a motion."""
@@ -298,17 +294,14 @@ class EquationModel:
         """Add derivatives of an effect's columns, differences in each signal."""
         places = {"q": 0, "v": 1, "a": 2}
         for name, joint in one.inputs:
-            if name == "torque":
-                continue
-            if one.effect.in_model and name == "load":
-                continue
             values = getattr(motion, name)[:, joint]
             h = _RELATIVE_STEP * max(np.ptp(values), _STEP)
             change = _contracted(
                 one.effect.columns(_moved(motion, name, joint, h)), own
             ) - _contracted(one.effect.columns(_moved(motion, name, joint, -h)), own)
             change /= 2 * h
-            if name == "load":
+            if name in ("load", "torque"):
+                # Effects see the torque of the bodies as that of the whole model.
                 by_load[:, joint] += change
             else:
                 by_states[:, places[name] * self.nv + joint] += change

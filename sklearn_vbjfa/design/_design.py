@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.design._collisions import Clearance
-from sklearn_vbjfa.design._criterion import Questions, worth
+from sklearn_vbjfa.design._criterion import Questions, information_of, worth
 from sklearn_vbjfa.design._curve import FourierCurve
 from sklearn_vbjfa.design._equations import IN_SPAN, EquationModel
 from sklearn_vbjfa.design._known_robot import KnownRobot
@@ -273,9 +273,8 @@ def _parted(robot, asked):
 def _questions(equations, candidates, reference, noise):
     """Ask for each candidate beside the model, and beside its rivals."""
     rows = equations(reference)
-    M = np.zeros((equations.n_columns, equations.n_columns))
-    for j, (own, place) in enumerate(zip(rows.rows, equations.places)):
-        M[np.ix_(place, place)] += own @ own.T / noise[j] ** 2 / own.shape[1]
+    weight = np.broadcast_to(1.0 / (len(reference) * noise**2), rows.motion.q.shape)
+    M = information_of(rows, equations.places, equations.n_columns, weight)
     power = np.diag(M)
     scale = np.where(power > 0, 1.0 / np.sqrt(np.where(power > 0, power, 1.0)), 1.0)
     spans = tuple(equations.spans[equations.n_own :])

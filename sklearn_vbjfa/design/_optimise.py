@@ -153,14 +153,12 @@ class _Lagrangian:
         self.multipliers = None
         self.penalty = 2 * _FIRST_COST / 1e-4
         self.shape = (problem.model.nv, problem.curve.size)
-        self.n_calls = 0
 
     def states(self, z):
         return self.problem.curve.states(z.reshape(self.shape), self.basis)
 
     def __call__(self, x):
         """Return value and gradient of what is to be made small."""
-        self.n_calls += 1
         problem = self.problem
         z = x.reshape(self.shape)
         states = problem.curve.states(z, self.basis)

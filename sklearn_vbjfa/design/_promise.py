@@ -149,6 +149,11 @@ def expected_intervals(problem, robot, states, step):
     )
 
 
+def _least(noise, evidence):
+    """Torque that decides, where one as large as the noise has some evidence."""
+    return float(noise * np.sqrt(DECIDED / max(evidence, 1e-12)))
+
+
 def promise(problem, robot, states, step, noise):
     """Say what the motion shows and what not, keyword arguments of the motion."""
     questions, model = problem.questions, problem.model
@@ -167,8 +172,7 @@ def promise(problem, robot, states, step, noise):
             "joint_name": robot.joint_names[effect.joint],
         }
         if not questions.alone[k] > 0:
-            reason = SAME_COLUMNS
-            invisible.append(Invisible(reason=reason, **told))
+            invisible.append(Invisible(reason=SAME_COLUMNS, **told))
             continue
         evidence, rival = judged.alone[k], ""
         if asked[k].any():
@@ -176,7 +180,7 @@ def promise(problem, robot, states, step, noise):
             nearest = int(np.argmin(beside))
             if beside[nearest] < evidence:
                 evidence, rival = beside[nearest], effects[nearest].name
-        least = float(noise[effect.joint] * np.sqrt(DECIDED / max(evidence, 1e-12)))
+        least = _least(noise[effect.joint], evidence)
         shows.append(Visible(least=least, rival=rival, **told))
     parts = []
     for k, i in zip(*np.nonzero(np.triu(np.minimum(asked_for, asked_for.T)))):
@@ -187,7 +191,7 @@ def promise(problem, robot, states, step, noise):
                 names=(effects[k].name, effects[i].name),
                 joint=joint,
                 joint_name=robot.joint_names[joint],
-                least=float(noise[joint] * np.sqrt(DECIDED / max(weakest, 1e-12))),
+                least=_least(noise[joint], weakest),
             )
         )
     return {

@@ -553,14 +553,12 @@ def summary(motion, background):
         f"motion {words.number(motion.start_condition_number)}",
         "",
         *_shares_text(motion, background),
-        *textwrap.wrap(
-            _clearance_text(motion), _WIDTH, max_lines=3, placeholder=" ..."
-        ),
+        *_wrapped(_clearance_text(motion), ""),
         "",
         *_decides_text(motion, background),
         *_never_text(motion, background),
         _parameters_text(motion, background),
-        _shortened(_noise_text(background)),
+        *_wrapped(_noise_text(background)),
     ]
     while not lines[-1]:
         lines.pop()
@@ -574,7 +572,9 @@ def _shares_text(motion, background):
     joints = range(len(motion.joint_names))
     used = {name: 1.0 - motion.margins[name] for name in _QUANTITIES}
     most = np.max([used[name] for name in _QUANTITIES], axis=0)
-    shown = sorted(sorted(joints, key=lambda j: -most[j])[:_JOINTS])
+    # The line that counts the others takes the place of a joint.
+    listed = _JOINTS if len(joints) <= _JOINTS else _JOINTS - 1
+    shown = sorted(sorted(joints, key=lambda j: -most[j])[:listed])
     rows = [
         [words.joint_label(motion.joint_names, j)]
         + [
@@ -623,13 +623,14 @@ def _decides_text(motion, background):
         return ["It determines the model; name effects that it shall show by --effects"]
     more = len(told) - _LISTED
     more = [f"- {more} more on the page"] if more > 0 else []
-    return [head, *map(_shortened, told[:_LISTED]), *more]
+    listed = [line for text in told[:_LISTED] for line in _wrapped(text)]
+    return [head, *listed, *more]
 
 
 def _never_text(motion, background):
-    """List what stays invisible, cut to a few lines."""
+    """List what stays invisible."""
     told = invisible_sentences(motion, background)
-    return [_shortened(f"Invisible: {sentence}") for sentence in told[:2]]
+    return [line for text in told[:2] for line in _wrapped(f"Invisible: {text}")]
 
 
 def _parameters_text(motion, background):
@@ -644,11 +645,9 @@ def _parameters_text(motion, background):
     )
 
 
-def _shortened(text):
-    """Cut a line that is too long; the page has it all."""
-    if len(text) <= _WIDTH:
-        return text
-    return text[: _WIDTH - 4].rsplit(" ", 1)[0] + " ..."
+def _wrapped(text, indent="  "):
+    """Break a text into lines of a terminal, the further ones indented."""
+    return textwrap.wrap(text, _WIDTH, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def exceeded(motion):

@@ -156,26 +156,31 @@ for name, found in loaded.items():
 # friction alone), the whole library, the whole recordings.
 
 if missing:
-    table = Path("docs", "tables", "discovery_measured.rst")
+    tables = [
+        Path("docs", "tables", f"measured_sets_{stage}.rst")
+        for stage in ("development", "confirmation")
+    ]
     print(
         f"not here: {', '.join(missing)}; get them with `python -m sklearn_vbjfa "
         f"identify --data NAME`, or name their folder in SKLEARN_VBJFA_DATA. Shown for "
-        f"them: {table}, models with viscous friction alone."
+        f"them: {' and '.join(map(str, tables))}, declared with viscous friction alone."
     )
     # Above the script in a checkout (no __file__ where the gallery is built), or here.
     for folder in (*Path(sys.argv[0]).resolve().parents, Path.cwd()):
-        if (folder / table).is_file():
-            lines = (folder / table).read_text(encoding="utf-8").splitlines()
-            print("\n".join(lines))
-            rows = {line.split("  ")[0]: line for line in lines}
+        if all((folder / table).is_file() for table in tables):
+            texts = [(folder / table).read_text(encoding="utf-8") for table in tables]
+            print("\n".join(texts))
+            rows = [line.split() for line in "\n".join(texts).splitlines()]
             for name in missing:
-                cells = [cell for cell in rows[name].split("  ") if cell.strip()]
                 errors[name] = [
-                    np.array(cell.split(), dtype=float) / 100 for cell in cells[1:3]
+                    np.array(row[2:], dtype=float) / 100
+                    for model in ("declared", "completed")
+                    for row in rows
+                    if row[:2] == [name, model]
                 ]
             break
     else:
-        print(f"{table} is part of the repository, and not here either.")
+        print("They are part of the repository, and not here either.")
 
 # %%
 # Before and after

@@ -30,7 +30,6 @@ def residuals(scale, index, tau):
     [
         "conditioning",
         "discovery",
-        "discovery_measured",
         "errors_in_variables",
         "exports",
         "false_alarms",

@@ -144,7 +144,8 @@ def run_demo(arguments):
     recording = load_demo_recording()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        loop = close(recording, recording.urdf, friction=("viscous", "coulomb"))
+        friction = _options.FRICTION.split(",")
+        loop = close(recording, recording.urdf, friction=friction)
     print(recording)
     print(loop.report_)
     say_warnings(caught)

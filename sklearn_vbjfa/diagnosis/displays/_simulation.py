@@ -122,10 +122,10 @@ class SimulationDisplay(Display):
         check_is_fitted(estimator)
         if isinstance(estimator, RobotIdentifier):
             return {"simulated": estimator}
-        return {
-            "declared model": estimator.declared_,
-            "completed model": estimator.identifier_,
-        }
+        robots = {"declared model": estimator.declared_}
+        if estimator.added_:
+            robots["with the four plain terms"] = estimator.plain_
+        return {**robots, "completed model": estimator.identifier_}
 
     def plot(self, ax=None, *, shown=None, measured_kwargs=None, line_kwargs=None):
         """Draw.

@@ -1,4 +1,4 @@
-"""Torques recorded in coarse steps: does the loop end, and does it name anything?
+"""Torques recorded in coarse steps: whether the loop ends, and what it names.
 
 Run ``python tests/benchmarks/bench_coarse_torques.py [--trials N] [--seed S]
 [--out FILE] [--write]``. Simulated arms of one to six joints with viscous and Coulomb

@@ -194,7 +194,7 @@ def report_fit(n_joints=_FIT_JOINTS, n_samples=_FIT_SAMPLES, rounds=3):
         with warnings.catch_warnings():
             # The rows of given states are no motion.
             warnings.simplefilter("ignore", UserWarning)
-            RobotIdentifier(model, dt=1e-3).fit(X, torque)
+            RobotIdentifier(model, dt=1e-3, friction=("viscous",)).fit(X, torque)
 
     moved = motion(n_samples, n_joints, rng)
     q_moved = moved[0] + 1e-4 * rng.normal(size=q.shape)

@@ -228,7 +228,9 @@ def _take(cells, found, truth):
 def discover(made, names, n=None):
     """Close the loop on the first n rows."""
     loop = EffectDiscovery(
-        RobotIdentifier(made.model, dt=DT), effects=names, random_state=0
+        RobotIdentifier(made.model, dt=DT, friction=("viscous",)),
+        effects=names,
+        random_state=0,
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

@@ -35,7 +35,7 @@ def loop(path):
     tau[:, 1] += STIFFNESS * (q[:, 1] - 0.2)
     rng = np.random.default_rng(0)
     tau += 0.05 * rng.normal(size=tau.shape)
-    robot = RobotIdentifier(path, dt=DT)
+    robot = RobotIdentifier(path, dt=DT, friction=("viscous",))
     found = EffectDiscovery(
         robot, effects=("spring", "coulomb", "offset"), ceiling=False, random_state=0
     )
@@ -79,7 +79,9 @@ def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
     found = problem.torques(problem.model(states))
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
     # Louder joints count less, as their variance.
-    loud = RobotIdentifier(path, dt=DT, torque_noise=np.array([0.1, 0.4]))
+    loud = RobotIdentifier(
+        path, dt=DT, torque_noise=np.array([0.1, 0.4]), friction=("viscous",)
+    )
     loud.fit(*recording_of(path))
     precision = problem_of(loud)[0].precision
     assert precision[0] / precision[1] == pytest.approx(16.0, rel=0.2)

@@ -32,6 +32,7 @@ LOAD = inverse_dynamics(MODEL, STATES)
 VISCOUS = np.array([0.8, 0.5, 0.3])
 DECLARED = LOAD + VISCOUS * V
 EXACT = {
+    "friction": ("viscous",),
     "regressor": LinearRegression(),
     "projector": None,
     "cutoff": None,
@@ -273,7 +274,10 @@ def test_noise_and_filters_leave_the_coefficients_where_they_are():
     sign = np.sign(V[:, 1])
     added = on_joint(1, 2 * sign) + on_joint(0, 4 * Q[:, 0]) + NOISE
     robot = RobotIdentifier(
-        MODEL, dt=DT, effects=(effects.Coulomb(1), effects.Spring(0))
+        MODEL,
+        dt=DT,
+        effects=(effects.Coulomb(1), effects.Spring(0)),
+        friction=("viscous",),
     )
     robot.fit(Q + 1e-5 * rng.normal(size=Q.shape), DECLARED + added)
     coulomb, k, c = coefficients(robot)

@@ -299,7 +299,7 @@ def test_torques_that_are_missing_are_refused(robot, recording):
 
 
 def test_a_robot_without_period_is_refused(recording):
-    robot = RobotIdentifier(recording.urdf, cutoff=None)
+    robot = RobotIdentifier(recording.urdf, cutoff=None, friction=("viscous",))
     robot.fit(recording.states, recording.tau, groups=recording.groups)
     with pytest.raises(ValueError, match="identified without a sample period"):
         simulate_windows(robot, recording.states, recording.tau)

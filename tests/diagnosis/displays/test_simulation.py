@@ -181,5 +181,7 @@ def test_what_is_no_robot_is_refused(recording):
         SimulationDisplay.from_estimator(LinearRegression(), recording.q, recording.tau)
     with pytest.raises(NotFittedError):
         SimulationDisplay.from_estimator(
-            RobotIdentifier(recording.urdf), recording.q, recording.tau
+            RobotIdentifier(recording.urdf, friction=("viscous",)),
+            recording.q,
+            recording.tau,
         )

@@ -173,7 +173,7 @@ def test_a_model_without_error_has_an_interval_of_nothing():
 # -- effects, through the loop
 
 STEP = 0.02
-STATES = {"dt": STEP, "cutoff": None, "standstill": None}
+STATES = {"friction": ("viscous",), "dt": STEP, "cutoff": None, "standstill": None}
 
 
 def pendulum(seed, rho=0.0, duration=60.0):

@@ -13,9 +13,7 @@ from sklearn_vbjfa import RobotIdentifier
 
 fitted, held_out = np.load("fitted.npz"), np.load("held_out.npz")
 settings = json.loads(Path("settings.json").read_text(encoding="utf-8"))
-robot = RobotIdentifier(
-    "robot.urdf", dt=float(fitted["dt"]), **{"friction": ("viscous",), **settings}
-)
+robot = RobotIdentifier("robot.urdf", dt=float(fitted["dt"]), **settings)
 robot.fit(fitted["q"], fitted["tau"], groups=fitted["groups"])
 left = robot.residuals(held_out["q"], held_out["tau"], groups=held_out["groups"]).rms()
 for name, times in zip(robot.joint_names_, left / robot.noise_floor_):

@@ -14,9 +14,7 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
 fitted, held_out = np.load("fitted.npz"), np.load("held_out.npz")
 settings = json.loads(Path("settings.json").read_text(encoding="utf-8"))
-declared = RobotIdentifier(
-    "robot.urdf", dt=float(fitted["dt"]), **{"friction": ("viscous",), **settings}
-)
+declared = RobotIdentifier("robot.urdf", dt=float(fitted["dt"]), **settings)
 loop = EffectDiscovery(declared, random_state=0)
 loop.fit(fitted["q"], fitted["tau"], groups=fitted["groups"])
 print(loop.report_)

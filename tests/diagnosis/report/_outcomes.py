@@ -150,9 +150,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "spread": np.linspace(50.0, 5.0, nv),
         "unsearched": (),
         "added": (),
-        "error_plain": before,
         "wide_before": 1.4 * before,
-        "wide_plain": 1.4 * before,
         "wide_after": 1.4 * after,
         "wide_cutoff": 40.0,
         "seconds": np.full(nv, 9.0),
@@ -160,9 +158,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "intervals": {
             "before": np.array([0.9 * before, 1.1 * before]),
             "after": np.array([0.9 * after, 1.1 * after]),
-            "plain": np.array([0.9 * before, 1.1 * before]),
             "difference": np.array([after - before - 0.01, (after - before) * 0.9]),
-            "added": np.array([after - before - 0.01, (after - before) * 0.9]),
         },
         "floor": floor,
         "library": {effect.name: effect for effect in resolve("all")},
@@ -204,4 +200,12 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             "torque": rng.standard_normal((m, nv)),
         },
     }
-    return Outcome(**(values | changes))
+    values |= changes
+    if not values["added"]:
+        # All plain terms were declared.
+        values["error_plain"] = values["error_before"]
+        values["wide_plain"] = values["wide_before"]
+        same = {"plain": "before", "added": "difference"}
+        own = values["intervals"]
+        values["intervals"] = own | {k: own[v] for k, v in same.items() if v in own}
+    return Outcome(**values)

@@ -37,6 +37,7 @@ HEADERS = [
 ]
 FIT_HEADERS = ["", "time [s]", "by sample [us]", "over the bare loop"]
 _FIT_JOINTS, _FIT_SAMPLES = 10, 500_000
+ENTERS = ("sklearn_vbjfa.datasets.load_demo_recording",)  # by the next text
 # One fit of the embedded recording; without Numba where it is told so.
 _DEMO = """
 import sys, warnings

@@ -162,7 +162,12 @@ def main(argv=None):
     for result in results_of(run, ledger.missing(tasks), arguments.jobs):
         ledger.add(result)
         print(" | ".join(map(str, row(result))), flush=True)
-    publish("friction_none", report(ledger.of(tasks)), write=arguments.write)
+    publish(
+        "friction_none",
+        report(ledger.of(tasks)),
+        write=arguments.write,
+        states=ledger.states(tasks),
+    )
 
 
 if __name__ == "__main__":

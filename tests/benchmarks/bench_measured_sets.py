@@ -334,6 +334,7 @@ def main(argv=None):
         write=arguments.write,
         command="python tests/benchmarks/bench_measured_sets.py "
         f"--sets {arguments.sets}",
+        states=ledger.states(tasks),
     )
 
 

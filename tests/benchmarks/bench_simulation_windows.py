@@ -351,7 +351,6 @@ def run(task, data_home=None, models=None):
         "effects": [list(pair) for pair in fits.effects],
         "fit_seconds": fits.seconds,
         "fit_commit": fits.commit,
-        "commit": commit(),
         **found,
     }
 
@@ -488,7 +487,6 @@ def report(by_set):
         words += [_said(r) for r in results]
     wins = sum(better(result) for result in found.values())
     asked = f"asked for: {NEEDED} of {len(STAGES['all'])}"
-    commits = dict.fromkeys(r["commit"] for rs in by_set.values() for r in rs)
     return "\n\n".join(
         [
             f"Windows of {SECONDS:g} s, started from smoothed measured states and "
@@ -502,8 +500,7 @@ def report(by_set):
             rst_table(cells, ERRORS, n_labels=2),
             "\n".join(words),
             f"Declared friction {', '.join(FROZEN['ur5'].friction)}; loop with "
-            f"random_state=0; bootstrap of {DRAWS} draws with seed 0. Simulated by "
-            f"commit {', '.join(commits)}.",
+            f"random_state=0; bootstrap of {DRAWS} draws with seed 0.",
         ]
     )
 
@@ -570,6 +567,7 @@ def main(argv=None):
         write=arguments.write,
         command="python tests/benchmarks/bench_simulation_windows.py "
         f"--sets {arguments.sets}",
+        states=ledger.states(tasks),
     )
 
 

@@ -345,7 +345,13 @@ def main(argv=None):
     name = "single_effects" + ("" if arguments.seed < 100 else "_confirmation")
     command = "python tests/benchmarks/bench_single_effects.py"
     command += "" if arguments.seed == 0 else f" --seed {arguments.seed}"
-    publish(name, report(ledger.of(tasks)), write=arguments.write, command=command)
+    publish(
+        name,
+        report(ledger.of(tasks)),
+        write=arguments.write,
+        command=command,
+        states=ledger.states(tasks),
+    )
 
 
 if __name__ == "__main__":

@@ -328,7 +328,8 @@ def main(argv=None):
     text = report(ledger.of(tasks), arguments.starts, seeds)
     command = "python tests/benchmarks/bench_whole_robots.py"
     command += " --confirm" if arguments.confirm else ""
-    publish(name, text, write=arguments.write, command=command)
+    states = ledger.states(tasks)
+    publish(name, text, write=arguments.write, command=command, states=states)
 
 
 if __name__ == "__main__":

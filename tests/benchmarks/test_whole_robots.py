@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import _ledger
 import numpy as np
 import pytest
 from _ledger import Ledger, results_of
@@ -146,7 +147,33 @@ def test_a_ledger_goes_on_where_it_stopped(tmp_path):
         file.write('{"kinds": ["a"')
     again = Ledger(path, ("kinds", "seed"))
     assert again.missing(tasks) == tasks[1:]
-    assert again.of(tasks) == [{**tasks[0], "value": 1.5}]
+    (kept,) = again.of(tasks)
+    assert kept == {**tasks[0], "value": 1.5, "commit": kept["commit"]}
+
+
+def test_a_ledger_knows_the_code_of_every_result(tmp_path, monkeypatch):
+    path = tmp_path / "results.jsonl"
+    tasks = [{"seed": seed} for seed in range(4)]
+    path.write_text('{"seed": 0}\n')  # from before commits were noted
+    first, second = (
+        {"commit": c, "files": {"sklearn_vbjfa/_core/_a.py": d}}
+        for c, d in (("1a2b3c4", "x"), ("5d6e7f8", "y"))
+    )
+    for task, code in zip(tasks[1:], (first, first, second), strict=True):
+        monkeypatch.setattr(_ledger, "code", lambda code=code: code)
+        Ledger(path, ("seed",)).add(task)
+    ledger = Ledger(path, ("seed",))
+    assert [r.get("commit") for r in ledger.results[1:]] == [
+        "1a2b3c4",
+        "1a2b3c4",
+        "5d6e7f8",
+    ]
+    assert ledger.states(tasks[1:3]) == [first]
+    assert ledger.states(tasks[2:]) == [first, second]
+    assert ledger.states() == [first, second, _ledger.UNKNOWN]
+    ledger.path.with_name("results.jsonl.code").unlink()
+    assert ledger.states(tasks[3:]) == [{"commit": "5d6e7f8", "files": {}}]
+    assert Ledger(None, ("seed",)).states() == [second]
 
 
 def test_tasks_run_in_processes():

@@ -39,7 +39,8 @@ VISCOUS = 0.5
 # in units of the residual's; drawn evenly in the logarithm.
 SIZES = (0.5, 8.0)
 # All of the simulator's effects that one joint can show.
-KINDS = tuple(k for k in ADDED if k not in ("viscous", "rotor_inertia", "coupling"))
+PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
+KINDS = tuple(k for k in ADDED if k not in (*PLAIN, "coupling"))
 
 
 # -- residuals of mean square one ------------------------------------------------------
@@ -167,7 +168,7 @@ def recording(kind, duration, seed, with_effect):
         groups=np.zeros(t.size, int),
         rigid=rigid,
         declared_torque=rigid + VISCOUS * v,
-        declared=("viscous",),
+        declared=PLAIN,
         unit=np.ones(1),
     )
     # Every kind comes up equally often within a cell.
@@ -175,7 +176,7 @@ def recording(kind, duration, seed, with_effect):
     size = float(np.exp(rng.uniform(*np.log(SIZES))))
     drawn = ADDED[name](world, 0, rng)
     torque = drawn.torque.reshape(t.size, 1)
-    span = DeclaredSpan(model, states, ("viscous",), np.ones(1))
+    span = DeclaredSpan(model, states, PLAIN, np.ones(1))
     seen = span.share(torque) * np.sqrt(np.mean(torque**2))
     return (
         model,

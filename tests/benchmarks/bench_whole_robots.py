@@ -44,6 +44,7 @@ from itertools import combinations
 import numpy as np
 from _ledger import Ledger, results_of
 from _report import parser, publish, rst_table
+from _undeclared import PLAIN
 from _undeclared_whole import NV, whole_robot
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
@@ -81,7 +82,7 @@ def surplus_is_real(effect):
     return bool(known) and all(low > 0 or high < 0 for low, high in known)
 
 
-def judge_names(truth, effects, declared):
+def judge_names(truth, effects):
     """Compare the names that were found with the truth.
 
     Parameters
@@ -90,8 +91,6 @@ def judge_names(truth, effects, declared):
         Effects of the robot, friction included.
     effects : sequence of DiscoveredEffect
         What the search found.
-    declared : tuple of str
-        Declared friction.
 
     Returns
     -------
@@ -102,7 +101,8 @@ def judge_names(truth, effects, declared):
     """
     there = {(e.name, e.joint) for e in truth}
     allowed = there | {(name, e.joint) for e in truth for name in e.contains}
-    found = {(name, j) for name in declared for j in range(NV)}
+    # What every model has is neither found nor missed.
+    found = {(name, j) for name in PLAIN for j in range(NV)}
     extra = []
     for effect in effects:
         here = (effect.name, effect.joint)
@@ -153,8 +153,8 @@ def run(task, duration=30.0, **settings):
         loop.fit(robot.q, robot.tau, groups=robot.groups)
     seconds = time.perf_counter() - started
     moving, whole = prediction_errors(loop.identifier_, robot)
-    missed, extra, right = judge_names(robot.truth, loop.effects_, declared)
-    seen = [e for e in robot.truth if e.visible]
+    missed, extra, right = judge_names(robot.truth, loop.effects_)
+    seen = [e for e in robot.truth if e.visible and e.name not in PLAIN]
     return {
         **task,
         "errors": moving.tolist(),

@@ -5,11 +5,11 @@ Run ``python tests/benchmarks/bench_single_effects.py --out FILE [--studies sing
 
 Data: ``_undeclared.py``, which shares no code with the library of effects: robots of
 two to seven joints, 30 to 60 s at 100 to 200 Hz in one or two recordings, white torque
-noise of 2 to 5 % of the spread, viscous or viscous and Coulomb friction declared. The size of an effect is the root
-mean square of the part that the declared columns cannot absorb, weighted by the torque
-noise, over that noise. Where an effect cannot have the size asked for within what is
-physical (an elastic joint, a delay of 40 ms, a filter of the torque of 2 Hz), in none
-of four robots, the case is not counted.
+noise of 2 to 5 % of the spread, viscous or viscous and Coulomb friction declared. The
+size of an effect is the root mean square of the part that the declared columns cannot
+absorb, weighted by the torque noise, over that noise. Where an effect cannot have the
+size asked for within what is physical (an elastic joint, a delay of 40 ms, a filter of
+the torque of 2 Hz), in none of four robots, the case is not counted.
 
 - ``single``: every kind at every size, seeds 0 to 9. Named: the right name, or one
   whose declared rivals have it, on the right joint; other names are counted apart.

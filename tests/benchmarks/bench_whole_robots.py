@@ -63,17 +63,9 @@ SAME = 0.9
 CONFIRMATION = range(100, 130)
 
 
-# Plainer effects that a compound becomes at an end of its own parameters: bristles of
-# no displacement, a hump wider than all speeds, a gap of no width, a slow warm-up.
-CONTAINED = {
-    "presliding": {"coulomb"},
-    "stribeck": {"coulomb"},
-    "drift": {"coulomb"},
-    "asymmetric_friction": {"offset"},
-    "spring": {"offset"},
-    "counterbalance": {"spring", "offset"},
-    "backlash": {"spring", "offset"},
-}
+# Plainer effects that a compound becomes at an end of its own parameters, such as a
+# gap of no width.
+CONTAINED = {"counterbalance": {"spring"}, "backlash": {"spring"}}
 
 
 def surplus_is_real(effect):

@@ -5,6 +5,7 @@ import importlib
 import io
 import os
 import re
+import textwrap
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from sklearn_vbjfa._cli._input import no_formula
 
 # Most pictures, and most windows that failed and are named.
 _MOST_PICTURES, _MOST_NAMED = 12, 5
+_WIDTH = 80  # characters of a line
 _RESOLUTION = 120  # dots per inch
 
 
@@ -83,6 +85,7 @@ def errors_text(simulated, seconds):
     ]
     for label, own in windows.items():
         who = f"{label}: " if len(windows) > 1 else ""
+        lines += ["", *_verdict(who, own)]
         if own.failures:
             lines.append(who + _failed(simulated, own))
         if own.run_away.any():
@@ -119,6 +122,15 @@ def _median(errors):
 def _numbers(values):
     """Write errors, none of which is negative, with three digits."""
     return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in values]
+
+
+def _verdict(who, windows):
+    """Say whether a model was needed for its errors, lines of a terminal."""
+    told = f"{who}{windows.verdict()} (windows compared one by one, mean of their "
+    told += "errors, Student's t at 5 %"
+    if windows.failed.any():
+        told += "; a window that failed counts as the worst error of these two"
+    return textwrap.wrap(f"{told})", _WIDTH)
 
 
 def _failed(simulated, windows):

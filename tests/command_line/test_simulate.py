@@ -129,6 +129,8 @@ def test_the_rest_of_a_recording_is_simulated(good, urdf, recording, capsys):
         own = [rms_degrees(one.velocity_errors)[j] for one in (found, *rivals)]
         np.testing.assert_allclose(velocities[name], own, rtol=2e-2)
     assert f"all {found.n_windows} windows" in text
+    assert found.verdict() in " ".join(lines)
+    assert "Student's t at 5 %)" in " ".join(lines)
     # Files.
     folder = good.parent / "arm-simulation"
     assert sorted(x.name for x in folder.iterdir()) == ["arm.png", "simulation.csv"]
@@ -224,6 +226,7 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     begin, end = map(float, re.match(r"- arm, (\S+) to (\S+) s: ", line).groups())
     assert end - begin == pytest.approx(1.0)
     assert line.endswith("The simulation diverges, as it must.")
+    assert "a window that failed counts as the worst" in " ".join(text.splitlines())
     assert f"{count - 1} of {count} windows, each" in text
     with open("arm-simulation/simulation.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -275,6 +278,7 @@ def test_nothing_but_failures_is_said(good, saved, capsys, monkeypatch):
     monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)
     text = run(capsys, good, "--model", saved)
     assert re.search(r"(\d+) of \1 windows failed:", text)
+    assert "not clearly better than a robot that stays" in text
     assert "none" in text
     assert re.search(r"^- and \d+ more; see simulation.csv$", text, flags=re.M)
 

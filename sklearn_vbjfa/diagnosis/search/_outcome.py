@@ -150,8 +150,8 @@ def _effects(search, final, names, prismatic):
                     values[key] + half * deviations[key],
                 )
                 for key in deviations
-                # What no column determines has no interval.
-                if deviations[key] != 0
+                # What no column determines, or no scatter tells of, has no interval.
+                if deviations[key] > 0
             },
             evidence=evidence,
             rivals=rivals.get(one.key(), ()),
@@ -176,15 +176,16 @@ def _afterwards(effect, estimate, seconds):
     scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 0.0))
     # Small beside what the value itself is, where the deviation is not.
     steps = 1e-4 * np.minimum(scale, np.abs(values))
-    steps[steps == 0] = 1e-9
+    steps[~(steps > 0)] = 1e-9
     sides = [
         [left(values + way * step) for way in (0.5, -0.5)] for step in np.diag(steps)
     ]
     intervals = {}
     for name, value in found.items():
         slope = np.array([above[name] - below[name] for above, below in sides]) / steps
-        reach = half * np.sqrt(max(slope @ estimate.covariance @ slope, 0.0))
-        intervals[name] = (value - float(reach), value + float(reach))
+        reach = half * _deviation(slope, estimate.covariance)
+        if not np.isnan(reach):
+            intervals[name] = (value - reach, value + reach)
     return Afterwards(
         seconds=seconds, how=effect.afterwards, left=found, intervals=intervals
     )
@@ -198,24 +199,29 @@ def _named(effect, estimate):
     scale = np.sqrt(np.maximum(np.diagonal(covariance)[:k], 0.0))
     slopes = {key: np.zeros(k) for key in values}
     for i in range(k):
-        step = 1e-4 * scale[i] or 1e-9
+        step = 1e-4 * scale[i] if scale[i] > 0 else 1e-9
         moved = np.array(coef, dtype=float)
         moved[i] += step
         for key, value in effect.parameters(moved).items():
             slopes[key][i] = (value - values[key]) / step
     own = covariance[:k, :k]
-    deviations = {
-        key: float(np.sqrt(max(slope @ own @ slope, 0.0)))
-        for key, slope in slopes.items()
-    }
+    deviations = {key: _deviation(slope, own) for key, slope in slopes.items()}
     for i, name in enumerate(estimate.shape):
         if name not in values:
             values[name] = float(getattr(effect, name))
-            deviations[name] = float(np.sqrt(max(covariance[k + i, k + i], 0.0)))
+            own = np.arange(len(covariance)) == k + i
+            deviations[name] = _deviation(own.astype(float), covariance)
     for name, value in effect.shape().items():
         if name not in effect.tangent:
             values.setdefault(name, value)
     return values, deviations
+
+
+def _deviation(slope, covariance):
+    """Deviation of what has a slope by some values; nan if one of them is not known."""
+    seen = slope != 0
+    slope = slope[seen]
+    return float(np.sqrt(np.maximum(slope @ covariance[np.ix_(seen, seen)] @ slope, 0)))
 
 
 def _rounds(search, names):

@@ -51,10 +51,9 @@ def _scales(windows):
 def errors_text(simulated, seconds):
     """Errors joint by joint, and what became of the windows."""
     windows = simulated.windows
-    one = next(iter(windows.values()))
-    whole = ~np.any([own.failed for own in windows.values()], axis=0)
+    one, whole = next(iter(windows.values())), _whole(windows)
     scale, units = _scales(one)
-    rivals = {"stays": one.staying(), "goes on": one.going_on()}
+    rivals = _rivals(one)
     positions, velocities = {"": one.joint_names, "unit": units}, {}
     velocities |= {"": one.joint_names, "unit": [f"{unit}/s" for unit in units]}
     for label, own in (windows | rivals).items():
@@ -87,7 +86,48 @@ def errors_text(simulated, seconds):
             lines.append(who + _failed(simulated, own))
         if own.run_away.any():
             lines.append(who + _run_away(simulated, own))
+        beaten = _beaten(windows, label)
+        if beaten:
+            lines.append(f"{who}{beaten}.")
     return "\n".join(lines)
+
+
+def doubts_of(simulated):
+    """Say what stands against the simulation, a list of str.
+
+    Of two models it is the last one that is handed on; a window that fails is left out
+    of the errors of both.
+    """
+    windows = simulated.windows
+    label, last = list(windows.items())[-1]
+    failed = [own for own in windows.values() if own.failures]
+    doubts = [f"{_failed_count(own)} failed" for own in failed]
+    if last.run_away.any():
+        doubts.append(f"{_away_count(last)} joints ran away")
+    return [*doubts, *filter(None, [_beaten(windows, label)])]
+
+
+def _whole(windows):
+    """Windows that every robot was simulated to the end of, (n_windows,), bool."""
+    return ~np.any([own.failed for own in windows.values()], axis=0)
+
+
+def _rivals(windows):
+    """Return the same windows of robots that ignore the torques, by their names."""
+    return {"stays": windows.staying(), "goes on": windows.going_on()}
+
+
+def _beaten(windows, label):
+    """Name the joints on which a rival is as good as a robot; empty for none."""
+    own, whole = windows[label], _whole(windows)
+    if not whole.any():
+        return ""
+    least = np.min([_rms(x.errors[whole]) for x in _rivals(own).values()], axis=0)
+    worse = _rms(own.errors[whole]) >= least
+    names = [name for name, beaten in zip(own.joint_names, worse) if beaten]
+    if not names:
+        return ""
+    return f"no better than a robot that stays or goes on: {', '.join(names)}"
 
 
 def _tabulated(columns):
@@ -124,10 +164,18 @@ def _numbers(values):
 def _failed(simulated, windows):
     """Name windows that were not simulated to their end, and why."""
     count = len(windows.failures)
-    told = [f"{count} of {windows.n_windows} windows failed:"]
+    told = [f"{_failed_count(windows)} failed:"]
     for one in windows.failures[:_MOST_NAMED]:
         told.append(f"- {_placed(simulated, windows, one.window)}: {one.message}")
     return _ended(told, count)
+
+
+def _failed_count(windows):
+    return f"{len(windows.failures)} of {windows.n_windows} windows"
+
+
+def _away_count(windows):
+    return f"in {windows.run_away.any(axis=1).sum()} of {windows.n_windows} windows"
 
 
 def _run_away(simulated, windows):
@@ -135,8 +183,8 @@ def _run_away(simulated, windows):
     away = windows.run_away
     numbers = np.flatnonzero(away.any(axis=1))
     told = [
-        f"in {numbers.size} of {windows.n_windows} windows joints ran away, farther "
-        "off than stays and goes on in any:"
+        f"{_away_count(windows)} joints ran away, farther off than stays and goes on "
+        "in any:"
     ]
     for k in numbers[:_MOST_NAMED]:
         names = [n for n, out in zip(windows.joint_names, away[k]) if out]

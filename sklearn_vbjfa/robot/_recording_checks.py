@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 
+from sklearn_vbjfa.model._doubts import DoubtWarning
 from sklearn_vbjfa.recording._faults import (
     at_rest,
     nothing_moves,
@@ -127,7 +128,7 @@ def check_channels(names, positions, torques, n_rows):
             "is left out (stiction may have any value), friction is not "
             "identifiable, and inertial parameters only as far as other joints "
             "feel them.",
-            UserWarning,
+            DoubtWarning,
             stacklevel=4,
         )
 
@@ -167,7 +168,7 @@ def check_length(parts, lowpass, cutoff):
         warnings.warn(
             f"{len(short)} of {len(parts)} recordings (from row {rows}) are "
             f"shorter than the low-pass filter ({need} samples) and are left out.",
-            UserWarning,
+            DoubtWarning,
             stacklevel=4,
         )
 

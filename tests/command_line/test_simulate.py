@@ -53,9 +53,9 @@ def good(tmp_path, recording, monkeypatch):
     return write_csv(tmp_path / "arm.csv", recording)
 
 
-def run(capsys, *argv):
+def run(capsys, *argv, code=0):
     """Return what is printed, without notes."""
-    assert main(["simulate", *map(str, argv)]) == 0
+    assert main(["simulate", *map(str, argv)]) == code
     captured = capsys.readouterr()
     assert all(line.startswith("note: ") for line in captured.err.splitlines())
     return captured.out
@@ -217,7 +217,7 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
         return right(self, *given, **named)
 
     monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)
-    text = run(capsys, good, "--model", saved)
+    text = run(capsys, good, "--model", saved, code=3)
     count = len(calls)
     assert f"1 of {count} windows failed:" in text
     (line,) = [x for x in text.splitlines() if x.startswith("- ")]
@@ -247,10 +247,14 @@ def test_joints_that_run_away_are_named(good, saved, capsys, monkeypatch):
         return states
 
     monkeypatch.setattr(IdentifiedRobot, "simulate", away)
-    lines = run(capsys, good, "--model", saved).splitlines()
+    lines = run(capsys, good, "--model", saved, code=3).splitlines()
     (at,) = [k for k, line in enumerate(lines) if "joints ran away" in line]
     assert lines[at].startswith(f"in 1 of {len(calls)} windows")
     assert re.fullmatch(r"- arm, \S+ to \S+ s: elbow", lines[at + 1])
+    # Nothing but the one that runs away moves.
+    assert lines[at + 2] == (
+        "no better than a robot that stays or goes on: shoulder, elbow."
+    )
 
 
 def test_a_run_that_is_interrupted_leaves_nothing(good, saved, capsys, monkeypatch):
@@ -273,7 +277,7 @@ def test_nothing_but_failures_is_said(good, saved, capsys, monkeypatch):
         raise SimulationError("The simulation diverges.", 0.5)
 
     monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)
-    text = run(capsys, good, "--model", saved)
+    text = run(capsys, good, "--model", saved, code=3)
     assert re.search(r"(\d+) of \1 windows failed:", text)
     assert "none" in text
     assert re.search(r"^- and \d+ more; see simulation.csv$", text, flags=re.M)

@@ -10,6 +10,7 @@ import signal
 import sys
 import textwrap
 
+from sklearn_vbjfa._cli import _exit_codes
 from sklearn_vbjfa._cli._stopping import (
     Stopped,
     ignore_stops,
@@ -33,8 +34,9 @@ def main(argv=None):
     Returns
     -------
     int
-        Exit code: 0 for success; 2 for bad input, with one line on stderr; 128 plus
-        the signal's number if the run was stopped, so 130 for an interrupt.
+        Exit code: 0 if the result can be used; 2 if nothing was done, with one line
+        on stderr; 3 if it was done with a doubt, which is stated; 128 plus the
+        signal's number if the run was stopped, so 130 for an interrupt.
     """
     arguments = None
     try:
@@ -56,25 +58,35 @@ def main(argv=None):
         _tell(
             "not enough memory; give a shorter recording or fewer effects (--effects)"
         )
-        return 2
+        return _given_up(arguments)
     except (ValueError, OSError, ImportError) as error:
         if stopped_by() is not None:
             return _tell_stop(stopped_by(), arguments)
         line = one_line(_in_words(error, arguments))
         command = _command(argv, getattr(error, "options", None))
         _say(line, command or _content(error))
-        return 2
-    return 0
+        return _given_up(arguments)
+    if arguments is None or not arguments.doubts:
+        return _exit_codes.USABLE
+    _note(_exit_codes.line(arguments.doubts))
+    return _exit_codes.DOUBTFUL
+
+
+def _given_up(arguments):
+    """Return the exit code of a run that could not go on to its end."""
+    is_written = arguments is not None and arguments.written
+    return _exit_codes.DOUBTFUL if is_written else _exit_codes.REFUSED
 
 
 def _in_words(error, arguments):
     """Return what a refusal says, without what only concerns callers of a function."""
+    done = arguments is not None and arguments.written
+    written = "; all files were written" if done else ""
     if isinstance(error, OSError) and error.strerror:
         # Writing to a stream names no file.
         what = error.filename or "the standard output"
-        done = arguments is not None and arguments.written
-        return f"{what}: {error.strerror}{'; all files were written' if done else ''}"
-    return getattr(error, "reason", error)
+        return f"{what}: {error.strerror}{written}"
+    return f"{getattr(error, 'reason', error)}{written}"
 
 
 # Options of the command line, by the arguments of `read_recording`.
@@ -208,6 +220,17 @@ def _tell(message):
         print(f"sklearn-vbjfa: {message}", file=sys.stderr, flush=True)
 
 
+def _note(text):
+    """Print a note to stderr, which a terminal gets wrapped."""
+    from sklearn_vbjfa._cli._input import wrapped
+
+    if sys.stderr is None:
+        return
+    with contextlib.suppress(OSError):
+        text = one_line(f"note: {text}")
+        print(wrapped(text, sys.stderr), file=sys.stderr, flush=True)
+
+
 def one_line(message):
     """Return a message as one line; of a huge one the middle is left out, and said."""
     text = " ".join(str(message).split())
@@ -219,7 +242,10 @@ def one_line(message):
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser whose refusals are as short as those of a run."""
+    """Parser that tells the exit codes, whose refusals are as short as a run's."""
+
+    def __init__(self, **given):
+        super().__init__(epilog=_exit_codes.EPILOG, **given)
 
     def error(self, message):
         super().error(one_line(message))
@@ -246,7 +272,7 @@ def _parser():
         "a command, close the loop on the recording that comes with the package.",
     )
     parser.add_argument("--version", action="version", version=__version__)
-    parser.set_defaults(run=_close_loop.run_demo, written=False)
+    parser.set_defaults(run=_close_loop.run_demo, written=False, doubts=())
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     _close_loop.add_to(commands)
     _inspect.add_to(commands)

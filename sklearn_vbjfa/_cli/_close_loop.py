@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _input, _options
+from sklearn_vbjfa._cli import _exit_codes, _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings, told
 from sklearn_vbjfa._cli._stopping import undisturbed
 
@@ -112,6 +112,7 @@ def run(arguments):
             raise ValueError(f"{source}: {error}") from error
         others = _input.other_joints(taken.urdf, held)
         text = [str(recording), *others, str(loop.report_)]
+        arguments.doubts = _doubts(loop, caught)
         try:
             # Before anything is printed, as a reader such as head may end the run.
             provenance = Provenance(
@@ -146,9 +147,15 @@ def run_demo(arguments):
         warnings.simplefilter("always")
         friction = _options.FRICTION.split(",")
         loop = close(recording, recording.urdf, friction=friction)
+    arguments.doubts = _doubts(loop, caught)
     print(recording)
     print(loop.report_)
     say_warnings(caught)
+
+
+def _doubts(loop, caught):
+    """Doubts of a report, and of the warnings that came with it."""
+    return [*_exit_codes.of_report(loop.report_), *_exit_codes.of_warnings(caught)]
 
 
 def close(

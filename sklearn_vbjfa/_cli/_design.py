@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli import _exit_codes, _input
 from sklearn_vbjfa._cli._identify import say_warnings
 from sklearn_vbjfa._cli._stopping import undisturbed
 
@@ -229,6 +229,11 @@ def run(arguments):
             commands=_next(arguments, robot, found),
         )
         text = _page.summary(motion, background)
+        arguments.doubts = [
+            *_page.undecided(motion),
+            *_page.unseen(motion, asked),
+            *_exit_codes.of_warnings(caught),
+        ]
         try:
             with undisturbed():
                 written = _write(motion, _page.page(motion, background), out)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _input, _options
+from sklearn_vbjfa._cli import _exit_codes, _input, _options
 
 # What is identified of a recording of one's own, where no option says so.
 _DEFAULTS = {"friction": _options.FRICTION, "cutoff": "auto"}
@@ -73,6 +73,10 @@ def run(arguments):
                 raise
             # The options are valid, so the recording is at fault.
             raise ValueError(f"{arguments.recording}: {error}") from error
+    arguments.doubts = [
+        *_doubts(results, fitted.joint_names_),
+        *_exit_codes.of_warnings(caught),
+    ]
     print(_report(task, results, fitted))
     say_warnings(caught)
 
@@ -158,7 +162,7 @@ def _own(arguments, folder):
     taken = _input.taken(arguments, gains, folder)
     _input.check_nyquist(cutoff, taken.recording, source)
     _input.check_gains(gains, None, taken.urdf)
-    _input.check_channels(taken.recording, taken.urdf, source)
+    _input.check_channels(taken.recording, taken.urdf, gains, source)
     identifier = RobotIdentifier(
         str(taken.urdf),
         dt=taken.recording.dt,
@@ -246,8 +250,24 @@ def _report(task, results, fitted):
         "",
         _input.wrapped(_consistency(results, len(names)), sys.stdout),
     ]
-    failed = [f"{r.name} failed: {r.message}" for r in results if r.message]
-    return "\n".join(lines + failed)
+    return "\n".join(lines + _failed(results))
+
+
+def _failed(results):
+    """Name the methods that failed, and why."""
+    return [f"{r.name} failed: {r.message}" for r in results if r.message]
+
+
+def _doubts(results, joints):
+    """Name methods that failed, joints without an error, and bodies that cannot be."""
+    ours = results[0]
+    doubts = _failed(results)
+    blank = [] if ours.message else np.flatnonzero(~np.isfinite(ours.error))
+    if len(blank):
+        doubts.append(f"no error of {', '.join(joints[j] for j in blank)}")
+    if ours.n_inconsistent:
+        doubts.append(f"{ours.n_inconsistent} bodies are not physically consistent")
+    return doubts
 
 
 def _overall(result):

@@ -12,10 +12,13 @@ import shutil
 import sys
 import tempfile
 import textwrap
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+
+from sklearn_vbjfa._cli import _exit_codes
 
 # How a cell begins that a spreadsheet computes.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -208,14 +211,27 @@ def other_joints(urdf, held):
     return lines
 
 
-def check_channels(recording, urdf, source):
-    """Refuse channels that cannot be what their names say."""
+def channel_findings(recording, urdf, gains):
+    """Look for faults of the channels; factors that are unknown are none."""
     from sklearn_vbjfa.inspection import inspect_recording
 
     findings = inspect_recording(recording, urdf)
+    motor = any(unit not in ("N m", "N") for unit in recording.torque_units)
+    if motor or gains == "unknown":
+        return [found for found in findings if found.kind != "gear_factor"]
+    return findings
+
+
+def check_channels(recording, urdf, gains, source):
+    """Refuse channels that cannot be what their names say, warn of doubtful ones."""
+    from sklearn_vbjfa.model._doubts import DoubtWarning
+
+    findings = channel_findings(recording, urdf, gains)
     errors = [found.message for found in findings if found.severity == "error"]
     if errors:
         raise ValueError(f"{source}: {' '.join(errors)}")
+    for message in _exit_codes.of_channels(findings):
+        warnings.warn(f"{source}: {message}", DoubtWarning, stacklevel=2)
 
 
 def signals(text, recording, source):

@@ -7,8 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _input, _options
+from sklearn_vbjfa._cli import _exit_codes, _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings
+
+_TOO_SHORT = "too short for a look at the motion"
 
 
 def add_to(commands):
@@ -27,7 +29,7 @@ def add_to(commands):
 
 def run(arguments):
     """Read a recording and describe it."""
-    from sklearn_vbjfa.inspection import inspect_recording, motion_of
+    from sklearn_vbjfa.inspection import motion_of
 
     source = arguments.recording
     gains = _input.gains(arguments.gain)
@@ -40,9 +42,14 @@ def run(arguments):
         taken = _input.taken(arguments, gains or "unknown", Path(folder))
         recording, urdf = taken.recording, str(taken.urdf)
         _input.signals(arguments.signals, recording, source)
-        findings = inspect_recording(recording, urdf)
+        findings = _input.channel_findings(recording, urdf, gains)
         motions = motion_of(recording, urdf)
         others = _input.other_joints(urdf, taken.held)
+    arguments.doubts = [
+        *([] if motions else [_TOO_SHORT]),
+        *_exit_codes.of_channels(findings),
+        *_exit_codes.of_warnings(caught),
+    ]
     text = [*_what(recording, others), "", *_table(recording, motions), ""]
     print("\n".join([*text, *_wrong(recording, findings), "", *_shown(motions)]))
     say_warnings(caught)
@@ -75,7 +82,7 @@ def _table(recording, motions):
     from tabulate import tabulate
 
     if not motions:
-        return ["too short for a look at the motion"]
+        return [_TOO_SHORT]
     rows = []
     for motion, unit in zip(motions, recording.torque_units):
         scale, name = (1e3, "mm") if motion.slides else (180 / np.pi, "deg")
@@ -104,9 +111,6 @@ def _table(recording, motions):
 def _wrong(recording, findings):
     """Say what is wrong with the channels."""
     odd = [unit for unit in recording.torque_units if unit not in ("N m", "N")]
-    if odd:
-        # A motor's unit is no fault of the channel.
-        findings = [x for x in findings if x.kind != "gear_factor"]
     lines = ["What is wrong with it"]
     lines += [f"- {x.severity}: {x.message}" for x in findings]
     if odd:

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _close_loop, _input, _options
+from sklearn_vbjfa._cli import _close_loop, _exit_codes, _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings
 from sklearn_vbjfa._cli._simulated import (
     Simulated,
+    doubts_of,
     errors_table,
     errors_text,
     pictures,
@@ -137,6 +138,7 @@ def run(arguments):
             recording=recording, rows=rows, windows=windows, told=task.told
         )
         text = errors_text(found, arguments.window)
+        arguments.doubts = [*doubts_of(found), *_exit_codes.of_warnings(caught)]
         files = {_TABLE: errors_table(found).encode("utf-8")}
         left = ""
         if draws:
@@ -231,7 +233,7 @@ def _saved(arguments, source, folder):
             f"was identified at {robot.dt:.6g} s; resample the recording to that "
             "period, or identify from this one."
         )
-    _input.check_channels(recording, urdf, source)
+    _input.check_channels(recording, urdf, gains, source)
     effects = ", ".join(
         f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
     )
@@ -283,7 +285,7 @@ def _identified(arguments, source, folder):
     else:
         taken = _input.taken(arguments, gains, folder)
         recording, urdf, held = taken.recording, taken.urdf, taken.held
-        _input.check_channels(recording, urdf, source)
+        _input.check_channels(recording, urdf, gains, source)
         signals = _input.signals(arguments.signals, recording, source)
     _input.check_nyquist(cutoff, recording, source)
     _input.check_gains(gains, masses, urdf)

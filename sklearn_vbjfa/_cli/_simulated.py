@@ -93,6 +93,21 @@ def errors_text(simulated, seconds):
     return "\n".join(lines)
 
 
+def doubts_of(simulated):
+    """Say what stands against the simulation, a list of str.
+
+    Of two models it is the last one that is handed on; a window that fails is left out
+    of the errors of both.
+    """
+    windows = simulated.windows
+    last = list(windows.values())[-1]
+    failed = [own for own in windows.values() if own.failures]
+    doubts = [f"{_failed_count(own)} failed" for own in failed]
+    if last.run_away.any():
+        doubts.append(f"{_away_count(last)} joints ran away")
+    return doubts if last.clearly_better.all() else [*doubts, last.verdict()]
+
+
 def _tabulated(columns):
     """Write columns of text, the first two of them words, as a table."""
     from tabulate import tabulate
@@ -136,10 +151,18 @@ def _verdict(who, windows):
 def _failed(simulated, windows):
     """Name windows that were not simulated to their end, and why."""
     count = len(windows.failures)
-    told = [f"{count} of {windows.n_windows} windows failed:"]
+    told = [f"{_failed_count(windows)} failed:"]
     for one in windows.failures[:_MOST_NAMED]:
         told.append(f"- {_placed(simulated, windows, one.window)}: {one.message}")
     return _ended(told, count)
+
+
+def _failed_count(windows):
+    return f"{len(windows.failures)} of {windows.n_windows} windows"
+
+
+def _away_count(windows):
+    return f"in {windows.run_away.any(axis=1).sum()} of {windows.n_windows} windows"
 
 
 def _run_away(simulated, windows):
@@ -147,8 +170,8 @@ def _run_away(simulated, windows):
     away = windows.run_away
     numbers = np.flatnonzero(away.any(axis=1))
     told = [
-        f"in {numbers.size} of {windows.n_windows} windows joints ran away, farther "
-        "off than stays and goes on in any:"
+        f"{_away_count(windows)} joints ran away, farther off than stays and goes on "
+        "in any:"
     ]
     for k in numbers[:_MOST_NAMED]:
         names = [n for n, out in zip(windows.joint_names, away[k]) if out]

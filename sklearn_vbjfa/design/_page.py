@@ -219,11 +219,15 @@ class Decision:
 def decisions(motion, background):
     """List what a motion decides, what the report names as rivals first.
 
+    What would take more torque than the joint has is `undecided`.
+
     Causes of a joint that no one has named as rivals are one question together.
     """
     named = background.rivals()
     found, others = [], {}
     for one in motion.parts:
+        if one.least > _has(motion, one.joint):
+            continue
         if (frozenset(one.names), one.joint) in named:
             found.append(_one_pair(one))
         else:
@@ -244,6 +248,33 @@ def decisions(motion, background):
             )
         )
     return found
+
+
+def _has(motion, j):
+    """Largest torque of a joint: its limit, or without one that in the motion."""
+    limit = motion.limits.torque[j]
+    return limit if np.isfinite(limit) else np.abs(motion.tau[:, j]).max()
+
+
+def undecided(motion):
+    """Say which causes a motion does not tell apart, a list of str."""
+    return [
+        f"not told apart on {words.joint_label(motion.joint_names, one.joint)}, except "
+        f"by {_newtons(motion, one.least, one.joint)}, more than it has: "
+        f"{_one_pair(one).causes}"
+        for one in motion.parts
+        if one.least > _has(motion, one.joint)
+    ]
+
+
+def unseen(motion, names):
+    """Say which effects of some names a motion does not show, a list of str."""
+    return [
+        f"{effect_label(one.name)} on "
+        f"{words.joint_label(motion.joint_names, one.joint)}: {one.reason}"
+        for one in motion.invisible
+        if one.name in names
+    ]
 
 
 def _one_pair(one):
@@ -378,7 +409,11 @@ def _invisible(motion, background):
     return Section(
         heading="What stays invisible",
         sentences=tuple(
-            words.capital(x) for x in invisible_sentences(motion, background)
+            words.capital(x)
+            for x in (
+                *(f"{one}." for one in undecided(motion)),
+                *invisible_sentences(motion, background),
+            )
         ),
     )
 
@@ -635,9 +670,10 @@ def _decides_text(motion, background):
 
 
 def _never_text(motion, background):
-    """List what stays invisible."""
-    told = invisible_sentences(motion, background)
-    return [line for text in told[:2] for line in _wrapped(f"Invisible: {text}")]
+    """List what stays open or invisible."""
+    told = [f"{words.capital(one)}." for one in undecided(motion)[:_LISTED]]
+    told += [f"Invisible: {x}" for x in invisible_sentences(motion, background)[:2]]
+    return [line for text in told for line in _wrapped(text)]
 
 
 def _parameters_text(motion, background):

@@ -15,6 +15,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
+from sklearn_vbjfa.recording._faults import levels
 from sklearn_vbjfa.recording._reader import read_recording
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.robot._equations import accumulate, segments
@@ -130,7 +131,7 @@ def fit_recordings(identifier, source):
     parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
     check_length(parts, plan.lowpass, plan.cutoff)
     ranges = np.stack([motion.lowest, motion.highest])
-    check_channels(names, ranges, extent["torques"])
+    check_channels(names, ranges, extent["torques"], sum(extent["lengths"]))
     numbering = Numbering.of([plan.lowpass.centres(n).size for n in extent["lengths"]])
     numbers = _first_numbers(files, extent["recordings"])
     halves = identifier.input_noise is not None
@@ -207,23 +208,22 @@ def _has_period(file):
 
 
 def _measure(load, file):
-    """Lengths, range of torques, which joints move."""
+    """Lengths, levels of torques, which joints move."""
     recording = load(file)
     parts, tau = recording.segments, recording.tau
     return {
         "lengths": [part.stop - part.start for part in parts],
         "recordings": [len(parts)],
-        "torques": np.stack([tau.min(axis=0), tau.max(axis=0)]),
+        "torques": levels(tau),
         "moving": np.any([np.ptp(recording.q[p], axis=0) > 0 for p in parts], axis=0),
     }
 
 
 def _merge_extents(first, second):
-    low, high = np.stack([first["torques"], second["torques"]], axis=1)
     return {
         "lengths": first["lengths"] + second["lengths"],
         "recordings": first["recordings"] + second["recordings"],
-        "torques": np.stack([low.min(axis=0), high.max(axis=0)]),
+        "torques": levels(np.concatenate([first["torques"], second["torques"]])),
         "moving": first["moving"] | second["moving"],
     }
 

@@ -79,9 +79,11 @@ def inspect_channels(model, q, tau, dt, groups=None):
 
         - errors, which a search for effects would find instead of effects:
           "shuffled_rows", "wrapped_position", "position_degrees", "position_counts",
-          "velocity_as_position", "wrong_dt", "constant_torque", "torque_sign",
-          "flipped_joint" (both signs), "swapped_torques", "swapped_positions",
-          "swapped_joints" (both), "joint_order" (three joints or more);
+          "velocity_as_position", "wrong_dt", "constant_torque", "two_torques" if no
+          torque has more than two values, "still_joint" if no joint moves,
+          "torque_sign", "flipped_joint" (both signs), "swapped_torques",
+          "swapped_positions", "swapped_joints" (both), "joint_order" (three joints or
+          more);
         - doubts, which rule out a favourable verdict: "gear_factor", "position_zero",
           "frozen_recording", "held_position", "held_torque", "repeated_rows" if there
           are many, "wrong_dt" if the motion is merely slower than a robot's,

@@ -16,7 +16,7 @@ import numpy as np
 
 from sklearn_vbjfa.recording._quoting import listed
 from sklearn_vbjfa.recording._refusal import RecordingRefused
-from sklearn_vbjfa.recording._table import LARGEST, Source, Table
+from sklearn_vbjfa.recording._table import LARGEST, Loss, Source, Table
 
 ENDINGS = (".bag", ".db3", ".mcap")
 _TYPE = "sensor_msgs/msg/JointState"
@@ -256,20 +256,25 @@ def _table(kinds, bare, shown, topic, wanted):
     if not wanted:
         strange = "they come in other messages, or without numbers"
     moved = max((_travel(kinds, x) for x in of_robot), default=0.0)
-    for left, why in (
-        ([x for x in others if x not in of_robot], strange),
+    for kind, left, why in (
+        (str, [x for x in others if x not in of_robot], strange),
         (
+            Loss,
             of_robot,
             "they come in other messages, or without numbers, and move there by up to "
             f"{moved:.3g} rad or m",
         ),
     ):
         if left:
-            notes.append(f"joint(s) {listed(left)} of {topic} left out: {why}.")
+            notes.append(kind(f"joint(s) {listed(left)} of {topic} left out: {why}."))
     if total > order.size:
+        # Messages of other joints are no loss.
+        kind = Loss if rows.size > order.size else str
         notes.append(
-            f"{total - order.size} of {total} messages of {topic} lack some of the "
-            "joints taken, or numbers of theirs, and are left out."
+            kind(
+                f"{total - order.size} of {total} messages of {topic} lack some of the "
+                "joints taken, or numbers of theirs, and are left out."
+            )
         )
     notes.insert(
         0,

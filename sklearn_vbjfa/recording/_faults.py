@@ -121,10 +121,12 @@ def inspect_samples(names, q, tau, dt, parts, rows, revolute):
     """
     usable = np.ones(q.shape, dtype=bool)
     findings, q = wrapped_positions(names, q, revolute, parts, rows)
-    still = _still(q, parts)
-    for j in np.flatnonzero(still):
-        usable[:, j] = False
-        findings.append(_still_joint(names[j], j, q[:, j]))
+    still = still_joints(q, parts)
+    usable[:, still] = False
+    if still.all():
+        findings.append(nothing_moves(names, q))
+    else:
+        findings += [_still_joint(names[j], j, q[:, j]) for j in np.flatnonzero(still)]
     moving = _moving(q, parts)
     lost, finding = repeated_rows(names, q, tau, dt, moving, parts, rows)
     findings += finding
@@ -133,10 +135,13 @@ def inspect_samples(names, q, tau, dt, parts, rows, revolute):
     constant = ~still & (np.ptp(tau, axis=0) == 0)
     usable[:, constant] = False
     findings += _constant(names, np.flatnonzero(constant), tau)
+    switched = two_values(names, ~still, tau)
+    findings += switched
     for j in np.flatnonzero(~still & ~constant):
         finding, bad = _clipped(names[j], j, tau[:, j], moving, parts)
         coarse = _coarse(names[j], j, tau[:, j], moving, parts, held[1, j])
-        findings += finding + coarse
+        # What is said of all torques together is not said of each again.
+        findings += [] if switched else finding + coarse
         usable[:, j] &= ~bad & (not coarse)
     for j in np.flatnonzero(~still):
         known = lost
@@ -150,7 +155,7 @@ def inspect_samples(names, q, tau, dt, parts, rows, revolute):
         findings += finding
         usable[jumps] = False
         finding, bad = _outliers(names[j], j, "torque", tau[:, j], parts, lost, rows)
-        findings += finding
+        findings += [] if switched else finding
         usable[:, j] &= ~bad
     usable[lost] = False
     return findings, usable, q
@@ -434,8 +439,8 @@ def _period(y):
 # -- channels without information ------------------------------------------------------
 
 
-def _still(q, parts):
-    """Joints at rest throughout, (nv,), bool."""
+def still_joints(q, parts):
+    """Joints at rest throughout, but for the noise of their positions, (nv,), bool."""
     noise = np.zeros(q.shape[1])
     count = 0
     for part in parts:
@@ -459,6 +464,59 @@ def _still_joint(name, j, x):
         f"{x.mean():.4g}, which is its noise; its own parameters cannot be identified, "
         "lock it in the model or record a motion of it.",
     )
+
+
+def at_rest(q, parts):
+    """Whether nothing moves, in rows whose order nobody has looked at."""
+    # Rows out of order look like noise as well, but like more of it.
+    return bool(still_joints(q, parts).all() and q.std(axis=0).max() <= _LEAST_MOTION)
+
+
+def nothing_moves(names, q):
+    """Return the finding that every joint is at rest."""
+    most = int(np.argmax(np.ptp(q, axis=0)))
+    return ChannelFinding(
+        "still_joint",
+        tuple(range(len(names))),
+        "error",
+        f"No joint moves: each position stays within its noise, that of {names[most]} "
+        f"within {np.ptp(q[:, most]):.3g} of {q[:, most].mean():.4g}; expected a "
+        "motion that excites the joints to be identified. Check the position columns.",
+    )
+
+
+def levels(tau):
+    """Lowest, second highest and highest value of each torque, ndarray (3, nv).
+
+    The second is the lowest where a torque has no third value. Levels of levels are
+    those of all rows together.
+    """
+    low, high = tau.min(axis=0), tau.max(axis=0)
+    return np.stack([low, np.where(tau < high, tau, low).max(axis=0), high])
+
+
+def two_values(names, moves, tau):
+    """Find torques that tell two values only, of all joints that move: one or none.
+
+    moves (nv,) : which joints move; tau (n, nv), or their `levels`. Where one joint's
+    torque shows more, those of others are merely coarse.
+    """
+    low, second, high = levels(tau)
+    joints = np.flatnonzero(moves & (low < high))
+    if not joints.size or (moves & (low < second)).any():
+        return []
+    j = joints[0]
+    who = listed(names, joints)
+    return [
+        ChannelFinding(
+            "two_torques",
+            tuple(int(k) for k in joints),
+            "error",
+            f"The torque of {who} has two values only ({low[j]:.6g} and {high[j]:.6g}"
+            f"{f' of {names[j]}' if joints.size > 1 else ''}): such a channel holds a "
+            "direction or a switch and no torque; record the torques themselves.",
+        )
+    ]
 
 
 def _constant(names, joints, tau):

@@ -7,6 +7,7 @@ from os import PathLike, fspath
 
 import numpy as np
 
+from sklearn_vbjfa.model._doubts import DoubtWarning
 from sklearn_vbjfa.recording import _layout
 from sklearn_vbjfa.recording._files import read_table
 from sklearn_vbjfa.recording._layout import Layout, MappingRefused
@@ -23,7 +24,7 @@ from sklearn_vbjfa.recording._refusal import (
 )
 from sklearn_vbjfa.recording._resample import on_grid
 from sklearn_vbjfa.recording._signals import as_numbers
-from sklearn_vbjfa.recording._table import Table
+from sklearn_vbjfa.recording._table import Loss, Table
 from sklearn_vbjfa.recording._units import TIME_UNITS, split_unit, unit_of
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
@@ -199,7 +200,8 @@ def read_recording(
         )
     fields = on_grid(table, t, labels, dt, {**channels, **signals}, notes)
     for note in notes:
-        warnings.warn(f"{table.path}: {note}", UserWarning, stacklevel=2)
+        category = DoubtWarning if isinstance(note, Loss) else UserWarning
+        warnings.warn(f"{table.path}: {note}", category, stacklevel=2)
     return Recording(
         name=name or _stem(table.path),
         joint_names=names,
@@ -423,7 +425,7 @@ def _held(table, layout, robot, by_joint, notes):
     if robot.chosen or len(names) == len(robot.names):
         return robot
     held = [x for x in robot.names if x not in having]
-    notes.append(f"no columns of joint(s) {listed(held)}: held at zero.")
+    notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
     return replace(robot, names=names)
 
 

@@ -17,7 +17,7 @@ from sklearn_vbjfa.recording._stamps import (
     inspect_time_stamps,
     prediction_errors,
 )
-from sklearn_vbjfa.recording._table import Table
+from sklearn_vbjfa.recording._table import Loss, Table
 
 # Fewer samples than this between two gaps cannot be differentiated.
 _MIN_SAMPLES = 10
@@ -224,7 +224,7 @@ class _Tally:
     def notes(self):
         """Say it in words."""
         if self.short:
-            yield (
+            yield Loss(
                 f"{self.short} piece(s) of fewer than {_MIN_SAMPLES} samples between "
                 "gaps are left out."
             )
@@ -406,7 +406,7 @@ def _irregularities(table, stamps, segments, dt):
     if count:
         k = next(k for k, x in enumerate(stamps) if x.gaps.size)
         row = segments[k][1][stamps[k].gaps[0]]
-        yield (
+        yield Loss(
             f"{count} gap(s) of more than {GAP_PERIODS:g} periods in time, the first "
             f"after {table.where(row)}: the recording is split there."
         )

@@ -11,6 +11,12 @@ import numpy as np
 LARGEST = 1 << 30
 
 
+class Loss(str):
+    """A note on what of a recording, or of its robot, is left out."""
+
+    __slots__ = ()
+
+
 @dataclass(frozen=True, kw_only=True)
 class Table:
     """Named columns of equal length, numbers or text, out of a file.

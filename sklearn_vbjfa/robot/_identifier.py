@@ -84,6 +84,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     check_count,
     check_input_noise,
     check_length,
+    check_motion,
     check_speed,
     check_weight,
     check_widths,
@@ -685,6 +686,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         check_input_noise(self.input_noise)
         nv = self.features_.n_joints_
         parts = contiguous_groups(groups, X.shape[0])
+        if X.shape[1] == nv:
+            check_motion(self.joint_names_, X, parts)
         warn_of_disorder(self.joint_names_, X[:, :nv], parts, groups)
         check_time_stamps(t, self.dt, parts)
         used = signals_for(self.effects_, signals, beside, X.shape[0])
@@ -712,7 +715,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             travel = facts.highest - facts.lowest
             check_speed(self.dt, facts.fast(), travel, self.features_.model_)
         ranges = np.stack([facts.lowest, facts.highest])
-        check_channels(self.joint_names_, ranges, recording.tau)
+        check_channels(self.joint_names_, ranges, recording.tau, recording.n_samples)
         plan = make_plan(
             self,
             self.effects_,

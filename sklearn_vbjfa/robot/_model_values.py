@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_vbjfa.model._doubts import DoubtWarning
 from sklearn_vbjfa.robot._estimate import PlainEstimate, plain_estimate
 
 # A value stays where a correction is smaller than this share of its standard error.
@@ -128,7 +129,7 @@ class ModelValues:
                 f"{', '.join(told)} went to the end of what is plausible: the "
                 "recording shows something else, or does not show it. Leave the effect "
                 "out, or look for a larger fault.",
-                UserWarning,
+                DoubtWarning,
                 stacklevel=4,
             )
 

@@ -4,7 +4,14 @@ import warnings
 
 import numpy as np
 
-from sklearn_vbjfa.recording._faults import position_jumps, shuffled_rows
+from sklearn_vbjfa.model._doubts import DoubtWarning
+from sklearn_vbjfa.recording._faults import (
+    at_rest,
+    nothing_moves,
+    position_jumps,
+    shuffled_rows,
+    two_values,
+)
 
 # A sample period [s] too long for any robot; one too long if the fastest joint is
 # slower than this [rad/s or m/s], as it appears if time is not in seconds.
@@ -15,6 +22,8 @@ _TOO_FAST, _LARGEST_SPEED, _NO_LIMIT = 300.0, 100.0, 1e4
 # A joint that stays within a turn moves back and forth, hence more slowly still; in
 # degrees its range would be hundreds.
 _TURN, _TOO_FAST_NEAR, _LARGEST_NEAR_SPEED = 2 * np.pi, 3.0, 50.0
+# Fewer rows do not show how many values a torque may have.
+_ENOUGH_ROWS = 64
 
 
 def check_widths(names, X, y=None):
@@ -89,8 +98,12 @@ def check_input_noise(input_noise):
         )
 
 
-def check_channels(names, positions, torques):
-    """Reject dead torque channels, warn of joints that do not move; data (n, nv)."""
+def check_channels(names, positions, torques, n_rows):
+    """Reject torques without information, warn of joints that do not move.
+
+    positions (n, nv) : at least their lowest and highest values; torques (n, nv) : at
+    least their `levels`; n_rows : of the recordings.
+    """
     moves = np.ptp(positions, axis=0) > 0
     if not moves.any():
         raise ValueError(
@@ -105,6 +118,9 @@ def check_channels(names, positions, torques):
             "a channel without information cannot be fitted. Check the recording, "
             "or lock the joint in the model with pinocchio.buildReducedModel."
         )
+    if n_rows >= _ENOUGH_ROWS:
+        for finding in two_values(names, moves, torques):
+            raise ValueError(finding.message)
     still = [name for name, moving in zip(names, moves) if not moving]
     if still:
         warnings.warn(
@@ -112,9 +128,15 @@ def check_channels(names, positions, torques):
             "is left out (stiction may have any value), friction is not "
             "identifiable, and inertial parameters only as far as other joints "
             "feel them.",
-            UserWarning,
+            DoubtWarning,
             stacklevel=4,
         )
+
+
+def check_motion(names, positions, parts):
+    """Reject positions (n, nv) that are nothing but noise, in slices `parts`."""
+    if at_rest(positions, parts):
+        raise ValueError(nothing_moves(names, positions).message)
 
 
 def warn_of_disorder(names, positions, parts, groups):
@@ -137,16 +159,16 @@ def check_length(parts, lowpass, cutoff):
     if len(short) == len(parts):
         longest = max(p.stop - p.start for p in parts)
         raise ValueError(
-            f"The low-pass at {cutoff:.4g} Hz is {need} samples long and "
-            f"the longest recording has {longest}; give a longer recording or a "
-            "higher cutoff (None for no low-pass)."
+            f"The low-pass at {cutoff:.4g} Hz is {need} samples long and the longest "
+            f"stretch to be fitted has {longest}; give a longer recording or a higher "
+            "cutoff (None for no low-pass)."
         )
     if short:
         rows = ", ".join(str(p.start) for p in short[:5])
         warnings.warn(
             f"{len(short)} of {len(parts)} recordings (from row {rows}) are "
             f"shorter than the low-pass filter ({need} samples) and are left out.",
-            UserWarning,
+            DoubtWarning,
             stacklevel=4,
         )
 

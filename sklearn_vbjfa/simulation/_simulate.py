@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 
+from sklearn_vbjfa.model._doubts import DoubtWarning
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.simulation._channels import true_torques
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
@@ -369,7 +370,9 @@ def _tell_left_out(robot, dynamics):
     if left:
         left = [f"{e.name} on {names[e.joint]} ({reason})" for e, reason in left]
         warnings.warn(
-            f"The simulation goes without {'; '.join(left)}.", UserWarning, stacklevel=4
+            f"The simulation goes without {'; '.join(left)}.",
+            DoubtWarning,
+            stacklevel=4,
         )
 
 

@@ -39,6 +39,8 @@ REAL = {
 }
 # Refusals that are followed at most.
 PATIENCE = 3
+# Exit codes of runs that wrote their files.
+DONE = (0, 3)
 
 
 @dataclass(frozen=True)
@@ -109,11 +111,11 @@ def bag_to_page(bag, urdf, options, folder):
         spent = spend([sys.executable, "-m", "sklearn_vbjfa", *argv], folder)
         wall, processors = wall + spent.wall, processors + spent.processors
         found = re.search(r"sklearn_vbjfa (close-loop .*)", spent.said)
-        if spent.code == 0 or found is None or refusals == PATIENCE:
+        if spent.code in DONE or found is None or refusals == PATIENCE:
             break
         refusals += 1
         argv = shlex.split(found[1])
-    if spent.code:
+    if spent.code not in DONE:
         raise RuntimeError(f"{bag} is not read: {spent.said[-500:]}")
     page = (out / "report.html").stat().st_size / 1e3
     recorded = json.loads((out / "report.json").read_text("utf-8"))["recorded"]

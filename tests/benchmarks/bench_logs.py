@@ -59,7 +59,7 @@ def get_in(path, urdf, folder):
     argv, refusals, took = first, 0, time.perf_counter()
     while True:
         code, said = attempt(argv)
-        if code == 0 or refusals == PATIENCE:
+        if code in (0, 3) or refusals == PATIENCE:
             break
         refusals += 1
         argv = remedy(said)
@@ -67,7 +67,7 @@ def get_in(path, urdf, folder):
         if argv is None:
             break
     took = time.perf_counter() - took
-    if code:
+    if code not in (0, 3):
         return ["not in", refusals, "–", f"{took:.1f}"], None
     print(f"{path.name}: in; {said.strip()[:800]}")
     report = json.loads((out / "report.json").read_text("utf-8"))

@@ -15,11 +15,11 @@ def made():
     return make_robot_recording(duration=5.0, dt=0.004, random_state=0)
 
 
-def inspect(capsys, *argv):
-    """Return stdout and stderr of a run that succeeds."""
-    code = main(["inspect", *map(str, argv)])
+def inspect(capsys, *argv, code=0):
+    """Return stdout and stderr of a run that ends with an exit code."""
+    found = main(["inspect", *map(str, argv)])
     captured = capsys.readouterr()
-    assert code == 0, captured.err
+    assert found == code, captured.err
     return captured.out, captured.err
 
 
@@ -41,7 +41,7 @@ def test_a_sound_recording(made, tmp_path, capsys):
 def test_what_is_wrong_is_said(made, tmp_path, capsys):
     path = plain(made, tmp_path)
     path.write_text(path.read_text().replace("tau1,tau2", "tau2,tau1", 1))
-    out, _ = inspect(capsys, path, "--urdf", made.urdf)
+    out, _ = inspect(capsys, path, "--urdf", made.urdf, code=3)
     wrong = out.partition("What is wrong with it\n")[2]
     assert wrong.startswith("- error: ")
     assert "joint_1" in wrong.splitlines()[0]
@@ -58,7 +58,7 @@ def test_currents_are_no_fault(made, tmp_path, capsys):
 def test_joints_that_were_not_recorded(made, tmp_path, capsys):
     path = KINDS["PlotJuggler"](made, tmp_path)
     path.write_text(path.read_text().replace("joint_6/", "sensor/"))
-    out, err = inspect(capsys, path, "--urdf", made.urdf)
+    out, err = inspect(capsys, path, "--urdf", made.urdf, code=3)
     assert "held at zero: joint_6" in out
     assert "no columns of joint(s) joint_6: held at zero" in err
     assert len([x for x in out.splitlines() if x.startswith("joint_")]) >= 5

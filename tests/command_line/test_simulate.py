@@ -53,9 +53,9 @@ def good(tmp_path, recording, monkeypatch):
     return write_csv(tmp_path / "arm.csv", recording)
 
 
-def run(capsys, *argv):
+def run(capsys, *argv, code=0):
     """Return what is printed, without notes."""
-    assert main(["simulate", *map(str, argv)]) == 0
+    assert main(["simulate", *map(str, argv)]) == code
     captured = capsys.readouterr()
     assert all(line.startswith("note: ") for line in captured.err.splitlines())
     return captured.out
@@ -109,15 +109,15 @@ def rms_degrees(errors):
 
 def test_the_rest_of_a_recording_is_simulated(good, urdf, recording, capsys):
     pytest.importorskip("matplotlib")
-    text = run(capsys, good, "--urdf", urdf, "--window", "0.5")
+    text = run(capsys, good, "--urdf", urdf, "--window", "0.3")
     lines = text.splitlines()
     assert lines[0].startswith("Recording 'arm': 1000 samples, 2 joints")
     assert lines[1] == "first 70 % of every recording identified, the rest simulated"
     assert max(map(len, lines)) <= 90
     # The same in Python.
-    robot = RobotIdentifier(str(urdf), dt=recording.dt, friction=("viscous", "coulomb"))
+    robot = RobotIdentifier(str(urdf), dt=recording.dt)
     robot.fit(recording.q[:700], recording.tau[:700])
-    found = simulate_windows(robot, recording.q[700:], recording.tau[700:], window=0.5)
+    found = simulate_windows(robot, recording.q[700:], recording.tau[700:], window=0.3)
     positions, velocities = tables(text)
     assert list(positions) == ["shoulder", "elbow"]
     for j, name in enumerate(positions):
@@ -219,7 +219,7 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
         return right(self, *given, **named)
 
     monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)
-    text = run(capsys, good, "--model", saved)
+    text = run(capsys, good, "--model", saved, code=3)
     count = len(calls)
     assert f"1 of {count} windows failed:" in text
     (line,) = [x for x in text.splitlines() if x.startswith("- ")]
@@ -250,10 +250,12 @@ def test_joints_that_run_away_are_named(good, saved, capsys, monkeypatch):
         return states
 
     monkeypatch.setattr(IdentifiedRobot, "simulate", away)
-    lines = run(capsys, good, "--model", saved).splitlines()
+    lines = run(capsys, good, "--model", saved, code=3).splitlines()
     (at,) = [k for k, line in enumerate(lines) if "joints ran away" in line]
     assert lines[at].startswith(f"in 1 of {len(calls)} windows")
     assert re.fullmatch(r"- arm, \S+ to \S+ s: elbow", lines[at + 1])
+    # Nothing but the one that runs away moves.
+    assert "one that keeps its velocity on any joint" in " ".join(lines)
 
 
 def test_a_run_that_is_interrupted_leaves_nothing(good, saved, capsys, monkeypatch):
@@ -276,7 +278,7 @@ def test_nothing_but_failures_is_said(good, saved, capsys, monkeypatch):
         raise SimulationError("The simulation diverges.", 0.5)
 
     monkeypatch.setattr(IdentifiedRobot, "simulate", wrong)
-    text = run(capsys, good, "--model", saved)
+    text = run(capsys, good, "--model", saved, code=3)
     assert re.search(r"(\d+) of \1 windows failed:", text)
     assert "not clearly better than a robot that stays" in text
     assert "none" in text
@@ -324,7 +326,7 @@ def test_prismatic_joints_are_in_mm(urdf, tmp_path, capsys):
         ("shoulder", "degrees/s"),
         ("elbow", "mm/s"),
     ]
-    robot = RobotIdentifier(str(slide), dt=0.01, friction=("viscous", "coulomb"))
+    robot = RobotIdentifier(str(slide), dt=0.01)
     robot.fit(made.q[:560], made.tau[:560])
     found = simulate_windows(robot, made.q[560:], made.tau[560:], window=0.3)
     expected = 1e3 * np.sqrt(np.mean(found.errors[:, 1] ** 2))

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -184,6 +185,12 @@ def test_sources_without_recordings_are_refused(recording, tmp_path):
         fit_recordings(robot(recording), tmp_path / "elsewhere")
     with pytest.raises(ValueError, match="at least one file"):
         fit_recordings(robot(recording), [])
+
+
+def test_torques_of_two_values_in_all_files_are_refused(recording, tmp_path):
+    signs = replace(recording, tau=np.where(recording.tau > 0, 1.0, -1.0))
+    with pytest.raises(ValueError, match="all joints has two values only"):
+        fit_recordings(robot(recording), save(signs, tmp_path))
 
 
 def test_a_file_of_another_robot_is_named(recording, folder):

@@ -77,6 +77,27 @@ def _digits(kind, step):
     return change
 
 
+def _signs(kind):
+    def change(table, rng):
+        for name in table:
+            if name.startswith(kind):
+                table[name] = np.where(table[name] > 0, 1.0, -1.0)
+        return table
+
+    return change
+
+
+def _steps(kind, share):
+    def change(table, rng):
+        for name, x in table.items():
+            if name.startswith(kind):
+                step = share * x.std()
+                table[name] = np.round(x / step) * step
+        return table
+
+    return change
+
+
 def _first(n):
     return lambda table, rng: {name: x[:n] for name, x in table.items()}
 
@@ -94,6 +115,9 @@ def _motion_cases():
     )
     add("positions constant", _all("q", 0.5), "refused", "o joint moves")
     add("torques constant", _all("tau", 0.5), "refused", "constant")
+    add("torques of 2 values", _signs("tau"), "refused", "two values only")
+    for share in (0.05, 0.3, 0.5):
+        add(f"torques in steps of {share:g} spreads", _steps("tau", share), "read")
     add(
         "noise only",
         lambda x, rng: {
@@ -105,6 +129,8 @@ def _motion_cases():
         lambda x, rng: {
             k: 1e-4 * rng.normal(size=v.size) if k != "t" else v for k, v in x.items()
         },
+        "refused",
+        "No joint moves",
     )
     add("only joint 1", _only(1))
     add("only joint 2", _only(2))
@@ -165,7 +191,8 @@ _OPTIONS = (
     ("--dt", ("0.006", "5", "200", "5000", "1", "0,005", "5ms", "0.0001"), "refused"),
     ("--cutoff", ("none", "8", "1e1"), "read"),
     ("--cutoff", ("0", "-1", "nan", "inf", "low", "", "100", "1e9", "5Hz"), "refused"),
-    ("--cutoff", ("0.001", "99.99", "1e-300", "0.3"), "either"),
+    ("--cutoff", ("0.001", "0.05"), "refused"),
+    ("--cutoff", ("99.99", "1e-300", "0.3"), "either"),
     ("--seed", ("1", "4294967295"), "same"),
     ("--seed", ("-1", "4294967296", "1.5", "x", "", "9" * 5000), "refused"),
     ("--friction", ("viscous", "none", "viscous,coulomb,offset,rotor_inertia"), "read"),

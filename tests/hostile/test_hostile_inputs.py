@@ -99,6 +99,14 @@ def check_refusal(outcome):
     return lines[0]
 
 
+def check_code(outcome):
+    """Ask for a refusal, or a result whose last line names a doubt if there is one."""
+    told = outcome.err[-2000:]
+    assert outcome.code in (0, 2, 3), f"{outcome.code}: {told}"
+    last = "".join(outcome.err.splitlines()[-1:])
+    assert last.startswith("note: exit code 3: ") == (outcome.code == 3), told
+
+
 def check_report(out):
     """All files are there and whole."""
     assert FILES <= {path.name for path in out.iterdir()}
@@ -138,7 +146,7 @@ def test_hostile_input(case, runner, clean, tmp_path):
         arguments, outcome = run(runner, build, tmp_path)
     told = outcome.err[-2000:]
     assert "Traceback" not in outcome.err, told
-    assert outcome.code in (0, 2), f"{outcome.code}: {told}"
+    check_code(outcome)
     assert outcome.seconds < SECONDS
     assert outcome.memory < MEMORY
     if outcome.code == 2:
@@ -170,7 +178,7 @@ def check_ending(outcome, made, out):
     """Check that a run ended in one line or in whole files."""
     told = outcome.err[-2000:]
     assert "Traceback" not in outcome.err, told
-    assert outcome.code in (0, 2), f"{outcome.code}: {told}"
+    check_code(outcome)
     assert outcome.seconds < SECONDS
     assert outcome.memory < MEMORY
     if outcome.code == 2:

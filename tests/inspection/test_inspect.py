@@ -11,6 +11,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels
+from sklearn_vbjfa.recording._faults import levels
 
 # What the notes on the measured sets say of their channels: the currents of the last
 # three joints of TIAGo take some forty values.
@@ -291,12 +292,47 @@ def test_short_recordings_tell_nothing(arm, n):
     assert findings == ()
 
 
-def test_a_robot_at_rest_is_all_still(arm):
+@pytest.mark.parametrize("noise", [0.0, 1e-4])
+def test_a_robot_at_rest_is_an_error(arm, noise):
     recording, model = arm
-    findings = inspect_channels(
-        model, np.zeros_like(recording.q), recording.tau, recording.dt
-    )
-    assert found(findings) == {("still_joint", (j,)) for j in range(6)}
+    q = 0.3 + noise * np.random.default_rng(0).normal(size=recording.q.shape)
+    (finding,) = inspect_channels(model, q, recording.tau, recording.dt)
+    assert (finding.kind, finding.joints) == ("still_joint", tuple(range(6)))
+    assert finding.severity == "error"
+    assert "No joint moves" in finding.message
+    # One joint that moves is enough.
+    q[:, 2] = recording.q[:, 2]
+    findings = inspect_channels(model, q, recording.tau, recording.dt)
+    still = [f for f in findings if f.kind == "still_joint"]
+    assert [f.joints for f in still] == [(0,), (1,), (3,), (4,), (5,)]
+    assert {f.severity for f in still} == {"warning"}
+
+
+def test_torques_of_two_values_are_an_error_where_none_shows_more(arm):
+    recording, _ = arm
+    tau = np.sign(recording.tau)
+    tau[tau == 0] = 1.0
+    only(inspect(arm, tau=tau), "two_torques", tuple(range(6)), "error")
+    # Those of a joint beside others are coarse, and so are torques of three values.
+    tau[:, 1:] = recording.tau[:, 1:]
+    assert ("coarse_torque", (0,)) in found(inspect(arm, tau=tau))
+    tau = np.round(recording.tau / (2 * recording.tau.std(axis=0)))
+    findings = inspect(arm, tau=tau)
+    assert {f.severity for f in findings} == {"warning"}
+    assert sum(f.kind == "coarse_torque" for f in findings) == 6
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 50])
+def test_levels_of_parts_are_those_of_all(n):
+    tau = np.random.default_rng(n).integers(0, n, size=(40, 4)).astype(float)
+    whole = levels(tau)
+    np.testing.assert_array_equal(whole, levels(np.concatenate([whole, whole[:1]])))
+    parts = [levels(part) for part in np.array_split(tau, 7)]
+    np.testing.assert_array_equal(whole, levels(np.concatenate(parts)))
+    for column, (low, second, high) in zip(tau.T, whole.T):
+        values = np.unique(column)
+        assert (low, high) == (values[0], values[-1])
+        assert second == values[max(values.size - 2, 0)]
 
 
 # -- loggers, units, order, direction, zero and sample period --------------------------

@@ -8,7 +8,7 @@ from sklearn.linear_model import LinearRegression
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.datasets._robots import demo_arm_urdf
 
@@ -144,6 +144,52 @@ def test_a_dead_torque_channel(recording):
 def test_no_motion_at_all(recording):
     with pytest.raises(ValueError, match=r"No joint moves.*Check the position columns"):
         identify(recording, q=np.ones_like(recording.q))
+
+
+def signs(recording):
+    return {"tau": np.where(recording.tau > 0, 1.0, -1.0)}
+
+
+# Recordings without torques or motion; what is asked of the positions is noise.
+SILENT = {
+    "one value": (
+        lambda r: {"tau": np.full_like(r.tau, 0.5)},
+        "torques? of joint_1.* constant",
+    ),
+    "two values": (signs, r"torque of all joints has two values only \(-1 and 1 of j"),
+    "one and two values": (
+        lambda r: {"tau": changed(signs(r)["tau"], (slice(None), 2), 0.0)},
+        "joint_3.* constant",
+    ),
+    "at rest": (
+        lambda r: {"q": 1e-4 * np.random.default_rng(0).normal(size=r.q.shape)},
+        "No joint moves: each position stays within its noise, that of joint_",
+    ),
+    "shorter than the low-pass": (
+        lambda r: {"cutoff": 0.05},
+        r"low-pass at 0\.05 Hz is \d+ samples long and the longest stretch to be fi",
+    ),
+}
+
+
+@pytest.mark.parametrize("of", [RobotIdentifier, EffectDiscovery])
+@pytest.mark.parametrize("fault", SILENT)
+def test_recordings_that_tell_nothing_are_refused(fault, of, recording):
+    change, message = SILENT[fault]
+    given = {"q": recording.q, "tau": recording.tau, "cutoff": "auto"}
+    given |= change(recording)
+    robot = RobotIdentifier(demo_arm_urdf(), dt=recording.dt, cutoff=given["cutoff"])
+    if of is EffectDiscovery:
+        robot = EffectDiscovery(robot, effects=["coulomb"])
+    with pytest.raises(ValueError, match=message) as told:
+        robot.fit(given["q"], given["tau"])
+    assert "\n" not in str(told.value)
+
+
+def test_torques_of_two_values_on_some_joints_are_fitted(recording):
+    tau = recording.tau.copy()
+    tau[:, 0] = np.sign(tau[:, 0])
+    assert np.isfinite(identify(recording, tau=tau).theta_).all()
 
 
 def test_too_few_equations(recording):

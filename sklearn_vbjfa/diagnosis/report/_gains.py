@@ -9,6 +9,10 @@ _PAYLOAD = (
     "; a known payload that is picked up or put down in the recording, or between two "
     "of them, can (--known-mass payload=KG)"
 )
+_NOT_SHOWN = (
+    "This recording does not show the gains of the torque channels relative to one "
+    "another: no two of them feel enough of the same bodies."
+)
 
 
 def gain_sentences(outcome):
@@ -16,7 +20,18 @@ def gain_sentences(outcome):
     gains = outcome.gains
     if gains is None:
         return ()
-    told = [_unit(outcome, gains), _hidden(outcome, gains), _far(outcome, gains)]
+    if not gains.references:
+        return gain_doubts(outcome)
+    return (_unit(outcome, gains), *gain_doubts(outcome))
+
+
+def gain_doubts(outcome):
+    """Say which gains are unknown or hardly credible, and which masses do not help."""
+    gains = outcome.gains
+    if gains is None:
+        return ()
+    told = [] if gains.references else [_NOT_SHOWN]
+    told += [_hidden(outcome, gains), _far(outcome, gains)]
     told += [_unused(gains, known) for known in gains.common.masses]
     told.append(_contradiction(gains.common))
     return tuple(filter(None, told))
@@ -43,11 +58,6 @@ def gain_rows(outcome):
 
 def _unit(outcome, gains):
     """Say in which unit everything is, and on what that rests."""
-    if not gains.references:
-        return (
-            "This recording does not show the gains of the torque channels relative to "
-            "one another: no two of them feel enough of the same bodies."
-        )
     channel = words.joint_list(outcome.joint_names, gains.references)
     common = gains.common
     if gains.absolute:

@@ -1,0 +1,375 @@
+"""Exit codes: 0 can be used, 2 nothing done, 3 done with a doubt that is stated."""
+
+import errno
+import os
+import re
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier, effects
+from sklearn_vbjfa._cli import _close_loop, _exit_codes, _identify, main
+from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa.robot import _comparison
+from tests.command_line.test_close_loop import LINK
+from tests.hostile._case import DT, URDF, N, cells, columns
+
+COMMANDS = ("close-loop", "inspect", "identify", "simulate")
+WRIST = {"name": "tip", "joint": "wrist", "parent": "lower", "origin": 0.3}
+HAND = URDF.replace("</robot>", LINK.format(**WRIST, centre=0.1, mass=1) + "</robot>")
+# Options that keep the runs short.
+SHORT = {
+    "close-loop": ("--effects", "none", "--no-ceiling", "--out", "out"),
+    "simulate": ("--window", "0.3", "--out", "out"),
+}
+
+
+def run(capsys, command, *argv):
+    """Run a command; the exit code, stdout, and the lines on stderr."""
+    code = main([command, *map(str, argv), *SHORT.get(command, ())])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err.splitlines()
+
+
+def write(table, name="arm.csv"):
+    text = "\n".join(",".join(row) for row in cells(table)) + "\n"
+    Path(name).write_text(text, encoding="utf-8")
+    return name
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Working folder with two robots."""
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(URDF)
+    Path("hand.urdf").write_text(HAND)
+    return tmp_path
+
+
+def steps(column, share):
+    """Round to steps of a share of the spread."""
+    step = share * column.std()
+    return np.round(column / step) * step
+
+
+def without(table, rows):
+    return {name: np.delete(column, rows) for name, column in table.items()}
+
+
+def by_joint(table):
+    names = {"1": "_shoulder", "2": "_elbow"}
+    return {name[:-1] + names.get(name[-1], name[-1]): x for name, x in table.items()}
+
+
+def half(table):
+    return np.arange(N) >= N // 2
+
+
+# What is done to a sound recording, the exit code, and what the last line says, of the
+# commands that differ from the rest under their own names.
+RECORDINGS = {
+    "sound": (lambda x: x, {"": (0, "")}),
+    "another unit": (
+        lambda x: x | {"tau1": 100 * x["tau1"]},
+        {"": (3, "The torque of shoulder is .* times what the model's inertias")},
+    ),
+    "a lower rate": (
+        lambda x: x | {"tau1": np.repeat(x["tau1"][::4], 4)},
+        {"": (3, "The torque of shoulder has a new value only every 4 rows")},
+    ),
+    "a coarse torque": (
+        lambda x: x | {"tau1": steps(x["tau1"], 0.5)},
+        {"": (3, "The torque of shoulder goes in steps of ")},
+    ),
+    "coarse torques": (
+        lambda x: x | {k: steps(x[k], 0.3) for k in ("tau1", "tau2")},
+        {"": (3, r"The torque of shoulder goes in steps of .*; ")},
+    ),
+    "a joint at rest": (
+        lambda x: x | {"q2": np.full(N, 0.3)},
+        {
+            "": (3, "elbow never moves"),
+            "close-loop": (3, r"joint 2 \(elbow\): no samples that count; elbow never"),
+            "identify": (3, "no error of elbow; "),
+        },
+    ),
+    "a gap": (
+        lambda x: without(x, slice(700, 800)),
+        {"": (3, r"1 gap\(s\) of more than 5 periods")},
+    ),
+    "a lost piece": (
+        lambda x: without(x, np.r_[700:800, 805:905]),
+        {"": (3, r"1 piece\(s\) of fewer than 10 samples between gaps are left out")},
+    ),
+    "missing rows that are interpolated": (
+        lambda x: without(x, [700, 900]),
+        {"": (0, "")},
+    ),
+    "no columns of a joint": (
+        by_joint,
+        {"": (3, r"no columns of joint\(s\) wrist: held at zero")},
+    ),
+    "a signal that is none": (
+        lambda x: x | {"state": ["run", "stop"] * (N // 2)},
+        {"": (0, ""), "close-loop": (3, "'state' is not used as a signal")},
+    ),
+    "two robots": (
+        lambda x: x | {"segment": 1 * half(x), "tau1": x["tau1"] + 12 * half(x)},
+        {
+            "": (0, ""),
+            "close-loop": (3, "Recordings 1 and 2 contradict each other on joint 1"),
+            "simulate": (3, "keeps its velocity on shoulder"),
+        },
+    ),
+    "half a second": (
+        lambda x: {name: column[:100] for name, column in x.items()},
+        {
+            "": (0, ""),
+            "close-loop": (3, r"joint 1 \(shoulder\): noise floor unknown"),
+            "simulate": (2, "No recording is as long as a window of 0.3 s"),
+        },
+    ),
+    "torques of one value": (
+        lambda x: x | {"tau1": np.full(N, 0.5), "tau2": np.full(N, 0.5)},
+        {"": (2, r"constant \(0\.5\)"), "inspect": (3, r"constant \(0\.5\)")},
+    ),
+    "torques of two values": (
+        lambda x: x | {k: np.sign(x[k]) for k in ("tau1", "tau2")},
+        {"": (2, "two values only"), "inspect": (3, "two values only")},
+    ),
+    "a robot at rest": (
+        lambda x: (
+            x
+            | {
+                name: 1e-4 * np.random.default_rng(0).normal(size=N)
+                for name in ("q1", "q2")
+            }
+        ),
+        {"": (2, "No joint moves"), "inspect": (3, "No joint moves")},
+    ),
+    "swapped torques": (
+        lambda x: x | {"tau1": x["tau2"], "tau2": x["tau1"]},
+        {"": (2, "look exchanged"), "inspect": (3, "look exchanged")},
+    ),
+    "no positions": (
+        lambda x: {"t": x["t"], "tau1": x["tau1"]},
+        {"": (2, "no positions")},
+    ),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("kind", RECORDINGS)
+def test_recordings(kind, command, here, capsys):
+    change, expected = RECORDINGS[kind]
+    urdf = "hand.urdf" if kind == "no columns of a joint" else "arm.urdf"
+    source = write(change(columns()))
+    wanted, message = expected.get(command, expected[""])
+    code, out, err = run(capsys, command, source, "--urdf", urdf)
+    assert code == wanted, err
+    if code == 2:
+        (line,) = [x for x in err if not x.startswith("note: ")]
+        assert line.startswith("sklearn-vbjfa: ")
+        assert out == ""
+        assert not Path("out").exists()
+    else:
+        assert all(x.startswith("note: ") for x in err)
+        assert out
+    told = [x for x in err if x.startswith("note: exit code 3: ")]
+    assert told == err[-1:] * (code == 3)
+    assert re.search(message, "".join(err[-1:])), err
+
+
+def test_joints_that_are_held_by_choice_are_no_doubt(here, capsys):
+    source = write(columns())
+    argv = (source, "--urdf", "hand.urdf", "--joints", "shoulder,elbow")
+    assert run(capsys, "inspect", *argv)[0] == 0
+
+
+def test_signals_that_nobody_asks_for_are_no_doubt(here, capsys):
+    source = write(columns() | {"state": ["run", "stop"] * (N // 2)})
+    argv = (source, "--urdf", "arm.urdf", "--signals", "none")
+    assert run(capsys, "close-loop", *argv)[0] == 0
+
+
+def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
+    source = write(columns())
+    for command in ("close-loop", "identify", "simulate"):
+        argv = (source, "--urdf", "arm.urdf", "--cutoff", "0.05")
+        code, out, (line,) = run(capsys, command, *argv)
+        assert (code, out) == (2, "")
+        assert "The low-pass at 0.05 Hz is" in line
+
+
+@pytest.mark.parametrize(
+    ("status", "text"),
+    [
+        ("few", "no verdict: moves for 2 s only"),
+        ("no data", "no samples that count"),
+        ("failed", "WORSE than its mean torque"),
+        ("worse", "WORSE on untouched data"),
+        ("unknown", "noise floor unknown"),
+        ("floor", ""),
+        ("above", ""),
+        ("unexplained", ""),
+    ],
+)
+def test_verdicts_on_a_joint(status, text, report):
+    first, *rest = report.joints
+    changed = (replace(first, status=status, text=text), *rest)
+    doubts = _exit_codes.of_report(
+        SimpleNamespace(outcome=report.outcome, joints=changed)
+    )
+    assert doubts == ([f"{first.label}: {text}"] if text else [])
+
+
+@pytest.fixture(scope="module")
+def report():
+    """Report of a recording without fault."""
+    arm = load_demo_recording()
+    loop = _close_loop.close(
+        arm, arm.urdf, friction=("viscous", "coulomb"), effects=(), ceiling=False
+    )
+    assert _exit_codes.of_report(loop.report_) == []
+    return loop.report_
+
+
+def test_a_method_that_fails(here, capsys, monkeypatch):
+    source, right = write(columns()), _comparison.estimate_of
+
+    def wrong(base, pieces, model):
+        if type(model.regressor).__name__ == "RidgeCV":
+            raise ValueError("It does not converge.")
+        return right(base, pieces, model)
+
+    monkeypatch.setattr(_comparison, "estimate_of", wrong)
+    code, out, err = run(capsys, "identify", source, "--urdf", "arm.urdf")
+    assert code == 3
+    assert "ridge failed: It does not converge." in out.splitlines()
+    assert err == ["note: exit code 3: ridge failed: It does not converge"]
+
+
+def test_bodies_that_cannot_be(monkeypatch):
+    fine = _comparison.MethodResult(
+        name="VB",
+        error=np.array([0.1, 0.2]),
+        train_error=np.zeros(2),
+        min_eigenvalue=1.0,
+        n_inconsistent=0,
+    )
+    names = ("shoulder", "elbow")
+    assert _identify._doubts([fine, replace(fine, n_inconsistent=2)], names) == []
+    (doubt,) = _identify._doubts([replace(fine, n_inconsistent=2)], names)
+    assert doubt == "2 bodies are not physically consistent"
+
+
+def test_a_simulation_goes_without_an_effect(here, capsys):
+    table = columns()
+    q, tau = (np.column_stack([table[f"{x}{j}"] for j in (1, 2)]) for x in ("q", "tau"))
+    left_out = [effects.Jerk(joint=0)]
+    robot = RobotIdentifier("arm.urdf", dt=DT, effects=left_out).fit(q, tau)
+    robot.save("arm.json")
+    code, _, err = run(capsys, "simulate", write(table), "--model", "arm.json")
+    assert code == 3
+    assert "The simulation goes without jerk on shoulder" in err[-1]
+
+
+def test_two_models_are_judged_by_the_last(here, capsys, monkeypatch):
+    from sklearn_vbjfa.robot._windows import SimulatedWindows
+
+    judged, better = [], SimulatedWindows.clearly_better.fget
+
+    def beaten(self):
+        judged.append(better(self))
+        return judged[-1] & (len(judged) > 1)
+
+    monkeypatch.setattr(SimulatedWindows, "clearly_better", property(beaten))
+    argv = (write(columns()), "--urdf", "arm.urdf", "--effects", "spring")
+    code, out, err = run(capsys, "simulate", *argv)
+    assert "declared: not clearly better than" in out
+    assert (code, err) == (0, [])
+
+
+def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
+    argv = ("--urdf", "arm.urdf", "--duration", "4", "--acceleration", "20")
+    code, out, err = run(capsys, "design", *argv, "--effects", "stribeck")
+    assert (code, err) == (0, [])
+    code, out, err = run(
+        capsys, "design", *argv, "--effects", "rotor_inertia", "--force"
+    )
+    assert code == 3
+    assert "Invisible: " in out
+    assert re.search(
+        "exit code 3: .*on joint 1 .shoulder.: what is fitted anyway", err[-1]
+    )
+
+
+def test_lists_are_never_in_doubt(capsys):
+    assert [main([name]) for name in ("effects", "datasets")] == [0, 0]
+    assert "exit code" not in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="descriptors of POSIX")
+def test_a_doubt_outlives_a_reader_that_leaves(here):
+    source = write(columns() | {"q2": np.full(N, 0.3)})
+    read, output = os.pipe()
+    os.close(read)
+    argv = ["inspect", source, "--urdf", "arm.urdf"]
+    with os.fdopen(output, "w") as gone:
+        done = subprocess.run(
+            [sys.executable, "-m", "sklearn_vbjfa", *argv],
+            stdout=gone,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 3
+    assert "note: exit code 3: elbow never moves" in done.stderr
+
+
+def test_what_was_written_but_not_said_is_a_doubt(here, capsys, monkeypatch):
+    class Full:
+        def write(self, text):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        def flush(self):
+            pass
+
+        def isatty(self):
+            return False
+
+    argv = [write(columns()), "--urdf", "arm.urdf", *SHORT["close-loop"]]
+    with monkeypatch.context() as patched:
+        patched.setattr(sys, "stdout", Full())
+        assert main(["close-loop", *argv]) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("No space left on device; all files were written")
+    assert Path("out", "report.html").is_file()
+
+
+def test_the_line_names_three_doubts():
+    assert _exit_codes.line(["a."]) == "exit code 3: a"
+    assert _exit_codes.line(["a\n b.", "c"]) == "exit code 3: a b; c"
+    assert _exit_codes.line([*"abcde"]) == "exit code 3: a; b; c; and 2 more"
+
+
+@pytest.mark.parametrize("command", ["", *COMMANDS, "design", "effects", "datasets"])
+def test_help_tells_them(command, capsys):
+    with pytest.raises(SystemExit) as stop:
+        main([*filter(None, [command]), "--help"])
+    assert stop.value.code == 0
+    assert _exit_codes.EPILOG in " ".join(capsys.readouterr().out.split())
+
+
+def test_the_guide_tells_them():
+    page = Path(__file__).resolve().parents[2] / "docs" / "own_robot.rst"
+    section = page.read_text(encoding="utf-8").partition("Exit codes\n----")[2]
+    codes = re.findall(r"^   \* - (\d+)$", section, re.M)
+    assert codes == ["0", "1", "2", "3", "130"]

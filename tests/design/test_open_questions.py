@@ -42,6 +42,14 @@ def loop(path):
     return found.fit(q + 1e-5 * rng.normal(size=q.shape), tau)
 
 
+def moving_states():
+    """States (50, 6) with velocities whose sign the encoder's noise cannot change."""
+    rng = np.random.default_rng(0)
+    states = rng.uniform(-1, 1, size=(50, 6))
+    states[:, 2:4] += 0.3 * np.sign(states[:, 2:4])
+    return states
+
+
 def asked_of(problem):
     effects = problem.model.effects[problem.model.n_own :]
     return {
@@ -64,17 +72,15 @@ def test_all_kinds_of_reports_ask_the_same(loop, tmp_path):
 
 def test_what_is_in_doubt_still_takes_its_torque(loop):
     problem, _ = problem_of(loop.identifier_, report=loop)
-    rng = np.random.default_rng(0)
-    states = rng.uniform(-1, 1, size=(50, 6))
+    states = moving_states()
     found = problem.torques(problem.model(states))
     expected = loop.identifier_.predict(states)
-    # But for the sign of a velocity that may be zero: here there is no dry friction.
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
     problem, _ = problem_of(loop.identifier_)
-    states = np.random.default_rng(0).uniform(-1, 1, size=(50, 6))
+    states = moving_states()
     expected = loop.identifier_.predict(states)
     found = problem.torques(problem.model(states))
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())

@@ -484,10 +484,10 @@ def test_no_effects_are_as_before(several):
 
 def test_friction_and_effects_of_the_same_kind_are_one_model():
     torque = DECLARED + MIXED
-    declared = RobotIdentifier(MODEL, friction=("viscous", "coulomb"), **EXACT)
+    declared = RobotIdentifier(MODEL, **{**EXACT, "friction": ("viscous", "coulomb")})
     declared.fit(STATES, torque)
     beside = tuple(e(j) for e in (effects.Viscous, effects.Coulomb) for j in range(3))
-    robot = RobotIdentifier(MODEL, friction=(), effects=beside, **EXACT)
+    robot = RobotIdentifier(MODEL, effects=beside, **{**EXACT, "friction": ()})
     robot.fit(STATES, torque)
     assert robot.theta_.size == declared.theta_.size
     assert_allclose(robot.predict(STATES), declared.predict(STATES), atol=1e-7)

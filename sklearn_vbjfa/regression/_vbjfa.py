@@ -18,7 +18,6 @@ from sklearn_vbjfa._core._correlated import (
     solve_correlated,
 )
 from sklearn_vbjfa._core._dependencies import find_dependencies
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa._core._updates import LinearModel, Prior
 from sklearn_vbjfa.regression._joint_factor import (
     BaseJointFactorRegressor,
@@ -430,28 +429,36 @@ def fit_correlated(data, noise, labels, solve, *, select, dof=np.inf):
     basis = found.basis
     kept = _relevant_inputs(m, basis, as_they_are, solve)
     at = basis[kept]
-    largest = 0.0
-    if psi is None:
-        largest = largest_noise_fraction(R[np.ix_(at, at)], r[at])
+    given = psi is not None
+    if not given:
         psi = np.zeros((d, d))
-        psi[at, at] = 0.5 * largest
+        psi[at, at] = 0.5 * largest_noise_fraction(R[np.ix_(at, at)], r[at])
     solution = solve(m.columns(at), psi[np.ix_(at, at)], common=True)
     coef = np.zeros(basis.size)
     coef[kept] = solution.state.beta_mean
     # The inputs that were switched off belong to what is not known.
-    psi_basis = psi[np.ix_(basis, basis)]
-    in_common = solve(m.columns(basis), psi_basis, common=True)
-    cov = _uncertainty(m.columns(basis), psi_basis, coef, in_common, dof)
-    cov[np.ix_(kept, kept)] += _fraction_covariance(solution, largest)
+    of_basis = m.columns(basis)
+    if given:
+        ends = [psi[np.ix_(basis, basis)]]
+    else:
+        ends = [f * np.eye(basis.size) for f in _admissible_ends(of_basis)]
+    cov = sum(
+        _uncertainty(of_basis, end, coef, solve(of_basis, end, common=True), dof)
+        for end in ends
+    ) / len(ends)  # [C20]
     spread = _spread(R, basis, found.copies)
     relevant = np.zeros(d, dtype=bool)
     relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
+    noisy = _average(m, as_they_are, solve)
+    noise = solution.state.psi_y
     return CorrelatedFit(
-        noisy=_average(m, as_they_are, solve),
+        noisy=noisy,
         noiseless=LinearModel(
             coef=spread @ coef,
             cov=spread @ cov @ spread.T,
-            noise=solution.state.psi_y,
+            noise=noise,
+            # Of exact inputs, the other end, y has the noise that it has of noisy ones.
+            open_noise=0.0 if given else max(noisy.noise - noise, 0.0),
         ),
         noisy_solution=as_they_are,
         noiseless_solution=solution,
@@ -523,12 +530,15 @@ def _square(x):
     return np.outer(x, x)
 
 
-def _fraction_covariance(solution, largest):
-    """Covariance (d, d) of the coefficients over a fraction uniform on [0, largest]."""
-    # The slope in f follows from [C19]; the variance of f is largest^2 / 12.
-    beta = solution.state.beta_mean
-    slope = scaled_eigen(solution.latent.Sigma_t).solve(beta)  # [C19]
-    return _square(slope) * largest**2 / 12
+def _admissible_ends(m):
+    """Return the smallest and the largest fraction of noise that moments `m` admit."""
+    n, d = m.n, m.xx.size
+    R, r = m.S / n, m.xy / n
+    # The smallest eigenvalue of n rows is too small by (n - d) / n in the mean, for d
+    # coefficients were fitted to find it. Beyond that of R there is no signal left.
+    largest = largest_noise_fraction(R, r) * n / max(n - d, 1)
+    no_signal = max(float(linalg.eigvalsh(R, subset_by_index=[0, 0])[0]), 0.0)
+    return 0.0, min(largest, LARGEST_FRACTION, no_signal)
 
 
 def _average(m, solution, solve):

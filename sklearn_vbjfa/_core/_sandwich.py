@@ -39,12 +39,15 @@ class BlockVariance:
     scores : ndarray of shape (n_blocks, p)
         Contribution of each block to the error of the estimate, scaled so that its
         covariance is ``scores.T @ scores``.
+    pooled : float
+        Ratio of the variances, in the mean of all directions that are determined.
     """
 
     factor: np.ndarray
     freedom: np.ndarray
     white: np.ndarray
     scores: np.ndarray
+    pooled: float
 
 
 def block_variance(grams, scores, place, noise=1.0):
@@ -75,17 +78,19 @@ def block_variance(grams, scores, place, noise=1.0):
     left = own - (through**2).sum(axis=1)
     white, expected = (L**2).sum(axis=1), noise * np.maximum(left, 0.0).sum(axis=0)
     seen = expected > _OWN * noise * white
+    reach = max(1.0 + 2.0 * neighbours, _LEAST_REACH)
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.where(seen, (d**2).sum(axis=0) / expected, pooled)
         count = np.maximum(left, 0.0)
         freedom = count.sum(axis=0) ** 2 / (count**2).sum(axis=0)
-        factor = factor * max(1.0 + 2.0 * neighbours, _LEAST_REACH)
+        factor = factor * reach
         scale = np.sqrt(factor * noise * white / (d**2).sum(axis=0))
     return BlockVariance(
         factor=np.where(used, factor, np.nan),
         freedom=np.where(seen & used, np.maximum(freedom, 1.0), np.nan),
         white=np.where(used, noise * white, np.nan),
         scores=np.where(np.isfinite(scale), scale, 0.0) * d,
+        pooled=pooled * reach,
     )
 
 

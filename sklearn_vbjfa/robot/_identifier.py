@@ -74,6 +74,7 @@ from sklearn_vbjfa.robot._plan import (
 from sklearn_vbjfa.robot._prediction import (
     PredictsTorques,
     TorquePredictor,
+    TorqueSpread,
     predictor_of,
     recording_of,
     split_effects,
@@ -778,6 +779,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.identifiable_ = found.identifiable
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
+        self._torque_spread = TorqueSpread.of_estimate(found)
         self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
         self._powers = self._powers_of(found.moments)
         self._motion_ranges = found.moments.ranges
@@ -914,7 +916,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self._online = OnlineMoments(self.features_, float(self.forgetting))
         self.n_features_in_ = 3 * nv
 
-    def predict(self, X, groups=None, t=None, signals=None):
+    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
         r"""Predict the joint torques.
 
         Parameters
@@ -931,16 +933,24 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         signals : mapping of str to array-like of shape (n_samples,), default=None
             Columns recorded beside the motion, as for `fit`; needed by effects that
             vary with them.
+        return_std : bool, default=False
+            Whether to return the standard deviation of measured torques about the
+            predicted ones as well; see Notes.
 
         Returns
         -------
-        ndarray of shape (n_samples, nv)
+        torque : ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N], friction included.
+        std : ndarray of shape (n_samples, nv)
+            Standard deviation [N m or N] of what the torque channel will read behind
+            the low-pass of the fit; only with `return_std`. Infinite where a row asks
+            for a parameter of which the fit saw nothing, as of a joint that stood.
 
         Raises
         ------
         ValueError
-            If X does not suit the robot, or a signal is missing.
+            If X does not suit the robot, a signal is missing, or `return_std` is asked
+            of a regressor without ``coef_cov_``.
 
         Warns
         -----
@@ -979,7 +989,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         on, towards what remains when warm, and a payload stays; before the first time
         both are as they were then.
         """
-        return self._predictor().predict(X, groups, t, signals)
+        return self._predictor().predict(X, groups, t, signals, return_std=return_std)
 
     def _predictor(self):
         """Return the `TorquePredictor` of the fit, or say that there was none."""
@@ -994,6 +1004,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             spreads=self._spreads,
             state_cutoff=self.state_cutoff,
             powers=self._powers,
+            spread=self._torque_spread,
         )
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):

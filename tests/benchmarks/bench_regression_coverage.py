@@ -213,11 +213,11 @@ def second_table(trials, first_seed):
     headers += ["widths unknown / known: coef.", "outputs"]
     return (
         f"\n\nEight inputs, two of them with correlation 0.95, {trials} data sets a "
-        f"cell, seeds from {first_seed}: share of the 90 % intervals that hold the coefficients that are not "
-        "zero, and new outputs, with the standard errors of the data sets, for noisy "
-        "queries, and for noiseless ones with known and unknown noise; and the median "
-        "widths with unknown noise over those with known noise.\n\n"
-        + rst_table(rows, headers)
+        f"cell, seeds from {first_seed}: share of the 90 % intervals that hold the "
+        "coefficients that are not zero, and new outputs, with the standard errors of "
+        "the data sets, for noisy queries, and for noiseless ones with known and "
+        "unknown noise; and the median widths with unknown noise over those with known "
+        "noise.\n\n" + rst_table(rows, headers)
     )
 
 

@@ -73,7 +73,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
         inputs are fitted, and their coefficients share one precision. Noisy queries are
         then answered by all inputs, see Notes. ``"auto"``: yes, unless `input_noise`
         is zero (then this is Bayesian ARD regression on all inputs) or a full
-        covariance (then dependencies are part of what is known).
+        covariance (then dependencies are part of what is known). ``False`` takes inputs
+        of unknown noise as exact, and its intervals say nothing of that noise.
     prior : {"noise", "paper"}, default="noise"
         For independent latents: ``"paper"`` is the model of the paper to the letter
         (one precision alpha_m for both w_zm and w_xm, no prior on the input noise);
@@ -128,15 +129,16 @@ class VBJFARegressor(BaseJointFactorRegressor):
     coef_std_ : ndarray of shape (n_features,)
         Posterior standard deviations of `coef_`; infinite for an input that never
         varies. For noiseless queries and correlated latents they hold the uncertainty
-        of the input noise: that of its estimate (`replicate_noise`), or of the whole
-        range that the data permit. With independent latents they are given the noise.
+        of the input noise: that of its estimate (`replicate_noise`), or both ends of
+        what the data permit, see `query`. With independent latents they are given the
+        noise.
     coef_cov_ : ndarray of shape (n_features, n_features)
         Their posterior covariance.
     intercept_, intercept_noiseless_, intercept_noisy_ : float
         Intercepts that go with the coefficient vectors.
     input_noise_ : ndarray of shape (n_features,) or (n_features, n_features)
         Input-noise variances, or covariance with correlated latents: where it is
-        unknown, the mean of what the data permit.
+        unknown, the middle of what the data permit.
     output_noise_ : float
         Variance of y given noiseless inputs, unit of y squared.
     alpha_ : ndarray of shape (n_features,)
@@ -194,10 +196,10 @@ class VBJFARegressor(BaseJointFactorRegressor):
       coefficients for noisy queries, :math:`(R - f I) b_f = R b_0` for every f that
       the data admit, from zero to the smallest eigenvalue of the correlations of the
       inputs given the output; an input is taken to be signal for two thirds at least.
-      f is uniform on that interval; `coef_noiseless_` is that of its mean, and
-      `coef_cov_` holds its spread, which more rows do not reduce. Exact inputs thus
-      get coefficients that are a little too large: give ``input_noise=0`` if you know
-      that they are exact.
+      `coef_noiseless_` is that of the middle, and `coef_cov_` the second moment about
+      it over both ends, all inputs switched on, which more rows do not reduce. Exact
+      inputs thus get coefficients that are a little too large: give
+      ``input_noise=0`` if you know that they are exact.
     - Independent latents with ``prior="noise"``: an inverse-gamma on each psi_x with
       its mode at 0.2 of the input's variance and the weight of 0.1 of the samples.
     - ``prior="paper"``: the starting point and the shared alpha_m, under which both

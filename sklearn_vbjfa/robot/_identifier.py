@@ -988,6 +988,26 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         Effects of time use what is known: after the last time of the fit a drift fades
         on, towards what remains when warm, and a payload stays; before the first time
         both are as they were then.
+
+        The standard deviation is that of measured minus predicted torque, both behind
+        the low-pass of the fit as in `residuals`, at a new state of the same robot
+        while the joint moves,
+
+        .. math::
+
+            \mathrm{std}_j^2 = \phi_j^T C \phi_j + s_j^2.
+
+        phi is the row of the regressor, C the covariance of the parameters before the
+        projection, with one factor for the scatter between blocks of time as in
+        `theta_std_`, and s the residual of the joint in the fit: noise of the torque,
+        what the model lacks and, unless states are asked for, noise of the positions;
+        what the fit took of them for its own is added. 90 % of the torques are within
+        1.645 of it if the other motion finds the model as wrong as that of the fit did:
+        88 to 91 % on simulated arms with white and coloured noise of the torques.
+        Where the model lacks something it is not so: on another motion of measured
+        robots 80 to 97 %, and 41 % for joint 5 of a TX40 (``docs/benchmarks.rst``).
+        Values of effects that correct the robot (a tilt, a gain), tuned shapes, dry
+        friction at rest, and noise above the low-pass are not in it.
         """
         return self._predictor().predict(X, groups, t, signals, return_std=return_std)
 

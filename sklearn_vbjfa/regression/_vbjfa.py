@@ -95,7 +95,15 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Whether the means of X and y are free.
     query : {"noisy", "noiseless"}, default="noisy"
         Which queries `predict` answers: inputs as noisy as those of the fit, or
-        noiseless ones (planned motions).
+        noiseless ones (planned motions). Intervals for noiseless queries whose
+        `input_noise` is unknown are meant to hold whatever it is, and are wide. Of
+        eight inputs, two with correlation 0.95, nominal 90 % held 89 to 100 % of the
+        coefficients that are not zero in 600 rows, and 81 to 97 % in 80, least with
+        noisy inputs and a signal-to-noise ratio of 30; of new outputs 90 to 100 %. They
+        are up to 3 times as wide as with known noise, in 5000 rows 8 times, and those
+        of outputs up to 2.4 times. Rows must be independent: with inputs and residuals
+        AR(0.9) they held 60 to 96 % of the coefficients (noisy queries 56 to 65, known
+        noise 67 to 92).
 
         .. versionchanged:: 0.2
            The default was ``"noiseless"``, which is worse than least squares wherever
@@ -533,7 +541,7 @@ def _square(x):
 
 
 def _admissible_ends(m):
-    """Return the smallest and the largest fraction of noise that moments `m` admit."""
+    """Smallest and largest fraction of noise, f of [C19], that moments `m` admit."""
     n, d = m.n, m.xx.size
     R, r = m.S / n, m.xy / n
     # The smallest eigenvalue of n rows is too small by (n - d) / n in the mean, for d

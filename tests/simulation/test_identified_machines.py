@@ -53,8 +53,11 @@ def test_dry_friction_holds_what_it_can_and_no_more(way):
     robot = a_wheel(lambda q, v, a: Fc * np.sign(v), friction=("coulomb",))
     t = DT * np.arange(10)
     for share in (0.99, 1.01, 3.0):
-        states = robot.simulate(np.full((10, 1), way * share * Fc), [0.3])
+        push = np.full((10, 1), way * share * Fc)
         a = way * max(share - 1.0, 0.0) * Fc / INERTIA
+        (first,) = robot.simulate(push[:1], [0.3])
+        assert first[2] == pytest.approx(a, rel=1e-5)
+        states = robot.simulate(push, [0.3])
         expected = np.column_stack([0.3 + 0.5 * a * t**2, a * t, np.full(10, a)])
         np.testing.assert_allclose(states, expected, atol=1e-6 * max(share, 1.0))
 

@@ -140,6 +140,12 @@ def test_noisy_queries_are_the_mean_of_two_regressions():
     assert_allclose(model.coef_, 0.5 * (ard.coef_ + ridge * unit), rtol=1e-5, atol=1e-8)
     square = np.diagonal(cov) * unit**2 + (model.coef_ - ridge * unit) ** 2
     assert_allclose(model.coef_std_, np.sqrt(square), rtol=1e-5)
+    # At the mean of the inputs what is left is the mean noise of both, and what 60 rows
+    # leave of the mean of y.
+    at = X.mean(axis=0)[None]
+    expected = 0.5 * (ard.output_noise_ + noise * y.var()) * (1 + 1 / 60)
+    _, deviation = model.predict(at, return_std=True)
+    assert_allclose(deviation**2, expected, rtol=1e-5)
 
 
 def test_more_rows_do_not_narrow_what_the_data_do_not_say():

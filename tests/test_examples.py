@@ -71,5 +71,6 @@ def test_without_measured_robots_the_table_is_shown(monkeypatch, capsys, tmp_pat
     line = out.splitlines()[0]
     for name in ("emps", "ur5", "staubli_tx40", "kuka_kr300", "SKLEARN_VBJFA_DATA"):
         assert name in line
-    table = MEASURED.parents[2] / "docs" / "tables" / "discovery_measured.rst"
-    assert table.read_text(encoding="utf-8").strip() in out
+    for stage in ("development", "confirmation"):
+        table = MEASURED.parents[2] / "docs" / "tables" / f"measured_sets_{stage}.rst"
+        assert table.read_text(encoding="utf-8").strip() in out

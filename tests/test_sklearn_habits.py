@@ -151,7 +151,7 @@ def test_names_of_states_are_checked(states):
 def estimators():
     """One of each, with models as path and as object."""
     model = two_joints()
-    robot = RobotIdentifier(model, dt=0.01)
+    robot = RobotIdentifier(model, dt=0.01, friction=("viscous",))
     return [
         EffectDiscovery(robot, effects=["coulomb"]),
         InstrumentalVariables(),
@@ -161,7 +161,9 @@ def estimators():
         PhysicalProjector(metric=np.eye(22)),
         RigidBodyFeatures(model),
         robot,
-        RobotIdentifier("arm.urdf", effects=(effects.Coulomb(joint=1),)),
+        RobotIdentifier(
+            "arm.urdf", effects=(effects.Coulomb(joint=1),), friction=("viscous",)
+        ),
         StateEstimator(0.01),
         StepwiseRegressor(),
         TotalLeastSquares(),
@@ -247,7 +249,7 @@ def test_copies(estimator, copy):
 @pytest.mark.parametrize("kind", ["path", "model"])
 def test_fitted_identifiers_are_pickled(recording, kind, tmp_path):
     model = recording.urdf if kind == "path" else recording.robot_model()
-    robot = RobotIdentifier(model, dt=recording.dt)
+    robot = RobotIdentifier(model, dt=recording.dt, friction=("viscous",))
     robot.fit(recording.q, recording.tau, groups=recording.groups)
     found = pickle.loads(pickle.dumps(robot))
     np.testing.assert_array_equal(found.theta_, robot.theta_)
@@ -272,7 +274,9 @@ def test_fitted_identifiers_are_pickled(recording, kind, tmp_path):
 
 
 def test_fitted_discoveries_are_pickled(recording):
-    robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
+    robot = RobotIdentifier(
+        recording.robot_model(), dt=recording.dt, friction=("viscous",)
+    )
     loop = EffectDiscovery(robot, effects=["coulomb"], max_effects=1, random_state=0)
     loop.fit(recording.q, recording.tau, groups=recording.groups)
     found = pickle.loads(pickle.dumps(loop))

@@ -3,10 +3,10 @@
 What does the model lack?
 =========================
 
-A declared model is fitted, its torque residuals are searched for known effects, and the
-model is completed with what is found. The recorded arm has viscous and Coulomb
-friction, and on joint 2 friction proportional to the load; the declared model has only
-viscous friction.
+A declared model is fitted, the plain terms that it lacks are added, its torque
+residuals are searched for known effects, and the model is completed with what is found.
+The recorded arm has viscous and Coulomb friction, and on joint 2 friction proportional
+to the load; the declared model has only viscous friction.
 """
 
 # %%
@@ -26,16 +26,21 @@ declared = RobotIdentifier(recording.urdf, dt=recording.dt, friction=("viscous",
 # %%
 # The loop
 # --------
-# All effects of the library are tried on all joints.
+# Coulomb friction, an offset and a rotor inertia are fitted on every joint, as no drive
+# is without them; all further effects of the library are tried on all joints.
 
 loop = EffectDiscovery(declared, random_state=0)
 loop.fit(recording.q, recording.tau, groups=recording.groups)
 
+print(f"added on every joint: {', '.join(loop.added_)}")
 for effect in loop.effects_:
     print(f"{effect.joint_name}: {effect.name}, rivals {effect.rivals or 'none'}")
     for symbol, (low, high) in effect.intervals.items():
         value, unit = effect.parameters[symbol], effect.units[symbol]
         print(f"  {symbol} = {value:.3f} {unit} ({low:.3f} to {high:.3f})")
+values = dict(zip(loop.identifier_.parameter_names_, loop.identifier_.theta_))
+found = [values[f"{name}:coulomb"] for name in recording.joint_names]
+print(f"Fc:      {np.round(found, 3)} N m")
 print(f"true Fc: {recording.friction['coulomb'].round(3)} N m")
 print(f"true mu: {recording.undeclared['load_friction'][1]} (joint_2)")
 
@@ -55,15 +60,16 @@ for step in loop.rounds_:
 # Root mean square of the residual over the standard deviation of the torque in the
 # moving time of the whole recording.
 
-for name, before, after in zip(
-    recording.joint_names, loop.error_before_, loop.error_after_
-):
-    print(f"{name}: {100 * before:5.2f} % before, {100 * after:5.2f} % after")
+errors = loop.error_before_, loop.error_plain_, loop.error_after_
+for name, before, plain, after in zip(recording.joint_names, *errors):
+    print(
+        f"{name}: {100 * before:5.2f} % before, {100 * plain:5.2f} % with the plain "
+        f"terms, {100 * after:5.2f} % after"
+    )
 print(f"unexplained: {[rest.joint_name for rest in loop.unexplained_]}")
 
 # %%
-# Effects that could not have been found: here the inertia of the first two rotors,
-# which acts on the torques like inertias of the links.
+# Effects that could not have been found, whatever the motion or in this one.
 
 for effect in loop.hidden_:
     print(f"{effect.joint_name}: {effect.name} ({effect.reason})")

@@ -145,7 +145,8 @@ def run_demo(arguments):
     recording = load_demo_recording()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        loop = close(recording, recording.urdf, friction=("viscous", "coulomb"))
+        friction = _options.FRICTION.split(",")
+        loop = close(recording, recording.urdf, friction=friction)
     arguments.doubts = _doubts(loop, caught)
     print(recording)
     print(loop.report_)

@@ -11,7 +11,7 @@ import numpy as np
 from sklearn_vbjfa._cli import _exit_codes, _input, _options
 
 # What is identified of a recording of one's own, where no option says so.
-_DEFAULTS = {"friction": "viscous,coulomb", "cutoff": "auto"}
+_DEFAULTS = {"friction": _options.FRICTION, "cutoff": "auto"}
 _OF_RECORDING = (*_options.OF_READING, *_DEFAULTS, "urdf")
 _OF_SETS = ("data", "data_home")
 

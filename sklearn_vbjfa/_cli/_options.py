@@ -3,6 +3,8 @@
 # Options that say how a recording is read, by their names in the arguments.
 OF_READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
 
+# What is declared of every joint where no option says so.
+FRICTION = "viscous,coulomb,offset,rotor_inertia"
 # What a recording may be, for the help.
 RECORDING = (
     "CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with columns "
@@ -118,10 +120,10 @@ def add_friction(parser):
     """Add the friction of the declared model."""
     parser.add_argument(
         "--friction",
-        default="viscous,coulomb",
+        default=FRICTION,
         metavar="NAMES",
-        help="friction of the declared model: none, or any of viscous,coulomb,offset,"
-        "rotor_inertia; by default viscous,coulomb",
+        help="what the model of each joint has already: none, or any of "
+        "viscous,coulomb,offset,rotor_inertia; by default all four",
     )
 
 

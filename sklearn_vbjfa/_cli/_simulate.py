@@ -28,7 +28,7 @@ _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
 # Options of an identification, and what they are where none is given.
-_DEFAULTS = {"friction": "viscous,coulomb", "effects": "none", "cutoff": "auto"}
+_DEFAULTS = {"friction": _options.FRICTION, "effects": "none", "cutoff": "auto"}
 _OF_IDENTIFICATION = ("urdf", *_DEFAULTS, "known_mass")
 _OF_RECORDING = (*_options.OF_READING, "urdf", "model", "signals")
 
@@ -337,7 +337,10 @@ def _robots(recording, urdf, library, known, settings):
     loop = _close_loop.close(
         recording, urdf, effects=library, ceiling=False, **known, **settings
     )
-    return {"declared": loop.declared_, "completed": loop.identifier_}
+    robots = {"declared": loop.declared_}
+    if loop.added_:
+        robots["four plain terms"] = loop.plain_
+    return {**robots, "completed": loop.identifier_}
 
 
 def _parts(recording):

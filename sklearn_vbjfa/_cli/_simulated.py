@@ -5,6 +5,7 @@ import importlib
 import io
 import os
 import re
+import textwrap
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ from sklearn_vbjfa._cli._input import no_formula
 
 # Most pictures, and most windows that failed and are named.
 _MOST_PICTURES, _MOST_NAMED = 12, 5
+_WIDTH = 80  # characters of a line
 _RESOLUTION = 120  # dots per inch
 
 
@@ -51,9 +53,10 @@ def _scales(windows):
 def errors_text(simulated, seconds):
     """Errors joint by joint, and what became of the windows."""
     windows = simulated.windows
-    one, whole = next(iter(windows.values())), _whole(windows)
+    one = next(iter(windows.values()))
+    whole = ~np.any([own.failed for own in windows.values()], axis=0)
     scale, units = _scales(one)
-    rivals = _rivals(one)
+    rivals = {"stays": one.staying(), "goes on": one.going_on()}
     positions, velocities = {"": one.joint_names, "unit": units}, {}
     velocities |= {"": one.joint_names, "unit": [f"{unit}/s" for unit in units]}
     for label, own in (windows | rivals).items():
@@ -82,13 +85,11 @@ def errors_text(simulated, seconds):
     ]
     for label, own in windows.items():
         who = f"{label}: " if len(windows) > 1 else ""
+        lines += ["", *_verdict(who, own)]
         if own.failures:
             lines.append(who + _failed(simulated, own))
         if own.run_away.any():
             lines.append(who + _run_away(simulated, own))
-        beaten = _beaten(windows, label)
-        if beaten:
-            lines.append(f"{who}{beaten}.")
     return "\n".join(lines)
 
 
@@ -99,35 +100,12 @@ def doubts_of(simulated):
     of the errors of both.
     """
     windows = simulated.windows
-    label, last = list(windows.items())[-1]
+    last = list(windows.values())[-1]
     failed = [own for own in windows.values() if own.failures]
     doubts = [f"{_failed_count(own)} failed" for own in failed]
     if last.run_away.any():
         doubts.append(f"{_away_count(last)} joints ran away")
-    return [*doubts, *filter(None, [_beaten(windows, label)])]
-
-
-def _whole(windows):
-    """Windows that every robot was simulated to the end of, (n_windows,), bool."""
-    return ~np.any([own.failed for own in windows.values()], axis=0)
-
-
-def _rivals(windows):
-    """Return the same windows of robots that ignore the torques, by their names."""
-    return {"stays": windows.staying(), "goes on": windows.going_on()}
-
-
-def _beaten(windows, label):
-    """Name the joints on which a rival is as good as a robot; empty for none."""
-    own, whole = windows[label], _whole(windows)
-    if not whole.any():
-        return ""
-    least = np.min([_rms(x.errors[whole]) for x in _rivals(own).values()], axis=0)
-    worse = _rms(own.errors[whole]) >= least
-    names = [name for name, beaten in zip(own.joint_names, worse) if beaten]
-    if not names:
-        return ""
-    return f"no better than a robot that stays or goes on: {', '.join(names)}"
+    return doubts if last.clearly_better.all() else [*doubts, last.verdict()]
 
 
 def _tabulated(columns):
@@ -159,6 +137,15 @@ def _median(errors):
 def _numbers(values):
     """Write errors, none of which is negative, with three digits."""
     return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in values]
+
+
+def _verdict(who, windows):
+    """Say whether a model was needed for its errors, lines of a terminal."""
+    told = f"{who}{windows.verdict()} (windows compared one by one, mean of their "
+    told += "errors, Student's t at 5 %"
+    if windows.failed.any():
+        told += "; a window that failed counts as the worst error of these two"
+    return textwrap.wrap(f"{told})", _WIDTH)
 
 
 def _failed(simulated, windows):

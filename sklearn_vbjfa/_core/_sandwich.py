@@ -38,7 +38,8 @@ class BlockVariance:
         Variance for white residuals of the given noise.
     scores : ndarray of shape (n_blocks, p)
         Contribution of each block to the error of the estimate, scaled so that its
-        covariance is ``scores.T @ scores``.
+        covariance is ``scores.T @ scores``. nan where the blocks show nothing of a
+        variance that there is; zero for undetermined parameters.
     """
 
     factor: np.ndarray
@@ -80,12 +81,16 @@ def block_variance(grams, scores, place, noise=1.0):
         count = np.maximum(left, 0.0)
         freedom = count.sum(axis=0) ** 2 / (count**2).sum(axis=0)
         factor = factor * max(1.0 + 2.0 * neighbours, _LEAST_REACH)
-        scale = np.sqrt(factor * noise * white / (d**2).sum(axis=0))
+        variance = factor * noise * white
+        scale = np.sqrt(variance / (d**2).sum(axis=0))
+    # Scores of zero cannot be scaled to a variance: it is not known how the error goes
+    # together with others, and must not count as none.
+    lost = used & (variance > 0) & ~np.isfinite(scale)
     return BlockVariance(
         factor=np.where(used, factor, np.nan),
         freedom=np.where(seen & used, np.maximum(freedom, 1.0), np.nan),
         white=np.where(used, noise * white, np.nan),
-        scores=np.where(np.isfinite(scale), scale, 0.0) * d,
+        scores=np.where(lost, np.nan, np.where(np.isfinite(scale), scale, 0.0) * d),
     )
 
 

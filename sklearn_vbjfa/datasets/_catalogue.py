@@ -334,7 +334,7 @@ def protocols():
     # The public loaders are made of the catalogue, so they are looked up, not imported.
     from sklearn_vbjfa import datasets
 
-    demo = Protocol(load=datasets.load_demo_recording, friction=("viscous", "coulomb"))
+    demo = Protocol(load=datasets.load_demo_recording)
     return {
         "demo": demo,
         **{

@@ -2,11 +2,14 @@ r"""What a motion is worth: how it determines a model and parts what may be miss
 
 With rows :math:`x_{tj}` and noise :math:`\sigma_j` the information on all coefficients
 is :math:`M = \sum_{tj} w_{tj} x_{tj} x_{tj}^T / \sigma_j^2`. That on the model alone is
-its block :math:`M_{AA}`. For columns C that the model lacks, :math:`S = M_{CC} - M_{CA}
-M_{AA}^{-1} M_{AC}` is what the model cannot imitate of them: a coefficient c of one
-effect i leaves :math:`c^T S_{ii} c`, in squared standard errors, beside the model, and
-:math:`c^T (S_{ii} - S_{ik} S_{kk}^{-1} S_{ki}) c` beside the model with a rival k: the
-largest difference that the two can show at equal fit.
+its block :math:`M_{AA}`, of n columns over their sizes at random states. It is worth
+:math:`\tfrac12 \log\det M_{AA} - 2 n \log \kappa(M_{AA}^{1/2})`, the D-criterion less a
+smooth condition number :math:`\kappa`, which keeps one direction from being seen badly
+for many that are seen well. For columns C that the model lacks, :math:`S = M_{CC} -
+M_{CA} M_{AA}^{-1} M_{AC}` is what the model cannot imitate of them: a coefficient c of
+one effect i leaves :math:`c^T S_{ii} c`, in squared standard errors, beside the model,
+and :math:`c^T (S_{ii} - S_{ik} S_{kk}^{-1} S_{ki}) c` beside the model with a rival k:
+the largest difference that the two can show at equal fit.
 """
 
 from dataclasses import dataclass

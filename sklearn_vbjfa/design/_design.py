@@ -60,9 +60,11 @@ def design_motion(
 
     A periodic motion, a finite Fourier series in each joint that stands still at its
     start and end, within limits of position, velocity, acceleration and torque, and,
-    where the description has geometry, free of self-collision. It is D-optimal for the
-    base parameters and the friction [1]_ [2]_; with a report or with `effects`, it is
-    as much for parting the causes that the recordings so far left open [3]_.
+    where the description has geometry, free of self-collision. It makes the determinant
+    of the information on the base parameters and the friction large, as a D-optimal
+    motion would, and their condition number small at the same time [1]_ [2]_; with a
+    report or with `effects`, it is as much for parting the causes that the recordings
+    so far left open [3]_.
 
     Parameters
     ----------
@@ -100,16 +102,26 @@ def design_motion(
         If limits leave no room or are missing, the start lies outside them, or the
         duration is too short for the slowest joint.
 
+    Warns
+    -----
+    UserWarning
+        If the encoder noise of an identified robot is not known; it counts as none.
+
     Notes
     -----
     With the columns :math:`x` of the model and the noise :math:`\sigma_j` of joint j in
     the band of the fit, the information matrix of a motion is :math:`M = \sum x x^T /
     \sigma_j^2` over joints and independent samples; equations of a joint that stands
-    count for nothing. The criterion is :math:`\tfrac12 \log\det M` of the base
-    parameters, and for every pair of causes that are to be parted the evidence that is
-    left for the one beside the model with the other; see ``docs/design.rst``. Its
-    gradient goes through the columns by exact differences (they are of second degree in
-    the velocities and linear in the accelerations) to the coefficients of the series.
+    count for nothing. The criterion is :math:`\tfrac12 \log\det M_{AA} - 2 n \log
+    \kappa(M_{AA}^{1/2})` for the n columns of the model (base parameters, friction,
+    effects that it has), over their sizes at random states within the limits, with a
+    smooth condition number :math:`\kappa`: the determinant alone would be D-optimality,
+    which this is not. To it comes, for every pair of causes that are to be parted, the
+    evidence that is left for the one beside the model with the other; see
+    ``docs/design.rst``. Its gradient goes through the columns by exact differences
+    (they are of second degree in the velocities and linear in the accelerations) to the
+    coefficients of the series. The best of random motions is improved, so that a better
+    one may exist.
 
     References
     ----------

@@ -1,6 +1,7 @@
 """What is known of a robot before the next motion: model, parameters and noise."""
 
 import os
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,6 +104,8 @@ class KnownRobot:
         features = RigidBodyFeatures(full.model_, friction=()).load()
         estimator = predictor.plan.state_estimator
         variance = getattr(estimator, "noise_variance_", np.zeros(nv))
+        encoder = np.sqrt(np.broadcast_to(variance, (nv,)))
+        _tell_unknown(np.isnan(encoder), predictor.joint_names)
         given = getattr(robot, "model", None)
         # The floor has the encoders' share in it, which depends on the motion; a saved
         # robot has no other.
@@ -118,7 +121,7 @@ class KnownRobot:
             joint_names=predictor.joint_names,
             torque_noise=np.where(np.isfinite(noise), noise, left),
             cutoff=float(robot.cutoff_),
-            encoder_noise=np.sqrt(np.broadcast_to(variance, (nv,))),
+            encoder_noise=np.where(np.isnan(encoder), 0.0, encoder),
             description=given if isinstance(given, (str, os.PathLike)) else None,
         )
 
@@ -182,3 +185,16 @@ def _on_all_joints(names, nv):
         for effect in resolve(names)
         for j in range(nv)
     )
+
+
+def _tell_unknown(unknown, names):
+    """Warn of encoders whose noise does not count, as nobody knows it."""
+    named = [name for name, bad in zip(names, unknown) if bad]
+    if named:
+        warnings.warn(
+            f"The encoder noise of {', '.join(named)} is not known, as no recording of "
+            "the robot is long enough to show it, and counts as none: the motion may "
+            "be quicker than is good. Identify from a recording of 16 samples or more.",
+            UserWarning,
+            stacklevel=5,
+        )

@@ -41,7 +41,8 @@ class DesignedMotion:
         Condition number of the base regressor with friction: of the motion, and of the
         one that it was improved from. Columns are over their sizes at random states
         within the limits, which are the same for all motions; rows are over their
-        noise.
+        noise. With columns in other units it is another number, so that it compares
+        motions within these limits and nothing else.
     noise : ndarray of shape (nv,)
         Deviation of the noise that the equations of each joint were weighted by, in the
         band of the fit [N m or N].
@@ -83,11 +84,11 @@ class DesignedMotion:
     coordinates: np.ndarray | None = field(default=None)
 
     def __repr__(self):
-        """Tell its size and how well it conditions the regressor."""
+        """Tell its size, and whether it keeps its limits."""
         kept = "within limits" if self.within_limits else "NOT within limits"
         return (
             f"<DesignedMotion: {len(self.joint_names)} joints, {self.duration:g} s, "
-            f"condition number {self.condition_number:.3g}, {kept}>"
+            f"{kept}>"
         )
 
     def states(self, t):

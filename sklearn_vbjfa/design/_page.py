@@ -147,8 +147,14 @@ def _headline(motion, background):
     narrower = _narrower(motion, background)
     totals = [
         (f"{motion.duration:g} s", f"{n} joints, {1 / motion.dt:.4g} Hz"),
-        (words.number(motion.condition_number), "condition number"),
-        (words.number(motion.start_condition_number), "of the best random motion"),
+        (
+            words.number(motion.condition_number),
+            "condition number of the columns over their sizes at random states",
+        ),
+        (
+            words.number(motion.start_condition_number),
+            "that of the random motion it was improved from",
+        ),
     ]
     if "clearance" in motion.margins:
         nearest = words.number(1e3 * motion.margins["clearance"])
@@ -584,8 +590,9 @@ def summary(motion, background):
     lines = [
         f"Motion of {background.robot}{of}: {joints}, {motion.duration:g} s at "
         f"{1 / motion.dt:.4g} Hz",
-        f"condition number {words.number(motion.condition_number)}, of the best random "
-        f"motion {words.number(motion.start_condition_number)}",
+        f"condition number {words.number(motion.condition_number)}, at first "
+        f"{words.number(motion.start_condition_number)} (columns over their sizes at "
+        "random states)",
         "",
         *_shares_text(motion, background),
         *_wrapped(_clearance_text(motion), ""),

@@ -9,15 +9,15 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
-from sklearn_vbjfa.diagnosis.search._common_start import plain_terms
 from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, added_effects
-from sklearn_vbjfa.diagnosis.search._judgement import judge
-from sklearn_vbjfa.diagnosis.search._outcome import Models, make_outcome
+from sklearn_vbjfa.diagnosis.search._judgement import Models, judge
+from sklearn_vbjfa.diagnosis.search._outcome import make_outcome
 from sklearn_vbjfa.diagnosis.search._search import EffectSearch
 from sklearn_vbjfa.diagnosis.search._shapes import tuned_on
 from sklearn_vbjfa.diagnosis.search._split import split_in_time
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import TorqueGain, resolve
+from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
@@ -67,16 +67,19 @@ _OF_GAIN = "gear_factor"
 class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     """Find what a robot model lacks: close the loop with measured data.
 
-    Fits the declared model, examines its torque residual on unseen data, and tries
-    every effect of the library on every joint; adds the best one, refits everything,
-    and repeats. Residuals that no effect explains are reported as unexplained. Part of
-    the motion is held out for the errors before and after; finally the completed model
-    is fitted to all data.
+    Fits the declared model, adds the plain terms that it lacks (viscous and Coulomb
+    friction, an offset and the rotor's inertia, on every joint), examines the torque
+    residual on unseen data, and tries every effect of the library on every joint; adds
+    the best one, refits everything, and repeats. Residuals that no effect explains are
+    reported as unexplained. Part of the motion is held out for the errors of the
+    declared model, with the plain terms, and with the effects; finally the completed
+    model is fitted to all data.
 
     Parameters
     ----------
     identifier : RobotIdentifier
-        The declared model: robot, friction, filter settings.
+        The declared model: robot, friction, filter settings. What it declares is the
+        "before" of the report; it does not change what is found.
     effects : "all", or list of str or Effect, default="all"
         Effects to search for: names of the library (see
         `sklearn_vbjfa.effects.available`), or user-defined effects.
@@ -109,11 +112,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Every step: what was added, replaced, dropped, refused or withdrawn, on what
         evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the
         rivals.
-    error_before_, error_after_ : ndarray of shape (nv,)
-        Root mean square of the torque residual on the untouched part, without and with
-        the effects, over `torque_spread_`. Their intervals,
-        ``report_.outcome.intervals``, are a statement about the same robot in the same
-        motion: they hold the errors over its next 50 s in 90 % of cases.
+    added_ : tuple of str
+        Plain terms that were fitted on every joint beyond what was declared.
+    error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
+        Root mean square of the torque residual on the untouched part, of the declared
+        model, with the four plain terms, and with the effects as well, over
+        `torque_spread_`. Their intervals, ``report_.outcome.intervals``, are a
+        statement about the same robot in the same motion: they hold the errors over its
+        next 50 s in 90 % of cases.
     torque_spread_ : ndarray of shape (nv,)
         Standard deviation of each joint's torque in the moving time of the whole
         recording, behind the low-pass [N m or N]: times an error, the error in N m.
@@ -139,8 +145,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     judged_ : RobotIdentifier
         The model with the effects, fitted to the search part: the one whose errors are
         reported.
-    declared_ : RobotIdentifier
-        The declared model, fitted to the same part.
+    declared_, plain_ : RobotIdentifier
+        The declared model, and the same with the four plain terms, fitted to the same
+        part.
     joint_names_ : tuple of str
         Joints in Pinocchio's order, which is the column order of X and y.
     report_ : Report
@@ -155,10 +162,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     Notes
     -----
-    The search begins with viscous and Coulomb friction, an offset and a rotor inertia
-    on every joint, declared or not (as far as `effects` has them): where it goes does
-    not depend on what was declared. What was not has to earn its place at the end,
-    beside the effects that were found.
+    Viscous and Coulomb friction, an offset and a rotor inertia are fitted on every
+    joint, declared or not, and never dropped: in a short recording true ones do not
+    stand out from chance, and leaving them out costs more than fitting one that is not
+    there. What is found does not depend on which of them were declared.
 
     Candidates are scored from second moments of blocks of time: all parameters are
     refitted (the effect's columns enter by the Schur complement of the declared
@@ -197,12 +204,18 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     --------
     >>> from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
     >>> from sklearn_vbjfa.datasets import make_robot_recording
-    >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
-    >>> robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
-    >>> loop = EffectDiscovery(robot, effects=["coulomb", "offset"], random_state=0)
+    >>> recording = make_robot_recording(
+    ...     duration=20.0, dt=0.01, load_friction={1: 0.2}, random_state=0
+    ... )
+    >>> robot = RobotIdentifier(
+    ...     recording.robot_model(), dt=recording.dt, friction=("viscous",)
+    ... )
+    >>> loop = EffectDiscovery(robot, effects=["load_friction"], random_state=0)
     >>> loop = loop.fit(recording.q, recording.tau)
-    >>> sorted({effect.name for effect in loop.effects_})
-    ['coulomb']
+    >>> loop.added_
+    ('coulomb', 'offset', 'rotor_inertia')
+    >>> [(effect.name, effect.joint) for effect in loop.effects_]
+    [('load_friction', 1)]
     >>> bool((loop.error_after_ < loop.error_before_).all())
     True
     """
@@ -281,19 +294,24 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 self.identifier, whole.inputs, whole.groups, self.test_size
             )
             part = split.searched(whole)
-            self.declared_ = _fitted(clone(self.identifier), part)
+            self.declared_ = self.plain_ = _fitted(clone(self.identifier), part)
+            if set(plain_terms()) - set(self.declared_.features_.friction_):
+                fuller = clone(self.identifier).set_params(friction=plain_terms())
+                self.plain_ = _fitted(fuller, part)
             begins = tuple(whole.t[rows.start] for rows in whole.segments)
             found = self._search(part, silent, split.origin, begins, library, say)
             say(len(found.effects), "final model")
-            self.judged_ = self.declared_
+            self.judged_ = self.plain_
             if found.effects:
                 self.judged_ = _fitted(self._with(found.effects), part)
-            judgement = judge(self.declared_, self.judged_, found, split, whole)
+            models = Models(
+                declared=self.declared_, plain=self.plain_, judged=self.judged_
+            )
+            judgement = judge(models, found, split, whole)
             final = self._hand_over(found, whole, silent)
-        models = Models(declared=self.declared_, judged=self.judged_, final=final)
         asked = self.get_params(deep=False)
         names = _names(whole, groups)
-        outcome = make_outcome(found, models, judgement, channels, asked, names)
+        outcome = make_outcome(found, models, final, judgement, channels, asked, names)
         return self._set(outcome)
 
     # -- stages ---------------------------------------------------------------------
@@ -365,48 +383,30 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         settings = {
             "library": library,
             "alpha": float(self.alpha),
+            "max_effects": self.max_effects,
             "on_progress": say,
         }
-        branches = branches_of(self.declared_, library, self.max_effects)
+        view = RecordingView(self.plain_, part, silent, origin, begins)
+        branches = branches_of(self.plain_, library, self.max_effects)
         if len(branches) == 1:
-            times = origin, begins
-            return self._searched(self.declared_, part, silent, *times, settings)
-        view = RecordingView(self.declared_, part, silent, origin, begins)
+            return EffectSearch(view=view, **settings).run()
         heard = [b for b in branches if view.precision[b.joints].any()]
         # One false alarm in 1 / alpha recordings is meant for all branches together.
         settings["alpha"] /= max(len(heard), 1)
         found = []
         for branch in heard:
             own = branch.recording(part)
-            declared = _fitted(branch.identifier(self.declared_), own)
+            plain = _fitted(branch.identifier(self.plain_), own)
             mute = branch.local(silent)
-            found.append(self._searched(declared, own, mute, origin, begins, settings))
-        return put_together(view, library, heard, found)
-
-    def _searched(self, declared, part, silent, origin, begins, settings):
-        """Search from the common start, then judge what of it is not declared."""
-        names = plain_terms(declared.features_.friction_, settings["library"])
-        if not names or self.max_effects == 0:
-            view = RecordingView(declared, part, silent, origin, begins)
-            return EffectSearch(
-                view=view, max_effects=self.max_effects, **settings
-            ).run()
-        friction = (*declared.features_.friction_, *names)
-        fuller = _fitted(clone(declared).set_params(friction=friction), part)
-        start = RecordingView(fuller, part, silent, origin, begins)
-        first = EffectSearch(view=start, **settings)
-        first.explore()
-        settings["on_progress"](len(first.model.effects), "plain friction")
-        view = RecordingView(declared, part, silent, origin, begins, start)
-        return EffectSearch(view=view, max_effects=self.max_effects, **settings).resume(
-            names, first.found()
-        )
+            alone = RecordingView(plain, own, mute, origin, begins)
+            found.append(EffectSearch(view=alone, **settings).run())
+        return put_together(view, library, heard, found, float(self.alpha))
 
     def _with(self, effects):
-        """Return the declared model with effects, not fitted."""
-        asked = asked_again(self.declared_)
+        """Return the model with the plain terms and effects, not fitted."""
+        asked = asked_again(self.plain_)
         asked["effects"] = (*asked["effects"], *effects)
-        return clone(self.identifier).set_params(**asked)
+        return clone(self.plain_).set_params(**asked)
 
     def _hand_over(self, found, whole, silent):
         """Fit the completed model to all data, in the band that was judged."""
@@ -416,18 +416,20 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["cutoff"] = cutoff if np.isfinite(cutoff) else None
         if isinstance(self.identifier.standstill, str):
             band["standstill"] = self.judged_.standstill_
-        view = RecordingView(self.declared_, whole, silent)
+        view = RecordingView(self.plain_, whole, silent)
         effects = tuned_on(view, found.effects)
         self.identifier_ = _fitted(self._with(effects).set_params(**band), whole)
         effects = added_effects(self.identifier_, len(effects))
-        final = FinalFit(self.declared_, self.identifier_, view, effects)
+        final = FinalFit(self.plain_, self.identifier_, view, effects)
         tell_spreads(self.identifier_, final.effect_estimates)
         return final
 
     def _set(self, outcome):
         """Set the results and the report."""
         self.effects_, self.rounds_ = outcome.effects, outcome.rounds
+        self.added_ = outcome.added
         self.error_before_ = outcome.error_before
+        self.error_plain_ = outcome.error_plain
         self.error_after_ = outcome.error_after
         self.torque_spread_ = outcome.spread
         self.projection_price_ = np.full(outcome.spread.size, np.nan)

@@ -24,6 +24,8 @@ from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 # below which the body has next to no extension in some direction; and below which a
 # warning says so. (What was identified and projected lies between the two.)
 _SOLID, _POSSIBLE = 1e-6, 1e-12
+# How the one warning of what does not enter the model begins.
+_LEFT_OUT = "The robot description"
 # Robots of a hundred joints stay far below.
 _DEEPEST, _MOST_ELEMENTS, _MOST_ATTRIBUTES = 100, 200_000, 1000
 _MOST_JOINTS = 200
@@ -311,14 +313,14 @@ def load_text(text, path):
     """
     pin, path = import_pinocchio(), Path(path)
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
+        warnings.filterwarnings("ignore", _LEFT_OUT, UserWarning)
         return _from_description(pin, _parsed(text.encode(), path), path).model
 
 
 def load_quietly(path):
     """Return the robot of a file, as `load_folded`, of which everything was said."""
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
+        warnings.filterwarnings("ignore", _LEFT_OUT, UserWarning)
         return load_folded(path)
 
 
@@ -464,7 +466,7 @@ def _from_description(pin, tree, path, moving=None):
     left_out = [*said, *_left_out(apart, full, between)]
     if left_out:
         warnings.warn(
-            f"The robot description {path.name!r}: {'; '.join(left_out)}.",
+            f"{_LEFT_OUT} {path.name!r}: {'; '.join(left_out)}.",
             UserWarning,
             stacklevel=4,
         )

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 
 import numpy as np
+from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_vbjfa.physical._layout import ParameterLayout, resolve_layout
 from sklearn_vbjfa.physical._programme import Programme
@@ -14,7 +15,7 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     min_eigenvalue,
     parameter_units,
 )
-from sklearn_vbjfa.physical._solver import ProjectionError, solve
+from sklearn_vbjfa.physical._solver import GAP_TARGET, ProjectionError, solve
 from sklearn_vbjfa.physical._threads import one_blas_thread
 
 # How many times longer than the visible part of a vector its hidden part may be before
@@ -192,13 +193,15 @@ class ProjectionResult:
         strong would save, at the price of bodies further from the anchor.  No
         consistent vector whose unseen part is as near to the anchor as that of `theta`
         has a smaller distance.  0 if the metric is not singular, since nothing is
-        pulled then; nan if the solve with less pull fails.
+        pulled then; nan if the solve with less pull fails, as `message` then
+        says.
     iterations : int
         Iterations of the solver, all passes together.
     solver : {"none", "clarabel"}
         What found the vector.
     message : str
-        The solver's own status.
+        The solver's own status, how its refinement ended if the gap is larger than 1e-9
+        (which is warned of), and why `anchor_cost` is not known.
     mass_scale : ndarray of shape (n_bodies,)
         Unit of mass of each body [kg].
     length_scale : ndarray of shape (n_bodies,)
@@ -411,12 +414,15 @@ class Projection:
 
         nearest = programme(self.anchor_weight)
         solution = solve(nearest, max_steps=self.max_solver_iter)
-        cost = 0.0 if nearest.n_hidden == 0 else np.nan
+        if solution.gap > GAP_TARGET:
+            _tell_gap(solution)
+        cost, told = (0.0 if nearest.n_hidden == 0 else np.nan), solution.status
         if nearest.n_hidden and price_anchor:
             freer = programme(_HARDLY * self.anchor_weight)
-            cost = _anchor_cost(
+            cost, failed = _anchor_cost(
                 solution.vector, freer, scaled_root, self.max_solver_iter
             )
+            told += failed
         return self._outcome(
             theta,
             self._settle(solution.vector * units, units, nearest),
@@ -425,7 +431,7 @@ class Projection:
             anchor_cost=cost,
             iterations=solution.n_iter,
             solver="clarabel",
-            message=solution.status,
+            message=told,
         )
 
     def _eigenvalues(self, vector):
@@ -486,15 +492,30 @@ class Projection:
 
 
 def _anchor_cost(vector, freer, root, max_steps):
-    """Share of a solution's squared distance that a programme with less pull saves."""
+    """Share of a solution's squared distance that a programme with less pull saves.
+
+    With what is to be said of it: nothing, or why it is nan.
+    """
     try:
         other = solve(freer, max_steps=max_steps).vector
-    except ProjectionError:
-        return np.nan
+    except ProjectionError as error:
+        return np.nan, f"; anchor_cost is not known, the solve with less pull: {error}"
     squared, least = (
         float(np.sum((root @ (x - freer.point)) ** 2)) for x in (vector, other)
     )
-    return max(1.0 - least / squared, 0.0) if squared > 0 else 0.0
+    return (max(1.0 - least / squared, 0.0) if squared > 0 else 0.0), ""
+
+
+def _tell_gap(solution):
+    """Warn of an answer that is accepted, but not certified as well as was aimed at."""
+    warnings.warn(
+        f"The projection is certified to a relative gap of {solution.gap:.1e}, and not "
+        f"to {GAP_TARGET:.0e}: its squared distance may exceed the least one by that "
+        f"share. The solver: {solution.status}. Raise max_solver_iter, or check the "
+        "vector and the metric for columns many orders of magnitude apart.",
+        ConvergenceWarning,
+        stacklevel=5,
+    )
 
 
 def project(

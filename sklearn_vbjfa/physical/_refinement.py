@@ -84,6 +84,8 @@ def refine(programme, start, *, max_steps):
         Refined solution; rounding may leave it outside the set by as much.
     n_steps : int
         Steps taken.
+    ended : str
+        How: "at its end", or what stopped it before.
     """
     kept = programme.nonnegative
     at = _inside(programme, start)
@@ -108,14 +110,14 @@ def refine(programme, start, *, max_steps):
                 reach, step = system.predict_and_correct(mean, end)
         except (LinAlgError, np.linalg.LinAlgError):
             # Rounding has reached the boundary: the last iterate stands.
-            return at, taken
+            return at, taken, "by rounding, at a matrix that is not definite"
         share = min(1.0, (_LAST_SHARE if last else _BOUNDARY_SHARE) * reach)
         if share < _SHORTEST_STEP:
-            return at, taken
+            return at, taken, "by rounding, at steps without length"
         at = at.moved(step, share)
         if last:
-            return at, taken + 1
-    return at, max_steps
+            return at, taken + 1, "at its end"
+    return at, max_steps, "by max_solver_iter"
 
 
 def _inside(programme, start):

@@ -162,8 +162,9 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     dt : float, default=None
         Sample period [s]; needed unless states are given and nothing is filtered.
     friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"}, \
-            default=("viscous",)
-        Additional columns of each joint.
+            default=("viscous", "coulomb", "offset", "rotor_inertia")
+        Additional columns of each joint: by default the four that hardly any drive is
+        without. The paper has ``("viscous",)``.
     effects : tuple of Effect, default=()
         Effects beyond rigid bodies and friction, each on one joint; see
         `sklearn_vbjfa.effects`. `EffectDiscovery` finds out which are needed.
@@ -357,7 +358,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         model,
         *,
         dt=None,
-        friction=("viscous",),
+        friction=("viscous", "coulomb", "offset", "rotor_inertia"),
         effects=(),
         regressor=None,
         projector="default",

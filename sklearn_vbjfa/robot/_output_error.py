@@ -26,6 +26,8 @@ from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa.robot._estimate import project
 from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH
 from sklearn_vbjfa.robot._sensitivities import held_parameters, propagate, slopes
+from sklearn_vbjfa.robot._states import SAMPLES_FOR_NOISE
+from sklearn_vbjfa.robot._windows import tell_once
 from sklearn_vbjfa.simulation._simulate import SimulationError, simulate
 
 # A window is so many times as long as the slowest joint takes to forget a velocity.
@@ -45,7 +47,7 @@ _FIRST_DAMPING, _LEAST_DAMPING, _MOST_DAMPING = 1e-3, 1e-8, 1e6
 _ROUNDING = 1e-9
 # Memory of the sensitivities that are held together.
 _BYTES = 128 << 20
-# Student's t has a deviation from three degrees of freedom on.
+# Degrees of freedom of Student's t that are taken at least, see `deviations`.
 _LEAST_FREEDOM = 3.0
 
 
@@ -195,11 +197,32 @@ class Windows:
 
 
 def _start_noise(estimator, nv):
-    """Deviations (2 nv,) of the noise of smoothed states; zero for given states."""
+    """Deviations (2 nv,) of the noise of smoothed states.
+
+    Zero for states that were given, and where the noise is not known: `refine` tells.
+    """
     if estimator is None:
         return np.zeros(2 * nv)
-    encoder = np.sqrt(np.nan_to_num(estimator.noise_variance_))
+    variance = estimator.noise_variance_
+    encoder = np.sqrt(np.where(np.isnan(variance), 0.0, variance))
     return np.concatenate([encoder, estimator.velocity_noise()])
+
+
+def _tell_unknown_noise(predictor):
+    """Warn where windows cannot start anywhere but at their measured states."""
+    estimator = predictor.plan.state_estimator
+    if estimator is None or not np.isnan(estimator.noise_variance_).any():
+        return
+    unknown = np.isnan(estimator.noise_variance_)
+    names = [name for name, bad in zip(predictor.joint_names, unknown) if bad]
+    warnings.warn(
+        f"The encoder noise of {', '.join(names)} is not known, as no recording is "
+        "long enough to show it: windows start exactly at the smoothed states, and the "
+        "parameters answer for errors of these. Give at least one recording of "
+        f"{SAMPLES_FOR_NOISE} samples, or states as X if they are free of noise.",
+        UserWarning,
+        stacklevel=5,
+    )
 
 
 def window_rows(window, predictor, recording, states):
@@ -429,11 +452,13 @@ def refine(predictor, found, recording, states, settings):
     """
     rows = window_rows(settings.window, predictor, recording, states)
     windows = Windows.of(predictor, recording, states, rows)
-    with warnings.catch_warnings():
-        # The robot may leave limits on the way; effects that are left out are told
-        # of by `simulate` of the user's own.
-        warnings.simplefilter("ignore", UserWarning)
+    _tell_unknown_noise(predictor)
+    with warnings.catch_warnings(record=True) as caught:
+        # Every window of every step says what the simulation goes without: once will
+        # do.
+        warnings.simplefilter("always")
         refined = _refine(predictor, found, windows, settings.projector)
+    tell_once(caught, "simulations", stacklevel=4)
     count = int(windows.observations.sum())
     if count < _LEAST_OBSERVATIONS * refined.determined:
         warnings.warn(
@@ -554,13 +579,20 @@ def deviations(normal, metric, damping, before):
 
     .. math::
 
-        A^{-1} \Big(\tfrac{W}{W - r} \sum_w g_w g_w^\top\Big) A^{-1} + T C T^\top,
-        \quad A = H + \mu G, \quad T = 1 - A^{-1} H,
+        A^{-1} \Big(\tfrac{W}{\nu - 2} \sum_w g_w g_w^\top\Big) A^{-1} + T C T^\top,
+        \quad A = H + \mu G, \quad T = 1 - A^{-1} H, \quad \nu = \max(W - r, 3),
 
     the sandwich of the gradients of the windows, whatever their errors are correlated
     like within a window; where the simulation does not determine parameters (T = 1)
-    they keep the deviations of the torque fit, in its covariance C. r counts the
-    directions that the simulation determines; with Student's t for what remains of W.
+    they keep the deviations of the torque fit, in its covariance C.
+
+    r counts the directions that the simulation determines. The fit leaves (W - r) / W
+    of the squares of the gradients, if each window tells one direction, and Student's t
+    of W - r degrees of freedom has the variance (W - r) / (W - r - 2): together W / (W
+    - r - 2). A window that tells many directions loses less of its gradient, so that
+    there are gradients left for W <= r as well, where the formula has no value. The
+    floor of three degrees then multiplies their squares by W, which is more than enough
+    for one direction a window and for many (``tests/robot/test_output_error.py``).
     """
     W = normal.g.shape[0]
     A = scaled_eigen(normal.H + damping * metric)

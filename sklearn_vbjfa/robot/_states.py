@@ -11,6 +11,8 @@ from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguou
 
 # Shortest recording that the spline can be fitted to.
 _MIN_SAMPLES = 8
+# From so many on, spectra show noise and bandwidth.
+SAMPLES_FOR_NOISE = 2 * _MIN_SAMPLES
 # The state cut-off of least acceleration error, times this: what smoothing takes from
 # the motion biases the parameters however long the recording, while noise averages
 # out and is corrected for.
@@ -108,7 +110,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         parts = contiguous_groups(groups, X.shape[0])
         longest = max(part.stop - part.start for part in parts)
         moving, spectra = None, None
-        if longest >= 2 * _MIN_SAMPLES:
+        if longest >= SAMPLES_FOR_NOISE:
             segments = [X[part] for part in parts]
             moving = np.any([np.ptp(x, axis=0) > 0 for x in segments], axis=0)
             spectra = _smoothing.acceleration_spectra(segments, dt)
@@ -134,7 +136,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
             chosen = self._analyse(moving, spectra, dt)
         elif auto:
             raise ValueError(
-                f"cutoff='auto' needs a recording of at least {2 * _MIN_SAMPLES} "
+                f"cutoff='auto' needs a recording of at least {SAMPLES_FOR_NOISE} "
                 f"samples; the longest has {longest} (1 sample or a few are not "
                 "enough). Give cutoff in Hz."
             )

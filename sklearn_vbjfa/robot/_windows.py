@@ -9,12 +9,16 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import special
 
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.recording._columns import torques_in_order
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.robot._prediction import predictor_of
 from sklearn_vbjfa.simulation._simulate import SimulationError
+
+# Level of the one-sided test by which an error is clearly smaller than another.
+_CLEARLY = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,11 +40,12 @@ class FailedWindow:
     message: str
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class SimulatedWindows:
     """Measured and simulated motion over windows of equal length.
 
-    `simulate_windows` makes them.
+    `simulate_windows` makes them. Printed, they say how many windows failed, and on
+    which joints they are not clearly better than a robot without a model.
 
     Attributes
     ----------
@@ -74,6 +79,14 @@ class SimulatedWindows:
     simulated: np.ndarray
     failures: tuple = ()
 
+    def __repr__(self):
+        """Tell the windows, those that failed, and whether a model was needed."""
+        seconds = self.t[0, -1] - self.t[0, 0]
+        return (
+            f"<SimulatedWindows: {self.n_windows} windows of {seconds:g} s, "
+            f"{self.failed.sum()} failed, {self.verdict()}>"
+        )
+
     @property
     def n_windows(self):
         """Number of windows."""
@@ -86,7 +99,11 @@ class SimulatedWindows:
 
     @property
     def errors(self):
-        """Root mean square position error of each window, (n_windows, nv)."""
+        """Root mean square position error of each window, (n_windows, nv).
+
+        nan in windows that failed: whoever averages over the others leaves out the
+        worst ones, and should say how many.
+        """
         nv = len(self.joint_names)
         return _rms(self.simulated[..., :nv] - self.positions, 1)
 
@@ -107,6 +124,36 @@ class SimulatedWindows:
             rival.errors.max(axis=0) for rival in (self.staying(), self.going_on())
         ]
         return self.errors > np.max(worst, axis=0)
+
+    @property
+    def clearly_better(self):
+        """Joints on which it is clearly better than both robots without a model, (nv,).
+
+        Better than one that stays where it was, and than one that keeps its velocity:
+        the mean of the windows' errors is smaller, by Student's t of their differences
+        window by window at a level of 5 %, neighbours being correlated. A window that
+        failed counts as the worst error that either has in any window.
+        """
+        rivals = [one.errors for one in (self.staying(), self.going_on())]
+        worst = np.max(rivals, axis=(0, 1))
+        own = np.where(self.failed[:, None], worst, self.errors)
+        return np.all([clearly_smaller(own, other) for other in rivals], axis=0)
+
+    def verdict(self):
+        """Say whether it is clearly better than both robots without a model.
+
+        Returns
+        -------
+        str
+            Without a full stop; names the joints on which it is not.
+        """
+        better = self.clearly_better
+        both = "a robot that stays and one that keeps its velocity"
+        if better.all():
+            return f"clearly better than {both} on every joint"
+        names = [n for n, good in zip(self.joint_names, better) if not good]
+        where = "any joint" if not better.any() else ", ".join(names)
+        return f"not clearly better than {both} on {where}"
 
     def staying(self):
         """Return the same windows of a robot that stays where it was."""
@@ -144,6 +191,25 @@ class SimulatedWindows:
         return replace(self, simulated=states, failures=())
 
 
+def clearly_smaller(errors, others):
+    """Whether the means of errors (n, ...) are clearly smaller than those of others.
+
+    Student's t of the differences row by row, one-sided at a level of 5 %. Rows follow
+    one another in time: their mean has the variance of independent ones times 1 + 2 r,
+    with the correlation r of neighbours where it is positive.
+    """
+    difference = np.asarray(errors) - np.asarray(others)
+    n = len(difference)
+    if n < 2:
+        return np.zeros(difference.shape[1:], dtype=bool)
+    mean = difference.mean(axis=0)
+    about = difference - mean
+    variance = (about**2).sum(axis=0) / (n - 1)
+    neighbours = (about[1:] * about[:-1]).sum(axis=0) / (n - 1)
+    variance = variance + 2.0 * np.maximum(neighbours, 0.0)
+    return mean < special.stdtrit(n - 1, _CLEARLY) * np.sqrt(variance / n)
+
+
 def simulate_windows(
     robot, X, y, groups=None, t=None, *, window=1.0, signals=None, beside=None
 ):
@@ -179,7 +245,8 @@ def simulate_windows(
     Returns
     -------
     SimulatedWindows
-        Measured and simulated motion, errors, and windows that failed.
+        Measured and simulated motion, errors, and windows that failed; their errors
+        are nan, and `failures` names them.
 
     Raises
     ------
@@ -205,6 +272,9 @@ def simulate_windows(
     >>> found = simulate_windows(robot, recording.q[3000:], recording.tau[3000:])
     >>> found.errors.shape
     (4, 6)
+    >>> print(found.verdict())
+    not clearly better than a robot that stays and one that keeps its velocity on \
+joint_5, joint_6
     """
     predictor = predictor_of(robot)
     names, nv = predictor.joint_names, len(predictor.joint_names)
@@ -246,7 +316,7 @@ def simulate_windows(
                 )
     if len(refusals) == len(rows):
         raise refusals[0]
-    _tell(caught)
+    tell_once(caught, "windows", stacklevel=3)
     return replace(made, simulated=simulated, failures=tuple(failures))
 
 
@@ -347,15 +417,19 @@ def _rows(asked, standstill, length, dt):
     return np.array(found)[:, None] + np.arange(length + 1)
 
 
-def _tell(caught):
-    """Pass on each kind of warning once, in how many windows it came up."""
+def tell_once(caught, where, stacklevel):
+    """Pass on each kind of recorded warning once, and how often it came up.
+
+    Texts that begin alike, up to a colon, are of one kind; where : what was repeated.
+    """
     kinds = {}
     for one in caught:
         kind = str(one.message).partition(":")[0]
         kinds.setdefault((one.category, kind), []).append(str(one.message))
     for (category, _), texts in kinds.items():
-        many = f" (first of {len(texts)} windows)" if len(texts) > 1 else ""
-        warnings.warn(f"{texts[0].rstrip('.')}{many}.", category, stacklevel=3)
+        many = f" (first of {len(texts)} {where})" if len(texts) > 1 else ""
+        told = f"{texts[0].rstrip('.')}{many}."
+        warnings.warn(told, category, stacklevel=stacklevel + 1)
 
 
 def _rms(errors, axis):

@@ -4,7 +4,11 @@ import numpy as np
 
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
 from sklearn_vbjfa.simulation._integrate import Diverged, Integrator
-from sklearn_vbjfa.simulation._simulate import Recorded, SimulationError
+from sklearn_vbjfa.simulation._simulate import (
+    Recorded,
+    SimulationError,
+    tell_held,
+)
 
 
 def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
@@ -59,6 +63,7 @@ def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
                 if i + 1 == n:
                     break
                 _advance(robot, motion, drive, length, time, i)
+    tell_held(robot, motion, stacklevel=3)
     return states, tau
 
 

@@ -70,7 +70,7 @@ _LOWER = np.array(
 # Shortest step, as a share of the sample period, and most steps in it.
 _SHORTEST, _MOST_STEPS = 1e-12, 20_000
 # So many times a joint may stop within a sample period; then it sticks until its end.
-_MOST_STOPS = 20
+MOST_STOPS = 20
 # Beyond what holds a joint by this share it breaks loose, which is found to this share.
 _HOLDS, _LOOSE = 1e-9, 1e-6
 # Most steps in search of one event, and most changes of joints between sticking and
@@ -118,6 +118,11 @@ class Integrator:
         Work of all torques that do not dissipate, since the start [J].
     steps : int
         Number of steps taken.
+    held : ndarray of shape (nv,), int
+        In how many sample periods a joint stopped so often that it was held from there
+        to the end.
+    held_since : float
+        Time of the first of these stops [s]; nan without any.
     """
 
     def __init__(self, dynamics, q, v, tau, t):
@@ -135,6 +140,7 @@ class Integrator:
         self._exact = _TOLERANCE * self._fast
         self._step = np.inf
         self._stops, self._stops_often = np.zeros(nv, dtype=int), False
+        self.held, self.held_since = np.zeros(nv, dtype=int), np.nan
         self._time = t
         dynamics.start(self.q)
         self.settle(tau)
@@ -164,7 +170,7 @@ class Integrator:
         self.v[at_rest] = 0.0
         self._mode[at_rest] = 0.0
         self._stuck[:] = at_rest
-        free = at_rest & (self._stops <= _MOST_STOPS)
+        free = at_rest & (self._stops <= MOST_STOPS)
         slope = self._evaluate(self.q, self.v, tau)
         for _ in range(_MOST_PIVOTS if free.any() else 0):
             loose = self._stuck & (np.abs(own.needed) > (1 + _HOLDS) * own.limit)
@@ -194,7 +200,7 @@ class Integrator:
         """
         rate = (after - tau) / dt
         if self._stops_often:
-            barred = (self._stops > _MOST_STOPS).any()
+            barred = (self._stops > MOST_STOPS).any()
             self._stops[:], self._stops_often = 0, False
             if barred:
                 self.settle(tau)
@@ -274,6 +280,11 @@ class Integrator:
         self.v[turned] = 0.0
         self._stops += turned
         self._stops_often = True
+        # Once in a sample period: what is held does not turn again.
+        held = turned & self._dynamics.has_dry & (self._stops == MOST_STOPS + 1)
+        if held.any():
+            self.held += held
+            self.held_since = float(np.fmin(self.held_since, self._time))
         self.settle(tau)
 
     def _explicit(self, tau, rate, h):
@@ -338,7 +349,7 @@ class Integrator:
         """How far joints are past events, in units of what they may be (nv,)."""
         own, stuck = self._dynamics, self._stuck
         if self._stops_often:
-            stuck = stuck & (self._stops <= _MOST_STOPS)
+            stuck = stuck & (self._stops <= MOST_STOPS)
         return own.steps.past_events(
             self._watched,
             self._way,

@@ -8,7 +8,12 @@ from sklearn_vbjfa.model._doubts import DoubtWarning
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.simulation._channels import true_torques
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
-from sklearn_vbjfa.simulation._integrate import SLOWEST, Diverged, Integrator
+from sklearn_vbjfa.simulation._integrate import (
+    MOST_STOPS,
+    SLOWEST,
+    Diverged,
+    Integrator,
+)
 from sklearn_vbjfa.simulation._terms import LEFT_OUT
 
 # Time stamps may differ from whole periods by this share of one.
@@ -123,6 +128,7 @@ def _run(robot, dynamics, tau, q0, v0, t):
             states[i, 2 * nv :] = motion.a
             if i % _EVERY == 0 or i + 1 == n:
                 energy.check(motion, t[i])
+    tell_held(robot, motion, stacklevel=5)
     return states
 
 
@@ -367,6 +373,25 @@ def _tell_left_out(robot, dynamics):
             f"The simulation goes without {'; '.join(left)}.",
             DoubtWarning,
             stacklevel=4,
+        )
+
+
+def tell_held(robot, motion, stacklevel):
+    """Warn of joints that stopped so often in a sample period that they were held."""
+    named = [
+        f"{name} in {count} sample period{'s' if count > 1 else ''}"
+        for name, count in zip(robot.joint_names, motion.held)
+        if count
+    ]
+    if named:
+        warnings.warn(
+            f"A simulated joint stops more than {MOST_STOPS} times within a sample "
+            f"period and is held to its end: {', '.join(named)}, first at t = "
+            f"{motion.held_since:.6g} s. It moves faster than the torques are sampled: "
+            "look for a stiffness too high or an inertia too small for this period "
+            "among the parameters of this joint, or simulate in shorter periods.",
+            UserWarning,
+            stacklevel=stacklevel,
         )
 
 

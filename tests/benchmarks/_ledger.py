@@ -3,9 +3,48 @@
 import json
 from pathlib import Path
 
+from _report import code
+
+UNKNOWN = {"commit": "a commit that was not noted", "files": {}}
+
+
+def note(path):
+    """Keep the code as it is beside a file of results, and return its commit."""
+    now, beside = code(), Path(f"{path}.code")
+    if now not in _lines(beside):
+        with beside.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(now) + "\n")
+    return now["commit"]
+
+
+def noted(path, commits):
+    """Return the code at some commits, as it was kept beside a file of results.
+
+    A commit with changes that were not committed may stand for several states.
+    """
+    kept = _lines(Path(f"{path}.code"))
+    found = [one for one in kept if one["commit"] in commits]
+    there = {one["commit"] for one in found}
+    found += [{**UNKNOWN, "commit": c} for c in commits if c and c not in there]
+    return found + ([UNKNOWN] if None in commits else [])
+
+
+def _lines(path):
+    """Values of a file of JSON lines."""
+    found = []
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            try:  # a run that was stopped may have left half a line
+                found.append(json.loads(line))
+            except json.JSONDecodeError:
+                continue
+    return found
+
 
 class Ledger:
     """Results by key, each written to a file as soon as it is there.
+
+    A result in a file holds the commit that it was made at, under "commit".
 
     Parameters
     ----------
@@ -23,14 +62,7 @@ class Ledger:
     def __init__(self, path, keys):
         self.path = None if path is None else Path(path)
         self.keys = tuple(keys)
-        self.results = []
-        if self.path is not None and self.path.exists():
-            # a run that was stopped may have left half a line
-            for line in self.path.read_text(encoding="utf-8").splitlines():
-                try:
-                    self.results.append(json.loads(line))
-                except json.JSONDecodeError:
-                    continue
+        self.results = [] if self.path is None else _lines(self.path)
 
     def key(self, result):
         """Key of a result, a tuple."""
@@ -48,11 +80,21 @@ class Ledger:
 
     def add(self, result):
         """Take a result down."""
-        self.results.append(result)
-        if self.path is not None:
+        if self.path is None:
+            self.results.append(result)
+        else:
             self.path.parent.mkdir(parents=True, exist_ok=True)
+            result = {**result, "commit": note(self.path)}
+            self.results.append(result)
             with self.path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(result) + "\n")
+
+    def states(self, tasks=None):
+        """Return the code that results were made with, those of some tasks or all."""
+        if self.path is None:
+            return [code()]
+        made = self.results if tasks is None else self.of(tasks)
+        return noted(self.path, list(dict.fromkeys(r.get("commit") for r in made)))
 
 
 def _frozen(value):

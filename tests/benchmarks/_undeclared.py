@@ -42,6 +42,8 @@ from _undeclared_strangers import STRANGERS
 
 # Viscous friction is declared unless asked otherwise, so it is not drawn.
 LIBRARY = (*(name for name in ADDED if name != "viscous"), "elastic", "delay")
+# What every model has, declared or not: there is nothing to name.
+PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
 OUTSIDE = tuple(STRANGERS)
 # Not drawn unless asked for: a lag of one channel has several names.
 CHANNELS = ("jerk", "torque_filter")

@@ -42,7 +42,7 @@ from pathlib import Path
 
 import numpy as np
 from _design_motions import Designed, Limits, random_motion, rigid, top_harmonic
-from _report import ROOT, commit, parser, publish, rst_table
+from _report import ROOT, parser, publish, rst_table
 from _undeclared_robots import inverse_dynamics, regressor
 from scipy.linalg import qr
 
@@ -356,7 +356,6 @@ def report(results):
             "random one, by each figure anew.",
             rst_table(rows, headers),
             targets,
-            f"Version of the package: {commit()}.",
         ]
     )
 

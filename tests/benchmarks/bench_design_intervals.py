@@ -38,7 +38,7 @@ from _design_motions import (
 )
 from _design_robots import HARMONICS, POOR, draw_robot, execute
 from _ledger import Ledger, results_of
-from _report import commit, parser, publish, rst_table
+from _report import parser, publish, rst_table
 from bench_design_rivals import (
     DT,
     DURATION,
@@ -130,7 +130,7 @@ def run(task, design=designed, duration=DURATION, dt=DT):
     """
     seed, started = task["seed"], time.perf_counter()
     robot = draw_robot(task["kind"], task["size"], seed, n_joints=JOINTS)
-    result = {"seed": seed, "commit": commit(), "n_joints": robot.model.nv}
+    result = {"seed": seed, "n_joints": robot.model.nv}
     draws = np.random.default_rng([seed, 3]).spawn(5)
 
     def recorded(motion, rng):
@@ -222,9 +222,6 @@ def report(results):
     failed = [str(r["seed"]) for r in results if "error" in r]
     if failed:
         parts.append(f"Ended with an error: {', '.join(failed)}.")
-    parts.append(
-        f"Version of the package: {', '.join(sorted({r['commit'] for r in results}))}."
-    )
     return "\n\n".join(parts)
 
 
@@ -244,6 +241,7 @@ def main(argv=None):
         report(ledger.of(tasks)),
         write=arguments.write,
         command=command,
+        states=ledger.states(tasks),
     )
 
 

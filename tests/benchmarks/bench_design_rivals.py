@@ -50,7 +50,7 @@ from _design_motions import (
 )
 from _design_robots import HARMONICS, KINDS, POOR, draw_robot, execute
 from _ledger import Ledger, results_of
-from _report import commit, parser, publish, rst_table, rst_title
+from _report import parser, publish, rst_table, rst_title
 from bench_single_effects import lower_bound
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
@@ -192,7 +192,6 @@ def run(task, design=designed, duration=DURATION, dt=DT, **settings):
     robot = draw_robot(task["kind"], task["size"], seed)
     result = {
         **task,
-        "commit": commit(),
         "n_joints": robot.model.nv,
         "declared": list(robot.declared),
         "truth": [robot.truth.name, robot.truth.joint],
@@ -329,8 +328,6 @@ def report(results):
     ]
     if errors:
         parts.append(f"Ended with an error, counted as failures: {', '.join(errors)}.")
-    commits = sorted({r["commit"] for r in results})
-    parts.append(f"Version of the package: {', '.join(commits)}.")
     return "\n\n".join(parts)
 
 
@@ -372,6 +369,7 @@ def main(argv=None):
         report(ledger.of(tasks)),
         write=arguments.write,
         command=command,
+        states=ledger.states(tasks),
     )
 
 

@@ -13,19 +13,20 @@ Targets, fixed before anything was tuned: alpha = 0.05, pooled false alarms at m
 Seeds below 200 are for development; the table uses 200 and above.
 """
 
-import json
 import sys
 import time
 import warnings
-from pathlib import Path
 
 import numpy as np
+from _ledger import Ledger
 from _report import parser, publish, rst_table
 from _undeclared_effects import ADDED, World
 from _undeclared_robots import inverse_dynamics
 from _undeclared_span import DeclaredSpan
 from scipy.signal import lfilter
 
+# What tells one verdict from another.
+KEYS = ("residual", "duration", "seed", "study")
 DT = 0.02
 DURATIONS = (40.0, 120.0)
 ALPHA = 0.05
@@ -38,7 +39,8 @@ VISCOUS = 0.5
 # in units of the residual's; drawn evenly in the logarithm.
 SIZES = (0.5, 8.0)
 # All of the simulator's effects that one joint can show.
-KINDS = tuple(k for k in ADDED if k not in ("viscous", "rotor_inertia", "coupling"))
+PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
+KINDS = tuple(k for k in ADDED if k not in (*PLAIN, "coupling"))
 
 
 # -- residuals of mean square one ------------------------------------------------------
@@ -166,7 +168,7 @@ def recording(kind, duration, seed, with_effect):
         groups=np.zeros(t.size, int),
         rigid=rigid,
         declared_torque=rigid + VISCOUS * v,
-        declared=("viscous",),
+        declared=PLAIN,
         unit=np.ones(1),
     )
     # Every kind comes up equally often within a cell.
@@ -174,7 +176,7 @@ def recording(kind, duration, seed, with_effect):
     size = float(np.exp(rng.uniform(*np.log(SIZES))))
     drawn = ADDED[name](world, 0, rng)
     torque = drawn.torque.reshape(t.size, 1)
-    span = DeclaredSpan(model, states, ("viscous",), np.ones(1))
+    span = DeclaredSpan(model, states, PLAIN, np.ones(1))
     seen = span.share(torque) * np.sqrt(np.mean(torque**2))
     return (
         model,
@@ -231,30 +233,27 @@ def study(trials, seed, studies=("null", "power"), results=None, durations=DURAT
     durations : sequence of float
         Lengths [s].
     """
-    path = None if results is None else Path(results)
-    found = read(path) if path is not None and path.exists() else []
-    done = {_key(r) for r in found}
-    for s in range(seed, seed + trials):
-        for kind in RESIDUALS:
-            for duration in durations:
-                for which in studies:
-                    if (kind, duration, s, which) in done:
-                        continue
-                    found.append(judge(kind, duration, s, which == "power"))
-                    if path is not None:
-                        with path.open("a", encoding="utf-8") as file:
-                            file.write(json.dumps(found[-1]) + "\n")
-    return found
+    ledger = Ledger(results, KEYS)
+    tasks = [
+        dict(zip(KEYS, (kind, duration, s, which), strict=True))
+        for s in range(seed, seed + trials)
+        for kind in RESIDUALS
+        for duration in durations
+        for which in studies
+    ]
+    for task in ledger.missing(tasks):
+        kind, duration, s, which = task.values()
+        ledger.add(judge(kind, duration, s, which == "power"))
+    return ledger.results
 
 
 def read(path):
     """Read the verdicts of a file."""
-    lines = Path(path).read_text(encoding="utf-8").splitlines()
-    return [json.loads(line) for line in lines]
+    return Ledger(path, KEYS).results
 
 
 def _key(verdict):
-    return tuple(verdict[k] for k in ("residual", "duration", "seed", "study"))
+    return tuple(verdict[k] for k in KEYS)
 
 
 def alarms(verdicts):
@@ -365,7 +364,8 @@ def main(argv=None):
     if kinds:
         headers = ["effect", "recordings", "found, %", "old, %", "change, points"]
         text += "\n\nThe power by effect:\n\n" + rst_table(kinds, headers)
-    publish("false_alarms", text, write=arguments.write)
+    states = Ledger(arguments.results, KEYS).states()
+    publish("false_alarms", text, write=arguments.write, states=states)
 
 
 if __name__ == "__main__":

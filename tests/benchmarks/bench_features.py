@@ -37,6 +37,7 @@ HEADERS = [
 ]
 FIT_HEADERS = ["", "time [s]", "by sample [us]", "over the bare loop"]
 _FIT_JOINTS, _FIT_SAMPLES = 10, 500_000
+ENTERS = ("sklearn_vbjfa.datasets.load_demo_recording",)  # by the next text
 # One fit of the embedded recording; without Numba where it is told so.
 _DEMO = """
 import sys, warnings
@@ -194,7 +195,7 @@ def report_fit(n_joints=_FIT_JOINTS, n_samples=_FIT_SAMPLES, rounds=3):
         with warnings.catch_warnings():
             # The rows of given states are no motion.
             warnings.simplefilter("ignore", UserWarning)
-            RobotIdentifier(model, dt=1e-3).fit(X, torque)
+            RobotIdentifier(model, dt=1e-3, friction=("viscous",)).fit(X, torque)
 
     moved = motion(n_samples, n_joints, rng)
     q_moved = moved[0] + 1e-4 * rng.normal(size=q.shape)

@@ -31,6 +31,12 @@ from sklearn_vbjfa.datasets._catalogue import protocols
 
 SCRIPTS = Path(__file__).resolve().parent / "side_by_side"
 SETS = ("ur5", "staubli_tx40")
+# The user scripts of this package, which run in processes of their own.
+ENTERS = (
+    "side_by_side.vbjfa_user",
+    "side_by_side.vbjfa_user_coupled",
+    "side_by_side.vbjfa_user_discovery",
+)
 # Speeds [rad/s] at or below which a sample counts as standstill for FIGAROH; by the
 # protocol on the UR5, some 2 % of the top speeds on the TX40.
 STANDSTILL = {"ur5": 0.03, "staubli_tx40": 0.02}

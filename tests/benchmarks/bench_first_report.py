@@ -29,6 +29,8 @@ add_root_to_path()
 from sklearn_vbjfa.datasets import load_demo_recording  # noqa: E402
 from tests.recording._bags import states, write_ros2  # noqa: E402
 
+# What the commands run.
+ENTERS = ("sklearn_vbjfa.__main__",)
 BAGS = ROOT.parent / "shared" / "data" / "unisa_bags"
 # Bags by what they are: file, description, what its user knows of the efforts.
 REAL = {

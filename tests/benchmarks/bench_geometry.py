@@ -552,7 +552,8 @@ def main(argv=None):
     command += "" if arguments.seed == 0 else f" --seed {arguments.seed}"
     seeds = f"Seeds {arguments.seed} to {arguments.seed + arguments.cases - 1}."
     text = f"{seeds}\n\n{report(ledger.of(tasks))}"
-    publish(name, text, write=arguments.write, command=command)
+    states = ledger.states(tasks)
+    publish(name, text, write=arguments.write, command=command, states=states)
 
 
 if __name__ == "__main__":

@@ -491,6 +491,7 @@ def main(argv=None):
         write=arguments.write,
         command="python tests/benchmarks/bench_geometry_truth_put_in.py "
         f"--sets {arguments.sets}",
+        states=ledger.states(),
     )
 
 

@@ -33,7 +33,8 @@ from _growth_problems import (
     UNDECLARED,
     make_task,
 )
-from _report import parser, publish, rst_table, rst_title
+from _ledger import note, noted
+from _report import commit, parser, publish, rst_table, rst_title
 
 MOST_SECONDS = 60.0
 MOST_MEGABYTES = 4096.0
@@ -141,7 +142,8 @@ def measure(
         if reason:
             done[size] = {"skipped": reason}
         else:
-            done[size] = run(study, method, size, most_seconds)
+            figures = run(study, method, size, most_seconds)
+            done[size] = {**figures, "commit": commit()}
         print(f"{study}, {method}, {size}: {done[size]}", file=sys.stderr, flush=True)
     return done
 
@@ -276,9 +278,25 @@ def main(argv=None, run=measure_apart):
             if not arguments.quick:
                 arguments.results.parent.mkdir(parents=True, exist_ok=True)
                 arguments.results.write_text(json.dumps(results, indent=1))
+    # at the end, as it takes memory that further processes would begin with
+    if not (arguments.quick or arguments.report_only):
+        note(arguments.results)
     results = in_order(results)
     write = arguments.write and not arguments.quick
-    publish("growth", report(results, arguments.most_seconds), write=write)
+    text = report(results, arguments.most_seconds)
+    publish("growth", text, write=write, states=states(results, arguments.results))
+
+
+def states(results, path):
+    """Return the code that the figures were made with, as it was kept beside a file."""
+    made = [
+        entry.get("commit")
+        for found in results.values()
+        for done in found.values()
+        for entry in done.values()
+        if "skipped" not in entry
+    ]
+    return noted(path, list(dict.fromkeys(made)))
 
 
 if __name__ == "__main__":

@@ -164,10 +164,6 @@ def _coulomb(q, v, load):
     return 0.3 * np.sign(v)
 
 
-def _smooth(q, v, load):
-    return 0.3 * np.tanh(v / 0.3)
-
-
 def _spring(q, v, load):
     return 0.8 * (q - 0.2)
 
@@ -186,8 +182,6 @@ def _ripple(q, v, load):
 
 # label: name in the library, joint, torque, truth of its parameters
 EFFECTS = {
-    "coulomb": ("coulomb", 0, _coulomb, {"Fc": 0.3}),
-    "coulomb, smooth": ("coulomb", 0, _smooth, {"Fc": 0.3, "smoothing": 0.3}),
     "spring": ("spring", 0, _spring, {"k": 0.8, "q0": 0.2}),
     "load_friction": ("load_friction", 1, _load_friction, {"mu": 0.06}),
     "viscous_quadratic": ("viscous_quadratic", 1, _quadratic, {"F2": 0.15}),
@@ -228,7 +222,9 @@ def _take(cells, found, truth):
 def discover(made, names, n=None):
     """Close the loop on the first n rows."""
     loop = EffectDiscovery(
-        RobotIdentifier(made.model, dt=DT), effects=names, random_state=0
+        RobotIdentifier(made.model, dt=DT, friction=("viscous",)),
+        effects=names,
+        random_state=0,
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

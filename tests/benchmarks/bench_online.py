@@ -57,7 +57,9 @@ def measure(n_joints, n_rows, n_refits):
     recording = make_robot_recording(
         model, duration=0.002 * n_rows, dt=0.002, random_state=0
     )
-    robot = RobotIdentifier(model, standstill=0.01, forgetting=1 - 1 / MEMORY)
+    robot = RobotIdentifier(
+        model, standstill=0.01, forgetting=1 - 1 / MEMORY, friction=("viscous",)
+    )
     rows, refits = [], []
     every = max(1, n_rows // (2 * n_refits))
     for i, (x, tau) in enumerate(zip(recording.states, recording.tau)):

@@ -13,7 +13,7 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from _report import commit, parser, publish, rst_table
+from _report import parser, publish, rst_table
 from _simulated_models import pendulum, simulated, slide, torque_model
 from bench_features import chain
 from scipy.integrate import solve_ivp
@@ -606,7 +606,7 @@ def main(argv=None):
             "Largest error over all rows of each simulation. Torques that change do so "
             "along a straight line. Chains have random axes, placements and starts, "
             f"seeds from {SEED} on; microseconds a row are processor time, the fastest "
-            f"of up to {ROUNDS} runs. Commit {commit()}.",
+            f"of up to {ROUNDS} runs.",
             rst_table([row(answer) for answer in answers], HEADERS, n_labels=3),
         ]
     )

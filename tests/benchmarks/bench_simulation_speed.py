@@ -16,7 +16,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
-from _report import commit, parser, publish, rst_table
+from _report import parser, publish, rst_table
 from _simulated_models import simulated, torque_model, torques
 from threadpoolctl import threadpool_limits
 
@@ -271,8 +271,7 @@ def report(seconds=SECONDS, rounds=ROUNDS, without=True):
         f"Six joints at {1 / PERIOD:g} Hz, {seconds:g} s of motion, seed {SEED}, on "
         f"one core; processor time, medians of {rounds} rounds after one that "
         "compiles. Torques are those of the motion; the error is that of the positions "
-        "at the end of a window, the largest. Met counts the slower of both. Commit "
-        f"{commit()}.",
+        "at the end of a window, the largest. Met counts the slower of both.",
     ]
     steps = step_rows(rounds)
     if steps:

@@ -5,12 +5,11 @@ Run ``python tests/benchmarks/bench_single_effects.py --out FILE [--studies sing
 
 Data: ``_undeclared.py``, which shares no code with the library of effects: robots of
 two to seven joints, 30 to 60 s at 100 to 200 Hz in one or two recordings, white torque
-noise of 2 to 5 % of the spread, viscous or viscous and Coulomb friction declared (for
-an undeclared viscous friction, Coulomb friction). The size of an effect is the root
-mean square of the part that the declared columns cannot absorb, weighted by the torque
-noise, over that noise. Where an effect cannot have the size asked for within what is
-physical (an elastic joint, a delay of 40 ms, a filter of the torque of 2 Hz), in none
-of four robots, the case is not counted.
+noise of 2 to 5 % of the spread, viscous or viscous and Coulomb friction declared. The
+size of an effect is the root mean square of the part that the declared columns cannot
+absorb, weighted by the torque noise, over that noise. Where an effect cannot have the
+size asked for within what is physical (an elastic joint, a delay of 40 ms, a filter of
+the torque of 2 Hz), in none of four robots, the case is not counted.
 
 - ``single``: every kind at every size, seeds 0 to 9. Named: the right name, or one
   whose declared rivals have it, on the right joint; other names are counted apart.
@@ -33,12 +32,14 @@ from collections import Counter
 import numpy as np
 from _ledger import Ledger, results_of
 from _report import parser, publish, rst_table, rst_title
-from _undeclared import CHANNELS, LIBRARY, draw_cases, simulate
+from _undeclared import CHANNELS, LIBRARY, PLAIN, draw_cases, simulate
 from scipy.stats import beta
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
-KINDS = ("viscous", *LIBRARY, *CHANNELS)
+# The numbers of the kinds are part of the seeds.
+ALL = ("viscous", *LIBRARY, *CHANNELS)
+KINDS = tuple(kind for kind in ALL if kind not in PLAIN)
 # Sizes with the shares that are to be named.
 SIZES = {0.5: 0.70, 1.0: 0.85, 2.0: 0.94, 6.0: 0.96}
 SEVERAL = {"two": 2, "three": 3}
@@ -86,7 +87,7 @@ def tasks_of(studies, kinds, sizes, seed, n_seeds, n_cases):
             for kind in kinds
             for size in sizes
         ]
-    drawn = [kind for kind in (*LIBRARY, *CHANNELS) if kind in kinds]
+    drawn = [kind for kind in KINDS if kind in kinds]
     for study in (study for study in SEVERAL if study in studies):
         cases = draw_cases(n_cases, SEVERAL[study], SEVERAL_SIZES, seed, kinds=drawn)
         tasks += [
@@ -108,13 +109,12 @@ def tasks_of(studies, kinds, sizes, seed, n_seeds, n_cases):
 
 def draw(task, **settings):
     """Draw the recording of a task; settings are those of `simulate`."""
-    declared = ("coulomb",) if "viscous" in task["kinds"] else None
-    number = KINDS.index(task["kinds"][0]) if task["kinds"] else len(KINDS)
+    number = ALL.index(task["kinds"][0]) if task["kinds"] else len(ALL)
     return simulate(
         task["kinds"],
         size=task["sizes"],
         seed=(task["seed"], STUDIES.index(task["study"]), number),
-        **{"declared": declared, "exact": True, **settings},
+        **{"exact": True, **settings},
     )
 
 
@@ -345,7 +345,13 @@ def main(argv=None):
     name = "single_effects" + ("" if arguments.seed < 100 else "_confirmation")
     command = "python tests/benchmarks/bench_single_effects.py"
     command += "" if arguments.seed == 0 else f" --seed {arguments.seed}"
-    publish(name, report(ledger.of(tasks)), write=arguments.write, command=command)
+    publish(
+        name,
+        report(ledger.of(tasks)),
+        write=arguments.write,
+        command=command,
+        states=ledger.states(tasks),
+    )
 
 
 if __name__ == "__main__":

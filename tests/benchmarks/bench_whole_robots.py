@@ -44,6 +44,7 @@ from itertools import combinations
 import numpy as np
 from _ledger import Ledger, results_of
 from _report import parser, publish, rst_table
+from _undeclared import PLAIN
 from _undeclared_whole import NV, whole_robot
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
@@ -62,17 +63,9 @@ SAME = 0.9
 CONFIRMATION = range(100, 130)
 
 
-# Plainer effects that a compound becomes at an end of its own parameters: bristles of
-# no displacement, a hump wider than all speeds, a gap of no width, a slow warm-up.
-CONTAINED = {
-    "presliding": {"coulomb"},
-    "stribeck": {"coulomb"},
-    "drift": {"coulomb"},
-    "asymmetric_friction": {"offset"},
-    "spring": {"offset"},
-    "counterbalance": {"spring", "offset"},
-    "backlash": {"spring", "offset"},
-}
+# Plainer effects that a compound becomes at an end of its own parameters, such as a
+# gap of no width.
+CONTAINED = {"counterbalance": {"spring"}, "backlash": {"spring"}}
 
 
 def surplus_is_real(effect):
@@ -81,7 +74,7 @@ def surplus_is_real(effect):
     return bool(known) and all(low > 0 or high < 0 for low, high in known)
 
 
-def judge_names(truth, effects, declared):
+def judge_names(truth, effects):
     """Compare the names that were found with the truth.
 
     Parameters
@@ -90,8 +83,6 @@ def judge_names(truth, effects, declared):
         Effects of the robot, friction included.
     effects : sequence of DiscoveredEffect
         What the search found.
-    declared : tuple of str
-        Declared friction.
 
     Returns
     -------
@@ -102,7 +93,8 @@ def judge_names(truth, effects, declared):
     """
     there = {(e.name, e.joint) for e in truth}
     allowed = there | {(name, e.joint) for e in truth for name in e.contains}
-    found = {(name, j) for name in declared for j in range(NV)}
+    # What every model has is neither found nor missed.
+    found = {(name, j) for name in PLAIN for j in range(NV)}
     extra = []
     for effect in effects:
         here = (effect.name, effect.joint)
@@ -153,8 +145,8 @@ def run(task, duration=30.0, **settings):
         loop.fit(robot.q, robot.tau, groups=robot.groups)
     seconds = time.perf_counter() - started
     moving, whole = prediction_errors(loop.identifier_, robot)
-    missed, extra, right = judge_names(robot.truth, loop.effects_, declared)
-    seen = [e for e in robot.truth if e.visible]
+    missed, extra, right = judge_names(robot.truth, loop.effects_)
+    seen = [e for e in robot.truth if e.visible and e.name not in PLAIN]
     return {
         **task,
         "errors": moving.tolist(),
@@ -328,7 +320,8 @@ def main(argv=None):
     text = report(ledger.of(tasks), arguments.starts, seeds)
     command = "python tests/benchmarks/bench_whole_robots.py"
     command += " --confirm" if arguments.confirm else ""
-    publish(name, text, write=arguments.write, command=command)
+    states = ledger.states(tasks)
+    publish(name, text, write=arguments.write, command=command, states=states)
 
 
 if __name__ == "__main__":

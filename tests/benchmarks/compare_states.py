@@ -71,7 +71,11 @@ def load(name, data_home):
     if names:
         recording = recording.select(*names)
     rows = recording.t - recording.t[0] < seconds
-    identifier = RobotIdentifier(recording.robot_model(), dt=recording.dt, **settings)
+    identifier = RobotIdentifier(
+        recording.robot_model(),
+        dt=recording.dt,
+        **{"friction": ("viscous",), **settings},
+    )
     return recording.q[rows], recording.tau[rows], recording.groups[rows], identifier
 
 

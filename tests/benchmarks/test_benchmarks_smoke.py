@@ -1,5 +1,6 @@
 """Every benchmark runs at small size and says what its numbers mean."""
 
+import json
 import platform
 import subprocess
 import sys
@@ -30,7 +31,6 @@ def residuals(scale, index, tau):
     [
         "conditioning",
         "discovery",
-        "discovery_measured",
         "errors_in_variables",
         "exports",
         "false_alarms",
@@ -192,7 +192,22 @@ def test_tables_are_written_where_the_guide_looks(tmp_path, monkeypatch, capsys)
     _report.publish("speed", "text", write=True)
     written = (tmp_path / "speed.rst").read_text()
     assert written.startswith("text\n\nMade by ``python tests/benchmarks/bench_speed")
+    assert f"at {_report.commit()}, " in written
     assert "numpy" in written
+    made = json.loads((tmp_path / "speed.json").read_text())
+    assert made["script"] == "tests/benchmarks/bench_speed.py"
+    (state,) = made["states"]
+    assert state["commit"] == _report.commit()
+    files = state["files"]
+    whole = _report.code()["files"]
+    assert files == {path: whole[path] for path in files}
+    assert "sklearn_vbjfa/regression/_vbjfa.py" in files
+    # the estimators of robots are on the way of other scripts
+    assert not any(path.startswith("sklearn_vbjfa/robot/") for path in files)
+    states = [dict(state, commit=c) for c in ("1a2b3c4", "5d6e7f8+")]
+    _report.publish("speed", "text", write=True, states=states)
+    assert " at 1a2b3c4 and 5d6e7f8+, " in (tmp_path / "speed.rst").read_text()
+    assert json.loads((tmp_path / "speed.json").read_text())["states"] == states
     assert written in capsys.readouterr().out
     guide = (_report.ROOT / "docs" / "benchmarks.rst").read_text()
     assert "tables/speed.rst" in guide

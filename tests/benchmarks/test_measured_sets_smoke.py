@@ -24,22 +24,43 @@ def test_sets_are_ten_and_apart():
 
 def test_methods_are_judged_beside_the_loop():
     recording = make_robot_recording(duration=12.0, dt=0.01, random_state=0)
-    identifier = RobotIdentifier(recording.robot_model(), dt=recording.dt, cutoff=5.0)
+    identifier = RobotIdentifier(
+        recording.robot_model(), dt=recording.dt, friction=bench.DECLARED, cutoff=5.0
+    )
     parts = recording.q, recording.tau, recording.groups
     result = bench.judge_set(*parts, identifier, names=("WLS", "PLS"), **QUICK)
     errors = result["errors"]
-    assert list(errors) == ["declared", "completed", "WLS", "PLS"]
+    assert list(errors) == ["declared", "four terms", "completed", "WLS", "PLS"]
     assert all(np.all(np.isfinite(x)) for x in errors.values())
-    # least squares has what the declared model has, but for its projection
-    np.testing.assert_allclose(errors["WLS"], errors["declared"], rtol=0.5)
+    # least squares has the four terms as well, but no projection
+    np.testing.assert_allclose(errors["WLS"], errors["four terms"], rtol=0.5)
+    assert (np.array(errors["four terms"]) < errors["declared"]).all()
     text = bench.report([{"set": "made up", **result}])
-    assert "completed better in the mean than" in text
-    assert "1 of 1" in text or "0 of 1" in text
+    assert "completed better than" in text
+
+
+def test_who_is_better_than_the_completed_model_is_said():
+    errors = {
+        "declared": [0.5, 0.3],
+        "four terms": [0.1, 0.3],
+        "completed": [0.2, 0.22],
+        "LASSO": [0.205, 0.214],
+    }
+    more = {"failures": {}, "effects": [], "cutoff": 5.0, "seconds": 1.0}
+    text = bench.report([{"set": "made up", "errors": errors, **more}])
+    assert "Better than the completed model (21.0 %) in the mean of made up" in text
+    assert "made up: four terms (20.0 %)." in text
+    cells = [line.split() for line in text.splitlines()]
+    assert ["declared", "1", "of", "1", "2", "of", "2"] in cells
+    # better in the mean by less than a per cent, on one joint of two
+    assert ["LASSO", "0", "of", "1", "1", "of", "2"] in cells
 
 
 def test_rows_that_are_not_the_loops_are_refused(monkeypatch):
     recording = make_robot_recording(duration=12.0, dt=0.01, random_state=0)
-    identifier = RobotIdentifier(recording.robot_model(), dt=recording.dt, cutoff=5.0)
+    identifier = RobotIdentifier(
+        recording.robot_model(), dt=recording.dt, friction=bench.DECLARED, cutoff=5.0
+    )
     parts = recording.q, recording.tau, recording.groups
     split_of = bench.split_of
     monkeypatch.setattr(bench, "split_of", lambda *x: split_of(*x)[::-1])

@@ -156,6 +156,34 @@ def test_a_failed_window_counts_as_the_worst_trivial_error():
     assert "declared: 1 failed, first No8 from 1.10 s (ValueError: it diverges)" in text
     row = next(x for x in text.splitlines() if x.startswith("ur5") and "yes" in x)
     assert row.split()[1:5] == ["3", "3.50", "1.50", "-2.00"]
+    # Three windows do not tell 1.5 from the 2 of the one that stays.
+    assert "both trivial rivals on 0 of 1 sets, declared on 0" in text
+    row = windows.verdict("ur5", found)
+    assert row[:6] == ["ur5", "3", "1.83", "1.50", "3.50", "1.50"]
+    assert row[6:] == ["–", "no", "no", windows.GOES_ON]
+
+
+def test_better_than_both_trivial_rivals_has_to_be_clear():
+    rng = np.random.default_rng(0)
+    stays, goes_on = 3.0 + rng.uniform(size=(2, 40, 2))
+    small = 1.0 + rng.uniform(size=(40, 2))
+    # As good as one rival in the mean, far better than the other.
+    even = goes_on + rng.normal(scale=0.3, size=(40, 2))
+    errors = {
+        windows.STAYS: 2.0 * stays,
+        windows.GOES_ON: goes_on,
+        windows.DECLARED: even - (even - goes_on).mean(),
+        windows.COMPLETED: small,
+    }
+    found = windows.figures([result_of(errors)])
+    assert not windows.shown(found, windows.DECLARED)
+    assert windows.shown(found, windows.COMPLETED)
+    assert windows.verdict("ur5", found)[-3:] == ["no", "yes", windows.COMPLETED]
+    three = {label: x[:3] for label, x in errors.items()}
+    three[windows.COMPLETED] = [[0.0, 0.0], [3.3, 3.3], [0.0, 0.0]]
+    found = windows.figures([result_of(three)])
+    assert windows.better(found)
+    assert not windows.shown(found, windows.COMPLETED)
 
 
 def test_interval_is_wider_where_neighbours_are_alike():

@@ -3,6 +3,7 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
+import _ledger
 import numpy as np
 import pytest
 from _ledger import Ledger, results_of
@@ -89,28 +90,26 @@ def test_names_are_judged(robot):
     truth = [
         entry("spring", 0, robot, contains=("offset",)),
         entry("coulomb", 1, robot),
+        entry("spring", 1, robot),
         entry("ripple", 2, robot),
         entry("ripple", 3, robot, visible=False),
     ]
     found = [
         effect("spring", 0, (1.0, 2.0)),
-        effect("offset", 0, (1.0, 2.0)),
-        effect("presliding", 1, (0.5, 1.0), (0.001, 0.01)),
+        effect("backlash", 1, (0.5, 1.0), (0.001, 0.01)),
         effect("ripple", 3, (-1.0, 1.0)),
         effect("stribeck", 4, (1.0, 2.0)),
     ]
-    missed, extra, right = bench.judge_names(truth, found, ())
+    missed, extra, right = bench.judge_names(truth, found)
+    # Coulomb friction, which every model has, is neither found nor missed
     assert missed == [("ripple", 2)]
-    assert extra == [("presliding", 1), ("stribeck", 4)]
-    assert right == 3
+    assert extra == [("backlash", 1), ("stribeck", 4)]
+    assert right == 2
     # a compound that may as well be the plain effect does not count for it
-    found[2] = effect("presliding", 1, (0.5, 1.0), (-0.001, 0.01))
-    missed, extra, right = bench.judge_names(truth, found, ())
-    assert missed == [("coulomb", 1), ("ripple", 2)]
-    assert extra == [("presliding", 1), ("stribeck", 4)]
-    # what is declared counts as found
-    missed, _, _ = bench.judge_names(truth, found, ("coulomb",))
-    assert missed == [("ripple", 2)]
+    found[1] = effect("backlash", 1, (0.5, 1.0), (-0.001, 0.01))
+    missed, extra, right = bench.judge_names(truth, found)
+    assert missed == [("ripple", 2), ("spring", 1)]
+    assert extra == [("backlash", 1), ("stribeck", 4)]
 
 
 def test_sets_of_several_starts_are_compared():
@@ -146,7 +145,33 @@ def test_a_ledger_goes_on_where_it_stopped(tmp_path):
         file.write('{"kinds": ["a"')
     again = Ledger(path, ("kinds", "seed"))
     assert again.missing(tasks) == tasks[1:]
-    assert again.of(tasks) == [{**tasks[0], "value": 1.5}]
+    (kept,) = again.of(tasks)
+    assert kept == {**tasks[0], "value": 1.5, "commit": kept["commit"]}
+
+
+def test_a_ledger_knows_the_code_of_every_result(tmp_path, monkeypatch):
+    path = tmp_path / "results.jsonl"
+    tasks = [{"seed": seed} for seed in range(4)]
+    path.write_text('{"seed": 0}\n')  # from before commits were noted
+    first, second = (
+        {"commit": c, "files": {"sklearn_vbjfa/_core/_a.py": d}}
+        for c, d in (("1a2b3c4", "x"), ("5d6e7f8", "y"))
+    )
+    for task, code in zip(tasks[1:], (first, first, second), strict=True):
+        monkeypatch.setattr(_ledger, "code", lambda code=code: code)
+        Ledger(path, ("seed",)).add(task)
+    ledger = Ledger(path, ("seed",))
+    assert [r.get("commit") for r in ledger.results[1:]] == [
+        "1a2b3c4",
+        "1a2b3c4",
+        "5d6e7f8",
+    ]
+    assert ledger.states(tasks[1:3]) == [first]
+    assert ledger.states(tasks[2:]) == [first, second]
+    assert ledger.states() == [first, second, _ledger.UNKNOWN]
+    ledger.path.with_name("results.jsonl.code").unlink()
+    assert ledger.states(tasks[3:]) == [{"commit": "5d6e7f8", "files": {}}]
+    assert Ledger(None, ("seed",)).states() == [second]
 
 
 def test_tasks_run_in_processes():

@@ -112,3 +112,7 @@ def test_a_parameter_of_one_block_takes_the_factor_of_the_others():
     found = block_variance(grams, scores, place)
     assert found.factor[1] == pytest.approx(found.factor[0], rel=0.1)
     assert np.isnan(found.freedom[1])
+    # Its own scores are zero: no covariance, and above all not one of zero.
+    covariance = found.scores.T @ found.scores
+    assert np.isnan(covariance[1]).all()
+    assert covariance[0, 0] == pytest.approx(found.factor[0] * found.white[0])

@@ -7,6 +7,7 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.design import MotionLimits, design_motion  # noqa: E402
 from sklearn_vbjfa.design._criterion import worth  # noqa: E402
 from tests.design._chains import chain, problem_of  # noqa: E402
@@ -296,6 +297,21 @@ def test_louder_encoders_count_against_accelerations(tmp_path):
     mass = np.array([np.triu(M) + np.triu(M, 1).T for M in mass])
     share = (mass[:, :, 0] ** 2).mean(axis=0) * variance
     np.testing.assert_allclose(found**2 - guessed**2, share, rtol=1e-3)
+
+
+def test_encoders_of_unknown_noise_are_told(tmp_path):
+    """A robot that is identified from pieces too short for a spectrum."""
+    path = chain(tmp_path, ("revolute", "prismatic"), effort=40.0)
+    moved = design_motion(path, limits=limits_of(2), **SHORT)
+    robot = RobotIdentifier(
+        path, dt=0.02, friction=("viscous", "coulomb"), input_noise=None, cutoff=None
+    ).set_params(state_cutoff=10.0)
+    robot.fit(moved.q, moved.tau, np.arange(len(moved.q)) // 15)
+    assert np.isnan(robot.state_estimator_.noise_variance_).all()
+    with pytest.warns(UserWarning, match="noise of .* is not known.*counts as none"):
+        motion = design_motion(robot, limits=limits_of(2), **SHORT)
+    assert motion.within_limits
+    assert np.isfinite(motion.noise).all()
 
 
 def test_a_motion_is_scaled_about_a_pose_that_is_easily_held(tmp_path):

@@ -146,4 +146,4 @@ def test_models_that_are_none(path, tmp_path):
     with pytest.raises(TypeError, match="got int"):
         problem_of(5)
     with pytest.raises(ValueError, match="not fitted"):
-        problem_of(RobotIdentifier(path, dt=0.01))
+        problem_of(RobotIdentifier(path, dt=0.01, friction=("viscous",)))

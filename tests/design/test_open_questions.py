@@ -35,11 +35,19 @@ def loop(path):
     tau[:, 1] += STIFFNESS * (q[:, 1] - 0.2)
     rng = np.random.default_rng(0)
     tau += 0.05 * rng.normal(size=tau.shape)
-    robot = RobotIdentifier(path, dt=DT)
+    robot = RobotIdentifier(path, dt=DT, friction=("viscous",))
     found = EffectDiscovery(
         robot, effects=("spring", "coulomb", "offset"), ceiling=False, random_state=0
     )
     return found.fit(q + 1e-5 * rng.normal(size=q.shape), tau)
+
+
+def moving_states():
+    """States (50, 6) with velocities whose sign the encoder's noise cannot change."""
+    rng = np.random.default_rng(0)
+    states = rng.uniform(-1, 1, size=(50, 6))
+    states[:, 2:4] += 0.3 * np.sign(states[:, 2:4])
+    return states
 
 
 def asked_of(problem):
@@ -64,22 +72,22 @@ def test_all_kinds_of_reports_ask_the_same(loop, tmp_path):
 
 def test_what_is_in_doubt_still_takes_its_torque(loop):
     problem, _ = problem_of(loop.identifier_, report=loop)
-    rng = np.random.default_rng(0)
-    states = rng.uniform(-1, 1, size=(50, 6))
+    states = moving_states()
     found = problem.torques(problem.model(states))
     expected = loop.identifier_.predict(states)
-    # But for the sign of a velocity that may be zero: here there is no dry friction.
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
 
 
 def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
     problem, _ = problem_of(loop.identifier_)
-    states = np.random.default_rng(0).uniform(-1, 1, size=(50, 6))
+    states = moving_states()
     expected = loop.identifier_.predict(states)
     found = problem.torques(problem.model(states))
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
     # Louder joints count less, as their variance.
-    loud = RobotIdentifier(path, dt=DT, torque_noise=np.array([0.1, 0.4]))
+    loud = RobotIdentifier(
+        path, dt=DT, torque_noise=np.array([0.1, 0.4]), friction=("viscous",)
+    )
     loud.fit(*recording_of(path))
     precision = problem_of(loud)[0].precision
     assert precision[0] / precision[1] == pytest.approx(16.0, rel=0.2)

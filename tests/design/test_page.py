@@ -315,6 +315,11 @@ def test_a_summary_fits_a_screen(nv, motion):
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 88
     assert all(line or lines[k + 1] for k, line in enumerate(lines[:-1]))
+    # A condition number means nothing without the units of the columns.
+    (conditions,) = (line for line in lines if "condition number" in line)
+    assert "columns over their sizes at random states" in conditions
+    assert f"{motion.condition_number:.2g}"[:2] in conditions
+    assert "condition" not in repr(motion)
 
 
 def test_names_are_escaped(motion):

@@ -34,7 +34,8 @@ class Recording:
 
     def robot(self, **given):
         """Make the declared model."""
-        return RobotIdentifier(self.model, **{"dt": DT, **given})
+        given = {"dt": DT, "friction": ("viscous",), **given}
+        return RobotIdentifier(self.model, **given)
 
     def discover(self, torque, effects="all", groups=None, robot=None, t=None, **given):
         """Close the loop."""

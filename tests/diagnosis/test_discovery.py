@@ -778,6 +778,8 @@ def test_an_unfitted_loop_says_so():
 
 
 def test_the_search_works_on_torques():
-    robot = RobotIdentifier(ARM.model, dt=0.01, criterion="simulation")
+    robot = RobotIdentifier(
+        ARM.model, dt=0.01, criterion="simulation", friction=("viscous",)
+    )
     with pytest.raises(ValueError, match=r'must have criterion="torque".*loop\.ident'):
         EffectDiscovery(robot).fit(ARM.q, ARM.torque())

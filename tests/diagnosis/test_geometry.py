@@ -191,7 +191,7 @@ def test_the_tilt_of_a_robot_of_two_branches_is_one():
         torque_noise=0.02,
         random_state=1,
     )
-    robot = RobotIdentifier(model, dt=recording.dt)
+    robot = RobotIdentifier(model, dt=recording.dt, friction=("viscous",))
     loop = EffectDiscovery(
         robot, effects=["base_tilt", "offset"], ceiling=False, random_state=0
     ).fit(recording.q, recording.tau)

@@ -70,6 +70,26 @@ def elbow_spring(q, v):
     return np.column_stack([0.0 * q[:, 0], 4.0 * q[:, 1]])
 
 
+@pytest.mark.parametrize("step", [0.05, 0.2, 0.3, 0.5])
+def test_coarse_torques_are_told_and_name_nothing(step):
+    """Steps in shares of the spread, on both joints; something is missing."""
+    t = seconds(40.0)
+    q, tau = measure(t, pauses(t, [(1, 39)], [(1, 39)]), extra=elbow_spring)
+    size = step * tau.std(axis=0)
+    coarse = size * np.round(tau / size)
+    for friction in ((), ("coulomb",), ("viscous", "coulomb", "rotor_inertia")):
+        robot = RobotIdentifier(MODEL, dt=DT, friction=friction)
+        loop = EffectDiscovery(robot, effects=PLAIN, ceiling=False).fit(q, coarse)
+        if step < 0.2:
+            assert named(loop) == [("spring", 1)]
+            continue
+        assert loop.effects_ == ()
+        assert loop.report_.status == "unsearched"
+        assert loop.report_.outcome.unsearched == (0, 1)
+        assert "steps of" in str(loop.report_)
+        assert np.isfinite(loop.error_after_).all()
+
+
 def true_of_a_complete_robot(loop):
     assert loop.effects_ == ()
     assert loop.report_.status == "nothing", loop.report_.headline

@@ -14,7 +14,11 @@ def fixture_recording():
 
 
 def robot_of(recording, **changes):
-    return RobotIdentifier(recording.robot_model(), dt=recording.dt, **changes)
+    return RobotIdentifier(
+        recording.robot_model(),
+        dt=recording.dt,
+        **{"friction": ("viscous",), **changes},
+    )
 
 
 @pytest.fixture(scope="module", name="found")

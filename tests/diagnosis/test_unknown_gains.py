@@ -45,6 +45,7 @@ def close(recording, masses, effects, declared=(PAYLOAD,)):
         gains="unknown",
         known_masses=masses,
         cutoff=None,
+        friction=("viscous",),
     )
     loop = EffectDiscovery(robot, effects=effects, ceiling=False, random_state=0)
     return loop.fit(X, y)

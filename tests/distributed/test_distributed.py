@@ -73,7 +73,9 @@ def folder(recording, tmp_path):
 
 
 def robot(recording, **settings):
-    return RobotIdentifier(recording.urdf, dt=recording.dt, **settings)
+    return RobotIdentifier(
+        recording.urdf, dt=recording.dt, **{"friction": ("viscous",), **settings}
+    )
 
 
 def in_memory(recording, **settings):

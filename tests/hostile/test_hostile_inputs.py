@@ -100,7 +100,7 @@ def check_refusal(outcome):
 
 
 def check_code(outcome):
-    """Check that a run is refused or done; the last line names a doubt if any."""
+    """Ask for a refusal, or a result whose last line names a doubt if there is one."""
     told = outcome.err[-2000:]
     assert outcome.code in (0, 2, 3), f"{outcome.code}: {told}"
     last = "".join(outcome.err.splitlines()[-1:])

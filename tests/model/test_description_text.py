@@ -121,6 +121,28 @@ def test_the_text_of_a_file_is_the_file(tmp_path):
     assert load_text(text, "x.json") == model
 
 
+def test_of_a_text_only_what_was_said_is_not_said_again(tmp_path, monkeypatch):
+    from sklearn_vbjfa.model import _loading
+
+    path = tmp_path / "tree.urdf"
+    path.write_text(TREE)
+    with pytest.warns(UserWarning, match="The robot description 'tree.urdf'"):
+        load_model(path)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        expected = load_text(TREE, path)
+    right = _loading._from_description
+
+    def tells(*given):
+        warnings.warn("Something else.", UserWarning, stacklevel=2)
+        return right(*given)
+
+    monkeypatch.setattr(_loading, "_from_description", tells)
+    with pytest.warns(UserWarning, match="Something") as caught:
+        assert load_text(TREE, path) == expected
+    assert [str(one.message) for one in caught] == ["Something else."]
+
+
 def test_another_file_by_now(tmp_path):
     path = tmp_path / "tree.urdf"
     path.write_text(TREE)

@@ -123,7 +123,7 @@ def test_writing_over_the_source(identified, simulated, tmp_path):
     path = tmp_path / "robot.urdf"
     with open(simulated.urdf, encoding="utf-8") as file:
         path.write_text(file.read())
-    robot = RobotIdentifier(path, dt=simulated.dt)
+    robot = RobotIdentifier(path, dt=simulated.dt, friction=("viscous",))
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     robot.to_urdf(path)
     np.testing.assert_allclose(
@@ -136,7 +136,9 @@ def test_writing_over_the_source(identified, simulated, tmp_path):
 
 
 def test_a_model_has_no_urdf(simulated, tmp_path):
-    robot = RobotIdentifier(load_model(simulated.urdf), dt=simulated.dt)
+    robot = RobotIdentifier(
+        load_model(simulated.urdf), dt=simulated.dt, friction=("viscous",)
+    )
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     with pytest.raises(ValueError, match=r"needs the URDF .* give its path as `model`"):
         robot.to_urdf(tmp_path / "out.urdf")
@@ -144,7 +146,9 @@ def test_a_model_has_no_urdf(simulated, tmp_path):
 
 
 def test_impossible_bodies_are_not_written(simulated, tmp_path):
-    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, projector=None)
+    robot = RobotIdentifier(
+        simulated.urdf, dt=simulated.dt, projector=None, friction=("viscous",)
+    )
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     with pytest.raises(
         ValueError, match=r'joint_1.*not physically.*projector="default"'

@@ -1,16 +1,20 @@
 """Projection: closed form, independent optimum, optimality, invariances, errors."""
 
+import itertools
+import warnings
 from unittest import mock
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_vbjfa.physical import (
     PhysicalProjector,
     ProjectionError,
     _projection,
+    _refinement,
     is_consistent,
     parameter_units,
     project,
@@ -525,6 +529,48 @@ def test_unfinished_solve_raises_and_returns_nothing(constraint):
     theta = inconsistent_robot(np.random.default_rng(0), 3)
     with pytest.raises(ProjectionError, match="failed: clarabel ended with MaxIter"):
         project(theta, constraint=constraint, max_solver_iter=1)
+
+
+def test_a_gap_that_is_not_reached_is_warned_of():
+    theta = inconsistent_robot(np.random.default_rng(0), 3)
+    with pytest.warns(ConvergenceWarning, match="certified to a relative gap of"):
+        result = project(theta, max_solver_iter=7)
+    assert 1e-9 < result.relative_gap < 1e-6
+    assert result.message.endswith("its refinement ended by max_solver_iter")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert project(theta).message == "Solved"
+
+
+def test_rounding_that_ends_the_refinement_is_told(monkeypatch):
+    """The last iterate stands; it is not given out for the end of the path."""
+    theta = inconsistent_robot(np.random.default_rng(0), 3)
+    made = _refinement._Equations
+
+    def rounded(programme, at, slack):
+        if next(steps) > 2:
+            raise np.linalg.LinAlgError("not definite")
+        return made(programme, at, slack)
+
+    steps = itertools.count()
+    monkeypatch.setattr(_refinement, "_Equations", rounded)
+    with pytest.warns(ConvergenceWarning, match="by rounding, at a matrix that is not"):
+        result = project(theta)
+    assert result.relative_gap > 1e-9
+
+
+def test_a_price_of_the_anchor_that_is_not_known_is_explained():
+    rng = np.random.default_rng(5)
+    theta, truth = inconsistent_robot(rng, 2), robot(rng, 2)
+    A = metric(rng, theta.size, 1e4, rank=12)
+    options = {"parameters_per_joint": 11, "anchor": truth, "anchor_weight": 1e-4}
+    with pytest.warns(ConvergenceWarning):
+        result = project(theta, A, max_solver_iter=5, **options, **PLAIN)
+    assert np.isnan(result.anchor_cost)
+    assert "anchor_cost is not known, the solve with less pull: The" in result.message
+    known = project(theta, A, **options, **PLAIN)
+    assert np.isfinite(known.anchor_cost)
+    assert known.message == "Solved"
 
 
 def test_projection_error_is_a_runtime_error():

@@ -23,7 +23,7 @@ def frame(values, names):
 
 
 def identify(simulated, X, y):
-    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt)
+    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=("viscous",))
     return robot.fit(X, y, groups=simulated.groups)
 
 
@@ -87,7 +87,7 @@ def test_foreign_names_are_refused(simulated):
 def messages(simulated, rows, groups):
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        RobotIdentifier(simulated.urdf, dt=simulated.dt).fit(
+        RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=("viscous",)).fit(
             simulated.q[rows], simulated.tau[rows], groups=groups
         )
     return [str(warning.message) for warning in caught]

@@ -20,7 +20,7 @@ def recording():
 
 def identify(recording, q=None, tau=None, groups=None, **settings):
     settings = {"dt": recording.dt, **settings}
-    robot = RobotIdentifier(demo_arm_urdf(), **settings)
+    robot = RobotIdentifier(demo_arm_urdf(), **{"friction": ("viscous",), **settings})
     return robot.fit(
         recording.q if q is None else q,
         recording.tau if tau is None else tau,
@@ -90,7 +90,7 @@ def test_wrong_shapes(recording):
     with pytest.raises(ValueError, match=r"one label per row, shape \(1200,\); got"):
         identify(recording, groups=np.zeros(1199))
     with pytest.raises(ValueError, match="requires y to be passed"):
-        RobotIdentifier(demo_arm_urdf(), dt=0.01).fit(q, None)
+        RobotIdentifier(demo_arm_urdf(), dt=0.01, friction=("viscous",)).fit(q, None)
     with pytest.raises(ValueError, match="Expected 2D array"):
         identify(recording, q=q[:, 0])
 
@@ -264,4 +264,6 @@ def test_what_is_no_robot(recording):
         (7, TypeError, "path of a URDF or MJCF file or a pinocchio.Model, got int"),
     ):
         with pytest.raises(kind, match=message):
-            RobotIdentifier(model, dt=0.01).fit(recording.q, recording.tau)
+            RobotIdentifier(model, dt=0.01, friction=("viscous",)).fit(
+                recording.q, recording.tau
+            )

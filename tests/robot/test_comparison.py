@@ -99,7 +99,7 @@ def test_a_method_that_fails_says_why(simulated, parts, monkeypatch):
     chosen = methods(72)
     chosen["WLS"] = {"regressor": Fails(), "projector": None}
     monkeypatch.setattr(_comparison, "methods", lambda n: chosen)
-    identifier = RobotIdentifier(simulated.urdf, dt=simulated.dt)
+    identifier = RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=("viscous",))
     results, _ = compare_methods(identifier, *parts, names=["WLS", "OLS"])
     assert results[0].message == "no answer"
     assert np.isnan(results[0].error).all()
@@ -134,6 +134,8 @@ def test_the_settings_name_every_family():
 
 
 def test_averaged_periods_are_refused(simulated, parts):
-    identifier = RobotIdentifier(simulated.urdf, dt=simulated.dt, period=1.0)
+    identifier = RobotIdentifier(
+        simulated.urdf, dt=simulated.dt, period=1.0, friction=("viscous",)
+    )
     with pytest.raises(ValueError, match=r"period=None; got 1\.0"):
         compare_methods(identifier, *parts)

@@ -211,7 +211,9 @@ def test_the_file_says_what_to_change(robot, tmp_path):
 
 
 def test_a_robot_as_described_asks_for_nothing(moved):
-    robot = RobotIdentifier(moved.urdf, dt=moved.dt, effects=[Offset(1)])
+    robot = RobotIdentifier(
+        moved.urdf, dt=moved.dt, effects=[Offset(1)], friction=("viscous",)
+    )
     robot.fit(moved.q, moved.tau)
     found = corrections_of(robot)
     assert found.tilt is None
@@ -224,7 +226,9 @@ def test_a_slider_is_off_by_millimetres(tmp_path):
     source.write_text(
         FIXED.replace('"second" type="revolute"', '"second" type="prismatic"')
     )
-    robot = RobotIdentifier(source, dt=0.01, effects=[JointZero(1, zero=0.02)])
+    robot = RobotIdentifier(
+        source, dt=0.01, effects=[JointZero(1, zero=0.02)], friction=("viscous",)
+    )
     declare(robot)
     (off,) = corrections_of(robot).zeros
     assert off.plain_unit == "mm"

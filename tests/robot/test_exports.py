@@ -377,7 +377,7 @@ def robot(recording):
 
 def without(robot, names):
     """Copy of a fitted identifier without coefficients of effects."""
-    other = RobotIdentifier(robot.model)
+    other = RobotIdentifier(robot.model, friction=("viscous",))
     other.__dict__.update(robot.__dict__)
     other.theta_ = robot.theta_.copy()
     for k, parameter in enumerate(robot.parameter_names_):
@@ -393,7 +393,7 @@ def test_mujoco_computes_what_predict_does(given, robot, recording, tmp_path):
     pytest.importorskip("mujoco")
     path = tmp_path / "identified.xml"
     if given == "model":
-        other = RobotIdentifier(recording.robot_model())
+        other = RobotIdentifier(recording.robot_model(), friction=("viscous",))
         other.__dict__.update(robot.__dict__)
         other.model = recording.robot_model()
         left = other.to_mjcf(path)
@@ -477,7 +477,10 @@ def test_sizes_are_those_of_the_fitted_rows(recording, tmp_path):
 
     X = recording.states
     robot = RobotIdentifier(
-        recording.urdf, effects=[Cubic(4), Drift(5, "offset", 7.0)], dt=recording.dt
+        recording.urdf,
+        effects=[Cubic(4), Drift(5, "offset", 7.0)],
+        dt=recording.dt,
+        friction=("viscous",),
     )
     robot.fit(X, recording.tau)
     left = robot.to_mjcf(tmp_path / "identified.xml")
@@ -513,7 +516,9 @@ def test_a_robot_from_a_file_writes_the_same(robot, tmp_path):
 
 
 def test_impossible_bodies_are_not_written(recording, tmp_path):
-    robot = RobotIdentifier(recording.urdf, dt=recording.dt, projector=None)
+    robot = RobotIdentifier(
+        recording.urdf, dt=recording.dt, projector=None, friction=("viscous",)
+    )
     robot.fit(recording.q, recording.tau)
     with pytest.raises(ValueError, match="not physically consistent, and an MJCF file"):
         robot.to_mjcf(tmp_path / "out.xml")

@@ -95,7 +95,7 @@ def fitted(path, recorded):
     other = path.with_name("nominal.urdf")
     text = path.read_text().replace('value="1.2"', 'value="0.7"')
     other.write_text(text.replace('value="3.0"', 'value="2.0"'))
-    return RobotIdentifier(str(other), dt=DT).fit(*recorded)
+    return RobotIdentifier(str(other), dt=DT, friction=("viscous",)).fit(*recorded)
 
 
 def test_a_recording_needs_no_columns_of_a_follower(fitted, recorded, motion, path):
@@ -197,22 +197,26 @@ def test_mujoco_closes_the_gripper(fitted, tmp_path):
 
 def test_a_search_finds_what_is_missing_beside_a_follower(path, recorded, motion):
     q, tau = recorded
-    tau = tau + 2.0 * np.sign(motion[1]) * [0.0, 1.0, 0.0]
+    tau = tau + 8.0 * motion[0] * [0.0, 1.0, 0.0]
     loop = EffectDiscovery(
-        RobotIdentifier(str(path), dt=DT),
-        effects=["coulomb", "spring"],
+        RobotIdentifier(str(path), dt=DT, friction=("viscous",)),
+        effects=["ripple", "spring"],
         ceiling=False,
     ).fit(q, tau)
     found = [(one.name, one.joint) for one in loop.effects_]
-    assert found == [("coulomb", 1)]
-    assert [e.name for e in loop.identifier_.effects_] == ["follower", "coulomb"]
+    assert found == [("spring", 1)]
+    assert [e.name for e in loop.identifier_.effects_] == ["follower", "spring"]
     assert loop.identifier_.effects_[1].joint == 1
 
 
 def test_a_declared_effect_comes_behind_the_followers(path, recorded):
-    robot = RobotIdentifier(str(path), dt=DT, effects=[Coulomb(1)]).fit(*recorded)
+    robot = RobotIdentifier(
+        str(path), dt=DT, effects=[Coulomb(1)], friction=("viscous",)
+    ).fit(*recorded)
     assert [effect.name for effect in robot.effects_] == ["follower", "coulomb"]
-    again = RobotIdentifier(str(path), dt=DT, effects=robot.effects_).fit(*recorded)
+    again = RobotIdentifier(
+        str(path), dt=DT, effects=robot.effects_, friction=("viscous",)
+    ).fit(*recorded)
     np.testing.assert_array_equal(again.theta_, robot.theta_)
 
 
@@ -226,10 +230,12 @@ def test_a_follower_swings_in_a_simulation(fitted, motion, recorded):
 
 def test_refuses_in_words_what_followers_cannot_do(path, recorded, motion):
     q, tau = recorded
-    robot = RobotIdentifier(str(path), dt=DT, criterion="simulation")
+    robot = RobotIdentifier(
+        str(path), dt=DT, criterion="simulation", friction=("viscous",)
+    )
     words = "follow others, follow: use criterion='torque', or give a description"
     with pytest.raises(ValueError, match=words):
         robot.fit(q, tau)
-    robot = RobotIdentifier(str(path), dt=DT)
+    robot = RobotIdentifier(str(path), dt=DT, friction=("viscous",))
     with pytest.raises(ValueError, match=r"partial_fit cannot .* follow: use fit, or"):
         robot.partial_fit(np.hstack(motion), tau)

@@ -61,7 +61,7 @@ PHI = regressor()
 
 
 def fit(tau, states=STATES, model=ARM, **given):
-    given = {"gains": "unknown", **EXACT, **given}
+    given = {"gains": "unknown", "friction": ("viscous",), **EXACT, **given}
     return RobotIdentifier(model, **given).fit(states, tau)
 
 

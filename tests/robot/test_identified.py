@@ -100,7 +100,9 @@ def test_a_robot_without_effects_has_no_load(identified):
 def test_a_tilted_base_is_in_the_model(simulated):
     model = simulated.robot_model().copy()
     model.gravity.linear = np.array([0.0, 0.5, -9.8])
-    robot = RobotIdentifier(model, dt=simulated.dt, effects=[BaseTilt()])
+    robot = RobotIdentifier(
+        model, dt=simulated.dt, effects=[BaseTilt()], friction=("viscous",)
+    )
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     gravity = torque_model(robot).model.gravity.linear
     assert np.abs(gravity - model.gravity.linear).max() > 1e-3
@@ -111,7 +113,9 @@ def test_a_tilted_base_is_in_the_model(simulated):
 
 def test_a_model_of_an_unfitted_robot_is_refused(simulated):
     with pytest.raises(ValueError, match="not fitted"):
-        torque_model(RobotIdentifier(simulated.urdf, dt=simulated.dt))
+        torque_model(
+            RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=("viscous",))
+        )
 
 
 @pytest.fixture(scope="module")

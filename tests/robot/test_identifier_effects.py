@@ -32,6 +32,7 @@ LOAD = inverse_dynamics(MODEL, STATES)
 VISCOUS = np.array([0.8, 0.5, 0.3])
 DECLARED = LOAD + VISCOUS * V
 EXACT = {
+    "friction": ("viscous",),
     "regressor": LinearRegression(),
     "projector": None,
     "cutoff": None,
@@ -273,7 +274,10 @@ def test_noise_and_filters_leave_the_coefficients_where_they_are():
     sign = np.sign(V[:, 1])
     added = on_joint(1, 2 * sign) + on_joint(0, 4 * Q[:, 0]) + NOISE
     robot = RobotIdentifier(
-        MODEL, dt=DT, effects=(effects.Coulomb(1), effects.Spring(0))
+        MODEL,
+        dt=DT,
+        effects=(effects.Coulomb(1), effects.Spring(0)),
+        friction=("viscous",),
     )
     robot.fit(Q + 1e-5 * rng.normal(size=Q.shape), DECLARED + added)
     coulomb, k, c = coefficients(robot)
@@ -480,10 +484,10 @@ def test_no_effects_are_as_before(several):
 
 def test_friction_and_effects_of_the_same_kind_are_one_model():
     torque = DECLARED + MIXED
-    declared = RobotIdentifier(MODEL, friction=("viscous", "coulomb"), **EXACT)
+    declared = RobotIdentifier(MODEL, **{**EXACT, "friction": ("viscous", "coulomb")})
     declared.fit(STATES, torque)
     beside = tuple(e(j) for e in (effects.Viscous, effects.Coulomb) for j in range(3))
-    robot = RobotIdentifier(MODEL, friction=(), effects=beside, **EXACT)
+    robot = RobotIdentifier(MODEL, effects=beside, **{**EXACT, "friction": ()})
     robot.fit(STATES, torque)
     assert robot.theta_.size == declared.theta_.size
     assert_allclose(robot.predict(STATES), declared.predict(STATES), atol=1e-7)

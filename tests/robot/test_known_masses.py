@@ -15,7 +15,13 @@ from sklearn_vbjfa.robot._prediction import predictor_of  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.02
-EXACT = {"projector": None, "cutoff": None, "standstill": None, "dt": DT}
+EXACT = {
+    "friction": ("viscous",),
+    "projector": None,
+    "cutoff": None,
+    "standstill": None,
+    "dt": DT,
+}
 ARM = arm("ZYX")
 GAINS = np.array([8.0, 5.0, 12.0])
 T, STATES = motion(3, duration=20.0, dt=DT, seed=4)

@@ -320,7 +320,9 @@ def test_routing_of_the_joint_torques(routing):
 
 
 def identifier(recording):
-    return RobotIdentifier(recording.urdf, dt=DT, cutoff=5.0, projector=None)
+    return RobotIdentifier(
+        recording.urdf, dt=DT, cutoff=5.0, projector=None, friction=("viscous",)
+    )
 
 
 def test_cross_validation_of_the_identifier(recording, weight, routing):

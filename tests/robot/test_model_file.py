@@ -98,7 +98,9 @@ def fitted_effects(recording):
         Payload(joint=5, instant=7.0, centre=(0.0, 0.1, 0.0)),
         Signal(joint=2, signal="warmth", of="viscous", reference=0.3),
     ]
-    robot = RobotIdentifier(recording.urdf, dt=DT, effects=effects)
+    robot = RobotIdentifier(
+        recording.urdf, dt=DT, effects=effects, friction=("viscous",)
+    )
     signals = {"warmth": np.sin(np.arange(len(recording.q)) / 300.0)}
     robot.fit(recording.q, recording.tau, groups=recording.groups, signals=signals)
     return robot, {"signals": signals}
@@ -106,13 +108,19 @@ def fitted_effects(recording):
 
 def fitted_in_model(recording):
     effects = [BaseTilt(), JointZero(joint=2), JointAxis(joint=3), TorqueGain(joint=1)]
-    robot = RobotIdentifier(recording.urdf, dt=DT, effects=effects)
+    robot = RobotIdentifier(
+        recording.urdf, dt=DT, effects=effects, friction=("viscous",)
+    )
     return robot.fit(recording.q, recording.tau, groups=recording.groups), {}
 
 
 def fitted_gains(recording):
     robot = RobotIdentifier(
-        recording.urdf, dt=DT, gains="unknown", known_masses={"elbow": 4.0}
+        recording.urdf,
+        dt=DT,
+        gains="unknown",
+        known_masses={"elbow": 4.0},
+        friction=("viscous",),
     )
     return robot.fit(recording.q, recording.tau, groups=recording.groups), {}
 
@@ -125,7 +133,7 @@ def fitted_states(recording):
 
 
 def fitted_online(recording):
-    robot = RobotIdentifier(recording.urdf, standstill=0.05)
+    robot = RobotIdentifier(recording.urdf, standstill=0.05, friction=("viscous",))
     return robot.partial_fit(recording.states, recording.tau), {}
 
 
@@ -215,7 +223,9 @@ def test_the_robot_in_a_file_is_the_fitted_one(fitted, simulated, tmp_path):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_robot_without_description(seed, tmp_path):
     model, X, tau = tree_recording(seed)
-    robot = RobotIdentifier(model, dt=DT, effects=[LoadFriction(joint=1)]).fit(X, tau)
+    robot = RobotIdentifier(
+        model, dt=DT, effects=[LoadFriction(joint=1)], friction=("viscous",)
+    ).fit(X, tau)
     robot.save(tmp_path / "tree.json")
     read = load_identified(tmp_path / "tree.json")
     assert read.joint_names_ == ("z", "y", "b", "a")
@@ -234,7 +244,9 @@ def test_a_robot_without_description(seed, tmp_path):
 
 def test_an_effect_of_ones_own(simulated, tmp_path):
     effects = [Stiffening(joint=2, power=np.int64(3), label="b", odd=False)]
-    robot = RobotIdentifier(simulated.urdf, dt=DT, effects=effects)
+    robot = RobotIdentifier(
+        simulated.urdf, dt=DT, effects=effects, friction=("viscous",)
+    )
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     path = tmp_path / "robot.json"
     robot.save(path)
@@ -279,16 +291,16 @@ def test_an_effect_under_the_name_of_another(simulated, tmp_path):
 
 def test_what_a_discovery_found(simulated, tmp_path):
     tau = simulated.tau.copy()
-    tau[:, 1] += 3.0 * np.abs(tau[:, 1]) ** 0 * np.exp(-simulated.t / 4.0)
+    tau[:, 1] += 30.0 * simulated.q[:, 1]
     loop = EffectDiscovery(
-        RobotIdentifier(simulated.urdf, dt=DT),
-        effects=["coulomb", "drift"],
+        RobotIdentifier(simulated.urdf, dt=DT, friction=("viscous",)),
+        effects=["spring", "drift"],
         random_state=0,
     )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         robot = loop.fit(simulated.q, tau, groups=simulated.groups).identifier_
-    assert robot.effects_
+    assert [effect.name for effect in robot.effects_] == ["spring"]
     robot.save(tmp_path / "robot.json")
     read = load_identified(tmp_path / "robot.json")
     later = {"t": simulated.t + 100.0}
@@ -526,7 +538,9 @@ def test_no_such_file_and_no_such_folder(identified, tmp_path):
 
 def test_an_unfitted_robot_is_not_saved(simulated, tmp_path):
     with pytest.raises(ValueError, match="not fitted"):
-        RobotIdentifier(simulated.urdf, dt=DT).save(tmp_path / "robot.json")
+        RobotIdentifier(simulated.urdf, dt=DT, friction=("viscous",)).save(
+            tmp_path / "robot.json"
+        )
 
 
 def test_a_file_is_written_as_a_whole(tmp_path, monkeypatch):

@@ -34,7 +34,13 @@ from tests.effects._faults import faulty, measured  # noqa: E402
 DT = 0.02
 VISCOUS = np.array([0.8, 0.5, 0.3, 0.4, 0.6, 0.2])
 # States as they are, all rows, no filter and no projection.
-EXACT = {"projector": None, "cutoff": None, "standstill": None, "dt": DT}
+EXACT = {
+    "friction": ("viscous",),
+    "projector": None,
+    "cutoff": None,
+    "standstill": None,
+    "dt": DT,
+}
 ARM, SLIDING = arm("ZYX"), arm("ZyX")
 T, STATES = motion(3, duration=6.0, dt=DT, seed=1)
 _, ELSEWHERE = motion(3, duration=3.0, dt=DT, seed=9)
@@ -170,7 +176,9 @@ def test_values_of_noisy_positions_are_within_their_intervals(truth):
         tau = torques(ARM, truth, states, 0.1, seed)
         rng = np.random.default_rng(100 + seed)
         q = states[:, :3] + 2e-5 * rng.normal(size=(states.shape[0], 3))
-        robot = RobotIdentifier(ARM, dt=DT, effects=idle(truth), projector=None)
+        robot = RobotIdentifier(
+            ARM, dt=DT, effects=idle(truth), projector=None, friction=("viscous",)
+        )
         robot.fit(q, tau)
         scores.append((values(robot) - expected) / own(robot, robot.theta_std_))
     scores = np.abs(scores)
@@ -418,7 +426,7 @@ def test_other_effects_are_found_beside_them(beside, torque):
 def test_signs_of_standstill_masks_and_filters_do_not_hinder():
     """The whole chain on positions, projected."""
     truth = [BaseTilt(0, 0.07, -0.1)]
-    robot = RobotIdentifier(ARM, dt=DT, effects=idle(truth))
+    robot = RobotIdentifier(ARM, dt=DT, effects=idle(truth), friction=("viscous",))
     robot.fit(STATES[:, :3], torques(ARM, truth, noise=0.1))
     assert_allclose(values(robot), [0.07, -0.1], atol=5e-3)
     assert robot.min_eigenvalues_.min() >= 0
@@ -467,7 +475,12 @@ def test_values_of_a_motion_that_repeats():
     tau = torques(ARM, TRUTH, states, 0.1)
     q = states[:, :3] + 2e-5 * rng.normal(size=(t.size, 3))
     robot = RobotIdentifier(
-        ARM, dt=DT, period=period, effects=idle(TRUTH), projector=None
+        ARM,
+        dt=DT,
+        period=period,
+        effects=idle(TRUTH),
+        projector=None,
+        friction=("viscous",),
     ).fit(q, tau)
     expected = np.concatenate([e.values for e in TRUTH])
     std = own(robot, robot.theta_std_)

@@ -1,6 +1,7 @@
 """Output error recovers simulated robots, and its sensitivities are derivatives."""
 
 import copy
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.effects import (  # noqa: E402
     AsymmetricFriction,
     Coulomb,
+    Elastic,
     Ripple,
     Spring,
     Stribeck,
@@ -20,7 +22,12 @@ from sklearn_vbjfa.effects import (  # noqa: E402
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
 from sklearn_vbjfa.robot._identified import torque_model  # noqa: E402
 from sklearn_vbjfa.robot._identifier import declare  # noqa: E402
-from sklearn_vbjfa.robot._output_error import Windows, run_windows  # noqa: E402
+from sklearn_vbjfa.robot._output_error import (  # noqa: E402
+    Normal,
+    Windows,
+    deviations,
+    run_windows,
+)
 from sklearn_vbjfa.robot._prediction import predictor_of  # noqa: E402
 from sklearn_vbjfa.robot._sensitivities import propagate, slopes  # noqa: E402
 from sklearn_vbjfa.robot._states import RecordingStates  # noqa: E402
@@ -296,6 +303,83 @@ def test_effects_are_refined_and_their_shapes_stay():
     assert np.abs(off).max() < 6
     assert_allclose(found.theta_[at], expected, rtol=0.05)
     assert found.criteria_.position_after[0] < 2e-4
+
+
+def regression_of_windows(rng, W, rows, r):
+    """Fit W windows of integrated noise, linear: normal equations and errors (r,)."""
+    X, noise = rng.normal(size=(W, rows, r)), rng.normal(size=(W, rows))
+    if rows > 1:
+        # Errors of a window are integrals, and its sensitivities slow.
+        X = np.cumsum(X, axis=1) / np.sqrt(np.arange(1, rows + 1))[:, None]
+        noise = np.cumsum(np.cumsum(noise, axis=1), axis=1)
+        noise /= np.sqrt(np.mean(noise**2))
+    grams = np.einsum("wmi,wmj->wij", X, X) / rows
+    slopes = np.einsum("wmi,wm->wi", X, noise) / rows
+    H = grams.sum(axis=0)
+    error = np.linalg.solve(H, slopes.sum(axis=0))
+    nothing = np.empty((W, 0, r))
+    normal = Normal(H=H, g=grams @ error - slopes, cross=nothing, step=nothing[:, :, 0])
+    return normal, error
+
+
+@pytest.mark.parametrize(
+    ("W", "rows", "r", "least", "most"),
+    # Ninety per cent; with a standard error of 1.5 and, from t, up to 5 below.
+    [
+        (60, 1, 4, 0.86, 0.94),
+        (12, 1, 4, 0.83, 0.94),
+        (36, 50, 12, 0.86, 0.94),
+        # As few windows as directions: too wide rather than too narrow.
+        (12, 3, 12, 0.90, 1.0),
+        (12, 50, 12, 0.90, 1.0),
+        (8, 50, 30, 0.86, 1.0),
+    ],
+)
+def test_deviations_are_those_of_fits_that_are_repeated(W, rows, r, least, most):
+    """W / (W - r - 2) is right, not W / (W - r); the floor of three errs upwards."""
+    rng = np.random.default_rng(0)
+    inside, squares, claimed = [], [], []
+    for _ in range(300):
+        normal, error = regression_of_windows(rng, W, rows, r)
+        std = deviations(normal, np.eye(r), 1e-12, np.ones(r))
+        inside.append(np.abs(error) < 1.645 * std)
+        squares.append(error**2)
+        claimed.append(std**2)
+        # By hand: the sandwich, with Student's variance for what remains.
+        inverse = np.linalg.inv(normal.H)
+        meat = normal.g.T @ normal.g * W / (max(W - r, 3) - 2)
+        by_hand = np.sqrt(np.diagonal(inverse @ meat @ inverse))
+        assert_allclose(std, by_hand, rtol=1e-5)
+    assert least < np.mean(inside) < most
+    ratio = np.sqrt(np.mean(claimed) / np.mean(squares))
+    assert 0.95 < ratio < (1.15 if W >= 3 * r else 3.0)
+
+
+def test_unknown_encoder_noise_is_told():
+    """Recordings too short for a spectrum start exactly where they are smoothed to."""
+    _, states, tau = planned(arm("ZY"), 12.0)
+    q, groups = states[:, :2], np.arange(1200) // 15
+    given = {"state_cutoff": 10.0, "cutoff": None, "window": 0.1, "input_noise": None}
+    robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, **given})
+    with pytest.warns(UserWarning, match="encoder noise of .* is not known") as caught:
+        robot.fit(q, tau, groups)
+    told = [x for x in caught if "encoder noise" in str(x.message)]
+    assert len(told) == 1
+    assert "at least one recording of 16 samples" in str(told[0].message)
+    assert np.isnan(robot.state_estimator_.noise_variance_).all()
+    longer = np.arange(1200) // 16
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", ".*encoder noise")
+        robot.fit(q, tau, longer)
+
+
+def test_what_the_simulation_goes_without_is_told_once():
+    model = arm("z", gravity=0.0)
+    _, states, tau = planned(model, 6.0)
+    robot = RobotIdentifier(model, effects=[Elastic(0)], **{**EXACT, **SETTINGS})
+    with pytest.warns(UserWarning, match="goes without elastic") as caught:
+        robot.fit(states, tau)
+    assert sum("goes without" in str(x.message) for x in caught) == 1
 
 
 def test_few_windows_are_told():

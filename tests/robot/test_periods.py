@@ -53,7 +53,14 @@ def record(seed, n_periods=10, correlation=0.9, encoder_noise=3e-3, torque_noise
 
 def identify(q, tau, period=PERIOD, groups=None, sample_weight=None, **settings):
     robot = RobotIdentifier(
-        swing(), **{"dt": DT, "projector": None, "period": period, **settings}
+        swing(),
+        **{
+            "friction": ("viscous",),
+            "dt": DT,
+            "projector": None,
+            "period": period,
+            **settings,
+        },
     )
     return robot.fit(q, tau, groups=groups, sample_weight=sample_weight)
 

@@ -24,6 +24,7 @@ LOAD = inverse_dynamics(MODEL, STATES)
 TORQUE = LOAD + np.array([0.8, 0.5, 0.3]) * V
 TORQUE[:, 1] += 3.0 * Q[:, 1]
 EXACT = {
+    "friction": ("viscous",),
     "regressor": LinearRegression(),
     "projector": None,
     "cutoff": None,
@@ -33,7 +34,9 @@ SPRING = effects.Spring(joint=1)
 
 
 def robot(*used, **given):
-    return RobotIdentifier(MODEL, dt=DT, effects=used, **given)
+    return RobotIdentifier(
+        MODEL, dt=DT, effects=used, **{"friction": ("viscous",), **given}
+    )
 
 
 def said(fitted, *args, **kwargs):
@@ -222,7 +225,9 @@ def test_rest_is_no_speed():
     # One speed only: at rest nothing is asked of viscous friction.
     t = np.arange(0, 4.0, DT)
     ramp = np.column_stack([0.5 * t, np.full_like(t, 0.5), 0 * t])
-    own = RobotIdentifier(arm("Z"), dt=DT, standstill=0.01, projector=None)
+    own = RobotIdentifier(
+        arm("Z"), dt=DT, standstill=0.01, projector=None, friction=("viscous",)
+    )
     own.fit(ramp, ramp[:, 1:2] + 0.1 * ramp[:, :1])
     (viscous,) = own.effect_ranges_
     assert_allclose(viscous.speed, (0.5, 0.5))

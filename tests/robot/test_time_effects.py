@@ -21,7 +21,12 @@ T, STATES = motion(3, duration=30.0, dt=DT, seed=4)
 Q, V, A = np.split(STATES, 3, axis=1)
 VISCOUS = np.array([0.8, 0.5, 0.3])
 TORQUE = inverse_dynamics(MODEL, STATES) + VISCOUS * V
-EXACT = {"projector": None, "cutoff": None, "standstill": None}
+EXACT = {
+    "friction": ("viscous",),
+    "projector": None,
+    "cutoff": None,
+    "standstill": None,
+}
 D, CONSTANT = 2.0, 12.0
 START = 5.0  # of the clock [s]
 SIGNALS = {"offset": np.ones_like(T), "coulomb": np.sign(V[:, 1]), "viscous": V[:, 1]}
@@ -102,7 +107,12 @@ def test_share_and_time_of_an_effect_of_time():
     assert_allclose(early.beyond, np.minimum(T - 12.0, 0.0), atol=1e-9)
     (inside,) = robot.effects_of_time(STATES)
     assert_array_equal(inside.beyond, 0 * T)
-    assert RobotIdentifier(MODEL, dt=DT).fit(Q, TORQUE).effects_of_time(Q) == ()
+    assert (
+        RobotIdentifier(MODEL, dt=DT, friction=("viscous",))
+        .fit(Q, TORQUE)
+        .effects_of_time(Q)
+        == ()
+    )
 
 
 def test_deviation_of_a_drift_is_that_of_its_coefficient():

@@ -117,7 +117,7 @@ def test_the_identifier_asks():
     q = np.sin(2 * t) + np.sin(5 * t) + 1e-4 * rng.normal(size=800)
     tau = 3.0 * np.sin(q) + 0.1 * rng.normal(size=800)
     groups = np.repeat([0, 1], 400)
-    robot = RobotIdentifier(swing(), dt=DT, projector=None)
+    robot = RobotIdentifier(swing(), dt=DT, projector=None, friction=("viscous",))
     plain = robot.fit(q[:, None], tau, groups=groups).theta_
     restarting = np.where(groups == 1, t - t[400], t)
     again = robot.fit(q[:, None], tau, groups=groups, t=restarting).theta_
@@ -145,10 +145,16 @@ def test_sample_periods_in_other_units(dt, message):
     model = swing()
     model.velocityLimit[:] = 10.0
     with pytest.raises(ValueError, match=message):
-        RobotIdentifier(model, dt=dt, projector=None).fit(q[:, None], tau)
-    RobotIdentifier(model, dt=DT, projector=None).fit(q[:, None], tau)
+        RobotIdentifier(model, dt=dt, projector=None, friction=("viscous",)).fit(
+            q[:, None], tau
+        )
+    RobotIdentifier(model, dt=DT, projector=None, friction=("viscous",)).fit(
+        q[:, None], tau
+    )
     # Slow on purpose, and sampled fast.
-    RobotIdentifier(model, dt=DT / 8, projector=None).fit(0.001 * q[:, None], tau)
+    RobotIdentifier(model, dt=DT / 8, projector=None, friction=("viscous",)).fit(
+        0.001 * q[:, None], tau
+    )
 
 
 def test_too_few_samples_to_split():
@@ -156,7 +162,9 @@ def test_too_few_samples_to_split():
     rng = np.random.default_rng(2)
     q = rng.normal(size=(12, 1))
     settings = {"state_cutoff": 20.0, "cutoff": None, "standstill": None}
-    robot = RobotIdentifier(swing(), dt=DT, projector=None, **settings)
+    robot = RobotIdentifier(
+        swing(), dt=DT, projector=None, **{"friction": ("viscous",), **settings}
+    )
     with pytest.raises(ValueError, match=r"at least 16 samples to be split; .*has 12"):
         robot.fit(q, rng.normal(size=12))
     robot.set_params(input_noise=None).fit(q, rng.normal(size=12))

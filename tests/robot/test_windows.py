@@ -5,11 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 from sklearn_vbjfa import RobotIdentifier, load_identified
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import Drift
+from sklearn_vbjfa.robot._windows import clearly_smaller
 from sklearn_vbjfa.simulation import SimulationError
 
 pytest.importorskip("pinocchio")
@@ -102,6 +104,51 @@ def test_joints_that_run_away_are_marked(found):
     simulated[5] = np.nan
     away = replace(found, simulated=simulated).run_away
     assert np.argwhere(away).tolist() == [[3, 2]]
+
+
+def test_clearly_better_than_a_robot_without_a_model(found):
+    assert found.clearly_better.all()
+    assert "clearly better than a robot that stays" in repr(found)
+    assert f"{found.n_windows} windows of 0.5 s, 0 failed, clearly" in repr(found)
+    # Neither rival is better than itself.
+    for rival in (found.staying(), found.going_on()):
+        assert not rival.clearly_better.any()
+        assert repr(rival).endswith("keeps its velocity on any joint>")
+    # On joint 2 as if it stayed.
+    nv = len(found.joint_names)
+    simulated = found.simulated.copy()
+    simulated[..., 2] = found.staying().simulated[..., 2]
+    told = replace(found, simulated=simulated)
+    assert np.flatnonzero(~told.clearly_better).tolist() == [2]
+    assert repr(told).endswith(f"velocity on {found.joint_names[2]}>")
+    # A robot that fails wherever it moves is not the best for it.
+    simulated = found.simulated.copy()
+    simulated[1:] = np.nan
+    failing = replace(found, simulated=simulated)
+    assert not failing.clearly_better.any()
+    assert f"{found.n_windows - 1} failed, not clearly" in repr(failing)
+    assert failing.errors[0].shape == (nv,)
+
+
+def test_clearly_smaller_is_a_test_at_five_per_cent():
+    rng = np.random.default_rng(0)
+    for n in (4, 40):
+        drawn = rng.normal(size=(n, 4000))
+        rate = clearly_smaller(drawn, np.zeros_like(drawn)).mean()
+        # A little less, as some neighbours are alike by chance.
+        assert 0.02 < rate < 0.06
+    # Where neighbours are not alike it is Student's test of pairs.
+    alternating = np.array([1.0, -0.7, 0.9, -1.1, 1.2, -0.8])
+    for shift in np.linspace(-2.0, 2.0, 41):
+        own = alternating + shift
+        p = stats.ttest_1samp(own, 0.0, alternative="less").pvalue
+        assert clearly_smaller(own, np.zeros(6)) == (p < 0.05)
+    # Where they are, it is not taken in by their number.
+    slow = np.repeat(rng.normal(size=(20, 2000)), 4, axis=0)
+    naive = stats.ttest_1samp(slow, 0.0, alternative="less").pvalue < 0.05
+    assert naive.mean() > 0.18
+    assert clearly_smaller(slow, np.zeros_like(slow)).mean() < 0.6 * naive.mean()
+    assert not clearly_smaller(-np.ones((1, 3)), np.zeros((1, 3))).any()
 
 
 def test_windows_begin_at_the_smoothed_state(found, robot, recording):
@@ -299,7 +346,7 @@ def test_torques_that_are_missing_are_refused(robot, recording):
 
 
 def test_a_robot_without_period_is_refused(recording):
-    robot = RobotIdentifier(recording.urdf, cutoff=None)
+    robot = RobotIdentifier(recording.urdf, cutoff=None, friction=("viscous",))
     robot.fit(recording.states, recording.tau, groups=recording.groups)
     with pytest.raises(ValueError, match="identified without a sample period"):
         simulate_windows(robot, recording.states, recording.tau)

@@ -1,10 +1,12 @@
 """What is refused, and what is warned of: every message says when and where."""
 
+import re
 import warnings
 
 import numpy as np
 import pytest
 
+from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Elastic, Jerk, Ripple, Signal, Spring
 from sklearn_vbjfa.simulation import SimulationError
 from sklearn_vbjfa.simulation._simulate import simulate
@@ -61,6 +63,40 @@ def test_a_joint_that_leaves_its_limits_is_a_warning():
     with pytest.warns(UserWarning, match=r"limits: shoulder at t = 0.[0-9]* s"):
         states = simulate(limited(-1.0, 1.0), TAU, [0.9, 0.0], [6.0, 0.0])
     assert states.shape == (20, 6)
+
+
+@pytest.mark.parametrize("dt", [2.0, 0.25])
+def test_a_joint_that_stops_more_often_than_is_followed_is_told(dt):
+    """A wheel on a spring turns 16 times a second, and hardly loses anything."""
+    rng = np.random.default_rng(0)
+    states = rng.uniform(-1, 1, size=(400, 3)) * [1.0, 25.0, 625.0]
+    q, v, a = states.T
+    inertia, friction = 0.5, 1e-3
+    stiffness = inertia * (8 * 2 * np.pi) ** 2
+    tau = inertia * a + friction * np.sign(v) + stiffness * q
+    robot = RobotIdentifier(
+        wheel(inertia).model,
+        dt=dt,
+        friction=("coulomb",),
+        effects=[Spring(0)],
+        cutoff=None,
+        standstill=None,
+    ).fit(states, tau[:, None])
+    rest = robot.theta_[-1] / robot.theta_[-2]
+    torques, start = np.zeros((round(6 / dt) + 1, 1)), [rest + 0.5]
+    if dt < 1.0:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            robot.simulate(torques, start)
+        return
+    told = "more than 20 times within a sample period and is held to its end: .* in 3 "
+    with pytest.warns(UserWarning, match=told) as caught:
+        found = robot.simulate(torques, start)
+    assert "stop" in str(caught[0].message)
+    first = float(re.search(r"at t = ([\d.]+) s", str(caught[0].message))[1])
+    # The 21st turn of 16 a second.
+    assert first == pytest.approx(21 / 16, abs=0.02)
+    assert (found[1:, 1] == 0).all()
 
 
 def test_nothing_is_said_of_a_robot_within_its_limits():

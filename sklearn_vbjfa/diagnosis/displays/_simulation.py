@@ -24,7 +24,9 @@ class SimulationDisplay(Display):
 
     One row a joint. Every window begins at its vertical line, at the measured state;
     the errors beside a joint's name are root mean squares over all windows that were
-    simulated to their end. Windows that were not are shaded.
+    simulated to their end. Windows that were not are shaded, and counted below. A star
+    marks errors that are not clearly smaller than those of a robot that stays and of
+    one that keeps its velocity (`SimulatedWindows.clearly_better`).
 
     Parameters
     ----------
@@ -122,10 +124,10 @@ class SimulationDisplay(Display):
         check_is_fitted(estimator)
         if isinstance(estimator, RobotIdentifier):
             return {"simulated": estimator}
-        return {
-            "declared model": estimator.declared_,
-            "completed model": estimator.identifier_,
-        }
+        robots = {"declared model": estimator.declared_}
+        if estimator.added_:
+            robots["with the four plain terms"] = estimator.plain_
+        return {**robots, "completed model": estimator.identifier_}
 
     def plot(self, ax=None, *, shown=None, measured_kwargs=None, line_kwargs=None):
         """Draw.
@@ -165,7 +167,7 @@ class SimulationDisplay(Display):
         self.measured_lines_, self.lines_ = [], []
         for j, axis in enumerate(self.axes_):
             self._joint(axis, j, chosen, measured_kwargs or {}, line_kwargs or {})
-        self.axes_[-1].set_xlabel("time [s]")
+        self.axes_[-1].set_xlabel("\n".join(["time [s]", *self._notes()]))
         self._name_artists(chosen)
         if ax is None and chosen.size < one.n_windows:
             low, high = chosen.min() + 1, chosen.max() + 1
@@ -195,7 +197,8 @@ class SimulationDisplay(Display):
             errors = scale * own.errors[~own.failed, j]
             size = "none"
             if errors.size:
-                size = f"{np.sqrt(np.mean(errors**2)):.3g} {unit}"
+                star = "" if own.clearly_better[j] else "*"
+                size = f"{np.sqrt(np.mean(errors**2)):.3g} {unit}{star}"
             told.append(f"{label} {size}" if len(self.windows) > 1 else size)
         low, high = np.nanmin(measured[1]), np.nanmax(measured[1])
         room = _MARGIN * max(high - low, _SMALLEST)
@@ -205,6 +208,23 @@ class SimulationDisplay(Display):
         ax.set_title(one.joint_names[j], loc="left", fontsize="small")
         text = f"rms error: {', '.join(told)}"
         ax.set_title(text, loc="right", fontsize="small")
+
+    def _notes(self):
+        """Say what the star means, and how many windows failed."""
+        found = []
+        starred = [~own.clearly_better.all() for own in self._simulated()]
+        if any(starred):
+            found.append("* not clearly better than to stay and to keep the velocity")
+        for label, own in self.windows.items():
+            if own.failed.any():
+                told = f"{own.failed.sum()} of {own.n_windows} windows failed, "
+                told += "not in these errors"
+                found.append(f"{label}: {told}" if len(self.windows) > 1 else told)
+        return found
+
+    def _simulated(self):
+        """Return the windows of those of which any was simulated to its end."""
+        return [own for own in self.windows.values() if not own.failed.all()]
 
     def _colours(self):
         """Return one colour for each label."""

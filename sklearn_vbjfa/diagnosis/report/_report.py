@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.report._sections import sections
 from sklearn_vbjfa.diagnosis.report._verdict import judge
 
 # Changes when keys of `to_dict` do.
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 # Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
 _NOT_DATA = ("curves", "library")
 
@@ -36,12 +36,13 @@ class Report:
     joints : tuple of JointVerdict
         Verdict on each joint.
     status : {"complete", "nothing", "partial", "exhausted", "unsettled", "unknown", \
-            "worse", "failed", "no data", "doubtful"}
+            "worse", "failed", "no data", "unsearched", "doubtful"}
         Effects found and only noise left; nothing was missing; effects found and
         something remains; nothing found though something is missing; at the noise
         floor in the search but not on untouched data; no noise floor to compare with;
         a joint got worse on untouched data; a joint is predicted worse than by its
-        mean torque; nothing to judge by; a channel of the recording is wrong.
+        mean torque; nothing to judge by; no torque shows enough to be searched; a
+        channel of the recording is wrong.
     headline, verdict : str
         The same in words, without and with the mean errors.
 

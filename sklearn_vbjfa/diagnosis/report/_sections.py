@@ -40,6 +40,7 @@ _COLOURS = {
     "worse": "bad",
     "failed": "bad",
     "no data": "bad",
+    "unsearched": "bad",
     "doubtful": "bad",
 }
 _JOINT_COLOURS = {"floor": "good", "worse": "bad", "failed": "bad", "no data": "bad"}
@@ -136,10 +137,10 @@ class Headline:
 def _headline(outcome, verdict):
     errors = verdict.errors
     band = words.number(outcome.wide_cutoff, 2)
-    totals = [
-        (errors.before, "mean error before"),
-        (errors.after, "after, on untouched data"),
-    ]
+    totals = [(errors.before, "mean error before")]
+    if outcome.added:
+        totals.append((errors.plain, "with the four plain terms"))
+    totals.append((errors.after, "after, on untouched data"))
     for value, name in (
         (errors.wide, f"after, up to {band} Hz"),
         (errors.floor, "noise floor"),
@@ -181,7 +182,7 @@ class JointBars:
     text: str
     colour: str
     note: str
-    # ("before" or "after", length or None, text beside the bar, whether it is cut)
+    # ("before", "plain" or "after", length or None, text beside, whether it is cut)
     bars: tuple
     # Where the interval of the error after begins and how long it is, or empty.
     reach: tuple
@@ -189,7 +190,8 @@ class JointBars:
 
 
 def _joints(outcome, verdict):
-    heads = ["untouched\nerror, %", "before", "after [90 %]"]
+    heads = ["untouched\nerror, %", "before"]
+    heads += ["four\nterms"] * bool(outcome.added) + ["after [90 %]"]
     heads += ["/".join(dict.fromkeys(outcome.torque_units)), "floor"]
     wide, note = bool(np.isfinite(outcome.wide_cutoff)), ""
     if wide:
@@ -206,15 +208,26 @@ def _joints(outcome, verdict):
         row = [
             v.label,
             words.bare_percent(outcome.error_before[j]),
+            *[words.bare_percent(outcome.error_plain[j])] * bool(outcome.added),
             words.bare_percent(outcome.error_after[j]) + _reach_text(outcome, j),
             words.number(outcome.error_after[j] * outcome.spread[j], 2),
             words.bare_percent(outcome.floor[j]),
         ]
         row += [words.bare_percent(outcome.wide_after[j])] * wide
         rows.append((*row, v.text))
+    table = Table(heads=(*heads, ""), rows=tuple(rows), numbers=True)
+    terminal = table
+    if outcome.added:
+        # A line has no room for the error in N m beside a third one in per cent.
+        at = heads.index("after [90 %]") + 1
+        heads, *rows = (
+            (*row[:at], *row[at + 1 :]) for row in (table.heads, *table.rows)
+        )
+        terminal = Table(heads=heads, rows=tuple(rows), numbers=True)
     return Section(
         heading="Error of each joint on untouched data",
-        table=Table(heads=(*heads, ""), rows=tuple(rows), numbers=True),
+        table=table,
+        terminal=(terminal,),
         note=f"Interval: {_interval_text(outcome.settings)}. Root mean square of the "
         "torque residual on data that was not touched before, over the standard "
         f"deviation of the torque in the moving time of the whole recording{note}.",
@@ -236,7 +249,10 @@ def _bars(outcome, joints):
     found = []
     for v in joints:
         j = v.joint
-        before, after = outcome.error_before[j], outcome.error_after[j]
+        after = outcome.error_after[j]
+        kinds = {"before": outcome.error_before[j]}
+        if outcome.added:
+            kinds["plain"] = outcome.error_plain[j]
         low, high = _verdict.interval(outcome, "after", j)
         note = ""
         if np.isfinite(after):
@@ -254,7 +270,7 @@ def _bars(outcome, joints):
                 text=v.text,
                 note=note,
                 bars=(
-                    bar("before", before, words.percent(before)),
+                    *(bar(kind, x, words.percent(x)) for kind, x in kinds.items()),
                     bar("after", after, text),
                 ),
                 reach=(place(low), place(high) - place(low)) if known else (),
@@ -300,6 +316,19 @@ def _paragraph(heading, sentences):
         terminal=(" ".join(sentences),) if sentences else (),
         template="paragraph",
     )
+
+
+def _added(outcome, verdict):
+    """Say which plain terms were fitted beyond what was declared."""
+    if not outcome.added:
+        return _paragraph("Plain terms", ())
+    # Not "found": they are fitted on every robot, and nothing was tested.
+    told = (
+        f"Added on every joint, as not declared: {_verdict.plain_words(outcome)}. With "
+        "these the model has the four plain terms that hardly any drive is without; "
+        "they were fitted, not searched for."
+    )
+    return _paragraph("Plain terms", (told,))
 
 
 def _band(outcome, verdict):
@@ -866,6 +895,7 @@ def _declared(declared):
 SECTIONS = (
     _headline,
     _joints,
+    _added,
     _band,
     _recordings,
     _projection,

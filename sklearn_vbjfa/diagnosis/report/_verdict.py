@@ -31,7 +31,8 @@ class JointVerdict:
         ``"floor"`` (only noise is left), ``"unexplained"``, ``"above"`` (above the
         floor on the untouched part only), ``"unknown"`` (no floor), ``"worse"``,
         ``"failed"`` (an error of 100 % or more), ``"few"`` (moves too little in the
-        untouched part for a verdict) or ``"no data"``.
+        untouched part for a verdict), ``"unsearched"`` (its channels show too little)
+        or ``"no data"``.
     n_effects : int
         Accepted effects.
     text : str
@@ -53,6 +54,7 @@ class Errors:
     """Mean errors of the joints that are judged, over the spread; nan if unknown."""
 
     before: float
+    plain: float
     after: float
     # After, in the wider band.
     wide: float
@@ -119,8 +121,7 @@ def _belongs(effect, j):
 
 def _joint_status(outcome, j):
     """Status of a joint, and the same in words."""
-    before, after = outcome.error_before[j], outcome.error_after[j]
-    floor = outcome.floor[j]
+    after, floor = outcome.error_after[j], outcome.floor[j]
     if not np.isfinite(after):
         return "no data", "no samples that count"
     if not outcome.enough[j]:
@@ -128,11 +129,10 @@ def _joint_status(outcome, j):
         return "few", f"no verdict: moves for {seconds} s only"
     if after >= _MEAN_TORQUE:
         return "failed", "WORSE than its mean torque"
-    low, high = interval(outcome, "difference", j)
-    # Without an interval the errors themselves decide.
-    surely = not np.isfinite(low) or low > 0
-    if surely and after > _WORSE * before:
+    if any(_is_worse(outcome, j)):
         return "worse", "WORSE on untouched data"
+    if j in outcome.unsearched:
+        return "unsearched", "not searched: see its channels"
     for rest in outcome.unexplained:
         if rest.joint == j and np.isfinite(rest.floor):
             return "unexplained", f"{words.percent(rest.of_torque)} unexplained"
@@ -147,9 +147,22 @@ def _joint_status(outcome, j):
         return "above", "above floor on untouched data"
     if after > near and least > floor:
         return "floor", f"near the floor ({after / floor:.1f} x)"
+    high = interval(outcome, "added", j)[1]
     if any(_belongs(e, j) for e in outcome.effects) and np.isfinite(high) and high >= 0:
         return "floor", "at the floor, gain within chance"
     return "floor", "at the noise floor"
+
+
+def _is_worse(outcome, j):
+    """Whether a joint is worse than declared, and than with the plain terms alone."""
+    after = outcome.error_after[j]
+    for error, key in (
+        (outcome.error_before, "difference"),
+        (outcome.error_plain, "added"),
+    ):
+        low = interval(outcome, key, j)[0]
+        # Without an interval the errors themselves decide.
+        yield (not np.isfinite(low) or low > 0) and after > _WORSE * error[j]
 
 
 def _status(outcome, joints):
@@ -159,6 +172,8 @@ def _status(outcome, joints):
         return "doubtful"
     if kinds <= {"no data", "few"}:
         return "no data"
+    if kinds <= {"no data", "few", "unsearched"}:
+        return "unsearched"
     found = bool(outcome.effects)
     for kind, status in (
         ("failed", "failed"),
@@ -179,10 +194,11 @@ def _mean(values):
 
 
 def _mean_errors(outcome):
-    before, after, floor, wide = (
+    before, plain, after, floor, wide = (
         np.asarray(values, dtype=float)
         for values in (
             outcome.error_before,
+            outcome.error_plain,
             outcome.error_after,
             outcome.floor,
             outcome.wide_after,
@@ -193,6 +209,7 @@ def _mean_errors(outcome):
     known = floor[used].any() and np.isfinite(floor[used]).all()
     return Errors(
         before=_mean(before[used]),
+        plain=_mean(plain[used]),
         after=_mean(after[used]),
         wide=_mean(wide[enough]),
         floor=_mean(floor[used]) if known else np.nan,
@@ -204,8 +221,12 @@ def _errors_sentence(outcome, errors):
     if not np.isfinite(errors.after):
         return ""
     text = f"Mean error on untouched data {words.percent(errors.before)}"
-    if outcome.effects:
-        text += f" before, {words.percent(errors.after)} after"
+    if outcome.effects or outcome.added:
+        text += " before"
+        if outcome.added:
+            text += f", {words.percent(errors.plain)} with the four plain terms"
+        if outcome.effects:
+            text += f", {words.percent(errors.after)} after"
     if np.isfinite(errors.wide):
         band = words.number(outcome.wide_cutoff, 2)
         text += f" ({words.percent(errors.wide)} up to {band} Hz)"
@@ -234,6 +255,11 @@ def _headline(outcome, joints, status):
             "No verdict: no joint moves for long enough in the untouched part; record "
             "more motion of each joint."
         )
+    if status == "unsearched":
+        return (
+            f"Nothing was searched: the channels of {where('unsearched')[0]} show too "
+            "little to tell what is missing."
+        )
     if status == "failed":
         which, one = where("failed")
         text = (
@@ -244,9 +270,14 @@ def _headline(outcome, joints, status):
         return f"{found} added, but {text}" if count else words.capital(text)
     if status == "worse":
         which, one = where("worse")
+        what = found if count else f"{words.capital(plain_words(outcome))} were"
+        declared = any(
+            next(_is_worse(outcome, v.joint)) for v in joints if v.status == "worse"
+        )
+        than = "before" if declared else "with the plain terms alone"
         return (
-            f"{found} added, but {which} {'predicts' if one else 'predict'} untouched "
-            "data worse than before: do not trust what was added there."
+            f"{what} added, but {which} {'predicts' if one else 'predict'} untouched "
+            f"data worse than {than}: do not trust what was added there."
         )
     if status == "unsettled":
         return (
@@ -267,9 +298,19 @@ def _headline(outcome, joints, status):
     if few:
         verb = "moves" if one else "move"
         silent = f" {words.capital(few)} {verb} too little for a verdict."
+    left_out, one = where("unsearched")
+    if left_out:
+        verb = "was" if one else "were"
+        silent += f" {words.capital(left_out)} {verb} not searched."
     near = "near" if any(v.text.startswith("near") for v in joints) else "at"
     if status == "nothing":
-        return f"Nothing is missing: the residual is {near} the noise floor.{silent}"
+        more = ""
+        if outcome.added:
+            more = f"{words.capital(plain_words(outcome))} were added; beyond these n"
+        return (
+            f"{more or 'N'}othing is missing: the residual is {near} the noise "
+            f"floor.{silent}"
+        )
     if status == "complete":
         return f"{found} missing; what remains is {near} the noise floor.{silent}"
     which, one = where("unexplained")
@@ -283,6 +324,12 @@ def _headline(outcome, joints, status):
         f"{which} is above the noise floor and no effect of the library explains "
         f"it.{silent}"
     )
+
+
+def plain_words(outcome):
+    """Name the plain terms that were added, as "offset and rotor inertia"."""
+    labels = [words.effect_label(outcome, name) for name in outcome.added]
+    return words.join(labels, len(labels))
 
 
 def _found(outcome):

@@ -140,7 +140,7 @@ def _alone(model, joints):
     return alone
 
 
-def put_together(view, library, branches, found):
+def put_together(view, library, branches, found, alpha):
     """Put what was `Found` on the branches of a robot together.
 
     Parameters
@@ -153,6 +153,8 @@ def put_together(view, library, branches, found):
         Branches that were searched.
     found : list of Found
         What was found on each, with its share of the level of significance.
+    alpha : float
+        Level of significance of the whole robot.
 
     Returns
     -------
@@ -174,7 +176,7 @@ def put_together(view, library, branches, found):
         model=SearchModel.of(view, effects, SearchModel.of(view)),
         evidence=tuple(evidence),
         steps=tuple(steps),
-        threshold=min(own.threshold for own in found),
+        threshold=min((own.threshold for own in found), default=alpha),
         n_tests=sum(own.n_tests for own in found),
         library=library,
         branches=tuple(zip(branches, found)),

@@ -308,12 +308,17 @@ class Outcome:
         Joints.
     torque_units : tuple of str
         Units of the torques, "N m" or "N".
-    error_before, error_after : ndarray of shape (nv,)
-        Errors on the untouched part, over `spread`.
+    unsearched : tuple of int
+        Joints whose channels show too little to be searched.
+    added : tuple of str
+        Plain terms that were fitted on every joint beyond what was declared.
+    error_before, error_plain, error_after : ndarray of shape (nv,)
+        Errors on the untouched part, over `spread`: declared, with the four plain
+        terms, completed.
     spread : ndarray of shape (nv,)
         Standard deviation of the torque in the moving time of the whole recording
         [N m or N].
-    wide_before, wide_after : ndarray of shape (nv,)
+    wide_before, wide_plain, wide_after : ndarray of shape (nv,)
         Errors on the untouched part in a wider band than that of the fit, over the same
         spread; nan where there is none.
     wide_cutoff : float
@@ -323,8 +328,9 @@ class Outcome:
     enough : ndarray of shape (nv,), bool
         Whether that is enough for a verdict.
     intervals : dict of str to ndarray of shape (2, nv)
-        Where the errors ``"before"``, ``"after"`` and their ``"difference"`` over the
-        next 50 s of the same motion lie in 90 % of cases.
+        Where the errors ``"before"``, ``"plain"``, ``"after"``, and after minus before
+        (``"difference"``) and minus plain (``"added"``), over the next 50 s of the same
+        motion lie in 90 % of cases.
     floor : ndarray of shape (nv,)
         Noise floor over the spread.
     library : dict of str to Effect
@@ -373,10 +379,14 @@ class Outcome:
     channels: tuple
     joint_names: tuple
     torque_units: tuple
+    unsearched: tuple
+    added: tuple
     error_before: object
+    error_plain: object
     error_after: object
     spread: object
     wide_before: object
+    wide_plain: object
     wide_after: object
     wide_cutoff: float
     seconds: object

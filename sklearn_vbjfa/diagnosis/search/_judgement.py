@@ -1,6 +1,6 @@
 """The errors on the untouched part, which is looked at here and only once."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from sklearn_vbjfa.diagnosis.search._price import (
 )
 from sklearn_vbjfa.diagnosis.search._split import FEWEST_VALUES
 from sklearn_vbjfa.recording._signals import OfferedSignals
-from sklearn_vbjfa.robot._identifier import outside_of
+from sklearn_vbjfa.robot._identifier import RobotIdentifier, outside_of
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 
 # The wider band reaches this many times as far as that of the fit, and at least to
@@ -28,15 +28,30 @@ _HIGHEST = 0.4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Judgement:
-    """Errors of the declared and of the completed model on the untouched part.
+class Models:
+    """The models of a loop, fitted to the search part.
 
     Attributes
     ----------
-    before, after : TorqueResiduals
-        In the band of the fit.
+    declared, plain, judged : RobotIdentifier
+        As declared, with the four plain terms, and with the effects as well.
+    """
+
+    declared: RobotIdentifier
+    plain: RobotIdentifier
+    judged: RobotIdentifier
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Judgement:
+    """Errors of the models of a loop on the untouched part.
+
+    Attributes
+    ----------
+    before, plain, after : TorqueResiduals
+        Of the declared model, with the plain terms, completed, in the band of the fit.
     searched : tuple of TorqueResiduals
-        The same on the search part, to which both models were fitted.
+        Before and after on the search part, to which the models were fitted.
     wide : tuple of ndarray of shape (nv,) or None
         Root mean squares before and after in a wider band [N m or N].
     wide_cutoff : float
@@ -44,7 +59,9 @@ class Judgement:
     spread : ndarray of shape (nv,)
         Spread of the torque in the moving time of the whole recording [N m or N].
     intervals : dict
-        Of the errors, see `error_intervals`.
+        Of the errors before and after and their difference, see `error_intervals`;
+        "plain" and "added" are the error with the plain terms and what the effects
+        add to it.
     seconds : ndarray of shape (nv,)
         Untouched time in which each joint moves [s].
     enough : ndarray of shape (nv,), bool
@@ -65,6 +82,7 @@ class Judgement:
     """
 
     before: TorqueResiduals
+    plain: TorqueResiduals
     after: TorqueResiduals
     searched: tuple
     wide: tuple | None
@@ -82,17 +100,18 @@ class Judgement:
 
     @property
     def errors(self):
-        """Errors before and after over the spread of the torque, ndarray (2, nv)."""
-        parts = self.before, self.after
+        """Errors before, plain and after over the torque's spread, ndarray (3, nv)."""
+        parts = self.before, self.plain, self.after
         return np.array([part.relative_error(self.spread) for part in parts])
 
 
-def judge(declared, completed, found, split, whole):
-    """Judge two fitted models on the part of a recording that is untouched.
+def judge(models, found, split, whole):
+    """Judge the `Models` of a loop on the part of a recording that is untouched.
 
-    Both were fitted to the rows of the search, and `found` is what it found there.
+    They were fitted to the rows of the search, and `found` is what it found there.
     """
-    model, dt = found.model, declared.dt
+    completed = models.judged
+    model, dt = found.model, completed.dt
     memory = max(model.memory_seconds(), default=0.0)
     # Of a memory without end nothing is far enough.
     guard = int(min(memory / dt, whole.n_samples))
@@ -102,48 +121,54 @@ def judge(declared, completed, found, split, whole):
     rows = split.test
     rest = split.untouched(whole)
 
-    given = rest.inputs, rest.tau, rest.groups, rest.weight, rest.t
-    beside = {"signals": OfferedSignals(columns=rest.signals)}
+    three = models.declared, models.plain, completed
 
     def errors(**band):
-        return tuple(
-            one.residuals(*given, **beside, **band) for one in (declared, completed)
-        )
+        each = {one: _residuals(one, rest, **band) for one in dict.fromkeys(three)}
+        return tuple(each[one] for one in three)
 
-    before, after = (_numbered(part, rows) for part in errors())
+    before, plain, after = (_numbered(part, rows) for part in errors())
+    part, step = split.searched(whole), model.view.step
     added = added_effects(completed, len(found.effects))
-    fit = FinalFit(declared, completed, model.view.corrected(()), added)
-    searched = tuple(_numbered(part, split.search) for part in fit.residuals())
-    spread = torque_spread(searched[0], before)
+    fit = FinalFit(models.plain, completed, model.view.corrected(()), added)
+    of_plain, of_completed = (_numbered(one, split.search) for one in fit.residuals())
+    of_declared = of_plain
+    if models.declared is not models.plain:
+        own = _numbered(_residuals(models.declared, part), split.search)
+        of_declared = replace(own, weight=of_plain.weight)
+    searched = of_declared, of_completed
+    spread = torque_spread(of_plain, before)
+    intervals = error_intervals((before, after), searched, spread, step)
+    beyond = error_intervals((plain, after), (of_plain, of_completed), spread, step)
+    intervals |= {"plain": beyond["before"], "added": beyond["difference"]}
     wide_cutoff = _wide(completed.cutoff_, dt)
     wide = None
     if np.isfinite(wide_cutoff):
         wide = tuple(part.rms() for part in errors(cutoff=wide_cutoff))
     # Rows in which a joint moves throughout have its largest weight.
     full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
-    step = model.view.step
     seconds = (before.weight / full).sum(axis=0) * step
     cutoff = min(completed.cutoff_, 0.5 / dt)
     price = None
     if completed.projector_ is not None:
-        free = without_constraints(completed).residuals(*given, **beside)
+        free = _residuals(without_constraints(completed), rest)
         of_free = fit.residuals_of(completed.theta_unconstrained_)
         price = price_of(
             completed,
             (_numbered(free, rows), after),
-            (_numbered(of_free, split.search), searched[1]),
+            (_numbered(of_free, split.search), of_completed),
             spread,
             step,
         )
-    part = split.searched(whole)
     return Judgement(
         before=before,
+        plain=plain,
         after=after,
         searched=searched,
         wide=wide,
         wide_cutoff=wide_cutoff,
         spread=spread,
-        intervals=error_intervals((before, after), searched, spread, step),
+        intervals=intervals,
         seconds=seconds,
         enough=2.0 * cutoff * seconds >= FEWEST_VALUES,
         n_stretches=len(split.stretches),
@@ -155,6 +180,12 @@ def judge(declared, completed, found, split, whole):
         price=price,
         outside=outside_of(completed, rest),
     )
+
+
+def _residuals(model, part, **band):
+    """Residuals of a model on some recorded rows."""
+    given = part.inputs, part.tau, part.groups, part.weight, part.t
+    return model.residuals(*given, signals=OfferedSignals(columns=part.signals), **band)
 
 
 def _numbered(part, rows):

@@ -1,7 +1,6 @@
 """Everything that a loop found out, collected for the report."""
 
 import platform
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -26,32 +25,34 @@ from sklearn_vbjfa.diagnosis.search._identified import (
     parameter_values,
     recorded_motion,
 )
-from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, FinalFit, quantile
+from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, quantile
 from sklearn_vbjfa.diagnosis.search._motion import motion_limits
 from sklearn_vbjfa.diagnosis.search._search import STEP_UP
+from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import corrections_of
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._known import body_masses
 
 # Points of a picture.
 _POINTS = 4000
 
 
-def make_outcome(search, models, judgement, channels, asked, recordings=()):
+def make_outcome(search, models, final, judgement, channels, asked, recordings=()):
     """Collect what `Report` shows.
 
-    `asked` are the parameters of the loop, of which the report repeats some;
-    `recordings` is what each recording is called.
+    `models` were fitted to the search part, `final` to all data; `asked` are the
+    parameters of the loop, of which the report repeats some; `recordings` is what each
+    recording is called.
     """
     robot = models.declared
     features, names = robot.features_, robot.joint_names_
     prismatic = is_prismatic(features.model_)
-    spread, floor = judgement.spread, models.noise_floor()
-    before, after = judgement.errors
+    spread, floor = judgement.spread, _noise_floor(final, models.judged)
+    before, plain, after = judgement.errors
     decided = np.where(judgement.enough, after, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        wide = np.array(judgement.wide or np.full((2, spread.size), np.nan)) / spread
+        wide = np.array(judgement.wide or np.full((3, spread.size), np.nan)) / spread
         relative_floor = floor / spread
     rest = unexplained(search.model, names, spread, floor, decided)
     ceiling, maps = _ceiling(search.model, rest, names, asked)
@@ -64,7 +65,7 @@ def make_outcome(search, models, judgement, channels, asked, recordings=()):
             "cutoff": float(robot.cutoff_),
             "standstill": robot.standstill_.tolist(),
         },
-        effects=tuple(_effects(search, models.final, names, prismatic)),
+        effects=tuple(_effects(search, final, names, prismatic)),
         rounds=tuple(_rounds(search, names)),
         unexplained=rest,
         ceiling=ceiling,
@@ -72,58 +73,48 @@ def make_outcome(search, models, judgement, channels, asked, recordings=()):
         channels=channels,
         joint_names=names,
         torque_units=tuple("N" if p else "N m" for p in prismatic),
+        unsearched=tuple(np.flatnonzero(~search.model.view.root.any(axis=0)).tolist()),
+        added=tuple(
+            name
+            for name in models.plain.features_.friction_
+            if name not in features.friction_
+        ),
         error_before=before,
+        error_plain=plain,
         error_after=after,
         spread=spread,
         wide_before=wide[0],
-        wide_after=wide[1],
+        wide_plain=wide[1],
+        wide_after=wide[2],
         wide_cutoff=judgement.wide_cutoff,
         seconds=judgement.seconds,
         enough=judgement.enough,
         intervals=judgement.intervals,
         floor=relative_floor,
-        library={effect.name: effect for effect in search.library},
+        library={e.name: e for e in (*resolve(plain_terms()), *search.library)},
         settings=_settings(search, judgement, asked),
         band=judgement.band,
         projection=judgement.price,
-        bodies=body_masses(models.final.identifier),
+        bodies=body_masses(final.identifier),
         recordings=recordings,
-        motion_limits=motion_limits(models.final.view),
-        contradictions=contradictions(models.final, spread, float(asked["alpha"])),
-        curves=_curves(models, judgement, maps),
+        motion_limits=motion_limits(final.view),
+        contradictions=contradictions(final, spread, float(asked["alpha"])),
+        curves=_curves(models.judged, final, judgement, maps),
         outside=judgement.outside,
-        gains=models.final.identifier.gains_,
-        corrections=corrections_of(models.final.identifier),
-        parameters=parameter_values(models.final.identifier),
-        recorded=recorded_motion(models.final.view.states.shape[0], robot.dt),
+        gains=final.identifier.gains_,
+        corrections=corrections_of(final.identifier),
+        parameters=parameter_values(final.identifier),
+        recorded=recorded_motion(final.view.states.shape[0], robot.dt),
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Models:
-    """The models of a loop.
+def _noise_floor(final, judged):
+    """Noise floor of the completed model, (nv,) [N m or N].
 
-    Attributes
-    ----------
-    declared : RobotIdentifier
-        The declared model, fitted to the search part.
-    judged : RobotIdentifier
-        The completed model, fitted to the same part.
-    final : FinalFit
-        The completed model, fitted to all data.
+    More data show more of the noise; the declared model's would hold what it lacks.
     """
-
-    declared: RobotIdentifier
-    judged: RobotIdentifier
-    final: FinalFit
-
-    def noise_floor(self):
-        """Noise floor of the completed model, (nv,) [N m or N].
-
-        More data show more of the noise; the declared model's would hold what it lacks.
-        """
-        own = self.final.identifier.noise_floor_
-        return np.where(np.isfinite(own), own, self.judged.noise_floor_)
+    own = final.identifier.noise_floor_
+    return np.where(np.isfinite(own), own, judged.noise_floor_)
 
 
 def _effects(search, final, names, prismatic):
@@ -159,8 +150,8 @@ def _effects(search, final, names, prismatic):
                     values[key] + half * deviations[key],
                 )
                 for key in deviations
-                # What no column determines has no interval.
-                if deviations[key] != 0
+                # What no column determines, or no scatter tells of, has no interval.
+                if deviations[key] > 0
             },
             evidence=evidence,
             rivals=rivals.get(one.key(), ()),
@@ -185,15 +176,16 @@ def _afterwards(effect, estimate, seconds):
     scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 0.0))
     # Small beside what the value itself is, where the deviation is not.
     steps = 1e-4 * np.minimum(scale, np.abs(values))
-    steps[steps == 0] = 1e-9
+    steps[~(steps > 0)] = 1e-9
     sides = [
         [left(values + way * step) for way in (0.5, -0.5)] for step in np.diag(steps)
     ]
     intervals = {}
     for name, value in found.items():
         slope = np.array([above[name] - below[name] for above, below in sides]) / steps
-        reach = half * np.sqrt(max(slope @ estimate.covariance @ slope, 0.0))
-        intervals[name] = (value - float(reach), value + float(reach))
+        reach = half * _deviation(slope, estimate.covariance)
+        if not np.isnan(reach):
+            intervals[name] = (value - reach, value + reach)
     return Afterwards(
         seconds=seconds, how=effect.afterwards, left=found, intervals=intervals
     )
@@ -207,24 +199,29 @@ def _named(effect, estimate):
     scale = np.sqrt(np.maximum(np.diagonal(covariance)[:k], 0.0))
     slopes = {key: np.zeros(k) for key in values}
     for i in range(k):
-        step = 1e-4 * scale[i] or 1e-9
+        step = 1e-4 * scale[i] if scale[i] > 0 else 1e-9
         moved = np.array(coef, dtype=float)
         moved[i] += step
         for key, value in effect.parameters(moved).items():
             slopes[key][i] = (value - values[key]) / step
     own = covariance[:k, :k]
-    deviations = {
-        key: float(np.sqrt(max(slope @ own @ slope, 0.0)))
-        for key, slope in slopes.items()
-    }
+    deviations = {key: _deviation(slope, own) for key, slope in slopes.items()}
     for i, name in enumerate(estimate.shape):
         if name not in values:
             values[name] = float(getattr(effect, name))
-            deviations[name] = float(np.sqrt(max(covariance[k + i, k + i], 0.0)))
+            own = np.arange(len(covariance)) == k + i
+            deviations[name] = _deviation(own.astype(float), covariance)
     for name, value in effect.shape().items():
         if name not in effect.tangent:
             values.setdefault(name, value)
     return values, deviations
+
+
+def _deviation(slope, covariance):
+    """Deviation of what has a slope by some values; nan if one of them is not known."""
+    seen = slope != 0
+    slope = slope[seen]
+    return float(np.sqrt(np.maximum(slope @ covariance[np.ix_(seen, seen)] @ slope, 0)))
 
 
 def _rounds(search, names):
@@ -311,10 +308,9 @@ def _ceiling(model, rest, names, asked):
     return ceilings(model, joints, names, asked["alpha"], asked["random_state"])
 
 
-def _curves(models, judgement, maps):
+def _curves(judged, final, judgement, maps):
     """Residuals of the untouched part with their signals, thinned for pictures."""
-    judged, before, after = models.judged, judgement.before, judgement.after
-    view = models.final.view
+    before, after, view = judgement.before, judgement.after, final.view
     m = before.torque.shape[0]
     rows = np.arange(0, m, max(1, m // _POINTS))
     # Without a sample period, rows need not be equidistant.
@@ -329,6 +325,6 @@ def _curves(models, judgement, maps):
         "weight": before.weight[rows],
         "torque": before.torque[rows],
         "maps": maps,
-        "effects": effect_curves(models.final),
+        "effects": effect_curves(final),
         "line": time_line(judgement, view.clock, [p.start for p in view.parts]),
     }

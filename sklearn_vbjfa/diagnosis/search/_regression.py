@@ -250,7 +250,8 @@ class BlockRegression:
         self._folds = blocks.folds()
         known = FoldMoments(Z, y, self._folds) if known is None else known
         self._G, self._g = known.extended(Z, y, precision)
-        size = np.sqrt(np.mean(np.diagonal(self._G.sum(axis=0)))) or 1.0
+        diagonal = np.diagonal(self._G.sum(axis=0))
+        size = np.sqrt(diagonal.sum() / max(diagonal.size, 1)) or 1.0
         self._unit = size**2
         self.ridge = self._choose() if ridge is None else ridge
         self._solve(self.ridge)

@@ -7,7 +7,6 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._classes import one_of_class
-from sklearn_vbjfa.diagnosis.search._common_start import earned
 from sklearn_vbjfa.diagnosis.search._evidence import (
     SMALLEST_GAIN,
     Candidate,
@@ -246,19 +245,6 @@ class EffectSearch:
     def run(self):
         """Search from the declared model, and return what was `Found`."""
         self.explore()
-        return self.settle()
-
-    def resume(self, names, found):
-        """Go on from a search beside plain terms of these names: what was `Found`."""
-        self.model, self.steps = earned(
-            self.view, names, found, self.library, self.alpha
-        )
-        self.steps += found.steps
-        self.threshold, self.n_tests = found.threshold, found.n_tests
-        for effect in found.effects:
-            # Its shape was found beside the plain terms.
-            self.absorb(effect)
-        self.prune()
         return self.settle()
 
     def settle(self):

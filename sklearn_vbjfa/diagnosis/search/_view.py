@@ -91,9 +91,6 @@ class RecordingView:
         recordings; None where they are whole.
     begins : tuple of float or None
         When recordings begin [s], if their first rows are not among these.
-    like : RecordingView or None
-        View of the same rows whose noise floor, blocks and joint weights are taken
-        over, since its robot lacks less.
 
     Attributes
     ----------
@@ -137,19 +134,13 @@ class RecordingView:
         Root mean square of a column of Z.
     """
 
-    def __init__(
-        self, robot, recording, leave_out=(), origin=None, begins=None, like=None
-    ):
+    def __init__(self, robot, recording, leave_out=(), origin=None, begins=None):
         self.robot = robot
         self.declared = robot.features_.friction_
-        self.floor = robot.noise_floor_**2 if like is None else like.floor
+        self.floor = robot.noise_floor_**2
         self.parts = recording.segments
         self.clock = check_clock(recording.t, recording.n_samples, robot.dt)
-        self.states = (
-            states_of(robot, recording.inputs, recording.groups)
-            if like is None
-            else like.states
-        )
+        self.states = states_of(robot, recording.inputs, recording.groups)
         self.signals = recording.signals
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
         self._begins = begins
@@ -162,10 +153,7 @@ class RecordingView:
         self.starts = self.starts[self.starts < self.index.size]
         origin = recording.groups if origin is None else origin
         self.origin = origin[self.index]
-        if like is None:
-            self._set_blocks()
-        else:
-            self.blocks, self.precision = like.blocks, like.precision
+        self._set_blocks()
         self._set_coordinates()
 
     def corrected(self, effects):
@@ -254,7 +242,7 @@ class RecordingView:
         self.Z, self.back = reduced(self.equations, self.precision)
         self.moments = FoldMoments(self.Z, self.target, self.blocks.folds())
         # Effects' columns are brought to the size of the declared ones.
-        self.size = np.sqrt(np.mean(self.Z**2) * self.Z.shape[0]) or 1.0
+        self.size = np.sqrt((self.Z**2).sum() / max(self.Z[0].size, 1)) or 1.0
 
     @property
     def rows(self):

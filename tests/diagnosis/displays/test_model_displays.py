@@ -113,7 +113,7 @@ def test_noise_of_a_robot_is_drawn_as_it_is(robot, pyplot):
 
 def test_noise_of_a_robot_fitted_to_states_has_no_positions(recording, pyplot):
     rows = recording.groups == 0
-    robot = RobotIdentifier(recording.urdf)
+    robot = RobotIdentifier(recording.urdf, friction=("viscous",))
     robot.fit(recording.states[rows], recording.tau[rows])
     display = NoiseDisplay.from_estimator(robot).plot()
     assert list(display.panels) == ["N m"]
@@ -188,7 +188,7 @@ def test_joints_of_both_kinds_are_in_panels_of_their_own(pyplot):
     features = RigidBodyFeatures(model).fit(states)
     theta = rng.uniform(1.0, 2.0, size=22)
     tau = features.transform(states).reshape(400, 2, 22) @ theta
-    robot = RobotIdentifier(model, projector=None)
+    robot = RobotIdentifier(model, projector=None, friction=("viscous",))
     robot.fit(states, tau + [0.1, 5.0] * rng.normal(size=(400, 2)))
     display = NoiseDisplay.from_estimator(robot).plot()
     assert {unit: rows.tolist() for unit, rows in display.panels.items()} == {
@@ -274,7 +274,7 @@ def test_hollow_marks_are_hollow(robot, pyplot):
 
 def test_an_identifier_without_projection_has_one_estimate(recording, pyplot):
     rows = recording.groups == 0
-    robot = RobotIdentifier(recording.urdf, projector=None)
+    robot = RobotIdentifier(recording.urdf, projector=None, friction=("viscous",))
     robot.fit(recording.states[rows], recording.tau[rows])
     display = ParameterDisplay.from_estimator(robot).plot()
     assert display.second is None
@@ -448,7 +448,11 @@ def test_a_discovery_shows_its_completed_model(display, robot, pyplot):
 @pytest.mark.parametrize("display", DISPLAYS)
 @pytest.mark.parametrize(
     "estimator",
-    [VBJFARegressor(), RobotIdentifier("arm.urdf"), LinearRegression()],
+    [
+        VBJFARegressor(),
+        RobotIdentifier("arm.urdf", friction=("viscous",)),
+        LinearRegression(),
+    ],
     ids=lambda e: type(e).__name__,
 )
 def test_not_fitted(display, estimator):

@@ -28,7 +28,9 @@ def fixture_recording():
 
 @pytest.fixture(scope="module", name="loop")
 def fixture_loop(recording):
-    robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
+    robot = RobotIdentifier(
+        recording.robot_model(), dt=recording.dt, friction=("viscous",)
+    )
     loop = EffectDiscovery(robot, effects=["coulomb"], random_state=0)
     return loop.fit(recording.q, recording.tau)
 

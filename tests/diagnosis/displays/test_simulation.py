@@ -82,10 +82,26 @@ def test_lines_are_the_positions_in_degrees(windows, pyplot):
         assert ax.get_title(loc="left") == names[j]
         assert ax.get_ylabel() == "[degrees]"
         error = np.rad2deg(np.sqrt(np.mean(windows.errors[:, j] ** 2)))
-        assert ax.get_title(loc="right") == f"rms error: {error:.3g} degrees"
+        star = "" if windows.clearly_better[j] else "*"
+        title = f"rms error: {error:.3g} degrees{star}"
+        assert ax.get_title(loc="right") == title
         starts = [x.get_xdata()[0] for x in ax.get_lines() if len(x.get_xdata()) == 2]
         np.testing.assert_allclose(starts, windows.t[:3, 0])
+    told = display.axes_[-1].get_xlabel()
+    assert told.startswith("time [s]")
+    assert ("* not clearly better" in told) == (not windows.clearly_better.all())
+    # One that is always right is better than both wherever they move.
+    exact = windows.simulated.copy()
+    exact[..., : len(names)] = windows.positions
+    exact = replace(windows, simulated=exact)
+    display = SimulationDisplay(windows={"exact": exact}).plot()
+    assert exact.clearly_better.all()
     assert display.axes_[-1].get_xlabel() == "time [s]"
+    both = SimulationDisplay(windows={"stays": windows.staying(), "exact": exact})
+    titles = [ax.get_title(loc="right") for ax in both.plot().axes_]
+    assert all(x.count("*") == 1 and "*, exact" in x for x in titles)
+    assert "* not clearly better" in both.axes_[-1].get_xlabel()
+    display = SimulationDisplay(windows={"simulated": windows}).plot()
     labels = [text.get_text() for text in display.figure_.legends[0].get_texts()]
     assert labels == ["measured", "simulated"]
 
@@ -153,6 +169,8 @@ def test_windows_that_failed_are_shaded_and_no_part_of_the_error(windows, pyplot
         assert shown < high - low < 2.5 * shown
     labels = [text.get_text() for text in display.figure_.legends[0].get_texts()]
     assert labels == ["measured", "simulated", "simulation failed"]
+    told = f"1 of {windows.n_windows} windows failed, not in these errors"
+    assert told in display.axes_[-1].get_xlabel()
 
 
 def test_nothing_but_failures_has_no_error(windows, pyplot):
@@ -181,5 +199,7 @@ def test_what_is_no_robot_is_refused(recording):
         SimulationDisplay.from_estimator(LinearRegression(), recording.q, recording.tau)
     with pytest.raises(NotFittedError):
         SimulationDisplay.from_estimator(
-            RobotIdentifier(recording.urdf), recording.q, recording.tau
+            RobotIdentifier(recording.urdf, friction=("viscous",)),
+            recording.q,
+            recording.tau,
         )

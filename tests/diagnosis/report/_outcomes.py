@@ -148,6 +148,8 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "error_before": before,
         "error_after": after,
         "spread": np.linspace(50.0, 5.0, nv),
+        "unsearched": (),
+        "added": (),
         "wide_before": 1.4 * before,
         "wide_after": 1.4 * after,
         "wide_cutoff": 40.0,
@@ -198,4 +200,12 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             "torque": rng.standard_normal((m, nv)),
         },
     }
-    return Outcome(**(values | changes))
+    values |= changes
+    if not values["added"]:
+        # All plain terms were declared.
+        values["error_plain"] = values["error_before"]
+        values["wide_plain"] = values["wide_before"]
+        same = {"plain": "before", "added": "difference"}
+        own = values["intervals"]
+        values["intervals"] = own | {k: own[v] for k, v in same.items() if v in own}
+    return Outcome(**values)

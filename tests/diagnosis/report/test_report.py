@@ -319,6 +319,62 @@ def test_verdict_says_when_untouched_data_got_worse():
     assert "joint 2 predicts untouched data worse" in report.verdict
 
 
+def test_plain_terms_are_told_as_added_with_an_error_of_their_own():
+    outcome = make_outcome(nv=2, n_effects=1)
+    plain = np.sqrt(outcome.error_before * outcome.error_after)
+    added = ("offset", "rotor_inertia")
+    more = {"added": added, "error_plain": plain, "wide_plain": plain}
+    report = Report(make_outcome(nv=2, n_effects=1, **more))
+    errors = [words.percent(e.mean()) for e in (outcome.error_before, plain)]
+    assert f"{errors[0]} before, {errors[1]} with the four plain terms" in (
+        " ".join(report.verdict.split())
+    )
+    for text in (str(report), report.to_markdown(), report.to_html()):
+        flat = " ".join(text.split())
+        assert "as not declared: constant offset and rotor inertia" in flat
+        assert words.bare_percent(plain[1]) in flat
+    assert max(map(len, str(report).splitlines())) <= 80
+    assert report.to_html().count('class="fill plain"') == 2
+    assert report.to_dict()["added"] == list(added)
+    assert "four plain" not in Report(outcome).to_html()
+    none = Report(
+        make_outcome(nv=2, n_effects=0, unexplained=(), **more, error_after=plain)
+    )
+    assert none.headline.startswith("Constant offset and rotor inertia were added; ")
+    assert "beyond these nothing is missing" in none.headline
+
+
+def test_effects_that_do_harm_beside_the_plain_terms_are_told():
+    outcome = make_outcome(nv=2, n_effects=1)
+    worse = {"added": np.array([[-0.1, 0.01], [0.1, 0.05]])}
+    report = Report(
+        make_outcome(
+            nv=2,
+            n_effects=1,
+            added=("offset",),
+            error_plain=0.5 * outcome.error_after,
+            wide_plain=outcome.wide_after,
+            intervals=outcome.intervals | worse,
+        )
+    )
+    assert report.status == "worse"
+    assert "joint 2 predicts untouched data worse than with the plain terms alone" in (
+        report.headline
+    )
+
+
+def test_joints_that_were_not_searched_are_no_success():
+    every = Report(make_outcome(nv=2, n_effects=0, unexplained=(), unsearched=(0, 1)))
+    assert every.status == "unsearched"
+    assert every.headline.startswith("Nothing was searched: the channels of all joints")
+    for text in (str(every), every.to_markdown(), every.to_html()):
+        assert not any(claim in " ".join(text.split()) for claim in SUCCESS)
+    one = Report(make_outcome(nv=3, n_effects=0, unexplained=(), unsearched=(2,)))
+    assert one.status == "nothing"
+    assert one.joints[2].text == "not searched: see its channels"
+    assert "Joint 3 was not searched." in one.headline
+
+
 def test_a_little_worse_is_not_worse():
     # A refit moves the errors of all joints a little, and paired blocks notice.
     outcome = make_outcome(n_effects=1)
@@ -332,7 +388,7 @@ def test_dict_round_trip(outcome):
     data = Report(outcome).to_dict()
     text = json.dumps(data, allow_nan=False)
     assert json.loads(text) == data
-    assert data["schema_version"] == 6
+    assert data["schema_version"] == 7
     assert "curves" not in data
     assert len(data["effects"]) == len(outcome.effects)
     assert len(data["error_before"]) == len(outcome.joint_names)

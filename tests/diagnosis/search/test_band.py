@@ -64,7 +64,7 @@ def sines(frequencies, as_states=False):
     torque = inverse_dynamics(model, np.concatenate([q, v, a], axis=1)) + 0.3 * v
     noise = 1e-6 * np.random.default_rng(0).normal(size=q.shape)
     X = np.concatenate([q, v, a], axis=1) if as_states else q + noise
-    robot = RobotIdentifier(model, dt=DT).fit(X, torque)
+    robot = RobotIdentifier(model, dt=DT, friction=("viscous",)).fit(X, torque)
     groups = np.zeros(len(t), dtype=int)
     measured = take_arrays(
         X, torque, groups, np.ones_like(q), dt=DT, joint_names=robot.joint_names_

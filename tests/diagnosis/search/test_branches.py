@@ -61,7 +61,7 @@ def two_arms():
         undeclared={"spring": (5, 4.0)},
         random_state=1,
     )
-    robot = RobotIdentifier(model, dt=recording.dt)
+    robot = RobotIdentifier(model, dt=recording.dt, friction=("viscous",))
     return recording, robot.fit(recording.q, recording.tau)
 
 
@@ -83,9 +83,9 @@ def test_the_whole_is_searched_where_it_is_small_or_not_known(two_arms):
     own = resolve([Cubic()])
     assert [b.joints for b in branches_of(robot, own, None)] == everything
     rows = slice(0, 1000)
-    small = RobotIdentifier(arms(3, AXES[:2]), dt=recording.dt).fit(
-        recording.q[rows, :6], recording.tau[rows, :6]
-    )
+    small = RobotIdentifier(
+        arms(3, AXES[:2]), dt=recording.dt, friction=("viscous",)
+    ).fit(recording.q[rows, :6], recording.tau[rows, :6])
     assert [b.joints for b in branches_of(small, library, None)] == [list(range(6))]
 
 

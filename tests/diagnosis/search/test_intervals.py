@@ -12,9 +12,12 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis.search._intervals import (
     NEXT_SECONDS,
+    EffectEstimate,
     FinalFit,
     error_intervals,
 )
+from sklearn_vbjfa.diagnosis.search._outcome import _named
+from sklearn_vbjfa.effects import AsymmetricFriction
 from sklearn_vbjfa.robot import TorqueResiduals
 from tests.diagnosis._recordings import named, record
 from tests.effects._arms import arm, inverse_dynamics, motion
@@ -173,7 +176,7 @@ def test_a_model_without_error_has_an_interval_of_nothing():
 # -- effects, through the loop
 
 STEP = 0.02
-STATES = {"dt": STEP, "cutoff": None, "standstill": None}
+STATES = {"friction": ("viscous",), "dt": STEP, "cutoff": None, "standstill": None}
 
 
 def pendulum(seed, rho=0.0, duration=60.0):
@@ -224,6 +227,20 @@ def test_shape_parameters_scatter_as_their_intervals_say():
     # a deviation from 24 estimates is right to a seventh
     assert np.std(estimates, ddof=1) == pytest.approx(np.mean(halves) / 1.7, rel=0.4)
     assert np.mean(estimates) == pytest.approx(0.9, abs=3 * np.mean(halves))
+
+
+def test_a_variance_that_is_not_known_is_no_variance_of_nothing():
+    """It is that of what depends on it, and of nothing else."""
+    covariance = np.array([[4.0, np.nan], [np.nan, np.nan]])
+    estimate = EffectEstimate(
+        coef=np.array([2.0, 1.0]), shape=(), covariance=covariance, freedom=20.0
+    )
+    values, found = _named(AsymmetricFriction(0), estimate)
+    # Names of coefficients are their parameters here.
+    assert list(values.values()) == [2.0, 1.0]
+    first, second = found.values()
+    assert first == pytest.approx(2.0)
+    assert np.isnan(second)
 
 
 def test_slow_residuals_widen_the_intervals():

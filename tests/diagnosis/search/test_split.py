@@ -15,7 +15,7 @@ MODEL = arm("ZY")
 
 
 def robot(**given):
-    return RobotIdentifier(MODEL, **({"dt": DT} | given))
+    return RobotIdentifier(MODEL, **({"friction": ("viscous",), **{"dt": DT} | given}))
 
 
 def motion(seconds, still=(), seed=0):

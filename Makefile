@@ -1,7 +1,7 @@
 # One command per check. PYTHON chooses the environment.
 PYTHON ?= python
 
-.PHONY: all lint format test slow kernels docs package clean
+.PHONY: all lint format test slow mutants kernels docs package clean
 
 all: lint test
 
@@ -18,6 +18,9 @@ test:
 
 slow:
 	$(PYTHON) -m pytest -m slow
+
+mutants:
+	$(PYTHON) tests/mutants/run.py
 
 kernels:
 	PYTHON=$(PYTHON) .ci/kernels

@@ -40,12 +40,15 @@ class BlockVariance:
         Contribution of each block to the error of the estimate, scaled so that its
         covariance is ``scores.T @ scores``. nan where the blocks show nothing of a
         variance that there is; zero for undetermined parameters.
+    pooled : float
+        Ratio of the variances, in the mean of all directions that are determined.
     """
 
     factor: np.ndarray
     freedom: np.ndarray
     white: np.ndarray
     scores: np.ndarray
+    pooled: float
 
 
 def block_variance(grams, scores, place, noise=1.0):
@@ -76,11 +79,12 @@ def block_variance(grams, scores, place, noise=1.0):
     left = own - (through**2).sum(axis=1)
     white, expected = (L**2).sum(axis=1), noise * np.maximum(left, 0.0).sum(axis=0)
     seen = expected > _OWN * noise * white
+    reach = max(1.0 + 2.0 * neighbours, _LEAST_REACH)
     with np.errstate(divide="ignore", invalid="ignore"):
         factor = np.where(seen, (d**2).sum(axis=0) / expected, pooled)
         count = np.maximum(left, 0.0)
         freedom = count.sum(axis=0) ** 2 / (count**2).sum(axis=0)
-        factor = factor * max(1.0 + 2.0 * neighbours, _LEAST_REACH)
+        factor = factor * reach
         variance = factor * noise * white
         scale = np.sqrt(variance / (d**2).sum(axis=0))
     # Scores of zero cannot be scaled to a variance: it is not known how the error goes
@@ -91,6 +95,7 @@ def block_variance(grams, scores, place, noise=1.0):
         freedom=np.where(seen & used, np.maximum(freedom, 1.0), np.nan),
         white=np.where(used, noise * white, np.nan),
         scores=np.where(lost, np.nan, np.where(np.isfinite(scale), scale, 0.0) * d),
+        pooled=pooled * reach,
     )
 
 

@@ -131,12 +131,14 @@ class Prior:
 class LinearModel:
     """Answer to one kind of query, in standardised units.
 
-    Coefficients (d,), their covariance (d, d), and the variance of y given the query.
+    Coefficients (d,), their covariance (d, d), the variance of y given the query, and
+    by how much that may be larger where the input noise is unknown.
     """
 
     coef: np.ndarray
     cov: np.ndarray
     noise: float
+    open_noise: float = 0.0
 
 
 def coefficients_noisy(state):

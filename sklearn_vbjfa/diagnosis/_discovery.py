@@ -442,7 +442,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.report_ = Report(outcome)
         return self
 
-    def predict(self, X, groups=None, t=None, signals=None):
+    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
         """Predict the joint torques with the completed model.
 
         Parameters
@@ -456,14 +456,21 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         signals : mapping of str to array-like of shape (n_samples,), default=None
             Columns recorded beside the motion, as for `fit`; needed if one of
             `effects_` varies with them.
+        return_std : bool, default=False
+            Whether to return the standard deviation of measured torques about the
+            predicted ones as well; see `RobotIdentifier.predict`. That effects were
+            chosen and their shapes tuned on the same data is not in it.
 
         Returns
         -------
-        ndarray of shape (n_samples, nv)
+        torque : ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N].
+        std : ndarray of shape (n_samples, nv)
+            Their standard deviations [N m or N], only with `return_std`.
         """
         check_is_fitted(self)
-        return self.identifier_.predict(X, groups=groups, t=t, signals=signals)
+        known = {"groups": groups, "t": t, "signals": signals}
+        return self.identifier_.predict(X, **known, return_std=return_std)
 
 
 def _names(whole, groups):

@@ -243,7 +243,7 @@ class BaseJointFactorRegressor(BaseRegressor):
             for coef in (self.coef_, self.coef_noisy_, self.coef_noiseless_)
         )
         self._x_offset = data.x_offset
-        self._query_noise = answer.noise * y2
+        self._query_noise = (answer.noise + answer.open_noise) * y2
         # The mean of y is known from n samples.
         self._mean_variance = 0.0
         if self.fit_intercept:

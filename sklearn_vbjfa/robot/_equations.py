@@ -210,6 +210,8 @@ class RegressorRows:
         Entries that are nonzero in some motion.
     used : ndarray of shape (n_entries,)
         Their positions in a flattened matrix, the features' first.
+    n_rigid : int
+        Number of the features' parameters, which come first.
     """
 
     def __init__(self, features, states, columns=(), rest=None):
@@ -218,6 +220,7 @@ class RegressorRows:
         self._gains = features.gains_ if (features.gains_ != 1).any() else None
         extra = sum(values.shape[-1] for _, values in self._columns)
         self.n_joints = features.n_joints_
+        self.n_rigid = features.n_parameters_
         self.n_parameters = features.n_parameters_ + extra
         self.support = np.zeros((self.n_joints, self.n_parameters), dtype=bool)
         self.support[:, : features.n_parameters_] = features.support_
@@ -315,12 +318,20 @@ class RegressorRows:
         joints, columns = np.divmod(self.used, self.n_parameters)
         weights = np.zeros((self.n_joints, self.used.size))
         weights[joints, np.arange(self.used.size)] = theta[columns]
-        n = self._states.shape[0]
-        torque = np.empty((n, self.n_joints))
-        for i in range(0, n, _BLOCK_ROWS):
-            piece = slice(i, min(i + _BLOCK_ROWS, n))
+        torque = np.empty((self._states.shape[0], self.n_joints))
+        for piece in self._pieces():
             torque[piece] = (weights @ self.entries(piece)).T
         return torque
+
+    def blocks(self):
+        """Yield the regressor matrices (n, nv, p) of all rows, block by block."""
+        for piece in self._pieces():
+            yield self.spread(self.entries(piece).T)
+
+    def _pieces(self):
+        """Return slices of rows that are computed together."""
+        n = self._states.shape[0]
+        return [slice(i, min(i + _BLOCK_ROWS, n)) for i in range(0, n, _BLOCK_ROWS)]
 
 
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):

@@ -58,6 +58,9 @@ class Estimate:
         Moments of the fit, without blocks of time.
     regressor : estimator
         The fitted regressor.
+    covariance : ndarray of shape (p, p) or None
+        Posterior covariance, with one factor for residuals correlated in time; infinite
+        on the diagonal where nothing tells a parameter, None if the regressor has none.
     projector : PhysicalProjector or None
         The fitted projector.
     block_factors : list of ndarray of shape (n, nv) or None
@@ -72,6 +75,7 @@ class Estimate:
     input_noise: np.ndarray | None
     moments: JointMoments
     regressor: object
+    covariance: np.ndarray | None = None
     projector: object = None
     block_factors: list | None = None
 
@@ -155,13 +159,16 @@ def estimate(
     weight = resolve_weights(joint_weights, moments)
     total, noise = moments.total(weight), moments.total_noise(weight)
     if from_moments(regressor):
-        theta, std = _fit_moments(regressor, total, noise)
+        theta, std, covariance = _fit_moments(regressor, total, noise)
     else:
         theta, std = _fit_rows(regressor, rows, weight, total, forward)
+        covariance = None
+    wider, pooled = _correlation(moments, weight, theta)
     return Estimate(
         theta=theta,
         theta_unconstrained=theta,
-        std=std * _correlation(moments, weight, theta),
+        std=std * wider,
+        covariance=None if covariance is None else pooled * covariance,
         joint_weights=weight,
         metric=total.S_xx.copy() if noise is None else denoised(total, noise),
         input_noise=noise,
@@ -189,7 +196,7 @@ def plain_estimate(moments, joint_weights="auto"):
     squares = weight @ moments.residual_squares(theta)
     # Weights may be fractions of a row; only the count knows what was estimated.
     variance = squares / total.n_samples * count / max(count - found.rank, 1)
-    wider = _correlation(moments, weight, theta)
+    wider, _ = _correlation(moments, weight, theta)
     return PlainEstimate(
         theta=theta,
         covariance=found.inverse() * variance * np.outer(wider, wider),
@@ -235,20 +242,21 @@ def resolve_weights(joint_weights, moments):
 def _correlation(moments, weight, theta):
     """Factors (p,) by which residuals correlated in time widen the deviations.
 
-    Includes the standard deviation of Student's t with the blocks' degrees of freedom,
-    slightly larger than that of a normal distribution.
+    They include the standard deviation of Student's t with the blocks' degrees of
+    freedom, slightly larger than that of a normal distribution. The second value is the
+    factor of the variance in the mean of all directions.
     """
     if moments.blocks is None or not np.isfinite(theta).all():
-        return np.ones(theta.size)
+        return np.ones(theta.size), 1.0
     found = block_scatter(moments, weight, theta)
     freedom = np.maximum(found.freedom, _LEAST_FREEDOM)
     factor = np.sqrt(found.factor * freedom / (freedom - 2.0))
     # Parameters that no equation determines are left unchanged.
-    return np.where(np.isfinite(factor), factor, 1.0)
+    return np.where(np.isfinite(factor), factor, 1.0), found.pooled
 
 
 def _fit_moments(regressor, total, noise):
-    """Fit a regressor to second moments; coefficients (p,) and their deviations."""
+    """Fit a regressor to second moments; coefficients (p,), deviations, covariance."""
     regressor.set_params(fit_intercept=False)
     takes_covariance = getattr(regressor, "latent", None) == "correlated"
     if takes_covariance and regressor.input_noise is None:
@@ -257,7 +265,9 @@ def _fit_moments(regressor, total, noise):
         measured = 0.0 if noise is None else noise
         regressor.set_params(input_noise=measured, query="noiseless")
     fit_moments(regressor, total)
-    return regressor.coef_.copy(), regressor.coef_std_.copy()
+    return tuple(
+        getattr(regressor, name).copy() for name in ("coef_", "coef_std_", "coef_cov_")
+    )
 
 
 def _fit_rows(regressor, rows, joint_weights, total, forward):

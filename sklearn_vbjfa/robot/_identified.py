@@ -135,7 +135,7 @@ class IdentifiedRobot(PredictsTorques):
         """Return the `TorquePredictor` of the file."""
         return self._saved.predictor
 
-    def predict(self, X, groups=None, t=None, signals=None):
+    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
         """Predict the joint torques, as `RobotIdentifier.predict` does.
 
         Parameters
@@ -150,17 +150,23 @@ class IdentifiedRobot(PredictsTorques):
             motion begins when the first recording of the fit began.
         signals : mapping of str to array-like of shape (n_samples,), default=None
             Columns recorded beside the motion, for effects that vary with them.
+        return_std : bool, default=False
+            Whether to return the standard deviation of measured torques about the
+            predicted ones as well; see `RobotIdentifier.predict`.
 
         Returns
         -------
-        ndarray of shape (n_samples, nv)
+        torque : ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N], friction included; those of the
             `RobotIdentifier` that was saved.
+        std : ndarray of shape (n_samples, nv)
+            Their standard deviations [N m or N], only with `return_std`.
 
         Raises
         ------
         ValueError
-            If X does not suit the robot, or a signal is missing.
+            If X does not suit the robot, a signal is missing, or `return_std` is asked
+            of a robot whose fit had no covariance.
 
         Warns
         -----
@@ -168,7 +174,7 @@ class IdentifiedRobot(PredictsTorques):
             If the motion leaves what effects were fitted on; see
             `RobotIdentifier.predict`.
         """
-        return self._predictor().predict(X, groups, t, signals)
+        return self._predictor().predict(X, groups, t, signals, return_std=return_std)
 
     def step(self, q, v, a, t=None, signals=None):
         """Predict the torques of the next state of a running robot.

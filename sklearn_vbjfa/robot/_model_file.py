@@ -23,7 +23,7 @@ from sklearn_vbjfa.robot._gains import ChannelGains
 from sklearn_vbjfa.robot._known_masses import CommonGain, KnownMass
 from sklearn_vbjfa.robot._places import read_place, readable, spelled, spelled_all
 from sklearn_vbjfa.robot._plan import Plan, effect_names
-from sklearn_vbjfa.robot._prediction import TorquePredictor
+from sklearn_vbjfa.robot._prediction import TorquePredictor, TorqueSpread
 from sklearn_vbjfa.robot._states import StateEstimator
 from sklearn_vbjfa.robot._time_effects import Spread
 
@@ -133,6 +133,7 @@ def _content(saved):
             for name, (low, high) in predictor.signal_ends.items()
         },
         "column_powers": _powers(predictor),
+        "torque_spread": _torque_spread(predictor.spread),
         "urdf_is": _URDF_IS[0 if saved.from_file else 1],
         "urdf": saved.urdf.split("\n"),
     }
@@ -343,6 +344,19 @@ def _powers(predictor):
     }
 
 
+def _torque_spread(spread):
+    """Return what deviations of torques are made of; None where that is not known."""
+    if spread is None:
+        return None
+    return {
+        "covariance": [
+            spelled_all(row[: k + 1]) for k, row in enumerate(spread.covariance)
+        ],
+        "through": spelled_all(spread.through),
+        "rest": spelled_all(spread.rest),
+    }
+
+
 # -- reading ---------------------------------------------------------------------------
 
 
@@ -424,6 +438,7 @@ def _saved(file, classes):
         spreads=spreads,
         state_cutoff=_read_state_cutoff(file["fit"]["state_cutoff"]),
         powers=_read_powers(file["column_powers"], names, features, effects),
+        spread=_read_torque_spread(file["torque_spread"], features, effects),
     )
     saved = SavedRobot(
         predictor=predictor,
@@ -611,6 +626,21 @@ def _read_powers(place, names, features, effects):
         found.append(block)
     return ColumnPowers(
         friction=np.array(friction).reshape(nv, k), effects=tuple(found)
+    )
+
+
+def _read_torque_spread(place, features, effects):
+    if place.absent:
+        return None
+    nv = features.n_joints_
+    p = features.n_parameters_ + sum(len(one.coefficients) for one in effects)
+    covariance = np.zeros((p, p))
+    for k, row in enumerate(place["covariance"].items(p)):
+        covariance[k, : k + 1] = covariance[: k + 1, k] = row.numbers(k + 1)
+    return TorqueSpread(
+        covariance=covariance,
+        through=place["through"].numbers(nv),
+        rest=place["rest"].numbers(nv),
     )
 
 

@@ -12,6 +12,7 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa.effects._ranges import outside
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
+from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,
@@ -41,6 +42,70 @@ from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class TorqueSpread:
+    """How far measured torques may be from predicted ones, in the band of the fit.
+
+    Attributes
+    ----------
+    covariance : ndarray of shape (p, p)
+        Of the parameters; infinite on the diagonal where nothing tells one.
+    through : ndarray of shape (nv,)
+        Variance of the noise of the positions in the residual [N m or N, squared].
+    rest : ndarray of shape (nv,)
+        Variance of all else in the residual: noise of torques, what the model lacks.
+    """
+
+    covariance: np.ndarray
+    through: np.ndarray
+    rest: np.ndarray
+
+    @classmethod
+    def of_estimate(cls, found):
+        """Take what an `Estimate` has; None where its regressor has no covariance."""
+        if found.covariance is None:
+            return None
+        told, moments = np.isfinite(np.diagonal(found.covariance)), found.moments
+        known = found.covariance[np.ix_(told, told)]
+        through, rest = found.noise()
+        # A fit takes part of the noise for its own: residuals of its rows are smaller,
+        # in the mean by the variance of what is predicted in them.
+        taken = np.einsum("jik,ik->j", moments.G[:, told][:, :, told], known)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            taken = np.where(moments.n > 0, taken / moments.n, 0.0)
+        return cls(
+            # Symmetric to the last bit, of which a file holds one half.
+            covariance=0.5 * (found.covariance + found.covariance.T),
+            through=through**2,
+            rest=rest**2 + taken,
+        )
+
+    def std(self, rows, *, noiseless):
+        """Deviations (n, nv) for `RegressorRows`, with or without noise of positions.
+
+        Infinite where a row asks for a parameter that nothing tells.
+        """
+        told = np.isfinite(np.diagonal(self.covariance))
+        known = self.covariance[np.ix_(told, told)]
+        variance = self.rest if noiseless else self.rest + self.through
+        made = []
+        for Phi in rows.blocks():
+            own = Phi[:, :, told]
+            spread = np.einsum("njk,njk->nj", own @ known, own) + variance
+            asked = (Phi != 0) & ~told & ~_rounding(Phi, rows.n_rigid)
+            made.append(np.where(asked.any(axis=2), np.inf, spread))
+        return np.sqrt(np.maximum(np.concatenate(made), 0.0))
+
+
+def _rounding(Phi, n_rigid):
+    """Entries (nv, p) of matrices (n, nv, p) that are the rounding of a zero."""
+    nv = Phi.shape[1]
+    found = np.zeros(Phi.shape[1:], dtype=bool)
+    power = (Phi[:, :, :n_rigid] ** 2).sum(axis=0).reshape(nv, nv, -1)
+    found[:, :n_rigid] = rounding_entries(power).reshape(nv, -1)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class TorquePredictor:
     """What an identified robot predicts torques with.
 
@@ -64,6 +129,8 @@ class TorquePredictor:
         Cut-off [Hz] of a smoother for positions where the fit was given states.
     powers : ColumnPowers or None
         How large columns of friction and effects were in the fit.
+    spread : TorqueSpread or None
+        How far measured torques may be from predicted ones.
     """
 
     features: RigidBodyFeatures
@@ -75,6 +142,7 @@ class TorquePredictor:
     spreads: tuple = ()
     state_cutoff: object = "auto"
     powers: ColumnPowers | None = None
+    spread: TorqueSpread | None = None
 
     @property
     def joint_names(self):
@@ -169,18 +237,34 @@ class TorquePredictor:
 
     # -- answers --------------------------------------------------------------------
 
-    def predict(self, X, groups=None, t=None, signals=None):
+    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
         """Predict torques (n, nv); warn who called the caller of what is outside."""
         X, signals = self.checked(X, signals)
+        if return_std and self.spread is None:
+            raise ValueError(
+                "return_std needs the covariance of the parameters, which the "
+                "regressor of this fit does not give: leave regressor=None, or use "
+                "VBJFARegressor or JFARegressor."
+            )
         asked = self.ask(X, groups, t, signals=signals)
         warn_outside(self.said_outside(asked), stacklevel=3)
-        return self.torques(asked)
+        rows = self._rows(asked)
+        torques = np.concatenate([one.predict(self.theta) for one in rows])
+        if not return_std:
+            return torques
+        noiseless = asked.smoother is None
+        spreads = [self.spread.std(one, noiseless=noiseless) for one in rows]
+        return torques, np.concatenate(spreads)
 
     def torques(self, asked):
         """Torques (n, nv) that are predicted for a `Query`."""
+        return np.concatenate([one.predict(self.theta) for one in self._rows(asked)])
+
+    def _rows(self, asked):
+        """Return the `RegressorRows` of each segment of a `Query`."""
         recording = asked.recording
         own = [asked.states[rows] for rows in recording.segments]
-        rows = regressor_rows(
+        return regressor_rows(
             recording,
             own,
             self.plan,
@@ -188,7 +272,6 @@ class TorquePredictor:
             theta=self.load,
             rest=asked.rest,
         )
-        return np.concatenate([one.predict(self.theta) for one in rows])
 
     def outside(self, asked):
         """Find where a `Query` leaves what was fitted, tuple of `OutsideRange`."""

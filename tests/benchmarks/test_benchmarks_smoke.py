@@ -49,6 +49,7 @@ def residuals(scale, index, tau):
         "paper_robots",
         "projection",
         "recording_files",
+        "regression_coverage",
         "rest",
         "simulated_arms",
         "single_effects",
@@ -56,6 +57,7 @@ def residuals(scale, index, tau):
         "states",
         "step",
         "synthetic",
+        "torque_coverage",
         "whole_robots",
     ],
 )
@@ -211,6 +213,17 @@ def test_tables_are_written_where_the_guide_looks(tmp_path, monkeypatch, capsys)
     assert written in capsys.readouterr().out
     guide = (_report.ROOT / "docs" / "benchmarks.rst").read_text()
     assert "tables/speed.rst" in guide
+
+
+def test_coverage_of_correlated_inputs_at_small_size():
+    import bench_regression_coverage as bench
+
+    rows, shares = bench.study_blocks(8, cells=[("0.15", 600, 30.0)])
+    assert len(rows[0]) == 11
+    assert shares.shape == (1, 3, 2)
+    # 40 coefficients that are not zero, for noisy queries and unknown noise, with a
+    # deviation of 5 %. A noise that is taken for half its bound alone holds 50 %.
+    assert np.all(shares[0, [0, 2], 0] > 0.75)
 
 
 def test_synthetic_study_at_small_size():

@@ -6,6 +6,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 import bench_interval_coverage as bench
+import bench_torque_coverage as torques
 
 
 def pooled(cells):
@@ -34,3 +35,11 @@ def test_full_study(study):
     assert np.all((coverage > 0.83) & (coverage < 0.97))
     assert np.sum((coverage < 0.85) | (coverage > 0.95)) <= 1
     assert 0.88 <= pooled(cells) <= 0.92
+
+
+def test_small_study_of_torques():
+    """Deviations of predicted torques, on another motion."""
+    rows, shares = torques.simulated(6, 0, arms=(("ZY", 40.0),), noises=("white",))
+    assert len(rows[0]) == 5
+    # Six data sets: their means scatter by 1.5 %.
+    assert 0.85 < shares[0] < 0.95

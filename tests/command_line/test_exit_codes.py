@@ -125,7 +125,7 @@ RECORDINGS = {
         {
             "": (0, ""),
             "close-loop": (3, "Recordings 1 and 2 contradict each other on joint 1"),
-            "simulate": (3, "keeps its velocity on shoulder"),
+            "simulate": (3, "not clearly better than a robot that stays"),
         },
     ),
     "half a second": (

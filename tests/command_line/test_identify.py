@@ -48,9 +48,7 @@ def test_the_last_part_of_ones_own_recording_is_held_out(folder, capsys):
 
     recording = read_recording("arm.csv", urdf="arm.urdf")
     train, test = Protocol().split(recording)
-    identifier = RobotIdentifier(
-        "arm.urdf", dt=recording.dt, friction=("viscous", "coulomb")
-    )
+    identifier = RobotIdentifier("arm.urdf", dt=recording.dt)
     parts = [
         (recording.q[rows], recording.tau[rows], recording.groups[rows])
         for rows in (train, test)

@@ -109,7 +109,8 @@ def rms_degrees(errors):
 
 def test_the_rest_of_a_recording_is_simulated(good, urdf, recording, capsys):
     pytest.importorskip("matplotlib")
-    text = run(capsys, good, "--urdf", urdf, "--window", "0.3")
+    # Eight windows, of which one is hard, are too few to be clear on the shoulder.
+    text = run(capsys, good, "--urdf", urdf, "--window", "0.3", code=3)
     lines = text.splitlines()
     assert lines[0].startswith("Recording 'arm': 1000 samples, 2 joints")
     assert lines[1] == "first 70 % of every recording identified, the rest simulated"
@@ -149,7 +150,7 @@ def test_the_rest_of_a_recording_is_simulated(good, urdf, recording, capsys):
     )
     begin = (700 + found.starts[0]) * recording.dt
     assert float(first["from_s"]) == pytest.approx(begin)
-    assert float(first["to_s"]) == pytest.approx(begin + 0.5)
+    assert float(first["to_s"]) == pytest.approx(begin + 0.3)
     assert float(first["position_error"]) == pytest.approx(
         np.rad2deg(found.errors[0, 0]), rel=1e-3
     )

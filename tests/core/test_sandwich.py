@@ -86,6 +86,15 @@ def test_blocks_of_other_recordings_are_no_neighbours():
     joined = block_variance(grams, scores, together)
     apart = block_variance(grams, scores, alone)
     assert joined.factor[0] > 1.25 * apart.factor[0]
+    # By hand: equal neighbours are one block; what the fit took of each is put back,
+    # and what is left between neighbours counts on both sides.
+    sums = scores.reshape(20, 2).sum(axis=1)
+    plain = sums @ sums / (40 * (1 - 1 / 20))
+    taken = plain * 40 / 20**2
+    products = (sums[:-1] * sums[1:] + taken).mean()
+    alike = products / ((sums**2 + taken).mean())
+    expected = plain * max(1 + 2 * alike, 0.5)
+    assert joined.factor[0] == pytest.approx(expected, rel=1e-9)
 
 
 def test_what_is_not_determined_has_no_variance():

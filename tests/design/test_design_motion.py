@@ -1,5 +1,6 @@
 """Whole designs: limits, what they are worth, and what they promise, by other means."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -159,6 +160,7 @@ def test_a_start_is_kept(tmp_path):
     motion = design_motion(path, start=start, **SHORT)
     np.testing.assert_allclose(motion.q[0], start, atol=1e-9)
     np.testing.assert_allclose(motion.states([3.0])[0, :2], start, atol=1e-9)
+    np.testing.assert_allclose(motion.states([0.0, 3.0])[:, 2:], 0.0, atol=1e-8)
     assert motion.within_limits
     assert np.ptp(motion.q, axis=0).min() > 0.3
 
@@ -362,3 +364,111 @@ def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
     # What the limits between the samples cost the criterion is next to nothing.
     loose, _ = optimise(problem, [z], problem.times(), 0.98)
     assert value_of(problem, kept) > value_of(problem, loose) - 1.0
+
+
+# -- by what anyone can see of a motion ------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("reach", "velocity", "acceleration", "duration"),
+    [(0.3, 2.0, 20.0, 1.5), (0.3, 0.5, 2.0, 4.0), (1.5, 2.0, 20.0, 1.5)],
+)
+def test_two_per_cent_are_left_to_all_limits(
+    tmp_path, reach, velocity, acceleration, duration
+):
+    # Motions of few harmonics, which reach furthest between the samples.
+    path = chain(tmp_path, ("revolute",), effort=60.0)
+    limits = MotionLimits([[-reach, reach]], [velocity], [acceleration], [60.0])
+    motion = design_motion(
+        path, limits=limits, duration=duration, dt=0.01, random_state=0
+    )
+    model = pin.buildModelFromUrdf(str(path))
+    fine = np.linspace(0, duration, 3_000)
+    found = literal_margins(model, limits, motion.states(fine))
+    assert all(values.min() > 0.02 - 1e-4 for values in found.values())
+
+
+def pendulum_rows(path, states, still):
+    """Columns of a joint's bodies, viscous and dry friction, (n, 12)."""
+    model = pin.buildModelFromUrdf(str(path))
+    data, v = model.createData(), states[:, 1]
+    bodies = [
+        np.ravel(pin.computeJointTorqueRegressor(model, data, *np.split(row, 3))).copy()
+        for row in states
+    ]
+    signs = [math.erf(x / (math.sqrt(2) * still)) for x in v]
+    return np.column_stack([bodies, v, signs])
+
+
+def test_what_a_motion_promises_is_what_least_squares_gives(tmp_path):
+    path = chain(tmp_path, ("revolute",), effort=60.0)
+    velocity, acceleration, dt = 2.0, 8.0, 0.005
+    motion = design_motion(
+        path,
+        limits=limits_of(1, velocity=velocity),
+        effects=("viscous_quadratic",),
+        **SHORT,
+    )
+    t = np.arange(0, motion.duration, dt)
+    states = motion.states(t)
+    v, still = states[:, 1], 0.02 * velocity
+    # A joint that stands counts for nothing, and the band has independent samples.
+    weight = v**2 / (v**2 + still**2) * 2 * motion.band * dt / motion.noise[0] ** 2
+    root = np.sqrt(weight)[:, None]
+    rows = root * pendulum_rows(path, states, still)
+    # Two first moments and a moment of inertia, and friction.
+    seen = np.flatnonzero(np.abs(rows).max(axis=0) > 1e-9)
+    assert seen.size == 5
+    rows = rows[:, seen]
+    half = 1.6449 * np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+    told = [one.half_width for one in motion.expected_intervals]
+    np.testing.assert_allclose(told, half, rtol=0.01)
+    # All that the limits allow, alike.
+    rng, fastest = np.random.default_rng(0), 3.0 * np.pi * motion.curve.highest
+    fastest = min(velocity, fastest)
+    quickest = min(acceleration, 2 * np.pi * motion.curve.highest * fastest)
+    drawn = rng.uniform(-1, 1, size=(5_000, 3)) * [1.5, fastest, quickest]
+    usual = np.sqrt((pendulum_rows(path, drawn, still)[:, seen] ** 2).mean(axis=0))
+    values = np.linalg.eigvalsh(rows.T @ rows / np.outer(usual, usual))
+    condition = np.sqrt(values[-1] / values[0])
+    assert motion.condition_number == pytest.approx(condition, rel=0.1)
+    # F v |v|: what the rest leaves of the least torque that is told from it is worth
+    # the difference of log likelihoods of 25.
+    (shown,) = motion.shows
+    assert shown.rival == ""
+    F = shown.least / (fastest**2 / np.sqrt(5))
+    y = F * root[:, 0] * v * np.abs(v)
+    left = y - rows @ np.linalg.lstsq(rows, y, rcond=None)[0]
+    assert left @ left == pytest.approx(50.0, rel=0.15)
+
+
+def swung(path, noise):
+    """Positions and torques of one swinging joint with viscous friction."""
+    model = pin.buildModelFromUrdf(str(path))
+    data, t, w = model.createData(), 0.01 * np.arange(2_000), 2 * np.pi * 0.4
+    q = 0.8 * np.sin(w * t) + 0.3 * np.sin(3 * w * t)
+    v = w * (0.8 * np.cos(w * t) + 0.9 * np.cos(3 * w * t))
+    a = -(w**2) * (0.8 * np.sin(w * t) + 2.7 * np.sin(3 * w * t))
+    states = np.column_stack([q, v, a])
+    tau = [pin.rnea(model, data, *np.split(row, 3)) for row in states]
+    read = q + noise * np.random.default_rng(0).normal(size=q.size)
+    return read[:, None], np.array(tau) + 0.5 * v[:, None]
+
+
+def test_noise_of_the_equations_is_that_of_torques_and_encoders(tmp_path):
+    # White noise of the positions, twice differentiated, up to three times the highest
+    # frequency: 2 dt s^2 (2 pi)^4 B^5 / 5, through the inertia of the joint.
+    path, dt = chain(tmp_path, ("revolute",), effort=60.0), 0.01
+    model = pin.buildModelFromUrdf(str(path))
+    inertia = pin.crba(model, model.createData(), np.zeros(1))[0, 0]
+    for encoder, torque, close in ((3e-3, 0.01, 0.15), (0.0, 0.2, 1e-3)):
+        q, tau = swung(path, encoder)
+        robot = RobotIdentifier(path, dt=dt, torque_noise=torque).fit(q, tau)
+        motion = design_motion(robot, limits=limits_of(1), duration=3.0, dt=dt)
+        band = 3.0 * motion.curve.highest
+        accelerations = 2 * dt * encoder**2 * (2 * np.pi) ** 4 * band**5 / 5
+        # What passed the band of that fit, in the band of the next.
+        read = robot.torque_noise_**2 * motion.band / robot.cutoff_
+        expected = np.sqrt(read + inertia**2 * accelerations)
+        assert motion.noise == pytest.approx(expected, rel=close)
+        assert not 0.9 < motion.band / robot.cutoff_ < 1.1

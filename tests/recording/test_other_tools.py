@@ -237,3 +237,16 @@ def test_matrices_of_other_names(tmp_path):
         read_recording(path)
     assert caught.value.options == {"columns": "q=positions{i},tau=efforts{i}"}
     same(read(path, **caught.value.options)[0])
+
+
+def test_thousandths_are_tenths_of_a_hundredth(tmp_path):
+    t = 0.01 * np.arange(100)
+    found = []
+    for unit, share in (("%", 1.0), ("‰", 10.0), ("permille", 10.0)):
+        path = tmp_path / "x.csv"
+        rows = np.column_stack([t, np.sin(t), share * (3 + np.cos(t))])
+        head = f"t,q1,tau1 [{unit}]"
+        np.savetxt(path, rows, delimiter=",", header=head, comments="", encoding="utf8")
+        found.append(read_recording(path, gains=[2.0]).tau[:, 0])
+    for tau in found:
+        np.testing.assert_allclose(tau, 2.0 * (3 + np.cos(t)), rtol=1e-12)

@@ -228,3 +228,20 @@ def test_measured_recordings(name, measured_data_home, tmp_path):
     )
     assert "the positions say that the robot was sampled at these times" in said
     assert recording.dt == pytest.approx(5 * made.dt, rel=0.01)
+
+
+def test_torques_of_one_stamp_are_averaged(tmp_path):
+    # Sampled at irregular times, some rows twice: once too high and once too low.
+    rng = np.random.default_rng(0)
+    t = late(0.2, rng)
+    q, tau = motion(t), np.column_stack([np.sin(t), np.cos(t)])
+    twice = np.arange(100, N - 100, 50)
+    rows = np.sort(np.r_[np.arange(N), twice])
+    off = np.zeros((rows.size, 1))
+    second = np.flatnonzero(np.diff(rows) == 0) + 1
+    off[second], off[second - 1] = 0.5, -0.5
+    recording, said = save(tmp_path / "x.npz", t[rows], q[rows], tau[rows] + off)
+    assert f"{twice.size} row(s) repeat a stamp and were averaged" in said
+    at = recording.t + t[0]
+    expected = np.column_stack([np.sin(at), np.cos(at)])
+    np.testing.assert_allclose(recording.tau, expected, atol=1e-4)

@@ -73,6 +73,11 @@ def test_memory_is_as_long_as_said():
     # the sum of a geometric series
     expected = (1 - 0.99**2000) / (1 - 0.99)
     assert fading.statistics_.n_samples == pytest.approx(expected, rel=1e-12)
+    halves = JFARegressor(input_noise=0.1, forgetting=0.999)
+    halves.partial_fit(X[:1000], y[:1000]).partial_fit(X[1000:], y[1000:])
+    age = 0.999 ** np.arange(1999.0, -1.0, -1.0)
+    scatter = age.sum() * np.cov(X, rowvar=False, aweights=age, ddof=0)
+    assert_allclose(halves.statistics_.S_xx, scatter, rtol=1e-9)
 
 
 @pytest.mark.parametrize("model", [JFARegressor, VBJFARegressor])

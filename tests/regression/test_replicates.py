@@ -85,7 +85,9 @@ def test_corrects_what_least_squares_gets_wrong():
 
 def test_means_have_less_noise():
     X, y, labels, truth = make_units(5, 2000, 4)
-    noise = replicate_noise(X.reshape(-1, 3), labels).of_means(4)
+    single = replicate_noise(X.reshape(-1, 3), labels)
+    noise = single.of_means(4)
+    assert noise.dof == single.dof
     assert_allclose(noise.covariance.diagonal(), truth.diagonal() / 4, rtol=0.1)
     model = VBJFARegressor(input_noise=noise, query="noiseless")
     model.fit(X.mean(axis=0), y)

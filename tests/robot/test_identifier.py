@@ -15,6 +15,7 @@ from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model._loading import load_model, nominal_parameters  # noqa: E402
 from sklearn_vbjfa.robot import _equations  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
+from tests.simulation._machines import wheel  # noqa: E402
 
 FRICTION = ("viscous", "coulomb")
 
@@ -522,3 +523,28 @@ def test_names_and_units_are_those_of_the_features(identified):
         "joint_2:m",
     )
     assert identified.parameter_units_[10:13] == ("N m s/rad", "N m", "kg")
+
+
+def test_noise_of_encoders_is_what_exact_torques_leave():
+    # A wheel of inertia 0.5 and viscous friction: tau = 0.5 a + 0.2 v.
+    dt, t = 0.005, 0.005 * np.arange(8000)
+    w = 2 * np.pi * np.array([0.7, 1.9])
+    q = np.sin(np.outer(t, w)).sum(axis=1)
+    tau = 0.2 * np.cos(np.outer(t, w)) @ w - 0.5 * np.sin(np.outer(t, w)) @ w**2
+    read = q + 1e-4 * np.random.default_rng(0).normal(size=q.size)
+    robot = RobotIdentifier(wheel().model, dt=dt).fit(read[:, None], tau[:, None])
+    left = robot.residuals(read[:, None], tau[:, None]).rms()
+    # Accelerations are wrong by what the smoother lets through of the encoders' noise.
+    np.testing.assert_allclose(robot.input_noise_torque_, left, rtol=0.15)
+    assert robot.output_noise_[0] < 0.6 * left[0]
+
+
+def test_torque_noise_is_what_passes_the_low_pass(simulated):
+    # White noise up to the cut-off, but for the slope of the filter.
+    cutoff, noise = 5.0, np.linspace(0.1, 0.6, 6)
+    robot = RobotIdentifier(
+        simulated.urdf, dt=simulated.dt, cutoff=cutoff, torque_noise=noise
+    )
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    expected = noise * np.sqrt(2 * cutoff * simulated.dt)
+    np.testing.assert_allclose(robot.torque_noise_, expected, rtol=0.06)

@@ -185,6 +185,17 @@ def test_the_robot_in_a_file_is_the_fitted_one(fitted, simulated, tmp_path):
             torque, again = predicted(read, X, **known)
             np.testing.assert_array_equal(torque, expected)
             assert again == said
+    if hasattr(robot.estimator_.regressor_, "coef_cov_"):
+        both = given | {"return_std": True}
+        (_, std), (_, found) = (
+            predicted(one, simulated.states, **both)[0] for one in (robot, read)
+        )
+        np.testing.assert_array_equal(found, std)
+        assert (std > 0).all()
+    else:
+        for one in (robot, read):
+            with pytest.raises(ValueError, match="return_std needs"):
+                one.predict(simulated.states, **given, return_std=True)
     again = tmp_path / "again.json"
     read.save(again)
     assert again.read_bytes() == path.read_bytes()
@@ -429,6 +440,10 @@ BAD = {
             value=[{"name": "ripples", "of_library": True, "joint": "joint_1"}],
         ),
         r"'effects\[0\]\.name' is 'ripples', which the library",
+    ),
+    "covariance": (
+        assign("torque_spread", "covariance", 2, value=[1.0]),
+        r"'torque_spread\.covariance\[2\]' must hold 3 values, not 1",
     ),
     "shape": (
         assign(

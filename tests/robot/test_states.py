@@ -234,6 +234,16 @@ def test_halves_agree_with_the_truth_and_share_no_noise(noisy_wave):
     assert np.corrcoef(errors[0][:, 1], whole[:, 1])[0, 1] > 0.5
 
 
+def test_velocity_noise_is_that_of_the_velocities(noisy_wave):
+    q, truth = noisy_wave(6000, noise=np.array([1e-4, 1e-3]))
+    estimator = StateEstimator(DT, cutoff=[20.0, None]).fit(q)
+    wrong = (estimator.transform(q) - truth)[100:-100, 2:4]
+    # Without a cut-off it is that of the ideal derivative, which a spline is not quite.
+    told = estimator.velocity_noise()
+    np.testing.assert_allclose(told[0], wrong[:, 0].std(), rtol=0.1)
+    np.testing.assert_allclose(told[1], 1e-3 * np.pi / np.sqrt(3) / DT, rtol=0.05)
+
+
 @pytest.mark.parametrize("factor", [1e6, 1e-6])
 def test_units_of_length_and_of_time(noisy_wave, factor):
     q, _ = noisy_wave(1000, np.array([1e-3, 1e-2]))

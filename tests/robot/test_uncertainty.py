@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy import signal
+from sklearn.linear_model import LinearRegression
 
 pytest.importorskip("pinocchio")
 
@@ -154,3 +155,99 @@ def test_a_running_robot_has_deviations_for_independent_rows():
     assert "After `partial_fit` rows count as independent" in " ".join(
         RobotIdentifier.__doc__.split()
     )
+
+
+# -- deviations of predicted torques
+
+
+def columns_of(states):
+    """Columns of the torque of the pendulum, whose axis is vertical: no gravity."""
+    _, v, a = states.T
+    return np.column_stack([a, v, np.sign(v)])
+
+
+@pytest.mark.filterwarnings("ignore:Predicted outside:UserWarning")
+def test_predicted_deviations_are_those_of_least_squares():
+    """Rows count as independent here: s^2 (1 + x (X'X)^-1 x') with n - 3 in s^2."""
+    model, states, tau = pendulum(3, 0.0, duration=4.0)
+    robot = RobotIdentifier(model, friction=FRICTION, cutoff=None, standstill=None)
+    robot.partial_fit(states, tau)
+    new = 1.5 * pendulum(4, 0.0, duration=4.0)[1]
+    predicted, std = robot.predict(new, return_std=True)
+    assert predicted.shape == std.shape == (len(new), 1)
+    assert_allclose(predicted, robot.predict(new), rtol=0, atol=0)
+    A, B = columns_of(states), columns_of(new)
+    rest = tau[:, 0] - A @ np.linalg.lstsq(A, tau[:, 0], rcond=None)[0]
+    s2 = rest @ rest / (len(A) - 3)
+    H = np.einsum("ij,jk,ik->i", B, np.linalg.inv(A.T @ A), B)
+    assert H.max() > 0.02  # parameters have a part that is seen
+    assert_allclose(std[:, 0] ** 2, s2 * (1 + H), rtol=0.01)
+    # the part of the parameters alone
+    lever = (std[:, 0] ** 2 / s2 - 1)[H > 0.02]
+    assert_allclose(lever, H[H > 0.02], rtol=0.2)
+
+
+def test_predicted_deviations_have_the_unit_of_the_torque(recording):
+    made, tau = recording
+    made, tau = made.select(0, 1), tau[made.groups < 2]
+
+    def spread(factor, groups):
+        robot = RobotIdentifier(
+            made.urdf, dt=made.dt, friction=FRICTION, projector=None
+        )
+        robot.fit(made.q, factor * tau, groups=made.groups)
+        return robot.predict(made.q, groups, return_std=True)[1]
+
+    one = spread(1.0, made.groups)
+    assert one.shape == tau.shape
+    assert np.isfinite(one).all()
+    assert_allclose(spread(1e3, made.groups), 1e3 * one, rtol=1e-4)
+    # Recordings one by one have the deviations that they have together.
+    robot = RobotIdentifier(made.urdf, dt=made.dt, friction=FRICTION, projector=None)
+    robot.fit(made.q, tau, groups=made.groups)
+    alone = [
+        robot.predict(made.q[part], return_std=True)[1]
+        for part in (made.groups == k for k in np.unique(made.groups))
+    ]
+    assert_allclose(np.concatenate(alone), one, rtol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_joint_that_stood_has_no_finite_deviation_elsewhere():
+    model = arm("ZY")
+    _, states = motion(2, duration=20.0, dt=DT, seed=1)
+    stood = states.copy()
+    stood[:, [1, 3, 5]] = 0.0
+    tau = inverse_dynamics(model, stood)
+    tau += 0.05 * np.random.default_rng(0).normal(size=tau.shape)
+    settings = {"cutoff": None, "standstill": None, "friction": ("viscous",)}
+    robot = fitted(model, stood, tau, **settings)
+    assert np.isfinite(robot.predict(stood, return_std=True)[1]).all()
+    # Viscous friction of joint 2 was never seen.
+    assert np.isinf(robot.predict(states, return_std=True)[1][:, 1]).all()
+
+
+def test_deviations_need_a_covariance():
+    model, states, tau = pendulum(0, 0.0, duration=10.0)
+    robot = fitted(model, states, tau, regressor=LinearRegression())
+    with pytest.raises(ValueError, match="return_std needs the covariance"):
+        robot.predict(states, return_std=True)
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9])
+def test_predicted_deviations_hold_another_motion(rho):
+    """Noisy positions; measured and predicted torque behind the low-pass."""
+    inside = []
+    for seed in range(12):
+        model, states, tau = pendulum(seed, rho)
+        _, other, measured = pendulum(100 + seed, rho)
+        rng = np.random.default_rng(seed)
+        q, new = (
+            x[:, :1] + 2e-5 * rng.normal(size=(len(x), 1)) for x in (states, other)
+        )
+        robot = fitted(model, q, tau)
+        found = robot.residuals(new, measured)
+        std = robot.predict(new, return_std=True)[1][found.index]
+        moves = found.weight > 0
+        inside.append(np.mean(np.abs(found.residual[moves]) < NINETY * std[moves]))
+    assert 0.86 < np.mean(inside) < 0.94

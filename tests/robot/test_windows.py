@@ -65,6 +65,17 @@ def test_windows_follow_one_another_within_recordings(found, recording):
     np.testing.assert_allclose(found.t, DT * rows, atol=1e-12)
 
 
+def test_a_window_may_end_in_the_last_row(robot, recording):
+    # Given states are not smoothed, and the windows begin alike in any part.
+    def starts(rows):
+        given = recording.states[:rows], recording.tau[:rows]
+        return simulate_windows(robot, *given, window=0.5).starts
+
+    first = starts(400)[0]
+    np.testing.assert_array_equal(starts(first + 151), first + np.arange(0, 101, 50))
+    np.testing.assert_array_equal(starts(first + 150), first + np.arange(0, 51, 50))
+
+
 def test_a_true_robot_stays_at_the_measured_motion(found):
     assert not found.failed.any()
     assert found.failures == ()

@@ -1,0 +1,222 @@
+"""Wrong changes of the package, and whether the tests notice them.
+
+Each ``*.diff`` beside this file changes one line of the package for the worse. Its
+first line names the test that must fail then, ``# tests/...py::test_...``; a text of
+what is wrong may follow. This script makes each change in a copy of the package and
+runs that test there::
+
+    python tests/mutants/run.py                  # all, two at a time
+    python tests/mutants/run.py --jobs 1 design  # those with "design" in their names
+
+It prints a table, and ends with 1 if a change survives or no longer applies, or if a
+test that is named fails without the change.
+"""
+
+import argparse
+import os
+import queue
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[1]
+# What the tests need of a checkout, and what no copy needs.
+_PARTS = ("sklearn_vbjfa", "tests", "pyproject.toml")
+_LEFT_OUT = shutil.ignore_patterns("__pycache__", ".asv")
+# A test that takes longer does not answer [s].
+_LONGEST = 600.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mutant:
+    """A change of one line.
+
+    Attributes
+    ----------
+    name : str
+        Name of its file.
+    test : str
+        The test that must fail, as pytest calls it.
+    file : str
+        What it changes, from the root of the repository.
+    before, after : str
+        Lines with their surroundings, without and with the change.
+    """
+
+    name: str
+    test: str
+    file: str
+    before: str
+    after: str
+
+    @classmethod
+    def read(cls, path):
+        """Read a unified diff of one hunk below its comment."""
+        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)
+        first = lines[0].split()
+        if len(first) != 2 or first[0] != "#" or "::" not in first[1]:
+            raise ValueError(
+                f"{path.name} must begin with '# tests/...py::test_...', the test "
+                f"that must fail; got {lines[0].strip()!r}."
+            )
+        hunks = [k for k, line in enumerate(lines) if line.startswith("@@")]
+        if len(hunks) != 1 or not lines[hunks[0] - 1].startswith("+++ b/"):
+            raise ValueError(
+                f"{path.name} must hold one hunk below '--- a/' and '+++ b/'; got "
+                f"{len(hunks)}."
+            )
+        hunk = lines[hunks[0] + 1 :]
+        return cls(
+            name=path.stem,
+            test=first[1],
+            file=lines[hunks[0] - 1].removeprefix("+++ b/").strip(),
+            before="".join(line[1:] for line in hunk if line[0] in " -"),
+            after="".join(line[1:] for line in hunk if line[0] in " +"),
+        )
+
+    def applied(self, text):
+        """Return the text of its file with the change made; refuse what is not it."""
+        count = text.count(self.before)
+        if count != 1:
+            raise ValueError(
+                f"{self.name} no longer applies: its lines are {count} times in "
+                f"{self.file}, expected once. Write it anew, or remove it if what it "
+                "broke is gone."
+            )
+        return text.replace(self.before, self.after)
+
+
+def mutants(folder=HERE):
+    """Read all of a folder, in the order of their names."""
+    return [Mutant.read(path) for path in sorted(folder.glob("*.diff"))]
+
+
+def copied(source, place):
+    """Copy what the tests need of a checkout; return the folder."""
+    place.mkdir()
+    for part in _PARTS:
+        if (source / part).is_dir():
+            shutil.copytree(source / part, place / part, ignore=_LEFT_OUT)
+        else:
+            shutil.copy2(source / part, place / part)
+    return place
+
+
+def run(root, tests):
+    """Run tests of a checkout; return pytest's exit code and its last line."""
+    # The folder that pytest is started in comes first on the path.
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-q", "-x", "--tb=line"]
+    command += ["-p", "no:cacheprovider", *tests]
+    try:
+        done = subprocess.run(
+            command,
+            cwd=root,
+            env=os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"},
+            capture_output=True,
+            text=True,
+            timeout=_LONGEST,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        return None, f"no answer in {_LONGEST:g} s"
+    said = (done.stdout + done.stderr).strip().splitlines()
+    return done.returncode, said[-1] if said else "nothing was said"
+
+
+def judged(mutant, root):
+    """Make a change in a copy, run its test, and undo it; return what became of it."""
+    path = root / mutant.file
+    try:
+        changed = mutant.applied(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        return str(error)
+    kept = path.with_name(path.name + ".kept")
+    # With its time: a stale module in the cache of Python or Numba would be believed.
+    shutil.copy2(path, kept)
+    try:
+        path.write_text(changed, encoding="utf-8")
+        _forget_compiled(path)
+        code, said = run(root, [mutant.test])
+    finally:
+        kept.replace(path)
+        _forget_compiled(path)
+    if code == 1:
+        return ""
+    return "survives" if code == 0 else f"pytest ended with {code}: {said}"
+
+
+def _forget_compiled(path):
+    """Forget machine code that was made of a module together with others."""
+    imported = re.compile(rf"^(from|import) .*\b{path.stem}\b", re.MULTILINE)
+    compiled = path.parent.glob("_compiled*.py")
+    if any(imported.search(one.read_text(encoding="utf-8")) for one in compiled):
+        for index in path.parent.glob("__pycache__/*.nbi"):
+            index.unlink()
+
+
+def judge_all(chosen, jobs, source=ROOT):
+    """Judge mutants, so many at a time; yield each with its verdict and its seconds.
+
+    The tests that they name must pass without them: RuntimeError if one does not.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        first = copied(source, Path(folder) / "0")
+        code, said = run(first, sorted({mutant.test for mutant in chosen}))
+        if code != 0:
+            raise RuntimeError(f"Without a change the tests do not pass: {said}")
+        free = queue.SimpleQueue()
+        free.put(first)
+        for k in range(1, jobs):
+            # With what has been compiled so far.
+            free.put(Path(shutil.copytree(first, Path(folder) / str(k))))
+
+        def judge(mutant):
+            root, begin = free.get(), time.monotonic()
+            try:
+                return mutant, judged(mutant, root), time.monotonic() - begin
+            finally:
+                free.put(root)
+
+        with ThreadPoolExecutor(jobs) as pool:
+            yield from pool.map(judge, chosen)
+
+
+def main(arguments=None):
+    """Judge the mutants and print what became of them; return the exit code."""
+    parser = argparse.ArgumentParser(
+        description="Change the package for the worse, line by line, and see whether "
+        "the tests notice."
+    )
+    parser.add_argument("names", nargs="*", help="parts of names; all without any")
+    parser.add_argument("--jobs", type=int, default=2, help="at a time (default: 2)")
+    parser.add_argument("--folder", type=Path, default=HERE, help="of the diffs")
+    asked = parser.parse_args(arguments)
+    chosen = [
+        mutant
+        for mutant in mutants(asked.folder)
+        if not asked.names or any(name in mutant.name for name in asked.names)
+    ]
+    if not chosen:
+        parser.error(f"no diff in {asked.folder} has such a name")
+    width, left = max(len(mutant.name) for mutant in chosen), 0
+    try:
+        for mutant, wrong, seconds in judge_all(chosen, asked.jobs):
+            left += bool(wrong)
+            told = wrong or f"killed by {mutant.test}"
+            print(f"{mutant.name:<{width}} {seconds:5.1f} s  {told}", flush=True)
+    except RuntimeError as error:
+        print(error)
+        return 1
+    print(f"{len(chosen) - left} of {len(chosen)} killed")
+    return 1 if left else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,100 @@
+"""The wrong changes still fit the package, and the tests that notice them exist."""
+
+import ast
+import difflib
+import inspect
+
+import pytest
+
+from tests.mutants import run
+from tests.mutants.run import HERE, ROOT, Mutant, mutants
+
+NAMES = [path.stem for path in sorted(HERE.glob("*.diff"))]
+
+
+def function_of(test):
+    """Return the function of a test, which may be one of many cases, or None."""
+    file, name = test.partition("[")[0].split("::")
+    body = ast.parse((ROOT / file).read_text(encoding="utf-8")).body
+    found = (one for one in body if isinstance(one, ast.FunctionDef))
+    return next((one for one in found if one.name == name), None)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_mutant_applies_and_its_test_is_of_the_quick_run(name):
+    mutant = Mutant.read(HERE / f"{name}.diff")
+    text = (ROOT / mutant.file).read_text(encoding="utf-8")
+    changed = mutant.applied(text)
+    ast.parse(changed)
+    # One line for another, or one line less.
+    lines = difflib.ndiff(text.splitlines(), changed.splitlines())
+    signs = [line[0] for line in lines if line[0] in "+-"]
+    assert signs in (["-", "+"], ["-"])
+    function = function_of(mutant.test)
+    assert function is not None, f"{mutant.test} does not exist"
+    marks = [ast.unparse(one) for one in function.decorator_list]
+    assert not any("slow" in mark for mark in marks)
+
+
+def test_there_are_many_and_no_two_are_alike():
+    every = mutants()
+    assert len(every) >= 30
+    assert len({(one.file, one.before, one.after) for one in every}) == len(every)
+
+
+BROKEN = """\
+# tests/mutants/test_mutants.py::test_which_lines_a_mutant_has
+--- a/{file}
++++ b/{file}
+@@ -1,2 +1,2 @@
+ first
+-second
++other
+"""
+
+
+def test_which_lines_a_mutant_has(tmp_path):
+    path = tmp_path / "one.diff"
+    path.write_text(BROKEN.format(file="x.py"), encoding="utf-8")
+    one = Mutant.read(path)
+    assert (one.name, one.file) == ("one", "x.py")
+    assert one.test.endswith("::test_which_lines_a_mutant_has")
+    # Wherever the lines are, and nowhere else.
+    assert one.applied("zero\nfirst\nsecond\n") == "zero\nfirst\nother\n"
+    for text in ("first\nother\n", 2 * "first\nsecond\n"):
+        with pytest.raises(ValueError, match="one no longer applies"):
+            one.applied(text)
+
+
+def test_diffs_that_are_none(tmp_path):
+    path = tmp_path / "one.diff"
+    for text, said in (
+        (BROKEN.partition("\n")[2], "one.diff must begin with '# tests/"),
+        (BROKEN.replace("@@", "--"), "must hold one hunk .* got 0"),
+        (BROKEN + "@@ -9 +9 @@\n-a\n+b\n", "must hold one hunk .* got 2"),
+    ):
+        path.write_text(text, encoding="utf-8")
+        with pytest.raises(ValueError, match=said):
+            Mutant.read(path)
+
+
+@pytest.mark.slow
+def test_one_that_nobody_notices_is_told(tmp_path, capsys):
+    # Changes of a file that the named test looks at, and of one that it does not.
+    line = '        if len(hunks) != 1 or not lines[hunks[0] - 1].startswith("+++ b/"):'
+    assert line in inspect.getsource(run).splitlines()
+    test = "tests/mutants/test_mutants.py::test_diffs_that_are_none"
+    for name, file, old, new in (
+        ("killed", "tests/mutants/run.py", line, line.replace("!= 1", "< 1")),
+        ("alive", "sklearn_vbjfa/__main__.py", "import sys", "import os, sys"),
+        ("gone", "sklearn_vbjfa/__main__.py", "import nothing", "import sys"),
+    ):
+        diff = f"# {test}\n--- a/{file}\n+++ b/{file}\n@@ -1 +1 @@\n-{old}\n+{new}\n"
+        (tmp_path / f"{name}.diff").write_text(diff, encoding="utf-8")
+    given = ["--folder", str(tmp_path), "--jobs", "1"]
+    assert run.main(given) == 1
+    told = {row.split()[0]: row for row in capsys.readouterr().out.splitlines()}
+    assert "killed by" in told["killed"]
+    assert "survives" in told["alive"]
+    assert "no longer applies" in told["gone"]
+    assert run.main([*given, "killed"]) == 0

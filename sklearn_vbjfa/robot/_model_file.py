@@ -438,7 +438,7 @@ def _saved(file, classes):
         spreads=spreads,
         state_cutoff=_read_state_cutoff(file["fit"]["state_cutoff"]),
         powers=_read_powers(file["column_powers"], names, features, effects),
-        spread=_read_torque_spread(file["torque_spread"], features, effects),
+        spread=_read_torque_spread(file, features, effects),
     )
     saved = SavedRobot(
         predictor=predictor,
@@ -629,9 +629,11 @@ def _read_powers(place, names, features, effects):
     )
 
 
-def _read_torque_spread(place, features, effects):
-    if place.absent:
+def _read_torque_spread(file, features, effects):
+    # Files of before have none.
+    if "torque_spread" not in file.keys() or file["torque_spread"].absent:
         return None
+    place = file["torque_spread"]
     nv = features.n_joints_
     p = features.n_parameters_ + sum(len(one.coefficients) for one in effects)
     covariance = np.zeros((p, p))

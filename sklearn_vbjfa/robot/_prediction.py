@@ -242,9 +242,10 @@ class TorquePredictor:
         X, signals = self.checked(X, signals)
         if return_std and self.spread is None:
             raise ValueError(
-                "return_std needs the covariance of the parameters, which the "
-                "regressor of this fit does not give: leave regressor=None, or use "
-                "VBJFARegressor or JFARegressor."
+                "return_std needs the covariance of the parameters, which this robot "
+                "does not have: its regressor gives none (leave regressor=None, or use "
+                "VBJFARegressor or JFARegressor), or it was saved by a version that "
+                "did not keep it (fit and save again)."
             )
         asked = self.ask(X, groups, t, signals=signals)
         warn_outside(self.said_outside(asked), stacklevel=3)

@@ -300,6 +300,19 @@ def test_an_effect_under_the_name_of_another(simulated, tmp_path):
     )
 
 
+def test_a_file_of_before_predicts_without_deviations(saved, identified, simulated):
+    content = json.loads(saved.read_text(encoding="utf-8"))
+    del content["torque_spread"]
+    old = saved.with_name("old.json")
+    old.write_text(json.dumps(content), encoding="utf-8")
+    read = load_identified(old)
+    np.testing.assert_array_equal(
+        read.predict(simulated.q[:500]), identified.predict(simulated.q[:500])
+    )
+    with pytest.raises(ValueError, match="saved by a version that did not keep it"):
+        read.predict(simulated.q[:500], return_std=True)
+
+
 def test_what_a_discovery_found(simulated, tmp_path):
     tau = simulated.tau.copy()
     tau[:, 1] += 30.0 * simulated.q[:, 1]

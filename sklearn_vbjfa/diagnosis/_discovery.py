@@ -107,7 +107,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Accepted effects in the order in which they were found; each has `name`,
         `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`,
         `ranges` (of the motion that it was fitted on). The values are those of
-        `identifier_`.
+        `identifier_`, where a constant of an effect (of a spring, say) is that with the
+        joint's offset: no data tell the two apart.
     rounds_ : tuple of Round
         Every step: what was added, replaced, dropped, refused or withdrawn, on what
         evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the

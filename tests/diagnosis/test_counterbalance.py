@@ -13,9 +13,9 @@ from tests.diagnosis._recordings import named, record
 # Attachment points of the spring: on the frame and on the link [m], and where they are
 # nearest [rad].
 FRAME, LINK, NEAREST = 0.5, 0.3, -2.0
-FITTED = record("ZY", seed=3, duration=30.0, size=0.9, noise=0.02)
+FITTED = record("ZY", seed=3, duration=30.0, size=0.9, noise=0.01)
 WIDER = record("ZY", seed=5, duration=20.0, size=1.5, noise=0.0, encoder=0.0)
-LIBRARY = ["coulomb", "offset", "spring", "counterbalance", "ripple", "stribeck"]
+LIBRARY = ["spring", "counterbalance", "ripple", "stribeck"]
 
 
 def gas_spring(r):
@@ -59,8 +59,16 @@ def test_a_gas_spring_is_a_linkage():
     assert values["form"] == "linkage"
     assert values["ratio"] == pytest.approx(LINK / FRAME, abs=0.1)
     assert values["angle"] == pytest.approx(NEAREST % (2 * np.pi), abs=0.1)
-    # It pushes, the harder the shorter it is.
-    assert values["Fr"] < 0 < values["krL"]
+    # It pushes, the harder the shorter it is: with 100 N less 50 N for each metre.
+    truth = {
+        "Fr": -100.0 * LINK,
+        "krL": 50.0 * LINK * FRAME,
+        "ratio": LINK / FRAME,
+        "angle": NEAREST % (2 * np.pi),
+    }
+    for name, value in truth.items():
+        low, high = loop.effects_[0].intervals[name]
+        assert low < value < high
 
 
 def test_it_is_known_beyond_the_angles_of_the_fit():

@@ -18,7 +18,8 @@ from tests.diagnosis._recordings import named, record
 from tests.diagnosis.search.test_branches import arms
 from tests.effects._arms import inverse_dynamics
 
-LIBRARY = ("base_tilt", "joint_zero", "joint_axis", "torque_gain", "offset", "coulomb")
+LIBRARY = ("base_tilt", "joint_zero", "joint_axis", "torque_gain")
+LIBRARY += ("spring", "viscous_quadratic")
 ARM = record("ZYX", seed=2, duration=30.0)
 
 
@@ -95,13 +96,14 @@ def test_the_completed_model_holds_the_value(one_fault):
 def test_a_robot_without_faults_has_none():
     loop = discover([])
     assert named(loop) == []
-    assert_allclose(loop.error_after_, loop.error_before_)
+    assert_allclose(loop.error_after_, loop.error_plain_)
 
 
 def test_two_faults_and_friction_are_told_apart():
     truth = [BaseTilt(0, 0.06, 0.03), JointZero(1, 0.06)]
-    loop = discover(truth, joint_3=lambda r: 1.0 * np.sign(r.v[:, 2]))
-    assert named(loop) == [("base_tilt", 0), ("coulomb", 2), ("joint_zero", 1)]
+    loop = discover(truth, joint_3=lambda r: 0.5 * r.v[:, 2] * np.abs(r.v[:, 2]))
+    friction = ("viscous_quadratic", 2)
+    assert named(loop) == [("base_tilt", 0), ("joint_zero", 1), friction]
     for effect in truth:
         (own,) = [e for e in loop.identifier_.effects_ if e.key() == effect.key()]
         assert_allclose(own.values, effect.values, atol=0.01)

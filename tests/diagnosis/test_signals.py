@@ -13,7 +13,7 @@ from tests.diagnosis._recordings import named, record
 
 ONE = record("ZY", duration=30.0, seed=2)
 SHARE = ONE.t / ONE.t[-1]
-LIBRARY = ["viscous", "coulomb", "offset", "signal", "drift"]
+LIBRARY = ["spring", "signal", "drift"]
 FRICTION, FALL = 2.0, 0.4
 RAMP = 25 + 20 * SHARE
 CYCLES = 35 - 10 * np.cos(2.5 * np.pi * SHARE)
@@ -57,7 +57,7 @@ def fixture_both():
 @pytest.mark.parametrize("temperature", [CYCLES, RAMP], ids=["cycles", "ramp"])
 def test_friction_that_falls_with_temperature_is_named(temperature):
     loop = close(heated(temperature), {"temperature": temperature})
-    assert named(loop) == [("coulomb", 0), ("signal", 0)]
+    assert named(loop) == [("signal", 0)]
     found = the_signal(loop)
     assert found.parameters["signal"] == "temperature"
     assert found.parameters["of"] == "coulomb"
@@ -69,9 +69,10 @@ def test_friction_that_falls_with_temperature_is_named(temperature):
 
 
 def test_the_friction_is_that_of_the_reference(warm):
-    (coulomb,) = (e for e in warm.effects_ if e.name == "coulomb")
+    values = warm.report_.outcome.parameters
+    (coulomb,) = (one for one in values if one.name == "joint_1:coulomb")
     reference = the_signal(warm).parameters["reference"]
-    low, high = coulomb.intervals["Fc"]
+    low, high = coulomb.interval
     assert low < FRICTION * (1 - FALL * (reference - 25) / 20) < high
 
 
@@ -79,16 +80,19 @@ def test_a_drift_that_explains_as_much_is_its_rival():
     """A robot that warms up as a drift does; nothing of the signal is tuned."""
     warming = 45 - 20 * np.exp(-SHARE / 0.7)
     loop = close(heated(warming), {"temperature": warming})
-    assert named(loop) == [("coulomb", 0), ("signal", 0)]
+    assert named(loop) == [("signal", 0)]
     assert "drift" in the_signal(loop).rivals
     assert "drift of the Coulomb friction with time" in loop.report_.to_markdown()
 
 
 def test_a_signal_that_nothing_varies_with_is_not_named():
-    plain = ONE.torque(joint_1=lambda r: FRICTION * np.sign(r.v[:, 0]))
+    torque = ONE.torque(
+        joint_1=lambda r: FRICTION * np.sign(r.v[:, 0]),
+        joint_2=lambda r: 2.0 * r.q[:, 1],
+    )
     signals = {"temperature": RAMP, "tool": np.sign(CYCLES - 35), "supply": CYCLES}
-    loop = close(plain, signals)
-    assert named(loop) == [("coulomb", 0)]
+    loop = close(torque, signals)
+    assert named(loop) == [("spring", 1)]
 
 
 @pytest.mark.parametrize("seed", [20, 22, 25])
@@ -125,7 +129,7 @@ def test_what_varies_is_named(of):
 
 
 def test_signals_that_go_together_are_rivals(both):
-    assert named(both) == [("coulomb", 0), ("signal", 0)]
+    assert named(both) == [("signal", 0)]
     found = the_signal(both)
     (other,) = {"temperature", "kp"} - {found.parameters["signal"]}
     assert found.rivals[0] == f"signal: {other}"
@@ -244,7 +248,7 @@ def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(war
 
 def test_an_effect_may_name_the_one_that_it_is_meant_for():
     signals = {"temperature": CYCLES, "kp": 3 * CYCLES + 100}
-    meant = [*LIBRARY[:3], Signal(signal="kp")]
+    meant = ["spring", Signal(signal="kp")]
     found = the_signal(close(heated(CYCLES), signals, meant))
     assert found.parameters["signal"] == "kp"
     assert not [rival for rival in found.rivals if "temperature" in rival]

@@ -120,19 +120,19 @@ def test_prismatic_joints_are_in_mm(windows, pyplot):
     np.testing.assert_allclose(y, 1e3 * windows.positions[:, :, 1][:16].ravel())
 
 
-def test_a_discovery_shows_both_models(loop, recording, windows, pyplot):
+def test_a_discovery_shows_its_three_models(loop, recording, windows, pyplot):
     display = SimulationDisplay.from_estimator(loop, *part_of(recording), window=0.15)
-    assert list(display.windows) == ["declared model", "completed model"]
+    models = ["declared model", "with the four plain terms", "completed model"]
+    assert list(display.windows) == models
     np.testing.assert_array_equal(
         display.windows["declared model"].simulated, windows.simulated
     )
     display.plot(line_kwargs={"lw": 3.0}, measured_kwargs={"color": "black"})
-    assert len(display.lines_) == 2 * len(display.axes_)
+    assert len(display.lines_) == 3 * len(display.axes_)
     assert {line.get_linewidth() for line in display.lines_} == {3.0}
     assert {line.get_color() for line in display.measured_lines_} == {"black"}
     title = display.axes_[0].get_title(loc="right")
-    assert "declared model" in title
-    assert "completed model" in title
+    assert all(model in title for model in models)
 
 
 def test_a_robot_from_a_file_is_shown(loop, recording, windows, tmp_path):

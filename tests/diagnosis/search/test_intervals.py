@@ -180,34 +180,44 @@ STATES = {"friction": ("viscous",), "dt": STEP, "cutoff": None, "standstill": No
 
 
 def pendulum(seed, rho=0.0, duration=60.0):
-    """States of one joint, torques with undeclared Coulomb friction, and columns."""
+    """States of one joint, torques with an undeclared spring, and columns."""
     model = arm("Z")
     _, states = motion(1, duration=duration, dt=STEP, seed=seed)
-    _, v, a = states.T
+    q, v, a = states.T
     rng = np.random.default_rng(seed)
     tau = inverse_dynamics(model, states)[:, 0] + 0.8 * v + 0.3 * np.sign(v)
-    tau = tau + 0.05 * coloured(rng, v.size, rho)
-    return model, states, tau[:, None], np.column_stack([a, v, np.sign(v)])
+    tau = tau + 0.6 * (q - 0.5) + 0.05 * coloured(rng, v.size, rho)
+    columns = np.column_stack([a, v, np.sign(v), np.ones_like(v), q])
+    return model, states, tau[:, None], columns
 
 
-def loop_on(model, states, tau, effects=("coulomb",)):
+def loop_on(model, states, tau, effects=("spring",)):
     loop = EffectDiscovery(RobotIdentifier(model, **STATES), effects=list(effects))
     return loop.fit(states, tau)
 
 
 def test_half_widths_are_those_of_ninety_per_cent():
     """States without noise, white residuals: least squares knows what to expect."""
-    ratio = []
+    ratios = []
     for seed in range(12):
         model, states, tau, columns = pendulum(seed)
         (effect,) = loop_on(model, states, tau).effects_
-        expected = 0.05 * np.sqrt(np.linalg.inv(columns.T @ columns)[2, 2])
-        low, high = effect.intervals["Fc"]
-        assert 0.5 * (low + high) == pytest.approx(effect.parameters["Fc"])
-        ratio.append(0.5 * (high - low) / expected)
+        covariance = 0.05**2 * np.linalg.inv(columns.T @ columns)
+        # The constant is that of the spring and of the offset together: k (q - q0).
+        coef = covariance @ columns.T @ tau[:, 0] / 0.05**2
+        k, q0 = coef[4], -coef[3] / coef[4]
+        slopes = {"k": [0.0, 1.0], "q0": [-1.0 / k, -q0 / k]}
+        for name, own in (("k", k), ("q0", q0)):
+            slope = np.array(slopes[name])
+            expected = np.sqrt(slope @ covariance[3:, 3:] @ slope)
+            assert effect.parameters[name] == pytest.approx(own, abs=0.01 * expected)
+            low, high = effect.intervals[name]
+            assert 0.5 * (low + high) == pytest.approx(effect.parameters[name])
+            ratios.append(0.5 * (high - low) / expected)
     # 1.645, and a few per cent for the freedom of forty blocks; a scatter of 13 %.
     # 80 % would have 1.28 and 95 % have 1.96, with the same few per cent.
-    assert 1.5 < np.mean(ratio) < 1.9
+    for own in (ratios[::2], ratios[1::2]):
+        assert 1.5 < np.mean(own) < 1.9
 
 
 def test_shape_parameters_scatter_as_their_intervals_say():
@@ -248,7 +258,7 @@ def test_slow_residuals_widen_the_intervals():
     for rho in (0.0, 0.9):
         model, states, tau, _ = pendulum(3, rho)
         (effect,) = loop_on(model, states, tau).effects_
-        low, high = effect.intervals["Fc"]
+        low, high = effect.intervals["k"]
         widths[rho] = high - low
     # a slow signal would have sqrt(19)
     assert 1.5 < widths[0.9] / widths[0.0] < 5.0
@@ -258,18 +268,33 @@ def test_centres_are_those_of_the_completed_model():
     """Also where the projection moves them: viscous friction that would drive."""
     recording = record("ZY", duration=40.0, seed=1)
     tau = recording.torque(
-        coulomb_1=lambda r: 0.3 * np.sign(r.v[:, 0]) - 0.9 * r.v[:, 0],
-        spring_2=lambda r: 0.8 * (r.q[:, 1] - 0.2),
+        quadratic_1=lambda r: (0.3 * np.abs(r.v[:, 0]) - 0.9) * r.v[:, 0],
+        spring_2=lambda r: 2.0 * (r.q[:, 1] - 0.2),
+        asymmetric_2=lambda r: 0.3 * np.abs(r.v[:, 1]),
     )
-    loop = recording.discover(tau, ["coulomb", "spring"])
-    assert named(loop) == [("coulomb", 0), ("spring", 1)]
+    library = ["viscous_quadratic", "spring", "asymmetric_friction"]
+    loop = recording.discover(tau, library)
+    both = [("asymmetric_friction", 1), ("spring", 1)]
+    assert named(loop) == [*both, ("viscous_quadratic", 0)]
     robot = loop.identifier_
-    (at,) = (
-        i for i, name in enumerate(robot.parameter_names_) if "coulomb" in name.lower()
+    at, k, *constant = (
+        list(robot.parameter_names_).index(name)
+        for name in ("joint_1:viscous_quadratic:F2", "joint_2:spring:k")
+        + ("joint_2:spring:c", "joint_2:offset", "joint_2:asymmetric_friction:dFc")
     )
     assert abs(robot.theta_[at] - robot.theta_unconstrained_[at]) > 1e-3
     found = {effect.name: effect for effect in loop.effects_}
-    assert found["coulomb"].parameters["Fc"] == pytest.approx(robot.theta_[at])
+    assert found["viscous_quadratic"].parameters["F2"] == robot.theta_[at]
+    assert found["spring"].parameters["k"] == robot.theta_[k]
+    # One column in three places: each effect is told with all of it.
+    total = robot.theta_[constant].sum()
+    q0 = -total / robot.theta_[k]
+    assert found["spring"].parameters["q0"] == pytest.approx(q0)
+    assert found["asymmetric_friction"].parameters["dFc"] == pytest.approx(total)
+    low, high = found["asymmetric_friction"].intervals["dFc"]
+    # Both know it alike; of q0 that is the constant over the stiffness, and more.
+    first, last = found["spring"].intervals["q0"]
+    assert 0.5 * (high - low) < robot.theta_[k] * (last - first) < 2.0 * (high - low)
     for effect in loop.effects_:
         for key, (low, high) in effect.intervals.items():
             assert 0.5 * (low + high) == pytest.approx(effect.parameters[key])
@@ -308,7 +333,7 @@ def test_results_do_not_depend_on_the_seed():
     model, states, tau, _ = pendulum(0, duration=40.0)
     robot = RobotIdentifier(model, **STATES)
     one, two = (
-        EffectDiscovery(robot, effects=["coulomb"], random_state=seed).fit(states, tau)
+        EffectDiscovery(robot, effects=["spring"], random_state=seed).fit(states, tau)
         for seed in (0, 1)
     )
     for key, ends in one.report_.outcome.intervals.items():

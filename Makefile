@@ -17,7 +17,7 @@ test:
 	$(PYTHON) -m pytest
 
 slow:
-	$(PYTHON) -m pytest -m slow
+	PYTHON=$(PYTHON) .ci/full
 
 kernels:
 	PYTHON=$(PYTHON) .ci/kernels

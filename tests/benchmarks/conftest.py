@@ -1,0 +1,12 @@
+"""The tests of the benchmarks are slow tests: they check scripts, not the package."""
+
+from pathlib import Path
+
+import pytest
+
+
+def pytest_collection_modifyitems(items):
+    """Mark what is collected in this folder, before tests are chosen by marks."""
+    for item in items:
+        if Path(__file__).parent in item.path.parents:
+            item.add_marker(pytest.mark.slow)

@@ -298,6 +298,7 @@ def test_a_frame_of_signals_is_cut_with_the_rows():
 # -- measured
 
 
+@pytest.mark.slow
 def test_gain_and_temperature_of_a_servo_cannot_be_told_apart(measured_data_home):
     """Both rise from recording to recording."""
     servo = fetch_bam_xl330(data_home=measured_data_home)

@@ -283,6 +283,7 @@ def test_what_a_discovery_found(simulated, tmp_path):
     loop = EffectDiscovery(
         RobotIdentifier(simulated.urdf, dt=DT),
         effects=["coulomb", "drift"],
+        ceiling=False,
         random_state=0,
     )
     with warnings.catch_warnings():

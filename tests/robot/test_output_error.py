@@ -93,7 +93,8 @@ def test_sensitivities_are_derivatives_of_the_simulation(case):
     robot.theta_ = robot.theta_.copy()
     # Effects of some size, which the torques did not have.
     robot.theta_[robot.features_.n_parameters_ :] = 0.4
-    predictor, windows, _, S, positions = sensitivities(robot, states, tau)
+    # Five windows.
+    predictor, windows, _, S, positions = sensitivities(robot, states[:300], tau[:300])
     theta, nv = predictor.theta, model.nv
     p = theta.size
     for k in range(p):
@@ -332,7 +333,7 @@ CONTROLLER = PositionController(
 )
 
 
-def controlled(model, duration=16.0, noise=2e-4, torque_noise=0.3, feedforward=False):
+def controlled(model, duration=8.0, noise=2e-4, torque_noise=0.3, feedforward=False):
     """Make a robot follow a reference: positions, torques, reference, truth."""
     truth, *_ = identified(model)
     t, states, _ = planned(model, duration)

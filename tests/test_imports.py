@@ -221,7 +221,7 @@ def test_the_search_for_private_names_finds_them():
 
 
 def misplaced_packages(path):
-    """Optional packages that a module imports, or imports where it may not."""
+    """Return the optional packages that a module imports where it may not."""
     roots = {
         name.split(".")[0]
         for name in imports(path, inside_functions=False, for_types=False)

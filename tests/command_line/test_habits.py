@@ -13,6 +13,7 @@ import pytest
 import sklearn_vbjfa
 from sklearn_vbjfa import _cli
 from sklearn_vbjfa._cli import _input, main, one_line
+from tests._quick import checkered
 
 pytest.importorskip("pinocchio")
 
@@ -297,8 +298,10 @@ def test_every_name_of_the_package_is_found_where_it_is_said_to_be():
 
 
 @pytest.mark.skipif(os.name == "nt", reason="descriptors of POSIX")
-@pytest.mark.parametrize("argv", [["--help"], ["effects"], ["--version"]])
-@pytest.mark.parametrize("closed", [(1,), (2,), (0, 1, 2)])
+@pytest.mark.parametrize(
+    ("argv", "closed"),
+    checkered([["--help"], ["effects"], ["--version"]], [(1,), (2,), (0, 1, 2)]),
+)
 def test_streams_that_are_closed_are_no_error(argv, closed):
     read, write = os.pipe()
     command = [sys.executable, "-m", "sklearn_vbjfa", *argv]

@@ -391,6 +391,7 @@ def test_growth_is_drawn_from_its_table(recorded, monkeypatch):
     assert found["joints"]["RobotIdentifier"].keys() == {1, 6, 12, 25}  # 50 was not run
 
 
+@pytest.mark.slow
 def test_picture_of_the_residual_is_of_what_was_found(monkeypatch):
     pytest.importorskip("pinocchio")
     pytest.importorskip("matplotlib")
@@ -432,7 +433,19 @@ def test_every_page_is_in_one_menu():
     assert {name for name, count in listed.items() if count > 1} == set()
 
 
-@pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: page.name)
+# Their examples simulate many times, which other tests do with smaller robots.
+LONG = {"output_error.rst", "design.rst"}
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(
+            page, marks=[pytest.mark.slow] if page.name in LONG else [], id=page.name
+        )
+        for page in EXAMPLES
+    ],
+)
 def test_examples_run(page, tmp_path, monkeypatch):
     pytest.importorskip("pinocchio")
     monkeypatch.chdir(tmp_path)

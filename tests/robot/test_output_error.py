@@ -93,8 +93,7 @@ def test_sensitivities_are_derivatives_of_the_simulation(case):
     robot.theta_ = robot.theta_.copy()
     # Effects of some size, which the torques did not have.
     robot.theta_[robot.features_.n_parameters_ :] = 0.4
-    # Five windows.
-    predictor, windows, _, S, positions = sensitivities(robot, states[:300], tau[:300])
+    predictor, windows, _, S, positions = sensitivities(robot, states, tau)
     theta, nv = predictor.theta, model.nv
     p = theta.size
     for k in range(p):

@@ -8,6 +8,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.diagnosis.search import _search
+from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
 
 ONE = record("ZY", duration=30.0, seed=2)
@@ -42,8 +43,7 @@ def warming():
 # -- what is a drift and what is not
 
 
-@pytest.mark.parametrize("share", [0.3, 0.8])
-@pytest.mark.parametrize("sign", [1.0, -0.5])
+@pytest.mark.parametrize(("share", "sign"), checkered([0.3, 0.8], [1.0, -0.5]))
 def test_a_drift_that_lasts_is_named(share, sign):
     loop = close(lambda s: sign * np.exp(-s / share))
     assert named(loop) == [("coulomb", 0), ("drift", 0)]
@@ -52,8 +52,7 @@ def test_a_drift_that_lasts_is_named(share, sign):
     assert low - 0.2 * share * LENGTH < share * LENGTH < high + 0.2 * share * LENGTH
 
 
-@pytest.mark.parametrize("share", [0.04, 0.06])
-@pytest.mark.parametrize("seed", [2, 4])
+@pytest.mark.parametrize(("share", "seed"), checkered([0.04, 0.06], [2, 4]))
 def test_what_faded_within_the_first_seconds_is_no_drift(share, seed):
     recording = record("ZY", duration=LENGTH, seed=seed)
     loop = close(lambda s: 3.0 * np.exp(-s / share), recording)
@@ -66,8 +65,9 @@ def test_what_faded_within_the_first_seconds_is_no_drift(share, seed):
     assert _search.FADED in loop.report_.to_markdown()
 
 
-@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.75])
-@pytest.mark.parametrize("periods", [1.0, 2.0])
+@pytest.mark.parametrize(
+    ("phase", "periods"), checkered([0.0, 0.25, 0.5, 0.75], [1.0, 2.0])
+)
 def test_what_comes_and_goes_is_no_drift(periods, phase):
     loop = close(lambda s: 0.5 * np.cos(2 * np.pi * (periods * s + phase)))
     assert named(loop) == [("coulomb", 0)]

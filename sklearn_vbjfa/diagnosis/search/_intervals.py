@@ -9,7 +9,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core._sandwich import block_variance
 from sklearn_vbjfa.diagnosis.search._values import blocks_of_time
-from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._equations import held_columns, make_motion
 from sklearn_vbjfa.robot._identifier import linear_part, load_parameters
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 
@@ -85,7 +85,8 @@ class FinalFit:
         self.effects = list(effects)
         # What was declared has other values with other effects beside it.
         values = (*identifier.effects_[: len(declared.effects_)], *self.effects)
-        self.nominal, self.view = view, view.corrected(values)
+        held = held_columns(identifier.features_, self.effects)
+        self.nominal, self.view = view, view.corrected(values).without(held)
         self.motion = make_motion(
             identifier.features_,
             view.states,

@@ -17,7 +17,7 @@ test:
 	$(PYTHON) -m pytest
 
 slow:
-	$(PYTHON) -m pytest -m slow
+	PYTHON=$(PYTHON) .ci/full
 
 mutants:
 	$(PYTHON) tests/mutants/run.py

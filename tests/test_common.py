@@ -25,8 +25,6 @@ ESTIMATORS = [
     VBJFARegressor(),
     VBJFARegressor(query="noiseless"),
     VBJFARegressor(prior="paper"),
-    VBJFARegressor(latent="correlated"),
-    VBJFARegressor(latent="correlated", query="noiseless"),
     JointTorqueRegressor(),
     JointTorqueRegressor(LinearRegression(), joint_weights=None),
 ]
@@ -104,6 +102,18 @@ _STRICT = (
 @pytest.mark.filterwarnings("ignore:X is not as RigidBodyFeatures computes it")
 @parametrize_with_checks(ESTIMATORS)
 def test_estimator(estimator, check):
+    check(estimator)
+
+
+# What "auto", the default above, takes for these checks.
+@pytest.mark.slow
+@parametrize_with_checks(
+    [
+        VBJFARegressor(latent="correlated"),
+        VBJFARegressor(latent="correlated", query="noiseless"),
+    ]
+)
+def test_estimator_of_named_latents(estimator, check):
     check(estimator)
 
 

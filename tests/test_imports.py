@@ -1,6 +1,7 @@
 """Who may import whom, and what importing the package loads."""
 
 import ast
+import functools
 import importlib
 import subprocess
 import sys
@@ -17,6 +18,13 @@ OPTIONAL = {"pinocchio", "matplotlib", "dask", "distributed"}
 OPTIONAL |= {"pyarrow", "rosbags", "python_calamine"}
 
 
+@functools.cache
+def tree_of(path):
+    """Syntax tree of a module, which every test reads anew."""
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+@functools.cache
 def name_of(path):
     """Dotted name of a module of the package."""
     parts = path.relative_to(ROOT.parent).with_suffix("").parts
@@ -55,8 +63,14 @@ def imports(path, *, inside_functions=True, for_types=True):
         for child in ast.iter_child_nodes(node):
             visit(child)
 
-    visit(ast.parse(path.read_text(encoding="utf-8")))
+    visit(tree_of(path))
     return found
+
+
+def offenders(check):
+    """Modules of which a check finds something, with what it finds."""
+    found = {name_of(path): check(path) for path in MODULES}
+    return {name: what for name, what in found.items() if what}
 
 
 def imports_at_work(path):
@@ -66,7 +80,7 @@ def imports_at_work(path):
 
 def rooms_imported(path, **kwargs):
     """Rooms of the package that a module imports, with what it imports of each."""
-    own = {name_of(other) for other in MODULES}
+    own = set(map(name_of, MODULES))
     used = {}
     for name in imports(path, **kwargs):
         if name in own:
@@ -78,15 +92,17 @@ def modules_of(room):
     return [path for path in MODULES if room_of(name_of(path)) == room]
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_imports_are_absolute(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    relative = [
+def relative_imports(path):
+    """Lines of a module with an import that starts with a dot."""
+    return [
         node.lineno
-        for node in ast.walk(tree)
+        for node in ast.walk(tree_of(path))
         if isinstance(node, ast.ImportFrom) and node.level > 0
     ]
-    assert relative == []
+
+
+def test_imports_are_absolute():
+    assert offenders(relative_imports) == {}
 
 
 # Each room may import those above it, as "How the package is built" shows them.
@@ -124,8 +140,8 @@ DOORS_TO_PINOCCHIO = {"model", "datasets"}
 COMPAT = "sklearn_vbjfa.regression._sklearn_compat"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_rooms_import_one_way(path):
+def forbidden_rooms(path):
+    """Rooms that a module imports and may not, with what it imports of each."""
     room = room_of(name_of(path))
     allowed = APART.get(room, set(ROOMS[: ROOMS.index(room)])) | {room}
     forbidden = {
@@ -136,7 +152,11 @@ def test_rooms_import_one_way(path):
     if room != "_core":
         # The version and the name of the package itself, inside functions.
         forbidden.pop("top", None)
-    assert forbidden == {}
+    return forbidden
+
+
+def test_rooms_import_one_way():
+    assert offenders(forbidden_rooms) == {}
 
 
 def test_every_room_has_its_place():
@@ -183,12 +203,16 @@ def private_names_of(tree):
     ]
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_no_module_reaches_into_another_ones_objects(path):
+def foreign_names(path):
+    """Private names of other objects that a module reads."""
     # scikit-learn's own step of every fit has this name.
     allowed = "_validate_params"
-    found = private_names_of(ast.parse(path.read_text(encoding="utf-8")))
-    assert [name for name in found if not name.endswith(f".{allowed}")] == []
+    found = private_names_of(tree_of(path))
+    return [name for name in found if not name.endswith(f".{allowed}")]
+
+
+def test_no_module_reaches_into_another_ones_objects():
+    assert offenders(foreign_names) == {}
 
 
 def test_the_search_for_private_names_finds_them():
@@ -196,17 +220,21 @@ def test_the_search_for_private_names_finds_them():
     assert private_names_of(ast.parse(code)) == ["x._g", "x.y._z"]
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_optional_packages_only_inside_functions(path):
+def misplaced_packages(path):
+    """Return the optional packages that a module imports where it may not."""
     roots = {
         name.split(".")[0]
         for name in imports(path, inside_functions=False, for_types=False)
     }
-    assert roots.isdisjoint(OPTIONAL)
     everywhere = {name.split(".")[0] for name in imports(path)}
-    assert "matplotlib" not in everywhere
-    if "pinocchio" in imports_at_work(path):
-        assert room_of(name_of(path)) in DOORS_TO_PINOCCHIO
+    found = roots & OPTIONAL | everywhere & {"matplotlib"}
+    if room_of(name_of(path)) not in DOORS_TO_PINOCCHIO:
+        found |= imports_at_work(path) & {"pinocchio"}
+    return found
+
+
+def test_optional_packages_only_inside_functions():
+    assert offenders(misplaced_packages) == {}
 
 
 @pytest.mark.parametrize(
@@ -229,9 +257,9 @@ def test_importing_loads_no_optional_package(module):
     assert result.stderr == ""
 
 
-@pytest.mark.parametrize("path", MODULES, ids=name_of)
-def test_modules_have_telling_names(path):
-    assert path.stem.strip("_") not in {"utils", "util", "tools", "common", "helpers"}
+def test_modules_have_telling_names():
+    empty = {"utils", "util", "tools", "common", "helpers"}
+    assert [path for path in MODULES if path.stem.strip("_") in empty] == []
 
 
 @pytest.mark.parametrize(

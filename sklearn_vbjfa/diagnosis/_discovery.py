@@ -16,7 +16,7 @@ from sklearn_vbjfa.diagnosis.search._search import EffectSearch
 from sklearn_vbjfa.diagnosis.search._shapes import tuned_on
 from sklearn_vbjfa.diagnosis.search._split import split_in_time
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.effects import TorqueGain, resolve
+from sklearn_vbjfa.effects import JointEffect, TorqueGain, resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model._loading import joint_names, load_model
@@ -107,8 +107,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Accepted effects in the order in which they were found; each has `name`,
         `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`,
         `ranges` (of the motion that it was fitted on). The values are those of
-        `identifier_`, where a constant of an effect (of a spring, say) is that with the
-        joint's offset: no data tell the two apart.
+        `identifier_`.
     rounds_ : tuple of Round
         Every step: what was added, replaced, dropped, refused or withdrawn, on what
         evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the
@@ -297,8 +296,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             part = split.searched(whole)
             self.declared_ = self.plain_ = _fitted(clone(self.identifier), part)
             if set(plain_terms()) - set(self.declared_.features_.friction_):
-                fuller = clone(self.identifier).set_params(friction=plain_terms())
-                self.plain_ = _fitted(fuller, part)
+                self.plain_ = _fitted(self._with_plain_terms(), part)
             begins = tuple(whole.t[rows.start] for rows in whole.segments)
             found = self._search(part, silent, split.origin, begins, library, say)
             say(len(found.effects), "final model")
@@ -403,6 +401,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             found.append(EffectSearch(view=alone, **settings).run())
         return put_together(view, library, heard, found, float(self.alpha))
 
+    def _with_plain_terms(self):
+        """Return the declared model with the four plain terms, not fitted."""
+        # Those that are declared as effects of single joints would be there twice.
+        effects = tuple(e for e in self.identifier.effects if not _is_plain(e))
+        asked = {"friction": plain_terms(), "effects": effects}
+        return clone(self.identifier).set_params(**asked)
+
     def _with(self, effects):
         """Return the model with the plain terms and effects, not fitted."""
         asked = asked_again(self.plain_)
@@ -472,6 +477,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         check_is_fitted(self)
         known = {"groups": groups, "t": t, "signals": signals}
         return self.identifier_.predict(X, **known, return_std=return_std)
+
+
+def _is_plain(effect):
+    """Whether an effect of one joint is a plain term, with no shape of its own."""
+    plain = isinstance(effect, JointEffect) and effect.name in plain_terms()
+    return plain and not any(effect.shape().values())
 
 
 def _names(whole, groups):

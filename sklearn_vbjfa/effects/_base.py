@@ -159,6 +159,9 @@ class Effect(TransformerMixin, BaseEstimator):
         Shape parameters and their units.
     contains : tuple of str
         Plainer effects that this one must beat: it is judged beside them.
+    holds : tuple of str
+        Plain terms that are a column of its own as well. Where both are fitted, the
+        effect's coefficient is the sum and the plain term of its joint is zero.
     needs : tuple of {"time", "load", "signals"}
         Signals besides the states.
     continuous : tuple of str
@@ -237,6 +240,7 @@ class Effect(TransformerMixin, BaseEstimator):
     named_units = ()
     shape_units = ()
     contains = ()
+    holds = ()
     needs = ()
     continuous = ()
     neutral = ()

@@ -144,6 +144,7 @@ class AsymmetricFriction(Effect):
     coefficients = ("dFc", "dFv")
     units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
+    holds = ("offset",)
     depends = ("speed", "direction")
     seen_over = "speed"
     visible = "both directions of motion, at several speeds"

@@ -142,6 +142,7 @@ class Backlash(Effect):
     units = (STIFFNESS, TORQUE)
     shape_units = (("width", POSITION),)
     contains = ("spring", "coulomb")
+    holds = ("offset",)
     continuous = ("width",)
     positive = ("width",)
     depends = ("position",)

@@ -81,7 +81,7 @@ class Spring(Effect):
     coefficients = ("k", "c")
     units = (STIFFNESS, TORQUE)
     named_units = (("k", STIFFNESS), ("q0", POSITION))
-    contains = ("offset",)
+    contains = holds = ("offset",)
     depends = ("position",)
     seen_over = "position"
     visible = "a wide range of positions"
@@ -182,6 +182,11 @@ class Counterbalance(Effect):
     def units(self):
         """Units of the coefficients of the form; see `Effect`."""
         return (TORQUE,) * len(self.coefficients)
+
+    @property
+    def holds(self):
+        """Nothing of a linkage, the constant of harmonics; see `Effect`."""
+        return () if self.form == "linkage" else ("offset",)
 
     @property
     def continuous(self):

@@ -600,6 +600,21 @@ def _piece_moments(segment, lowpass, outputs, numbering):
         return segment.equations(lowpass, outputs, numbering).moments()
 
 
+def held_columns(features, effects):
+    """Numbers of the plain terms that effects of their joint have a column for.
+
+    With both the data would know their sum alone, and neither of them.
+    """
+    per_joint = features.n_parameters_ // features.n_joints_
+    first = per_joint - len(features.friction_)
+    return [
+        effect.joint * per_joint + first + features.friction_.index(name)
+        for effect in effects
+        for name in effect.holds
+        if name in features.friction_
+    ]
+
+
 def unexcited_entries(moments, n_rigid):
     """Find entries (nv, p), bool, of the regressor that are zero up to rounding.
 

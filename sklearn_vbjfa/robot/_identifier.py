@@ -30,6 +30,7 @@ from sklearn_vbjfa.robot._controller import check_reference
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
+    held_columns,
     joined,
     plain_coefficients,
     segments,
@@ -544,13 +545,19 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         plan = self._plan.passes()[0]
         made = segments(recording, states, plan, self.features_)
         moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
-        zeros = unexcited_entries(moments, self.features_.n_parameters_)
+        zeros = self._unneeded_entries(moments)
         units = [] if isinstance(self.gains, str) else list(self.gains)
         found = relative_gains(
             moments.zeroed(zeros), [self.joint_names_.index(name) for name in units]
         )
         self._correct(with_gains(self.effects_, found.gains))
         return found
+
+    def _unneeded_entries(self, moments):
+        """Entries of the regressor (nv, p) that nothing excites or effects hold."""
+        zeros = unexcited_entries(moments, self.features_.n_parameters_)
+        zeros[:, held_columns(self.features_, self.effects_)] = True
+        return zeros
 
     def _correct(self, effects):
         """Correct the robot by the present values of effects."""
@@ -634,7 +641,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             made = segments(recording, states, plan, self.features_, theta=self._load)
             moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
             self._tangent_powers = self._powers_of(moments)
-            zeros = unexcited_entries(moments, self.features_.n_parameters_)
+            zeros = self._unneeded_entries(moments)
             if relative is not None:
                 zeros[:, places[relative.held]] = True
             found = ModelValues.of(
@@ -757,7 +764,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     def _estimate_moments(self, moments, rows=()):
         """Estimate from the second moments of all equations."""
         check_count(moments, self.standstill_, len(self.parameter_names_))
-        zeros = unexcited_entries(moments, self.features_.n_parameters_)
+        zeros = self._unneeded_entries(moments)
         found = estimate(
             moments.zeroed(zeros),
             self.regressor,

@@ -234,6 +234,7 @@ def test_the_demo_is_the_same_every_time(argv, before, request):
     assert run(argv) == request.getfixturevalue(before)
 
 
+@pytest.mark.slow
 def test_measured_set_from_a_folder(measured_data_home, capsys, methods):
     # one joint: all methods in a few seconds
     code = main(["identify", "--data", "emps", "--data-home", str(measured_data_home)])

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 import warnings
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -523,12 +522,14 @@ def test_joints_that_cannot_be(joints, message, good, with_hand, capsys):
 
 # -- stopping --------------------------------------------------------------------------
 
-# Runs the command and says on stdout when the search has begun, or a file was written.
+# Runs the command and says on stdout when the search has begun, or a file was written;
+# then it waits until the standard input ends, which is after the signal.
 STOPPABLE = """
-import os, signal, sys, time
+import os, signal, sys
 
-# A shell that starts the tests in the background leaves the interrupt ignored.
+# Started in the background or under nohup, the tests leave these ignored.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 from sklearn_vbjfa import EffectDiscovery, load_identified
 from sklearn_vbjfa._cli import _close_loop, main
@@ -538,7 +539,7 @@ fit, replace = EffectDiscovery.fit, os.replace
 
 def slow_fit(self, *arguments, **given):
     print("now", flush=True)
-    time.sleep(60)
+    sys.stdin.read()
     return fit(self, *arguments, **given)
 
 def slow_replace(source, target, **given):
@@ -546,7 +547,7 @@ def slow_replace(source, target, **given):
     # Libraries that keep caches (compiled kernels, fonts) replace files of their own.
     if "arm-report" in os.fspath(target):
         print("now", flush=True)
-        time.sleep(0.3)
+        sys.stdin.read()
 
 if when == "search":
     EffectDiscovery.fit = slow_fit
@@ -560,6 +561,7 @@ def stop(argv, when, number):
     """Send a signal at a moment; exit code, stderr."""
     process = subprocess.Popen(
         [sys.executable, "-c", STOPPABLE, when, *map(str, argv)],
+        stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -567,7 +569,7 @@ def stop(argv, when, number):
     try:
         assert process.stdout.readline() == "now\n"
         process.send_signal(number)
-        _, err = process.communicate(timeout=60)
+        _, err = process.communicate(timeout=600)
     finally:
         process.kill()
     return process.returncode, err
@@ -578,9 +580,7 @@ def stop(argv, when, number):
 def test_a_run_that_is_stopped_in_the_search_leaves_nothing(name, good, urdf):
     number = getattr(signal, name)
     argv = ["close-loop", good, "--urdf", urdf, "--effects", "spring"]
-    started = time.perf_counter()
     code, err = stop(argv, "search", number)
-    assert time.perf_counter() - started < 50
     assert code == 128 + number
     how = "interrupted" if name == "SIGINT" else f"stopped ({name})"
     assert err == f"sklearn-vbjfa: {how}, nothing was written\n"

@@ -206,9 +206,16 @@ def two_motions():
     return two(lambda k, t: measure(t, pace_of(k, t), seed=k))
 
 
-def test_a_torque_in_another_unit_is_told_before_anything():
+@pytest.fixture(scope="module")
+def sound():
+    """Search two motions with whose channels nothing is wrong."""
     q, tau, groups = two_motions()
-    true_of_a_complete_robot(close(q, tau, groups=groups))
+    return close(q, tau, groups=groups)
+
+
+def test_a_torque_in_another_unit_is_told_before_anything(sound):
+    q, tau, groups = two_motions()
+    true_of_a_complete_robot(sound)
     report = close(q, tau * [1.0, 1e-3], groups=groups).report_
     assert report.status == "doubtful"
     assert report.headline.startswith("Mend the recording first. The torque of joint_2")
@@ -228,15 +235,15 @@ def test_forgotten_groups_are_told_before_anything():
     assert "groups" in report.headline
 
 
-def test_columns_are_found_by_the_names_of_joints():
+def test_columns_are_found_by_the_names_of_joints(sound):
     pandas = pytest.importorskip("pandas")
     q, tau, groups = two_motions()
     names = ["joint_2", "joint_1"]
     X = pandas.DataFrame(q[:, ::-1], columns=[f"q_{name}" for name in names])
     y = pandas.DataFrame(tau[:, ::-1], columns=[f"tau_{name}" for name in names])
-    plain, named_ones = close(q, tau, groups=groups), close(X, y, groups=groups)
-    np.testing.assert_allclose(named_ones.error_after_, plain.error_after_, rtol=1e-9)
-    np.testing.assert_allclose(named_ones.predict(X[:300]), plain.predict(q[:300]))
+    named_ones = close(X, y, groups=groups)
+    np.testing.assert_allclose(named_ones.error_after_, sound.error_after_, rtol=1e-9)
+    np.testing.assert_allclose(named_ones.predict(X[:300]), sound.predict(q[:300]))
     assert named_ones.score(X, y, groups=groups) > 0.99
     with pytest.raises(ValueError, match="q_elbow"):
         close(X.rename(columns={"q_joint_2": "q_elbow"}), y, groups=groups)

@@ -160,7 +160,7 @@ def test_a_worker_that_dies_changes_nothing(
     assert marker.exists()
     assert_same(found, in_memory(recording))
     # the nanny has put another process in its place, at another address
-    cluster.wait_for_workers(2, timeout=60)
+    cluster.wait_for_workers(2, timeout=600)
     assert set(cluster.scheduler_info()["workers"]) != workers
 
 

@@ -27,12 +27,22 @@ from tests.hostile import (
 )
 from tests.hostile._case import URDF, argv, clean_text
 from tests.hostile._runner import MEMORY, SECONDS, Runner
+from tests.hostile._sample import pairs_of, pairwise
 
 CASES = [
     case
     for family in (_tables, _archives, _formats, _descriptions, _motions, _times)
     for case in family.cases()
 ]
+# Every so many cases are simulated as well: reading is the same, what follows is not.
+EVERY = 9
+# The search alone has a seed.
+SIMULATED = [case for case in CASES if not (case.slow or "--seed" in case.name)]
+# Simulated in so many small steps that they are slow tests.
+LONG = {"parquet: flags", "friction that drives"}
+# Each case with its command.
+RUNS = [(case, "close-loop") for case in CASES]
+RUNS += [(case, "simulate") for case in SIMULATED[::EVERY]]
 FILES = {"parameters.csv", "report.html", "report.json"}
 FILES |= {"identified.json", "identified.urdf", "identified.xml"}
 # Longer lines are read by nobody.
@@ -124,12 +134,42 @@ def test_there_are_enough_cases():
     assert len(set(names)) == len(names)
 
 
-def params():
-    marks = {True: [pytest.mark.slow], False: []}
-    return [pytest.param(x, id=x.name, marks=marks[x.slow]) for x in CASES]
+QUICK = [
+    (case, command)
+    for case, command in RUNS
+    if not (case.slow or (command == "simulate" and case.name in LONG))
+]
+SAMPLE = {(QUICK[k][0].name, QUICK[k][1]) for k in pairwise(QUICK)}
 
 
-@pytest.mark.parametrize("case", params())
+def test_any_two_factors_meet_in_the_sample():
+    chosen = [run for run in QUICK if (run[0].name, run[1]) in SAMPLE]
+    pairs = pairs_of(QUICK)
+    assert len(set().union(*pairs)) > 1000
+    kept = (x for x, run in zip(pairs, QUICK) if (run[0].name, run[1]) in SAMPLE)
+    assert set().union(*kept) == set().union(*pairs)
+    assert len(chosen) < len(QUICK) / 3
+    families = {case.name.split(":")[0] for case in CASES}
+    for command in ("close-loop", "simulate"):
+        found = {case.name.split(":")[0] for case, x in chosen if x == command}
+        assert found == families, command
+    assert {case.expect for case, _ in chosen} == {"refused", "read", "same", "either"}
+
+
+def params(command):
+    """Return the cases of a command; those out of the sample are slow tests."""
+    return [
+        pytest.param(
+            case,
+            id=case.name,
+            marks=[] if (case.name, command) in SAMPLE else [pytest.mark.slow],
+        )
+        for case, x in RUNS
+        if x == command
+    ]
+
+
+@pytest.mark.parametrize("case", params("close-loop"))
 def test_hostile_input(case, runner, clean, tmp_path):
     before = {}
 
@@ -170,9 +210,6 @@ def test_hostile_input(case, runner, clean, tmp_path):
 
 # -- simulated -------------------------------------------------------------------------
 
-# Every so many cases are simulated as well: reading is the same, what follows is not.
-EVERY = 9
-
 
 def check_ending(outcome, made, out):
     """Check that a run ended in one line or in whole files."""
@@ -195,13 +232,7 @@ def check_ending(outcome, made, out):
         assert path.read_bytes().endswith(b"IEND\xaeB`\x82")
 
 
-def simulated_params():
-    # The search alone has a seed.
-    chosen = [case for case in CASES if not (case.slow or "--seed" in case.name)]
-    return [pytest.param(case, id=case.name) for case in chosen[::EVERY]]
-
-
-@pytest.mark.parametrize("case", simulated_params())
+@pytest.mark.parametrize("case", params("simulate"))
 def test_hostile_input_is_simulated_or_refused(case, runner, tmp_path):
     before = set()
 
@@ -265,7 +296,10 @@ MODELS = {
 }
 
 
-@pytest.mark.parametrize("damage", MODELS)
+@pytest.mark.parametrize(
+    "damage",
+    [pytest.param(x, marks=[pytest.mark.slow] if x in LONG else []) for x in MODELS],
+)
 def test_hostile_models_are_simulated_or_refused(damage, runner, saved, tmp_path):
     text = MODELS[damage](saved)
 

@@ -12,6 +12,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels
 from sklearn_vbjfa.recording._faults import levels
+from tests._quick import checkered, one_in
 
 # What the notes on the measured sets say of their channels: the currents of the last
 # three joints of TIAGo take some forty values.
@@ -106,7 +107,7 @@ def test_nothing_is_found_in_any_of_many_sound_recordings(seed, options):
     assert findings == ()
 
 
-@pytest.mark.parametrize("name", MEASURED)
+@pytest.mark.parametrize("name", one_in(3, MEASURED))
 def test_nothing_wrong_is_found_in_measured_recordings(measured_data_home, name):
     recording = getattr(datasets, f"fetch_{name}")(
         data_home=measured_data_home, download_if_missing=False
@@ -385,8 +386,7 @@ def test_a_robot_that_pauses_is_not_frozen(arm):
     assert not grave(findings, "frozen_recording")
 
 
-@pytest.mark.parametrize("k", [2, 5])
-@pytest.mark.parametrize("what", ["position", "torque"])
+@pytest.mark.parametrize(("k", "what"), checkered([2, 5], ["position", "torque"]))
 def test_channels_at_a_lower_rate(arm, what, k):
     rows = k * (np.arange(arm[0].n_samples) // k)
     held = {"q" if what == "position" else "tau": None}

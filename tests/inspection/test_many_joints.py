@@ -17,6 +17,7 @@ from sklearn_vbjfa.inspection._rivals import (
     channel_signals,
     fits_of,
 )
+from tests._quick import checkered
 from tests.model._robots import random_tree
 
 AXES = ("RY", "RX", "RZ", "RY")
@@ -135,8 +136,9 @@ def test_exchanged_torques_are_the_likeliest(three_arms, pair):
         assert likely[0] == pair
 
 
-@pytest.mark.parametrize("pair", [(1, 6), (8, 10)])
-@pytest.mark.parametrize("kind", ["torques", "positions", "joints"])
+@pytest.mark.parametrize(
+    ("pair", "kind"), checkered([(1, 6), (8, 10)], ["torques", "positions", "joints"])
+)
 def test_exchanged_channels_of_many_joints_are_found(three_arms, pair, kind):
     model, recording = three_arms
     order = _geometry._exchanged(np.arange(model.nv), pair)

@@ -558,3 +558,38 @@ def test_a_clock_that_runs_backwards_is_refused():
 def test_effects_that_cannot_be_are_refused(effect, given):
     with pytest.raises(ValueError, match=effect.name):
         fit(0 * DECLARED, effect, **given)
+
+
+# -- plain terms that effects hold
+
+
+def test_an_effect_with_a_constant_takes_the_offset_of_its_joint():
+    """The data know the sum; it is the spring's, with its own standard error."""
+    offset = np.array([0.7, -0.4, 0.2])
+    torque = DECLARED + offset
+    torque[:, 1] += 3.0 * (Q[:, 1] - 0.3)
+    friction = ("viscous", "offset")
+    asked = {**EXACT, "friction": friction}
+    robot = RobotIdentifier(MODEL, effects=[effects.Spring(1)], **asked)
+    robot.fit(STATES, torque)
+    names = robot.parameter_names_
+    values = dict(zip(names, robot.theta_))
+    assert values["joint_2:spring:c"] == pytest.approx(-0.4 - 0.9, rel=1e-6)
+    assert values["joint_2:offset"] == 0.0
+    known = dict(zip(names, robot.identifiable_))
+    assert known["joint_2:spring:c"]
+    assert not known["joint_2:offset"]
+    # Elsewhere an offset is an offset.
+    for j in (1, 3):
+        assert values[f"joint_{j}:offset"] == pytest.approx(offset[j - 1], abs=1e-6)
+    plain = RobotIdentifier(
+        MODEL,
+        effects=[effects.Offset(0), effects.Spring(1), effects.Offset(2)],
+        **{**EXACT, "friction": ("viscous",)},
+    ).fit(STATES, torque)
+    assert_allclose(robot.predict(STATES), plain.predict(STATES), atol=1e-7)
+
+
+def test_only_a_counterbalance_of_harmonics_has_a_constant():
+    assert effects.Counterbalance(form="harmonics").holds == ("offset",)
+    assert effects.Counterbalance(form="linkage").holds == ()

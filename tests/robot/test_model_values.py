@@ -161,9 +161,10 @@ def test_what_a_fit_starts_from_and_what_it_was_given_do_not_matter():
     "truth",
     [
         [BaseTilt(0, 0.07, -0.1)],
-        [JointZero(1, 0.1)],
+        # Alone as well as beside the gain.
+        pytest.param([JointZero(1, 0.1)], marks=pytest.mark.slow),
         [JointAxis(2, 0.05, 0.05)],
-        [TorqueGain(1, 1.15)],
+        pytest.param([TorqueGain(1, 1.15)], marks=pytest.mark.slow),
         [TorqueGain(2, 0.8), JointZero(1, 0.05)],
     ],
 )

@@ -416,7 +416,7 @@ CONTROLLER = PositionController(
 )
 
 
-def controlled(model, duration=16.0, noise=2e-4, torque_noise=0.3, feedforward=False):
+def controlled(model, duration=8.0, noise=2e-4, torque_noise=0.3, feedforward=False):
     """Make a robot follow a reference: positions, torques, reference, truth."""
     truth, *_ = identified(model)
     t, states, _ = planned(model, duration)

@@ -335,10 +335,10 @@ def seconds_a_state(predictor, signals):
     times = []
     for _ in range(5):
         stepper.reset()
-        start = time.perf_counter()
+        start = time.process_time()
         for q, v, a in rows:
             stepper.step(q, v, a, None, signals)
-        times.append((time.perf_counter() - start) / len(rows))
+        times.append((time.process_time() - start) / len(rows))
     return min(times)
 
 

@@ -1,23 +1,20 @@
 """Intervals that respect correlation in time."""
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import special
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._sandwich import block_variance
-from sklearn_vbjfa.diagnosis.search._regression import reduced
 from sklearn_vbjfa.diagnosis.search._values import blocks_of_time
-from sklearn_vbjfa.robot._equations import make_motion
+from sklearn_vbjfa.robot._equations import held_columns, make_motion
 from sklearn_vbjfa.robot._identifier import linear_part, load_parameters
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 
 # Probability below the upper end of an interval, and above its lower end.
 _UPPER_END = 0.95
-# Columns that differ by less than this share of the largest value are one.
-_SAME = 1e-9
 # Relative step of the derivative by a shape parameter.
 _STEP = 1e-3
 # Time for which errors are predicted [s].
@@ -44,8 +41,7 @@ class EffectEstimate:
     Attributes
     ----------
     coef : ndarray of shape (k,)
-        Coefficients; that of a column which others of the joint have as well is the sum
-        of theirs.
+        Coefficients.
     shape : tuple of str
         Shape parameters that were tuned.
     covariance : ndarray of shape (k + n_shape, k + n_shape)
@@ -89,7 +85,8 @@ class FinalFit:
         self.effects = list(effects)
         # What was declared has other values with other effects beside it.
         values = (*identifier.effects_[: len(declared.effects_)], *self.effects)
-        self.nominal, self.view = view, view.corrected(values)
+        held = held_columns(identifier.features_, self.effects)
+        self.nominal, self.view = view, view.corrected(values).without(held)
         self.motion = make_motion(
             identifier.features_,
             view.states,
@@ -164,31 +161,14 @@ class FinalFit:
         The coefficients are those of the completed model. Their covariance is that of
         the same equations before the projection, with the shape parameters beside the
         coefficients by their derivatives, from the scatter between blocks of time.
-
-        A column that a plain term of the joint has as well, such as the constant of a
-        spring, has the coefficients of both: how they share it no data say, and each
-        would show half of it. So it is where several effects have such a column: each
-        is told as if the others had none of it.
         """
         if not self.effects:
             return []
         view = self.view
         coefs = self._split(self.identifier.theta_)
-        own_columns, together = list(self._columns), [coef.copy() for coef in coefs]
-        shared, Z = self._shared(), view.Z
-        for plain, alike in shared.items():
-            total = self.identifier.theta_[plain] + sum(coefs[e][i] for e, i in alike)
-            for e, i in alike:
-                together[e][i] = total
-            for e, i in alike[1:]:
-                own_columns[e] = own_columns[e].copy()
-                own_columns[e][:, :, i] = 0.0
-        if shared:
-            Phi = np.delete(view.equations.Phi, list(shared), axis=2)
-            Z, _ = reduced(replace(view.equations, Phi=Phi), view.precision)
         columns, places, shapes = [], [], []
-        at = Z.shape[2]
-        for effect, own, coef in zip(self.effects, own_columns, coefs):
+        at = view.Z.shape[2]
+        for effect, own, coef in zip(self.effects, self._columns, coefs):
             shape = tuple(
                 name
                 for name in effect.continuous
@@ -200,12 +180,8 @@ class FinalFit:
             shapes.append(shape)
             at += made.shape[2]
             columns.append(made)
-        found = self._variance(Z, np.concatenate(columns, axis=2))
-        scores = found.scores.copy()
-        for alike in shared.values():
-            at = [places[e].start + i for e, i in alike]
-            scores[:, at] = scores[:, at[:1]]
-        covariance = scores.T @ scores
+        found = self._variance(np.concatenate(columns, axis=2))
+        covariance = found.scores.T @ found.scores
         return [
             EffectEstimate(
                 coef=coef,
@@ -214,27 +190,8 @@ class FinalFit:
                 # A column that the recording does not excite has none.
                 freedom=float(np.fmin.reduce(found.freedom[place], initial=np.inf)),
             )
-            for coef, shape, place in zip(together, shapes, places)
+            for coef, shape, place in zip(coefs, shapes, places)
         ]
-
-    def _shared(self):
-        """Columns of effects that a plain term of their joint has as well.
-
-        A dict: place of the term's parameter -> list of (effect, column).
-        """
-        features, Phi = self.identifier.features_, self.view.equations.Phi
-        width = features.n_parameters_ // features.n_joints_
-        found = {}
-        for e, (effect, own) in enumerate(zip(self.effects, self._columns)):
-            end = (effect.joint + 1) * width
-            for plain in range(end - len(features.friction_), end):
-                term = Phi[:, :, plain]
-                # But for the rounding of the low-pass.
-                slack = _SAME * np.abs(term).max()
-                for i in range(own.shape[2]):
-                    if slack > 0 and np.abs(own[:, :, i] - term).max() < slack:
-                        found.setdefault(plain, []).append((e, i))
-        return found
 
     def _slope(self, effect, name, coef):
         """Differentiate an effect's torque by a shape parameter, (m, nv, 1)."""
@@ -247,8 +204,8 @@ class FinalFit:
         above, below = (self.view.in_equations(e, self.motion) @ coef for e in sides)
         return ((above - below) / step)[:, :, None]
 
-    def _variance(self, Z, extra):
-        """Scatter between blocks of the fit to Z with effects' columns (m, nv, q)."""
+    def _variance(self, extra):
+        """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""
         view = self.view
         theta = self.identifier.theta_unconstrained_
         residual = (view.equations.tau - self._predicted(theta)) * view.root
@@ -258,7 +215,7 @@ class FinalFit:
         factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
         grams, scores, places = [], [], []
         for block, place in blocks_of_time(view):
-            declared = Z[:, block].transpose(1, 0, 2)
+            declared = view.Z[:, block].transpose(1, 0, 2)
             rows = np.concatenate([declared, extra[block]], axis=2)
             rows = (rows * factor[:, None]).reshape(-1, rows.shape[2])
             own = (residual[block] * factor).ravel()

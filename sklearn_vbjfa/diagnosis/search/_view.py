@@ -183,6 +183,17 @@ class RecordingView:
             root._corrected[key] = other
         return root._corrected[key]
 
+    def without(self, columns):
+        """Return the same view whose equations lack some declared columns."""
+        if not columns:
+            return self
+        Phi = self.equations.Phi.copy()
+        Phi[:, :, columns] = 0.0
+        other = copy.copy(self)
+        other.equations = replace(self.equations, Phi=Phi)
+        other._set_coordinates()
+        return other
+
     @property
     def gains(self):
         """What torque channels read over the torque, (nv,)."""

@@ -199,11 +199,11 @@ def loop_on(model, states, tau, effects=("spring",)):
 def test_half_widths_are_those_of_ninety_per_cent():
     """States without noise, white residuals: least squares knows what to expect."""
     ratios = []
-    for seed in range(12):
+    for seed in range(6):
         model, states, tau, columns = pendulum(seed)
         (effect,) = loop_on(model, states, tau).effects_
         covariance = 0.05**2 * np.linalg.inv(columns.T @ columns)
-        # The constant is that of the spring and of the offset together: k (q - q0).
+        # The constant is the spring's, which holds the offset: k (q - q0).
         coef = covariance @ columns.T @ tau[:, 0] / 0.05**2
         k, q0 = coef[4], -coef[3] / coef[4]
         slopes = {"k": [0.0, 1.0], "q0": [-1.0 / k, -q0 / k]}
@@ -220,12 +220,13 @@ def test_half_widths_are_those_of_ninety_per_cent():
         assert 1.5 < np.mean(own) < 1.9
 
 
-def test_shape_parameters_scatter_as_their_intervals_say():
+@pytest.mark.parametrize("n", [8, pytest.param(24, marks=pytest.mark.slow)])
+def test_shape_parameters_scatter_as_their_intervals_say(n):
     """Period of a ripple, against estimates from other noise."""
     estimates, halves = [], []
     quiet = record("Z", duration=40.0, noise=0.0, seed=0)
     clean = quiet.torque(ripple_1=lambda r: 0.3 * np.cos(2 * np.pi * r.q[:, 0] / 0.9))
-    for seed in range(24):
+    for seed in range(n):
         rng = np.random.default_rng(seed)
         tau = clean + 0.1 * coloured(rng, clean.shape, 0.5)
         loop = quiet.discover(tau, ["ripple"])
@@ -234,8 +235,9 @@ def test_shape_parameters_scatter_as_their_intervals_say():
         low, high = effect.intervals["period"]
         estimates.append(effect.parameters["period"])
         halves.append(0.5 * (high - low))
-    # a deviation from 24 estimates is right to a seventh
-    assert np.std(estimates, ddof=1) == pytest.approx(np.mean(halves) / 1.7, rel=0.4)
+    # a deviation from 24 estimates is right to a seventh, from 8 to a quarter
+    within = 2.7 / np.sqrt(2 * (n - 1))
+    assert np.std(estimates, ddof=1) == pytest.approx(np.mean(halves) / 1.7, rel=within)
     assert np.mean(estimates) == pytest.approx(0.9, abs=3 * np.mean(halves))
 
 
@@ -269,32 +271,23 @@ def test_centres_are_those_of_the_completed_model():
     recording = record("ZY", duration=40.0, seed=1)
     tau = recording.torque(
         quadratic_1=lambda r: (0.3 * np.abs(r.v[:, 0]) - 0.9) * r.v[:, 0],
-        spring_2=lambda r: 2.0 * (r.q[:, 1] - 0.2),
-        asymmetric_2=lambda r: 0.3 * np.abs(r.v[:, 1]),
+        spring_2=lambda r: 0.8 * (r.q[:, 1] - 0.2),
     )
-    library = ["viscous_quadratic", "spring", "asymmetric_friction"]
-    loop = recording.discover(tau, library)
-    both = [("asymmetric_friction", 1), ("spring", 1)]
-    assert named(loop) == [*both, ("viscous_quadratic", 0)]
+    loop = recording.discover(tau, ["viscous_quadratic", "spring"])
+    assert named(loop) == [("spring", 1), ("viscous_quadratic", 0)]
     robot = loop.identifier_
-    at, k, *constant = (
+    at, offset, k, c = (
         list(robot.parameter_names_).index(name)
-        for name in ("joint_1:viscous_quadratic:F2", "joint_2:spring:k")
-        + ("joint_2:spring:c", "joint_2:offset", "joint_2:asymmetric_friction:dFc")
+        for name in ("joint_1:viscous_quadratic:F2", "joint_2:offset")
+        + ("joint_2:spring:k", "joint_2:spring:c")
     )
     assert abs(robot.theta_[at] - robot.theta_unconstrained_[at]) > 1e-3
     found = {effect.name: effect for effect in loop.effects_}
     assert found["viscous_quadratic"].parameters["F2"] == robot.theta_[at]
     assert found["spring"].parameters["k"] == robot.theta_[k]
-    # One column in three places: each effect is told with all of it.
-    total = robot.theta_[constant].sum()
-    q0 = -total / robot.theta_[k]
+    assert robot.theta_[offset] == pytest.approx(0.0, abs=1e-9)
+    q0 = -robot.theta_[c] / robot.theta_[k]
     assert found["spring"].parameters["q0"] == pytest.approx(q0)
-    assert found["asymmetric_friction"].parameters["dFc"] == pytest.approx(total)
-    low, high = found["asymmetric_friction"].intervals["dFc"]
-    # Both know it alike; of q0 that is the constant over the stiffness, and more.
-    first, last = found["spring"].intervals["q0"]
-    assert 0.5 * (high - low) < robot.theta_[k] * (last - first) < 2.0 * (high - low)
     for effect in loop.effects_:
         for key, (low, high) in effect.intervals.items():
             assert 0.5 * (low + high) == pytest.approx(effect.parameters[key])

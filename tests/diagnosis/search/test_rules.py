@@ -69,8 +69,8 @@ def test_the_plainer_effect_goes_first_and_is_dropped_once_superfluous(far):
     assert names(far) == ["counterbalance"]
 
 
-def test_a_spring_has_the_constant_that_the_offset_shares_with_it():
-    """Both have the same column, of which each parameter holds a half."""
+def test_an_offset_that_a_spring_holds_is_the_spring_s():
+    """Whatever was fitted on the joint before: all of the constant is told with it."""
     loop = close(lambda r: 2.0 * (r.q[:, 0] + 1.0), ["spring", "offset", "coulomb"])
     assert story(loop) == [("add", "spring")]
     (spring,) = loop.effects_

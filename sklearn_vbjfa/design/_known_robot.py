@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects import RotorInertia, resolve
 from sklearn_vbjfa.model._loading import joint_names, nominal_parameters
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH, STANDSTILL_SHARE
@@ -142,7 +142,7 @@ class KnownRobot:
         """Deviation of the noise of each joint's equations in the band (nv,).
 
         Torque noise is taken as white, and so is that of the encoders, which enters
-        through the bodies' inertia: of white position noise with the deviation s, a
+        through the inertia: of white position noise with the deviation s, a
         band B leaves an acceleration of the variance 2 dt s^2 (2 pi)^4 B^5 / 5.
         """
         band = self.band(highest, dt)
@@ -161,18 +161,24 @@ class KnownRobot:
         return np.sqrt(torque**2 + inertia**2 @ acceleration)
 
     def inertia(self, reference):
-        """Root mean squares of the mass matrix over poses (nv, nv)."""
+        """Root mean squares of the mass matrix over poses (nv, nv), rotors included."""
         nv = self.n_joints
         q = reference[:100, :nv]
         still = np.zeros_like(q)
         inertial = np.ascontiguousarray(self.inertial)
         at_rest = self.features.torques(q, still, still, inertial)
+        rotor = np.zeros(nv)
+        for effect, own in zip(self.effects, self.coefficients):
+            if isinstance(effect, RotorInertia):
+                rotor[effect.joint] += own[0]
         columns = []
         for k in range(nv):
             unit = still.copy()
             unit[:, k] = 1.0
             moved = self.features.torques(q, still, unit, inertial)
-            columns.append(np.sqrt(((moved - at_rest) ** 2).mean(axis=0)))
+            felt = moved - at_rest
+            felt[:, k] += rotor[k]
+            columns.append(np.sqrt((felt**2).mean(axis=0)))
         return np.array(columns).T
 
 

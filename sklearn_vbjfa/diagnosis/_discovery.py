@@ -205,7 +205,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     >>> from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
     >>> from sklearn_vbjfa.datasets import make_robot_recording
     >>> recording = make_robot_recording(
-    ...     duration=20.0, dt=0.01, load_friction={1: 0.2}, random_state=0
+    ...     duration=20.0,
+    ...     dt=0.01,
+    ...     undeclared={"load_friction": (1, 0.2)},
+    ...     random_state=0,
     ... )
     >>> robot = RobotIdentifier(
     ...     recording.robot_model(), dt=recording.dt, friction=("viscous",)

@@ -135,7 +135,9 @@ def analyse_residuals(
     >>> from sklearn_vbjfa.datasets import make_robot_recording
     >>> from sklearn_vbjfa.diagnosis import analyse_residuals
     >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
-    >>> robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
+    >>> robot = RobotIdentifier(
+    ...     recording.robot_model(), dt=recording.dt, friction=("viscous",)
+    ... )
     >>> found = analyse_residuals(robot, recording.q, recording.tau)
     >>> [signals[0].signal for signals in found.dependences[:2]]
     ['speed of joint_1', 'speed of joint_2']

@@ -159,9 +159,10 @@ class Effect(TransformerMixin, BaseEstimator):
         Shape parameters and their units.
     contains : tuple of str
         Plainer effects that this one must beat: it is judged beside them.
-    holds : tuple of str
-        Plain terms that are a column of its own as well. Where both are fitted, the
-        effect's coefficient is the sum and the plain term of its joint is zero.
+    holds : tuple of (str, str)
+        Plain terms that are a column of its own as well, with that coefficient. Where
+        several have it, the first effect of the joint has the sum, the others and the
+        plain term have zero.
     needs : tuple of {"time", "load", "signals"}
         Signals besides the states.
     continuous : tuple of str

@@ -144,7 +144,7 @@ class AsymmetricFriction(Effect):
     coefficients = ("dFc", "dFv")
     units = (TORQUE, VISCOSITY)
     contains = ("coulomb", "viscous")
-    holds = ("offset",)
+    holds = (("offset", "dFc"),)
     depends = ("speed", "direction")
     seen_over = "speed"
     visible = "both directions of motion, at several speeds"

@@ -142,7 +142,7 @@ class Backlash(Effect):
     units = (STIFFNESS, TORQUE)
     shape_units = (("width", POSITION),)
     contains = ("spring", "coulomb")
-    holds = ("offset",)
+    holds = (("offset", "c"),)
     continuous = ("width",)
     positive = ("width",)
     depends = ("position",)

@@ -81,7 +81,8 @@ class Spring(Effect):
     coefficients = ("k", "c")
     units = (STIFFNESS, TORQUE)
     named_units = (("k", STIFFNESS), ("q0", POSITION))
-    contains = holds = ("offset",)
+    contains = ("offset",)
+    holds = (("offset", "c"),)
     depends = ("position",)
     seen_over = "position"
     visible = "a wide range of positions"
@@ -186,7 +187,7 @@ class Counterbalance(Effect):
     @property
     def holds(self):
         """Nothing of a linkage, the constant of harmonics; see `Effect`."""
-        return () if self.form == "linkage" else ("offset",)
+        return () if self.form == "linkage" else (("offset", "e"),)
 
     @property
     def continuous(self):

@@ -601,18 +601,25 @@ def _piece_moments(segment, lowpass, outputs, numbering):
 
 
 def held_columns(features, effects):
-    """Numbers of the plain terms that effects of their joint have a column for.
+    """Numbers of parameters whose column an effect of their joint has already.
 
-    With both the data would know their sum alone, and neither of them.
+    Plain terms, and columns of further effects: of the same columns the data would know
+    the sum alone, and none of them.
     """
     per_joint = features.n_parameters_ // features.n_joints_
     first = per_joint - len(features.friction_)
-    return [
-        effect.joint * per_joint + first + features.friction_.index(name)
-        for effect in effects
-        for name in effect.holds
-        if name in features.friction_
-    ]
+    found, taken, at = [], set(), features.n_parameters_
+    for effect in effects:
+        for name, symbol in effect.holds:
+            place = effect.joint, name
+            if place in taken:
+                found.append(at + effect.coefficients.index(symbol))
+            elif name in features.friction_:
+                term = features.friction_.index(name)
+                found.append(effect.joint * per_joint + first + term)
+            taken.add(place)
+        at += len(effect.coefficients)
+    return found
 
 
 def unexcited_entries(moments, n_rigid):

@@ -590,6 +590,28 @@ def test_an_effect_with_a_constant_takes_the_offset_of_its_joint():
     assert_allclose(robot.predict(STATES), plain.predict(STATES), atol=1e-7)
 
 
+def test_the_first_of_two_effects_with_a_constant_has_it_all():
+    torque = DECLARED.copy()
+    torque[:, 1] += 0.4 + 0.3 * np.abs(V[:, 1]) + 2.0 * (Q[:, 1] - 0.5)
+    pair = [effects.Spring(1), effects.AsymmetricFriction(1)]
+    for friction in (("viscous",), ("viscous", "offset")):
+        for given, first in (
+            (pair, "spring:c"),
+            (pair[::-1], "asymmetric_friction:dFc"),
+        ):
+            robot = RobotIdentifier(
+                MODEL, effects=given, **{**EXACT, "friction": friction}
+            )
+            robot.fit(STATES, torque)
+            values = dict(zip(robot.parameter_names_, robot.theta_))
+            own = {
+                k: v for k, v in values.items() if k.endswith((":c", "dFc", "offset"))
+            }
+            assert own.pop(f"joint_2:{first}") == pytest.approx(-0.6, rel=1e-6)
+            assert np.abs(list(own.values())).max() < 1e-6
+            assert values["joint_2:spring:k"] == pytest.approx(2.0, rel=1e-6)
+
+
 def test_only_a_counterbalance_of_harmonics_has_a_constant():
-    assert effects.Counterbalance(form="harmonics").holds == ("offset",)
+    assert effects.Counterbalance(form="harmonics").holds == (("offset", "e"),)
     assert effects.Counterbalance(form="linkage").holds == ()

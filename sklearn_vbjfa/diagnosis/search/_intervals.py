@@ -85,8 +85,10 @@ class FinalFit:
         self.effects = list(effects)
         # What was declared has other values with other effects beside it.
         values = (*identifier.effects_[: len(declared.effects_)], *self.effects)
-        held = held_columns(identifier.features_, self.effects)
-        self.nominal, self.view = view, view.corrected(values).without(held)
+        held = held_columns(identifier.features_, identifier.effects_)
+        at = declared.theta_.size
+        self.nominal = view
+        self.view = view.corrected(values).without([i for i in held if i < at])
         self.motion = make_motion(
             identifier.features_,
             view.states,
@@ -98,6 +100,9 @@ class FinalFit:
             signals=view.signals,
         )
         self._columns = [self.view.in_equations(e, self.motion) for e in self.effects]
+        for own in self._columns:
+            own[:, :, [i - at for i in held if 0 <= i - at < own.shape[2]]] = 0.0
+            at += own.shape[2]
 
     def columns(self, rows=slice(None)):
         """Columns of the completed model in some equations, (n, nv, p)."""

@@ -340,3 +340,24 @@ def test_no_effects_no_estimates():
     assert loop.effects_ == ()
     low, high = loop.report_.outcome.intervals["after"]
     assert np.all((low < loop.error_after_) & (loop.error_after_ < high))
+
+
+def test_of_two_effects_with_a_constant_one_is_told_with_it():
+    """Spring and asymmetric friction on one joint: the data know one constant."""
+    recording = record("ZY", seed=0)
+    torque = recording.torque(
+        joint_2=lambda r: 0.4 + 0.3 * np.abs(r.v[:, 1]) + 2.0 * (r.q[:, 1] - 0.5)
+    )
+    loop = recording.discover(torque, ["asymmetric_friction", "spring"])
+    assert sorted(e.name for e in loop.effects_) == ["asymmetric_friction", "spring"]
+    by_name = {e.name: e for e in loop.effects_}
+    known = {
+        (name, key) for name, effect in by_name.items() for key in effect.intervals
+    }
+    constants = {("spring", "q0"), ("asymmetric_friction", "dFc")}
+    ((name, key),) = known & constants
+    low, high = by_name[name].intervals[key]
+    truth = {"q0": 0.3, "dFc": -0.6}[key]
+    assert low - 0.5 * (high - low) < truth < high + 0.5 * (high - low)
+    ((other, lost),) = constants - {(name, key)}
+    assert by_name[other].parameters[lost] == pytest.approx(0.0, abs=1e-9)

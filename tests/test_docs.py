@@ -436,7 +436,7 @@ def test_every_page_is_in_one_menu():
 
 
 # Their examples simulate many times, which other tests do with smaller robots.
-LONG = {"output_error.rst", "design.rst"}
+LONG = {"output_error.rst", "design.rst", "effects.rst"}
 
 
 @pytest.mark.parametrize(

@@ -140,9 +140,9 @@ def design_motion(
     >>> from sklearn_vbjfa.datasets import load_demo_recording
     >>> from sklearn_vbjfa.design import design_motion
     >>> urdf = load_demo_recording().urdf
-    >>> motion = design_motion(urdf, duration=10.0, dt=0.01, random_state=0)
+    >>> motion = design_motion(urdf, duration=5.0, dt=0.01, random_state=0)
     >>> motion.q.shape, motion.within_limits
-    ((1000, 6), True)
+    ((500, 6), True)
     """
     robot = KnownRobot.of(model)
     dt, names = check_dt(dt), robot.joint_names

@@ -290,6 +290,7 @@ def test_options_reach_the_estimators(good, urdf, monkeypatch):
     assert seen["effects"] == "all"
 
 
+@pytest.mark.slow
 def test_what_is_to_be_corrected_is_in_all_files(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     roll, pitch, gain = np.deg2rad(4.0), np.deg2rad(2.0), 1.15

@@ -18,6 +18,7 @@ from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa._cli import _close_loop, _exit_codes, _identify, main
 from sklearn_vbjfa.datasets import load_demo_recording
 from sklearn_vbjfa.robot import _comparison
+from tests._quick import checkered
 from tests.command_line.test_close_loop import LINK
 from tests.hostile._case import DT, URDF, N, cells, columns
 
@@ -165,8 +166,7 @@ RECORDINGS = {
 }
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-@pytest.mark.parametrize("kind", RECORDINGS)
+@pytest.mark.parametrize(("kind", "command"), checkered(RECORDINGS, COMMANDS))
 def test_recordings(kind, command, here, capsys):
     change, expected = RECORDINGS[kind]
     urdf = "hand.urdf" if kind == "no columns of a joint" else "arm.urdf"

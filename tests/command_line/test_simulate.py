@@ -334,6 +334,7 @@ def test_prismatic_joints_are_in_mm(urdf, tmp_path, capsys):
     assert tables(text)[0]["elbow"][0] == pytest.approx(expected, rel=2e-2)
 
 
+@pytest.mark.slow
 def test_the_demo_needs_no_arguments(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     text = run(capsys, "--window", "0.5")

@@ -178,6 +178,7 @@ def test_what_does_not_show_is_hidden():
     assert ("joint_zero", 1) not in told
 
 
+@pytest.mark.slow
 def test_the_tilt_of_a_robot_of_two_branches_is_one():
     """Each branch finds it alone; the robot leans as a whole."""
     model = arms(2)

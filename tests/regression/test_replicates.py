@@ -119,7 +119,7 @@ def test_few_replicates_widen_the_intervals():
     assert np.all(3 * widths[1] < widths[2])
 
 
-@pytest.mark.parametrize("n_repeats", [2, 3])
+@pytest.mark.parametrize("n_repeats", [2, pytest.param(3, marks=pytest.mark.slow)])
 def test_intervals_cover_with_estimated_noise(n_repeats):
     # 60 units: 60 or 120 degrees of freedom. 100 data sets of three coefficients, a
     # nominal 90 %; three binomial deviations of the (dependent) three hundred.

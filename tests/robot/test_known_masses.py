@@ -107,6 +107,7 @@ def test_what_is_put_down_counts_as_well():
     assert_allclose(robot.theta_[place(robot, "joint_3:payload:dm")], -MASS, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_deviations_are_those_of_repeated_recordings():
     """Also of parameters whose error the common gain has a part in."""
     found = [

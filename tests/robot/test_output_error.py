@@ -34,6 +34,7 @@ from sklearn_vbjfa.robot._states import RecordingStates  # noqa: E402
 from sklearn_vbjfa.simulation import PositionController  # noqa: E402
 from sklearn_vbjfa.simulation._closed_loop import simulate_controlled  # noqa: E402
 from sklearn_vbjfa.simulation._simulate import simulate  # noqa: E402
+from tests._quick import one_in  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.01
@@ -91,7 +92,7 @@ def sensitivities(robot, states, tau, rows=60):
     return predictor, windows, made, propagate(found, made, DT), positions
 
 
-@pytest.mark.parametrize("case", ROBOTS)
+@pytest.mark.parametrize("case", one_in(3, ROBOTS))
 def test_sensitivities_are_derivatives_of_the_simulation(case):
     axes, effects = ROBOTS[case]
     friction = ("viscous",) if case == "smooth friction" else FRICTION

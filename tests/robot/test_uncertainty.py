@@ -42,7 +42,8 @@ def fitted(model, X, tau, **settings):
     return RobotIdentifier(model, **settings).fit(X, tau)
 
 
-@pytest.mark.parametrize("n", [20, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [50])
 def test_ninety_per_cent_hold_the_truth(n):
     """Behind the low-pass and without one, in white and in slow residuals."""
     inside = {}

@@ -232,7 +232,14 @@ def test_coupling(of, own):
     compare([(Coupling(1, 0, of), [Fv, 0.0, Ia])], law)
 
 
-@pytest.mark.parametrize(("of", "own"), [("other", 0), ("sum", 1), ("difference", -1)])
+@pytest.mark.parametrize(
+    ("of", "own"),
+    [
+        pytest.param("other", 0, marks=pytest.mark.slow),
+        pytest.param("sum", 1, marks=pytest.mark.slow),
+        ("difference", -1),
+    ],
+)
 def test_dry_friction_of_a_coupled_speed_turns_over_slow_speeds(of, own):
     # The documented law: the sign of w, straight between -1 and 1 mm/s or mrad/s.
     Fc, slow = 0.4, 1e-3

@@ -14,6 +14,7 @@ from sklearn_vbjfa.diagnosis.search._flexible import Stretches
 from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording._recording import take_arrays
+from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
 
 NAMES = ("base", "elbow")
@@ -90,8 +91,9 @@ def measured(model, residual, seed=0, joint=JOINT):
     return found, maps.get(joint)
 
 
-@pytest.mark.parametrize("kind", ["white", "memory", "drift"])
-@pytest.mark.parametrize("model", [ONE, TWO], ids=["one", "two"])
+@pytest.mark.parametrize(
+    ("kind", "model"), checkered(["white", "memory", "drift"], [ONE, TWO])
+)
 def test_noise_is_not_explained(model, kind):
     for seed in range(2):
         found, _ = measured(model, noise(model, seed, kind))

@@ -220,7 +220,8 @@ def test_half_widths_are_those_of_ninety_per_cent():
         assert 1.5 < np.mean(own) < 1.9
 
 
-@pytest.mark.parametrize("n", [8, pytest.param(24, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [24])
 def test_shape_parameters_scatter_as_their_intervals_say(n):
     """Period of a ripple, against estimates from other noise."""
     estimates, halves = [], []

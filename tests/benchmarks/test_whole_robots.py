@@ -174,6 +174,24 @@ def test_a_ledger_knows_the_code_of_every_result(tmp_path, monkeypatch):
     assert Ledger(None, ("seed",)).states() == [second]
 
 
+def test_a_ledger_of_several_files_writes_to_the_first(tmp_path, monkeypatch):
+    paths = [tmp_path / name for name in ("a.jsonl", "b.jsonl")]
+    tasks = [{"seed": seed} for seed in range(3)]
+    codes = [{"commit": name, "files": {}} for name in ("1a2b3c4", "5d6e7f8")]
+    for path, own, code in zip(paths, (tasks[:2], tasks[1:]), codes, strict=True):
+        monkeypatch.setattr(_ledger, "code", lambda code=code: code)
+        for task in own:
+            Ledger(path, ("seed",)).add(task)
+    both = Ledger(paths, ("seed",))
+    assert both.missing(tasks) == []
+    # what both have is taken from the first
+    assert [r["commit"] for r in both.results] == ["1a2b3c4", "1a2b3c4", "5d6e7f8"]
+    assert both.states() == codes
+    both.add({"seed": 3})
+    assert len(Ledger(paths[0], ("seed",)).results) == 3
+    assert len(Ledger(paths[1], ("seed",)).results) == 2
+
+
 def test_tasks_run_in_processes():
     assert sorted(results_of(abs, [-1, 2, -3], jobs=2)) == [1, 2, 3]
 

@@ -7,9 +7,11 @@ same study runs on a version from before there were any.
 import itertools
 
 import numpy as np
-from _report import rst_table
+from _report import rst_table, rst_title
 
-# Ends of the cells of the table.
+# Headers of `counts`.
+PERHAPS = ("perhaps, right", "perhaps, wrong")
+# Ends of the cells of the table of stated probabilities.
 STATED = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 
 
@@ -42,20 +44,26 @@ def stated(effects, wrong):
     return entries
 
 
-def counts(entries):
-    """Count the right and the wrong ones, as cells of a table."""
-    right = sum(e["right"] for e in entries)
-    return [str(right), str(len(entries) - right)]
+def gathered(results, what):
+    """List what results have under "names" or "perhaps", old ones perhaps nothing."""
+    return [entry for result in results for entry in result.get(what, ())]
 
 
-def calibration(named, perhaps):
-    """Table: stated probability beside the share that is right.
+def counts(results):
+    """Count what is given as perhaps, right and wrong, as cells of a table."""
+    right = [entry["right"] for entry in gathered(results, "perhaps")]
+    return [str(sum(right)), str(len(right) - sum(right))]
+
+
+def calibration(results):
+    """Section of a report: stated probability beside the share that is right.
 
     Parameters
     ----------
-    named, perhaps : list of dict
-        Of all recordings, as `stated` makes them.
+    results : list of dict
+        With "names" and "perhaps" as `stated` makes them.
     """
+    named, perhaps = (gathered(results, what) for what in ("names", "perhaps"))
     edges = [0.0, *STATED, np.inf]
     cells = []
     for low, high in itertools.pairwise(edges):
@@ -77,7 +85,8 @@ def calibration(named, perhaps):
         mean, share = (f"{100 * np.mean(x):.0f}" if x else "–" for x in (told, right))
         rows.append([label, len(own), mean, share])
     heads = ["stated probability", "effects", "mean stated, %", "right, %"]
-    return rst_table(rows, heads)
+    title = rst_title("Whether what is left open is as often right as it says")
+    return f"{title}\n\n{rst_table(rows, heads)}"
 
 
 def _stated(entry):

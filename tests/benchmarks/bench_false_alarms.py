@@ -37,7 +37,7 @@ from typing import NamedTuple
 import numpy as np
 from _ledger import Ledger
 from _perhaps import calibration, stated, undecided
-from _report import parser, publish, rst_table, rst_title
+from _report import parser, publish, rst_table
 from _undeclared_effects import ADDED, World, can_carry
 from _undeclared_robots import (
     draw_motion,
@@ -590,15 +590,10 @@ def report(verdicts, old=()):
     if kinds:
         headers = ["effect", "recordings", "found, %", "old, %", "change, points"]
         parts += ["The power by effect:", rst_table(kinds, headers)]
-    named, perhaps = (
-        [entry for v in verdicts for entry in v.get(what, ())]
-        for what in ("names", "perhaps")
-    )
     parts += [
-        rst_title("Whether what is left open is as often right as it says"),
+        calibration(verdicts),
         "Of all recordings, with and without an effect. Right: in the recording, "
         "contained in what is, or with it among the rivals.",
-        calibration(named, perhaps),
     ]
     failed = [v for v in verdicts if "error" in v]
     parts += [

@@ -572,7 +572,7 @@ def test_residuals_of_false_alarms_are_what_they_say(joints):
 
 
 def test_calibration_says_how_much_is_right():
-    from _perhaps import calibration, stated, undecided
+    from _perhaps import calibration, counts, stated, undecided
 
     effects = [
         SimpleNamespace(name="ripple", joint=0, probability=0.55),
@@ -583,7 +583,9 @@ def test_calibration_says_how_much_is_right():
     perhaps = stated(undecided(loop), wrong=[("spring", 1)])
     assert [e["right"] for e in perhaps] == [True, False, True]
     assert undecided(SimpleNamespace()) == ()
-    cells = [line.split() for line in calibration([], perhaps).splitlines()]
+    made = {"perhaps": perhaps}
+    assert counts([made, {}]) == ["2", "1"]
+    cells = [line.split() for line in calibration([made]).splitlines()]
     assert ["perhaps,", "0.5", "to", "0.6", "2", "57", "50"] in cells
     assert ["perhaps,", "0.6", "to", "0.7", "0", "–", "–"] in cells
     assert ["perhaps,", "not", "stated", "1", "–", "100"] in cells

@@ -42,6 +42,7 @@ def residuals(scale, index, tau):
         "interval_coverage",
         "iterations",
         "kernels",
+        "leave_one_set_out",
         "likelihood",
         "loop_time",
         "measured_robots",

@@ -461,7 +461,10 @@ def study(
     ]
     for task in ledger.missing(tasks):
         kind, nv, s, which = task.values()
-        ledger.add(judge(kind, nv, s, which == "power"))
+        verdict = judge(kind, nv, s, which == "power")
+        ledger.add(verdict)
+        if "error" in verdict:
+            print(f"{task}: {verdict['error']}", file=sys.stderr, flush=True)
     return ledger.results
 
 

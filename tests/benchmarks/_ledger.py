@@ -1,6 +1,7 @@
 """Results in a file of JSON lines, so that a long study can be run in pieces."""
 
 import json
+import os
 from pathlib import Path
 
 from _report import code
@@ -17,13 +18,15 @@ def note(path):
     return now["commit"]
 
 
-def noted(path, commits):
-    """Return the code at some commits, as it was kept beside a file of results.
+def noted(paths, commits):
+    """Return the code at some commits, as it was kept beside files of results.
 
     A commit with changes that were not committed may stand for several states.
     """
-    kept = _lines(Path(f"{path}.code"))
-    found = [one for one in kept if one["commit"] in commits]
+    found = []
+    for path in paths:
+        kept = _lines(Path(f"{path}.code"))
+        found += [one for one in kept if one["commit"] in commits and one not in found]
     there = {one["commit"] for one in found}
     found += [{**UNKNOWN, "commit": c} for c in commits if c and c not in there]
     return found + ([UNKNOWN] if None in commits else [])
@@ -48,8 +51,10 @@ class Ledger:
 
     Parameters
     ----------
-    path : str, os.PathLike or None
-        File; what it holds already is not made again. None keeps results in memory.
+    path : str, os.PathLike, sequence of these or None
+        File; what it holds already is not made again. Of several the first is written
+        to and the others are only read, so that processes can share a study, each with
+        a file of its own. None keeps results in memory.
     keys : sequence of str
         Fields that tell one result from another.
 
@@ -60,9 +65,14 @@ class Ledger:
     """
 
     def __init__(self, path, keys):
-        self.path = None if path is None else Path(path)
+        if path is None or isinstance(path, str | os.PathLike):
+            path = [] if path is None else [path]
+        self.paths = [Path(one) for one in path]
+        self.path = self.paths[0] if self.paths else None
         self.keys = tuple(keys)
         self.results = [] if self.path is None else _lines(self.path)
+        for other in self.paths[1:]:
+            self.results += self.missing(_lines(other))
 
     def key(self, result):
         """Key of a result, a tuple."""
@@ -94,7 +104,7 @@ class Ledger:
         if self.path is None:
             return [code()]
         made = self.results if tasks is None else self.of(tasks)
-        return noted(self.path, list(dict.fromkeys(r.get("commit") for r in made)))
+        return noted(self.paths, list(dict.fromkeys(r.get("commit") for r in made)))
 
 
 def _frozen(value):

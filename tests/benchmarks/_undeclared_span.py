@@ -26,7 +26,7 @@ class DeclaredSpan:
         self.rows_ = np.arange(0, n, max(1, n // 2500))
         self.torque_noise = torque_noise
         q, v, a = np.split(states[self.rows_], 3, axis=1)
-        shapes = friction_shapes(declared, v, length_units(model))
+        shapes = friction_shapes(declared, v, length_units(model), a)
         blocks = [shape[:, :, None] * np.eye(nv) for shape in shapes.values()]
         Phi = np.concatenate([regressor(model, q, v, a), *blocks], axis=2)
         Phi = (Phi / torque_noise[:, None]).reshape(-1, Phi.shape[2])
@@ -60,7 +60,12 @@ class DeclaredSpan:
         return x - basis @ (basis.T @ x)
 
 
-def friction_shapes(declared, v, unit):
-    """Columns of the declared friction, each (n, nv), as they are in the torque."""
-    shapes = {"viscous": v, "coulomb": np.tanh(v / (STEEP * unit))}
+def friction_shapes(declared, v, unit, a=None):
+    """Columns of the declared terms, each (n, nv), as they are in the torque."""
+    shapes = {
+        "viscous": v,
+        "coulomb": np.tanh(v / (STEEP * unit)),
+        "offset": np.ones_like(v),
+        "rotor_inertia": a,
+    }
     return {name: shapes[name] for name in declared}

@@ -296,7 +296,7 @@ def states(results, path):
         for entry in done.values()
         if "skipped" not in entry
     ]
-    return noted(path, list(dict.fromkeys(made)))
+    return noted([path], list(dict.fromkeys(made)))
 
 
 if __name__ == "__main__":

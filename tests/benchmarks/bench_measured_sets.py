@@ -33,6 +33,7 @@ import warnings
 
 import numpy as np
 from _ledger import Ledger
+from _perhaps import undecided
 from _report import fixed, parser, publish, rst_table
 from sklearn.base import clone
 
@@ -202,6 +203,7 @@ def judge_set(q, tau, groups, identifier, names=tuple(RIVALS), **settings):
             if (result := by_name.get(RIVALS[name])) and result.message
         },
         "effects": [[e.name, e.joint] for e in loop.effects_],
+        "perhaps": [[e.name, e.joint] for e in undecided(loop)],
         "cutoff": float(base.cutoff_),
         "seconds": seconds,
     }
@@ -279,7 +281,10 @@ def report(results):
         [
             r["set"],
             f"{r['cutoff']:.3g}",
-            ", ".join(f"{n} {j + 1}" for n, j in r["effects"]) or "nothing",
+            *(
+                ", ".join(f"{n} {j + 1}" for n, j in r.get(what, ())) or "nothing"
+                for what in ("effects", "perhaps")
+            ),
             f"{r['seconds']:.0f}",
         ]
         for r in results
@@ -297,7 +302,9 @@ def report(results):
         *_ahead(results, names, means),
         rst_table(joints, ["set", "method", "each joint [%]"], n_labels=3),
         rst_table(
-            found, ["set", "cut-off [Hz]", "found, joint from 1", "s"], n_labels=1
+            found,
+            ["set", "cut-off [Hz]", "found, joint from 1", "perhaps", "s"],
+            n_labels=1,
         ),
         *failures,
     ]

@@ -12,6 +12,7 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
+from _perhaps import undecided
 from _protocol_sets import PAIRED_SETS, STAGES, pairs
 from _report import fixed, parser, publish, rst_table, rst_title
 from sklearn.base import clone
@@ -71,6 +72,8 @@ class Verdict:
         Shares of the judged range of torque and of speed that were fitted.
     effects : tuple of str
         What was found.
+    perhaps : tuple of str
+        What was left open.
     seconds : float
         Time of the search.
     """
@@ -84,6 +87,7 @@ class Verdict:
     width: np.ndarray
     overlap: np.ndarray
     effects: tuple
+    perhaps: tuple
     seconds: float
 
     @property
@@ -172,6 +176,7 @@ def judge(recording, identifier, scale, label, fitted, judged, **settings):
         width=_divide(intervals["after"][1], intervals["after"][0]),
         overlap=scale.overlap(fitted, judged),
         effects=tuple(f"{e.name} {e.joint + 1}" for e in loop.effects_),
+        perhaps=tuple(f"{e.name} {e.joint + 1}" for e in undecided(loop)),
         seconds=seconds,
     )
 
@@ -320,7 +325,9 @@ def section(name, recording, scale, verdicts, failed, friction=None):
         f"Not counted, range not fitted: {', '.join(out) or 'none'}.",
         *[f"Failed: {message}" for message in failed],
         "\n".join(
-            f"- {v.judged}: {', '.join(v.effects) or 'nothing'} ({v.seconds:.0f} s)"
+            f"- {v.judged}: {', '.join(v.effects) or 'nothing'}"
+            + (f"; perhaps {', '.join(v.perhaps)}" if v.perhaps else "")
+            + f" ({v.seconds:.0f} s)"
             for v in verdicts
         ),
     ]

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import _report
 import numpy as np
@@ -41,6 +42,7 @@ def residuals(scale, index, tau):
         "interval_coverage",
         "iterations",
         "kernels",
+        "leave_one_set_out",
         "likelihood",
         "loop_time",
         "measured_robots",
@@ -490,36 +492,76 @@ def test_false_alarms_compares_two_versions(tmp_path, monkeypatch):
 
     monkeypatch.setattr(bench, "RESIDUALS", {"white": bench.white})
     path = tmp_path / "verdicts.jsonl"
-    made = bench.study(1, 3, results=path, durations=(40.0,))
+    asked = {"residuals": ["white"], "joints": (1,)}
+    made = bench.study(1, 2, results=path, **asked)
     assert bench.read(path) == made
     # What is on file is not made again.
-    assert bench.study(1, 3, results=path, durations=(40.0,)) == made
+    assert bench.study(1, 2, results=path, **asked) == made
+    assert bench.study(1, 2, results=[tmp_path / "other.jsonl", path], **asked) == made
     null, effect = made
-    assert null["names"] == []
+    assert null["names"] == null["perhaps"] == []
     assert effect["truth"][0] == "viscous_quadratic"
     assert effect["found"]
-    old = [dict(null, names=["offset"]), dict(effect, found=False)]
+    assert [(e["joint"], e["right"]) for e in effect["names"]] == [(0, True)]
+    wrong = {"name": "ripple", "joint": 0, "probability": 0.7, "right": False}
+    old = [dict(null, names=[wrong]), dict(effect, found=False)]
     for row in bench.rows(made, old):
-        assert row[1:] == [1, "0.0", "100.0", 1, "100.0", 1, "0.0", "100.0"]
+        assert row[2:6] == [1, "0.0", "0.0", "100.0"]
+        assert row[6:] == [1, "100.0", "100.0", 1, "0.0", "100.0"]
     used = [row for row in bench.by_kind(made, old) if row[1]]
     assert used == [["viscous_quadratic", 1, "100.0", "0.0", "100.0"]]
+    failed = dict(null, seed=3, error="ValueError: too short")
+    text = bench.report([dict(null, perhaps=[wrong]), effect, failed])
+    cells = [line.split() for line in text.splitlines()]
+    assert ["perhaps,", "0.7", "to", "0.8", "1", "70", "0"] in cells
+    assert "Ended in an error: white, 40 s, seed 3, null: ValueError" in text
+    # it does not count as a recording without a name
+    assert bench.rows([null, failed])[0][2] == 1
 
 
-@pytest.mark.parametrize("duration", [40.0, 120.0])
-def test_residuals_of_false_alarms_are_what_they_say(duration):
+def test_false_alarms_of_six_joints(monkeypatch):
+    pytest.importorskip("pinocchio")
+    import bench_false_alarms as bench
+    from _undeclared_span import DeclaredSpan
+
+    monkeypatch.setitem(bench.DURATIONS, 6, 20.0)
+    null = bench.recording("white", 6, 0, False)
+    assert null.q.shape == null.tau.shape == (2000, 6)
+    made = bench.recording("white", 6, 0, True)
+    assert made.truth[0] == bench.KINDS[6][0]
+    added = made.tau - null.tau
+    assert np.flatnonzero(added.any(axis=0)).tolist() == [made.joint]
+    coarse = bench.recording(bench.COARSE, 6, 0, False).tau
+    for column in coarse.T:
+        steps = np.unique(np.diff(np.unique(column)).round(9))
+        np.testing.assert_allclose(steps / steps[0], np.round(steps / steps[0]))
+    rng = np.random.default_rng([0, 0, 20])
+    nominal, _, _, states, _, plain = bench.arm(6, rng)
+    span = DeclaredSpan(nominal, states, bench.PLAIN, plain.std(axis=0))
+    # nothing is missing, but for the sign of the speed, which turns at once
+    assert span.share(plain) < 0.05
+
+
+@pytest.mark.parametrize("joints", [1, 6])
+def test_residuals_of_false_alarms_are_what_they_say(joints):
     """Mean square one over many draws; correlation times of the AR(1) ones."""
+    pytest.importorskip("pinocchio")
     import bench_false_alarms as bench
 
+    dt = bench.DT[joints]
+    lag = round(0.5 / dt)
     for name, draw in bench.RESIDUALS.items():
         squares, lagged = [], []
         for seed in range(60):
             rng = np.random.default_rng(seed)
-            t = np.arange(0, duration, bench.DT)
-            v = np.sin(2.0 * t + rng.uniform(0, 6)) + np.sin(3.3 * t)
-            x = draw(t, v, rng)
+            t = np.arange(0, bench.DURATIONS[joints], dt)
+            phase = rng.uniform(0, 6)
+            q = -0.5 * np.cos(2.0 * t + phase) - np.cos(3.3 * t) / 3.3
+            v = np.sin(2.0 * t + phase) + np.sin(3.3 * t)
+            x = draw(bench.Seen(t, q, v, 1.0 + 3.0 * q), rng)
             assert x.shape == t.shape
             squares.append(np.mean(x**2))
-            lagged.append(np.mean(x[25:] * x[:-25]))
+            lagged.append(np.mean(x[lag:] * x[:-lag]))
         # Four standard errors; slow residuals scatter.
         error = 4 * np.std(squares) / np.sqrt(len(squares))
         assert np.mean(squares) == pytest.approx(1.0, abs=max(error, 0.02)), name
@@ -528,6 +570,27 @@ def test_residuals_of_false_alarms_are_what_they_say(duration):
             expected = np.exp(-0.5 / constant)
             error = 4 * np.std(lagged) / np.sqrt(len(lagged))
             assert np.mean(lagged) == pytest.approx(expected, abs=error), name
+
+
+def test_calibration_says_how_much_is_right():
+    from _perhaps import calibration, counts, stated, undecided
+
+    effects = [
+        SimpleNamespace(name="ripple", joint=0, probability=0.55),
+        SimpleNamespace(name="spring", joint=1, probability=0.59),
+        SimpleNamespace(name="spring", joint=0),
+    ]
+    loop = SimpleNamespace(perhaps_=effects)
+    perhaps = stated(undecided(loop), wrong=[("spring", 1)])
+    assert [e["right"] for e in perhaps] == [True, False, True]
+    assert undecided(SimpleNamespace()) == ()
+    made = {"perhaps": perhaps}
+    assert counts([made, {}]) == ["2", "1"]
+    cells = [line.split() for line in calibration([made]).splitlines()]
+    assert ["perhaps,", "0.5", "to", "0.6", "2", "57", "50"] in cells
+    assert ["perhaps,", "0.6", "to", "0.7", "0", "–", "–"] in cells
+    assert ["perhaps,", "not", "stated", "1", "–", "100"] in cells
+    assert ["named", "0", "–", "–"] in cells
 
 
 def test_interval_coverage_at_small_size():

@@ -96,6 +96,11 @@ def test_one_effect_is_found_and_the_table_counts_it():
         task, {"robot": "demo", **SHORT}, effects=["ripple"], max_effects=1
     )
     assert result["named"] == [True]
+    assert [e["right"] for e in result["names"]] == [True]
+    assert result["perhaps"] == []
+    result["perhaps"] = [
+        {"name": "spring", "joint": 0, "probability": 0.85, "right": False}
+    ]
     hidden = {**task, "seed": 1, "visible": False, "truth": [["ripple", 0, 0.1]]}
     nothing = {"study": "none", "visible": True, "extra": [["spring", 1]]}
     nothing |= {"kinds": [], "sizes": [], "seed": 0}
@@ -103,4 +108,9 @@ def test_one_effect_is_found_and_the_table_counts_it():
     assert "1 of 1" in text
     assert "0 %" in text.split("Several, and none")[1]
     assert "not of this size" in bench.line(hidden)
+    assert "; perhaps spring 1;" in bench.line(result)
     assert "named; found ripple" in bench.line(result)
+    cells = [row.split() for row in text.splitlines()]
+    # one case named, also counting what is perhaps, which is wrong
+    assert next(row for row in cells if row[:1] == ["6"])[-4:] == ["1", "0", "1", "1"]
+    assert ["perhaps,", "0.8", "to", "0.9", "1", "85", "0"] in cells

@@ -11,6 +11,7 @@ from sklearn_vbjfa.diagnosis.displays._parameters import ParameterDisplay
 from sklearn_vbjfa.diagnosis.displays._residuals import ResidualDisplay
 from sklearn_vbjfa.diagnosis.displays._simulation import SimulationDisplay
 from sklearn_vbjfa.diagnosis.report._report import Report
+from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.robot._windows import (
     FailedWindow,
     SimulatedWindows,
@@ -26,6 +27,7 @@ __all__ = [
     "Report",
     "ResidualAnalysis",
     "ResidualDisplay",
+    "SearchSettings",
     "SimulatedWindows",
     "SimulationDisplay",
     "analyse_residuals",

@@ -12,8 +12,9 @@ from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
 from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, added_effects
 from sklearn_vbjfa.diagnosis.search._judgement import Models, judge
 from sklearn_vbjfa.diagnosis.search._outcome import make_outcome
-from sklearn_vbjfa.diagnosis.search._search import EffectSearch
-from sklearn_vbjfa.diagnosis.search._shapes import tuned_on
+from sklearn_vbjfa.diagnosis.search._path import tuned_on
+from sklearn_vbjfa.diagnosis.search._posterior import search
+from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.diagnosis.search._split import split_in_time
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect, TorqueGain, resolve
@@ -32,6 +33,7 @@ from sklearn_vbjfa.robot._identifier import (
     RecordingRegressorMixin,
     RobotIdentifier,
     asked_again,
+    linear_part,
     tell_spreads,
 )
 from sklearn_vbjfa.robot._plan import check_effects
@@ -231,6 +233,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         test_size=0.25,
         alpha=0.05,
         max_effects=None,
+        settings=None,
         ceiling=True,
         random_state=None,
         verbose=False,
@@ -240,6 +243,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.test_size = test_size
         self.alpha = alpha
         self.max_effects = max_effects
+        self.settings = settings
         self.ceiling = ceiling
         self.random_state = random_state
         self.verbose = verbose
@@ -347,6 +351,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             raise ValueError(
                 f"max_effects must be a non-negative integer or None; got {limit!r}."
             )
+        if not (self.settings is None or isinstance(self.settings, SearchSettings)):
+            raise ValueError(
+                "settings must be SearchSettings or None, which takes the defaults; "
+                f"got {type(self.settings).__name__}."
+            )
         library = resolve(self.effects)
         if self.identifier.gains is not None:
             # They are declared on every channel.
@@ -382,27 +391,26 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _search(self, part, silent, origin, begins, library, say):
         """Search the robot, or its branches one by one where there are many joints."""
-        settings = {
-            "library": library,
-            "alpha": float(self.alpha),
-            "max_effects": self.max_effects,
-            "on_progress": say,
-        }
+        settings = SearchSettings() if self.settings is None else self.settings
         view = RecordingView(self.plain_, part, silent, origin, begins)
         branches = branches_of(self.plain_, library, self.max_effects)
         if len(branches) == 1:
-            return EffectSearch(view=view, **settings).run()
+            return search(view, library, settings, self.alpha, self.max_effects, say)
         heard = [b for b in branches if view.precision[b.joints].any()]
-        # One false alarm in 1 / alpha recordings is meant for all branches together.
-        settings["alpha"] /= max(len(heard), 1)
+        # As many effects are expected of all branches together as of one robot.
+        share = replace(settings, expected=settings.expected / max(len(heard), 1))
         found = []
         for branch in heard:
             own = branch.recording(part)
             plain = _fitted(branch.identifier(self.plain_), own)
             mute = branch.local(silent)
             alone = RecordingView(plain, own, mute, origin, begins)
-            found.append(EffectSearch(view=alone, **settings).run())
-        return put_together(view, library, heard, found, float(self.alpha))
+            found.append(search(alone, library, share, self.alpha, on_progress=say))
+        if not found:
+            return search(view, (), settings, self.alpha)
+        theta = self.plain_.theta_unconstrained_
+        motion = view.motion_of(linear_part(self.plain_, theta))
+        return put_together(view, motion, heard, found)
 
     def _with_plain_terms(self):
         """Return the declared model with the four plain terms, not fitted."""
@@ -426,7 +434,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if isinstance(self.identifier.standstill, str):
             band["standstill"] = self.judged_.standstill_
         view = RecordingView(self.plain_, whole, silent)
-        effects = tuned_on(view, found.effects)
+        effects = tuned_on(view, found.effects, found.settings)
         self.identifier_ = _fitted(self._with(effects).set_params(**band), whole)
         effects = added_effects(self.identifier_, len(effects))
         final = FinalFit(self.plain_, self.identifier_, view, effects)
@@ -435,7 +443,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _set(self, outcome):
         """Set the results and the report."""
-        self.effects_, self.rounds_ = outcome.effects, outcome.rounds
+        self.effects_, self.perhaps_ = outcome.effects, outcome.perhaps
+        self.rounds_ = outcome.rounds
         self.added_ = outcome.added
         self.error_before_ = outcome.error_before
         self.error_plain_ = outcome.error_plain

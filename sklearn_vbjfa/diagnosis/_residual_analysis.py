@@ -10,7 +10,7 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import text_table
 from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
 from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
-from sklearn_vbjfa.diagnosis.search._regression import BlockRegression
+from sklearn_vbjfa.diagnosis.search._held_out import held_out_rows
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording._recording import check_clock, take_arrays
 from sklearn_vbjfa.recording._signals import check_given, check_useful
@@ -164,15 +164,14 @@ def analyse_residuals(
     )
     check_useful(recording.signals, recording)
     view = RecordingView(identifier, recording)
-    base = BlockRegression(view.Z, view.target, view.precision, view.blocks)
-    return _collect(identifier, view, base)
+    return _collect(identifier, view, *held_out_rows(view))
 
 
-def _collect(identifier, view, base):
+def _collect(identifier, view, residual, theta):
     root, weight = view.root, view.equations.weight
-    residual = (base.residuals() / np.where(root.T > 0, root.T, np.inf)).T
+    residual = (residual / np.where(root.T > 0, root.T, np.inf)).T
     names = identifier.joint_names_
-    motion = view.motion(base.theta)
+    motion = view.motion(theta)
     signals = motion_signals(motion, names)
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
     torque = view.equations.tau

@@ -158,7 +158,9 @@ def remedies(outcome):
         for one in own:
             joint = words.joint_label(outcome.joint_names, one.joint)
             told.append(Remedy(name=name, joint=one.joint, text=text(one, joint)))
-    return tuple(told)
+    # Nobody mends a robot on a perhaps.
+    open_ = {(one.name, one.joint) for one in outcome.perhaps}
+    return tuple(one for one in told if (one.name, one.joint) not in open_)
 
 
 def _level(tilt):

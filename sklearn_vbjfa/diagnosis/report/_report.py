@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.report._sections import sections
 from sklearn_vbjfa.diagnosis.report._verdict import judge
 
 # Changes when keys of `to_dict` do.
-SCHEMA_VERSION = 7
+SCHEMA_VERSION = 8
 # Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
 _NOT_DATA = ("curves", "library")
 
@@ -96,9 +96,11 @@ class Report:
         for field in dataclasses.fields(self.outcome):
             if field.name not in _NOT_DATA:
                 data[field.name] = _json(getattr(self.outcome, field.name))
-        for told, effect in zip(data["effects"], self.outcome.effects):
-            if _plain.in_model(self.outcome, effect):
-                told["plain"] = _json(_plain.plain_values(effect))
+        for key in ("effects", "perhaps"):
+            for told, effect in zip(data[key], getattr(self.outcome, key)):
+                told |= {"log_odds": effect.log_odds, "probability": effect.probability}
+                if _plain.in_model(self.outcome, effect):
+                    told["plain"] = _json(_plain.plain_values(effect))
         return data
 
     def to_markdown(self):

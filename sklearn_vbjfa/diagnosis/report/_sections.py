@@ -27,11 +27,10 @@ from sklearn_vbjfa.diagnosis.report._pictures import (
     time_axis,
 )
 from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
+from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED
 
 # Entries of a list that a terminal shows as sentences; each further one is a row.
 _SENTENCES = 6
-# Candidates of a step that are listed; to_dict() has all.
-_TRIED = 8
 # Bars end at this many times the error of the middle joint, or one would flatten all.
 _FAR = 8.0
 _COLOURS = {
@@ -47,9 +46,7 @@ _JOINT_COLOURS = {"floor": "good", "worse": "bad", "failed": "bad", "no data": "
 _ACTIONS = {
     "add": "added",
     "replace": "replaced",
-    "drop": "dropped as superfluous",
-    "refuse": "refused: does not hold on later data",
-    "withdraw": "withdrawn: does harm on motion that it was not fitted to",
+    "drop": "dropped: improbable beside the others",
 }
 
 
@@ -377,9 +374,9 @@ def _effects(outcome, verdict):
         else:
             parameters = words.parameter_text(e)
             first = ", ".join([f"{joint}: {label}", *parameters])
-        gain, p = words.whole_percent(e.evidence.gain), e.evidence.p_value
+        gain, odds = words.whole_percent(e.evidence.gain), words.odds_text(e.log_odds)
         rivals = [words.other_label(outcome, rival, e.name) for rival in e.rivals]
-        evidence = f"saves {gain}, {words.p_text(p)}"
+        evidence = f"saves {gain}, odds {odds}"
         told = [f"- {first}", evidence]
         if rivals:
             told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
@@ -391,14 +388,38 @@ def _effects(outcome, verdict):
         cannot = words.join(rivals, len(rivals), "or")
         known = filter(None, [ranges.known_for(outcome, e), afterwards])
         cell = (*parameters, *known)
-        rows.append((joint, label, cell, gain, words.p_cell(p), cannot))
-    heads = ("joint", "effect", "parameters (90 %)", "squared error saved", "p")
+        rows.append((joint, label, cell, gain, odds, cannot))
+    heads = ("joint", "effect", "parameters (90 %)", "squared error saved", "odds")
     shown = _evidence.anchors(outcome)
     links = tuple(f"#{anchor}" if anchor else "" for anchor in shown)
     return Section(
         heading="Effects that were missing",
         table=_table((*heads, "cannot be told from"), rows, links=links),
         terminal=_terminal(sentences, short),
+    )
+
+
+def _perhaps(outcome, verdict):
+    """Say what is more probable than not and has no name."""
+    rows, told = [], []
+    for e in outcome.perhaps:
+        joint = words.place_label(outcome, e.name, e.joint)
+        label = words.effect_label(outcome, e.name, e.parameters)
+        probability = words.probability_text(e.probability)
+        rivals = [words.other_label(outcome, rival, e.name) for rival in e.rivals]
+        cell = tuple(words.parameter_text(e))
+        cannot = words.join(rivals, len(rivals), "or")
+        rows.append((joint, label, cell, probability, e.doubt, cannot))
+        why = "" if e.doubt == UNDECIDED else f"; {e.doubt}"
+        told.append(f"- {joint}: {label}, probability {probability}{why}")
+    heads = ("joint", "effect", "parameters (90 %)", "probability", "why no name")
+    return Section(
+        heading="Perhaps",
+        table=_table((*heads, "cannot be told from"), rows),
+        note="Part of the completed model: leaving them out would predict no better."
+        if rows
+        else "",
+        terminal=tuple(told),
     )
 
 
@@ -712,76 +733,31 @@ def _residuals(outcome, verdict):
 
 
 def _steps(outcome, verdict):
-    rows, details = [], []
+    rows = []
     for i, step in enumerate(outcome.rounds, 1):
-        robot = words.place_label(outcome, step.name, step.joint) == "robot"
+        j = step.joint
+        robot = words.place_label(outcome, step.name, j) == "robot"
         action = _ACTIONS.get(step.action, step.action)
         if step.replaced:
             action = f"replaced {words.effect_label(outcome, step.replaced)}"
-        j, evidence = step.joint, step.evidence
         rivals = [
             words.effect_at(outcome, t.name, t.joint, t.shape)
             if robot or t.joint != j
             else words.effect_label(outcome, t.name, t.shape)
             for t in step.rivals
         ]
-        before, after = step.error_before[j], step.error_after[j]
         rows.append(
             (
                 str(i),
                 words.place_label(outcome, step.name, j),
                 words.effect_label(outcome, step.name, step.shape),
                 action,
-                words.whole_percent(evidence.gain),
-                words.p_cell(evidence.p_value),
-                _rule(step),
-                f"{words.whole_percent(evidence.helped)} of {evidence.n_blocks}",
-                f"{words.bare_percent(before)} to {words.bare_percent(after)} %",
+                words.odds_text(step.log_odds),
                 words.join(rivals, 4),
             )
         )
-        tried = [
-            f"{words.effect_label(outcome, t.name, t.shape)}: "
-            f"{words.whole_percent(t.evidence.gain)}"
-            for t in step.tried
-        ]
-        more = [f"{len(tried) - _TRIED} more"] if len(tried) > _TRIED else []
-        details.append((*tried[:_TRIED], *more))
-    heads = ("no.", "joint", "effect", "step", "saved", "p", "rule", "blocks helped")
-    heads += ("error in the search part", "rivals")
-    undone = _undone(outcome)
-    return Section(
-        heading="Steps of the search",
-        sentences=undone,
-        table=_table(heads, rows, details=tuple(details)),
-        terminal=undone,
-    )
-
-
-def _undone(outcome):
-    """Name the steps that were taken back, in a sentence for each reason."""
-    found = []
-    for action, what in (
-        ("refuse", "Refused, as it did not hold on later data"),
-        ("drop", "Dropped as superfluous"),
-        ("withdraw", "Withdrawn, as it did harm on motion that it was not fitted to"),
-    ):
-        own = dict.fromkeys(
-            words.effect_at(outcome, r.name, r.joint, r.shape)
-            for r in outcome.rounds
-            if r.action == action
-        )
-        if own:
-            found.append(f"{what}: {words.join(own, 3)}.")
-    return tuple(found)
-
-
-def _rule(step):
-    """Say by which rule a step was taken, with the level that applied."""
-    if not math.isfinite(step.level):
-        return step.rule
-    tests = f", {step.n_tests} tests" if step.n_tests > 1 else ""
-    return f"{step.rule} (p < {words.number(step.level, 2)}{tests})"
+    heads = ("no.", "joint", "effect", "step", "odds", "rivals")
+    return Section(heading="Steps of the search", table=_table(heads, rows))
 
 
 # -- settings ---------------------------------------------------------------------
@@ -852,18 +828,18 @@ def _split(settings):
 
 
 def _named(settings):
-    """Say what it takes to be named, with the level of the round that came last."""
-    if "rule" not in settings:
+    """Say what it takes to be named."""
+    if "search" not in settings:
         return ""
-    text = f"Named: {settings['rule']}, alpha {words.number(settings.get('alpha'))}"
-    level, count = settings.get("last_level"), settings.get("last_n_tests")
-    if level and count:
-        tests = words.plural(count, "test")
-        text += f" (last round: p < {words.number(level, 2)}, {tests})"
-    gain = words.whole_percent(settings.get("smallest_gain"))
+    own = settings["search"]
+    sure = words.whole_percent(1.0 - settings["alpha"])
+    worth = words.whole_percent(own["worth"])
+    candidates = words.plural(settings["n_candidates"], "candidate")
     return (
-        f"{text}; saves >= {gain} of squared error; unexplained: > {ABOVE_FLOOR[0]} x "
-        "floor."
+        f"Named: probability of {sure} or more among {candidates}, of which "
+        f"{words.number(own['expected'])} is expected before looking; saves >= {worth} "
+        "of squared error on stretches that were not fitted, beyond chance; "
+        f"unexplained: > {ABOVE_FLOOR[0]} x floor."
     )
 
 
@@ -900,6 +876,7 @@ SECTIONS = (
     _recordings,
     _projection,
     _effects,
+    _perhaps,
     _effect_pictures,
     _corrections,
     _outside,

@@ -15,6 +15,10 @@ _RECORD_SIGNAL = {
 _TINY = 1e-12
 
 
+# Logarithm of the odds of a million to one.
+_SURE = math.log(1e6)
+
+
 def joint_label(names, joint):
     """Name of a joint for a sentence: its own if that is one, else counted from 1."""
     name = " ".join(names[joint].split()) if joint < len(names) else ""
@@ -158,9 +162,19 @@ def p_text(value):
     return f"p = {number(value, 1 if value < 0.01 else 2)}"
 
 
-def p_cell(value):
-    """Write a p-value for a table that says p above."""
-    return p_text(value).removeprefix("p = ").removeprefix("p ")
+def odds_text(log_odds):
+    """Write odds for or against, by their logarithm: "350 : 1"."""
+    if not math.isfinite(log_odds):
+        return "unknown"
+    if abs(log_odds) > _SURE:
+        return "> 1e6 : 1" if log_odds > 0 else "< 1 : 1e6"
+    odds = f"{number(math.exp(abs(log_odds)), 2)}"
+    return f"{odds} : 1" if log_odds >= 0 else f"1 : {odds}"
+
+
+def probability_text(value):
+    """Write a probability in whole per cent, never as certain."""
+    return f"{min(max(round(100 * value), 1), 99)} %"
 
 
 def with_error(value, interval=None, unit=""):

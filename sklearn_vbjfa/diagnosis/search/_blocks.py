@@ -14,6 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.robot._joint_moments import Numbering
+
 # Most lags; about as many as Schwert's rule gives, which grows with n^(1/4).
 _LAGS = 10.0
 # Rows that a coefficient is to be estimated from, at the least.
@@ -241,16 +243,6 @@ class Blocks:
         """Rows of each fold, list of ndarray."""
         return [np.flatnonzero(self.fold == k) for k in range(self.n_folds)]
 
-    def divided(self, least):
-        """Return blocks cut into pieces that are not shorter than a time [s]."""
-        pieces = max(1, int(self.length / least))
-        count = np.bincount(self.label)
-        first = np.r_[0, np.cumsum(count)[:-1]]
-        place = np.arange(self.label.size) - first[self.label]
-        piece = place * pieces // count[self.label]
-        _, label = np.unique(self.label * pieces + piece, return_inverse=True)
-        return Blocks(label=label, fold=self.fold, length=self.length / pieces)
-
     def sums(self, values):
         """Sum rows (m, ...) over each block."""
         starts = np.r_[0, np.flatnonzero(np.diff(self.label)) + 1]
@@ -311,3 +303,14 @@ def make_blocks(time, starts, correlation, filter_length, order=None):
         fold=place[label] % min(_FOLDS, n_blocks),
         length=total / max(n_blocks, 1),
     )
+
+
+def blocks_of_time(view):
+    """Yield the rows of each block of a view, a slice, and its place (recording, k)."""
+    edges = [*view.starts.tolist(), view.index.size]
+    numbering = Numbering.of(np.diff(edges).tolist())
+    for number, (first, last) in enumerate(itertools.pairwise(edges)):
+        places, starts = numbering.parts(number, slice(0, last - first))
+        begins = [*(first + starts), last]
+        for place, (begin, end) in zip(places, itertools.pairwise(begins)):
+            yield slice(begin, end), place

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._model import SearchModel
-from sklearn_vbjfa.diagnosis.search._search import Found
+from sklearn_vbjfa.diagnosis.search._found import Found, FoundModel
 from sklearn_vbjfa.model._loading import import_pinocchio
 
 # A robot of up to this many joints is searched as a whole, in which an effect may join
@@ -140,70 +139,62 @@ def _alone(model, joints):
     return alone
 
 
-def put_together(view, library, branches, found, alpha):
+def put_together(view, motion, branches, found):
     """Put what was `Found` on the branches of a robot together.
 
     Parameters
     ----------
     view : RecordingView
-        The recording of the whole robot, with the declared model.
-    library : tuple of Effect
-        Effects that were searched.
+        The recording of the whole robot, with the four plain terms.
+    motion : Motion
+        Its signals, with the load of that model.
     branches : list of Branch
         Branches that were searched.
     found : list of Found
-        What was found on each, with its share of the level of significance.
-    alpha : float
-        Level of significance of the whole robot.
+        What was found on each.
 
     Returns
     -------
     Found
         Steps in the order of the branches, effects numbered by the robot's joints.
     """
-    effects, evidence, steps = [], [], []
-    squares = SearchModel.of(view).squares.sum(axis=0)
+    findings, steps = [], []
+    residual = np.zeros_like(view.target)
     for branch, own in zip(branches, found):
-        for effect, case in zip(map(branch.on_robot, own.effects), own.evidence):
-            # What belongs to the whole robot several branches may have found.
-            if effect.key() not in {one.key() for one in effects}:
-                effects.append(effect)
-                evidence.append(case)
-        for step in own.steps:
-            steps.append(_step_on_robot(step, branch, squares))
-        squares = _with_own(squares, branch, own.model.squares.sum(axis=0))
+        residual[branch.joints] = own.model.residual
+        steps += [_on_robot(step, branch) for step in own.steps]
+        known = {one.effect.key() for one in findings}
+        # What belongs to the whole robot several branches may have found.
+        findings += [
+            one
+            for one in (_on_robot(finding, branch) for finding in own.findings)
+            if one.effect.key() not in known
+        ]
+    findings.sort(key=lambda one: bool(one.doubt))
+    first = found[0]
     return Found(
-        model=SearchModel.of(view, effects, SearchModel.of(view)),
-        evidence=tuple(evidence),
+        model=FoundModel(
+            view=view,
+            effects=tuple(finding.effect for finding in findings),
+            motion=motion,
+            residual=residual,
+        ),
+        findings=tuple(findings),
         steps=tuple(steps),
-        threshold=min((own.threshold for own in found), default=alpha),
-        n_tests=sum(own.n_tests for own in found),
-        library=library,
+        n_candidates=sum(own.n_candidates for own in found),
+        needed=first.needed,
+        settings=first.settings,
+        library=first.library,
         branches=tuple(zip(branches, found)),
     )
 
 
-def _step_on_robot(step, branch, squares):
-    """Return a step on a branch as one on the robot, where the rest has squares."""
-    candidates = {
-        name: tuple(
-            replace(one, effect=branch.on_robot(one.effect))
-            for one in getattr(step, name)
-        )
-        for name in ("rivals", "tried")
-    }
-    return replace(
-        step,
-        effect=branch.on_robot(step.effect),
-        replaced=branch.on_robot(step.replaced),
-        squares_before=_with_own(squares, branch, step.squares_before),
-        squares_after=_with_own(squares, branch, step.squares_after),
-        **candidates,
+def _on_robot(told, branch):
+    """Return a step or a finding on a branch as one on the robot."""
+    moved = {"effect": branch.on_robot(told.effect)}
+    if hasattr(told, "replaced"):
+        moved["replaced"] = branch.on_robot(told.replaced)
+    moved["rivals"] = tuple(
+        replace(one, effect=branch.on_robot(one.effect)) for one in told.rivals
     )
-
-
-def _with_own(squares, branch, own):
-    """Put sums of squares of a branch into those (nv,) of the robot."""
-    squares = squares.copy()
-    squares[branch.joints] = own
-    return squares
+    return replace(told, **moved)

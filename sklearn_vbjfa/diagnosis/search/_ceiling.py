@@ -54,7 +54,7 @@ def ceilings(model, joints, names, alpha, random_state=None):
 
     Parameters
     ----------
-    model : SearchModel
+    model : FoundModel
         What was found.
     joints : sequence of int
         Joints, from zero.
@@ -122,7 +122,7 @@ class Signals:
 
     @classmethod
     def of(cls, model):
-        """Take the signals of a `SearchModel`."""
+        """Take the signals of a `FoundModel`."""
         view, motion = model.view, model.motion
         robot = view.robot
         dt = robot.dt or 1.0

@@ -23,7 +23,7 @@ class Dependence:
         fitted to other blocks of time, explains.
     p_value : float
         From the blocks of time, in rows without what the residual remembers of its
-        past once the step function is taken off, see `Judge`.
+        past once the step function is taken off, see `Whitening`.
     """
 
     signal: str

@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_vbjfa.diagnosis.search._band import Band
 from sklearn_vbjfa.diagnosis.search._contradictions import Contradictions
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
-from sklearn_vbjfa.diagnosis.search._evidence import Evidence
+from sklearn_vbjfa.diagnosis.search._found import Evidence
 from sklearn_vbjfa.diagnosis.search._identified import ParameterValue, RecordedMotion
 from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
 from sklearn_vbjfa.effects import EffectRange
@@ -87,7 +87,8 @@ class DiscoveredEffect:
         not searched between the values of a grid has none, nor has what the recording
         does not excite, or an instant.
     evidence : Evidence
-        What leaving it out of the final model would cost, by blocks of time.
+        What speaks for it: its posterior odds beside the other effects, and what it
+        saves on stretches of time that were not fitted.
     rivals : tuple of str
         Other effects that this data cannot tell from it; another use of the same one
         with what sets it apart, such as "signal: voltage".
@@ -98,6 +99,8 @@ class DiscoveredEffect:
         that is handed over.
     afterwards : Afterwards or None
         What an effect of time is taken to do after the recording; None for others.
+    doubt : str
+        Why it is told as "perhaps" only; empty for one that has a name.
     """
 
     name: str
@@ -112,11 +115,22 @@ class DiscoveredEffect:
     scope: str = "joint"
     ranges: EffectRange | None = None
     afterwards: Afterwards | None = None
+    doubt: str = ""
+
+    @property
+    def log_odds(self):
+        """Logarithm of the posterior odds that the declared model lacked it [nats]."""
+        return self.evidence.log_odds
+
+    @property
+    def probability(self):
+        """Posterior probability that the declared model lacked it."""
+        return self.evidence.probability
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """A candidate of a round.
+    """What would have taken the place of an effect.
 
     Attributes
     ----------
@@ -126,25 +140,24 @@ class Trial:
         Joint, from zero.
     shape : dict
         Shape parameters of its best variant.
-    evidence : Evidence
-        Against the model of that round.
+    log_odds : float
+        Logarithm of the posterior odds in that place [nats].
     """
 
     name: str
     joint: int
     shape: dict
-    evidence: Evidence
+    log_odds: float
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True)
 class Round:
-    """One step of the search.
+    """One step of the path to the most probable model.
 
     Attributes
     ----------
-    action : {"add", "replace", "drop", "refuse", "withdraw"}
-        What was done; a refused candidate did not hold on later data, a withdrawn
-        effect did harm on motion that it was not fitted to.
+    action : {"add", "replace", "drop"}
+        What was done.
     name : str
         Effect.
     joint : int
@@ -155,22 +168,11 @@ class Round:
         Shape parameters.
     replaced : str
         What it replaced; empty otherwise.
-    evidence : Evidence
-        Why.
-    rule : str
-        By which rule the step was taken.
-    level : float
-        Level that the p-value had to be below (not below, for what was dropped or
-        refused); nan where no p-value decided.
-    n_tests : int
-        Tests among which `alpha` was shared out for it; 0 where no p-value decided.
+    log_odds : float
+        Logarithm of the posterior odds of the effect beside the others as they were
+        then [nats]: above zero for what came, below for what went.
     rivals : tuple of Trial
-        Candidates that the data could not tell from it.
-    tried : tuple of Trial
-        All significant candidates of the joint, best first.
-    error_before, error_after : ndarray of shape (nv,)
-        Out-of-sample error on the search part, root mean square over the standard
-        deviation of the torque.
+        What would have come in its place within the rivals' nats.
     """
 
     action: str
@@ -179,14 +181,8 @@ class Round:
     joint_name: str
     shape: dict
     replaced: str
-    evidence: Evidence
-    rule: str
-    level: float
-    n_tests: int
+    log_odds: float
     rivals: tuple
-    tried: tuple
-    error_before: object
-    error_after: object
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -292,9 +288,12 @@ class Outcome:
     declared : dict
         The declared model: robot, joints, friction, number of parameters, cut-off.
     effects : tuple of DiscoveredEffect
-        Accepted effects.
+        Effects that have a name.
+    perhaps : tuple of DiscoveredEffect
+        Effects that are more probable than not and have none; they are part of the
+        completed model.
     rounds : tuple of Round
-        Steps of the search.
+        The path of the search.
     unexplained : tuple of Unexplained
         Joints that stay above their noise floor.
     ceiling : tuple of Ceiling
@@ -372,6 +371,7 @@ class Outcome:
 
     declared: dict
     effects: tuple
+    perhaps: tuple
     rounds: tuple
     unexplained: tuple
     ceiling: tuple

@@ -1,22 +1,18 @@
 """What remains unexplained, and what the data cannot show."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
-from sklearn_vbjfa.diagnosis.search._classes import inseparable
 from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.search._findings import (
     Hidden,
     Unexplained,
     named_beside,
 )
-from sklearn_vbjfa.diagnosis.search._model import SearchModel
-from sklearn_vbjfa.diagnosis.search._regression import LEAST_RIDGE
-from sklearn_vbjfa.diagnosis.search._search import candidates_of
-from sklearn_vbjfa.diagnosis.search._values import shows
+from sklearn_vbjfa.diagnosis.search._found import Found
 from sklearn_vbjfa.effects._library import closure
 from sklearn_vbjfa.robot._equations import make_motion
 
@@ -27,14 +23,18 @@ ABOVE_FLOOR = (1.1, 1.5)
 # Share of a column's power outside the span of the others below which it cannot be
 # seen in this recording, and below which no motion can show it.
 _UNSEEN, _IN_SPAN = 1e-3, 1e-6
-# Among the fits beside which effects may show, that without a ridge worth the name.
-_BARE = "as it is"
+# Columns are equal if this share of what the model leaves of them is outside others.
+_EQUAL = 1e-3
+# Prior deviation, in torques of the joint, that leaves a coefficient free.
+_LOOSE = 1e4
+# Nats that a scale and a value of its own cost an effect.
+_OCCAM = 5.0
 
 
 def unexplained(model, names, spread, floors, errors):
     """Joints above their floor, with the signals that the rest varies with.
 
-    Of a `SearchModel`; spread and noise floors (nv,) in N m or N, nan where unknown,
+    Of a `FoundModel`; spread and noise floors (nv,) in N m or N, nan where unknown,
     and the errors on the untouched part over the spread, nan where there is none.
     """
     view = model.view
@@ -81,7 +81,7 @@ def too_short(model, seconds):
     blocks = model.view.blocks
     total = blocks.length * blocks.n_blocks
     for j, time in enumerate(seconds):
-        if model.precision[j] > 0 and FEWEST * time > total:
+        if model.view.precision[j] > 0 and FEWEST * time > total:
             yield j, float(time)
 
 
@@ -106,7 +106,7 @@ def _hidden(found, names):
     not_seen, in_model = [], []
     declared = {effect.key() for effect in model.view.robot.effects_}
     for j, name in enumerate(names):
-        if model.precision[j] == 0:
+        if model.view.precision[j] == 0:
             continue
         unseen = _Unseen.on(j, found)
         for effect in found.library:
@@ -133,7 +133,7 @@ def _hidden(found, names):
                     remedy=remedy,
                 )
             )
-    for one, other in inseparable(model, in_model):
+    for one, other in _inseparable(found, in_model):
         not_seen.append(
             Hidden(
                 name=one.name,
@@ -146,29 +146,46 @@ def _hidden(found, names):
     return tuple(sorted(not_seen, key=lambda one: one.joint))
 
 
+def _inseparable(found, effects):
+    """Pairs of effects in the model of which only one can be told from all else.
+
+    Nothing is left of the columns of the first beside those of the second, which comes
+    before it in precedence or in the list.
+    """
+    model = found.model
+    order = sorted(effects, key=lambda one: one.precedence)
+    families = [_family(model, one) for one in order]
+    for i, own in enumerate(families):
+        alone = model.fit.groups(own).H[0]
+        for other, before in zip(order[:i], families[:i]):
+            beside = model.fit.beside(before.member(0, _LOOSE)).groups(own).H[0]
+            if (np.diagonal(beside) <= _EQUAL * np.diagonal(alone)).all():
+                yield order[i], other
+                break
+
+
+def _family(model, effect):
+    """Family of an effect in the search's equations, None where nothing is to try."""
+    return model.fit.problem.family(effect, model.motion)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Unseen:
     """What may hide effects on a joint: the model, and plainer effects beside it.
 
     Attributes
     ----------
-    model : SearchModel
+    found : Found
         What was found.
     present : set of str
         Effects that the joint has, with what they contain.
     missing : tuple of Effect
         Those of the library that it lacks.
-    level : float
-        Of significance, in the last round of the search.
-    bases : dict
-        Fits with the plainer effects of some names, as far as they were made.
     """
 
-    model: SearchModel
+    found: Found
     present: set
     missing: tuple
-    level: float
-    bases: dict = field(default_factory=dict)
 
     @classmethod
     def on(cls, joint, found):
@@ -178,27 +195,35 @@ class _Unseen:
         present = set(model.view.declared).union(
             *({e.name} | closure(e, library) for e in held)
         )
-        own = candidates_of(joint, library, model)
-        missing = tuple(e for e in own if e.name not in present)
-        return cls(model=model, present=present, missing=missing, level=found.threshold)
+        own = [clone(effect).set_params(joint=joint) for effect in library]
+        missing = tuple(
+            e for e in own if e.name not in present and not e.applies(model.motion)
+        )
+        return cls(found=found, present=present, missing=missing)
 
     def hides(self, effect):
         """Whether no shape of an effect shows beside the plainer ones it contains."""
-        if effect.in_model:
-            if _BARE not in self.bases:
-                own = self.model.effects
-                self.bases[_BARE] = self.model.beside(own, LEAST_RIDGE)
-            return not shows(self.bases[_BARE], effect, self.level)
-        plain = [e for e in self.missing if e.name in effect.contains]
-        names = tuple(e.name for e in plain)
-        if names not in self.bases:
-            self.bases[names] = self.model.beside([*self.model.effects, *plain])
-        family = self.model.family(effect)
-        if not family.effects:
+        model = self.found.model
+        family = _family(model, effect)
+        if family is None:
             return False
-        joints = self.model.view.joints_of(effect)
-        outside = self.bases[names].fitted.outside(joints, family.columns)
-        return not outside.max() > _UNSEEN
+        if effect.in_model:
+            # At its largest plausible value it would not be named.
+            groups = model.fit.groups(family)
+            away = np.max(np.abs(np.array(effect.bounds()) - effect.idle), axis=0)
+            worth = 0.5 * np.diagonal(groups.H[0]) * away**2
+            needed = self.found.needed + np.log(max(self.found.n_candidates, 1))
+            return bool(not (worth > needed + _OCCAM).any())
+        fit = model.fit
+        for plain in self.missing:
+            if plain.name in effect.contains:
+                own = _family(model, plain)
+                if own is not None:
+                    fit = fit.beside(own.member(0, _LOOSE))
+        groups = fit.groups(family)
+        left = np.diagonal(groups.H, axis1=1, axis2=2)
+        share = left / np.where(groups.own > 0, groups.own, np.inf)
+        return not share.max() > _UNSEEN
 
 
 def _probe(model):
@@ -211,7 +236,7 @@ def _probe(model):
     # of the robot.
     scale = np.repeat([np.pi, 2.0, 10.0], nv)
     states = rng.uniform(-1, 1, size=(n, 3 * nv)) * scale
-    inertial = (view.back @ model.theta)[: features.n_parameters_]
+    inertial = (view.back @ model.fit.theta)[: features.n_parameters_]
     motion = make_motion(features, states, None, [slice(0, n)], inertial)
     # What corrects the robot already is fitted beside its parameters.
     found = [

@@ -8,7 +8,7 @@ from scipy import special
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._sandwich import block_variance
-from sklearn_vbjfa.diagnosis.search._values import blocks_of_time
+from sklearn_vbjfa.diagnosis.search._blocks import blocks_of_time
 from sklearn_vbjfa.robot._equations import held_columns, make_motion
 from sklearn_vbjfa.robot._identifier import linear_part, load_parameters
 from sklearn_vbjfa.robot._residuals import TorqueResiduals

@@ -1,5 +1,6 @@
 """Everything that a loop found out, collected for the report."""
 
+import dataclasses
 import platform
 
 import numpy as np
@@ -11,7 +12,6 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._ceiling import ceilings
 from sklearn_vbjfa.diagnosis.search._contradictions import contradictions
 from sklearn_vbjfa.diagnosis.search._drawn import effect_curves, time_line
-from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis.search._findings import (
     Afterwards,
     DiscoveredEffect,
@@ -27,7 +27,7 @@ from sklearn_vbjfa.diagnosis.search._identified import (
 )
 from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, quantile
 from sklearn_vbjfa.diagnosis.search._motion import motion_limits
-from sklearn_vbjfa.diagnosis.search._search import STEP_UP
+from sklearn_vbjfa.diagnosis.search._posterior import UNKNOWN, UNSURE
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
@@ -56,6 +56,7 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
         relative_floor = floor / spread
     rest = unexplained(search.model, names, spread, floor, decided)
     ceiling, maps = _ceiling(search.model, rest, names, asked)
+    effects = tuple(_effects(search, final, names, prismatic))
     return Outcome(
         declared={
             "robot": features.model_.name,
@@ -65,7 +66,8 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
             "cutoff": float(robot.cutoff_),
             "standstill": robot.standstill_.tolist(),
         },
-        effects=tuple(_effects(search, final, names, prismatic)),
+        effects=tuple(effect for effect in effects if not effect.doubt),
+        perhaps=tuple(effect for effect in effects if effect.doubt),
         rounds=tuple(_rounds(search, names)),
         unexplained=rest,
         ceiling=ceiling,
@@ -99,7 +101,7 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
         recordings=recordings,
         motion_limits=motion_limits(final.view),
         contradictions=contradictions(final, spread, float(asked["alpha"])),
-        curves=_curves(models.judged, final, judgement, maps),
+        curves=_curves(models.judged, final, judgement, maps, effects),
         outside=judgement.outside,
         gains=final.identifier.gains_,
         corrections=corrections_of(final.identifier),
@@ -119,17 +121,11 @@ def _noise_floor(final, judged):
 
 def _effects(search, final, names, prismatic):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""
-    rivals = {}
-    for step in search.steps:
-        if step.action not in {"drop", "withdraw"}:
-            told = (named_beside(c.effect, step.effect, names) for c in step.rivals)
-            rivals[step.effect.key()] = tuple(dict.fromkeys(told))
     # The effects of the declared model come first.
     count = len(final.effects)
     ranges = final.identifier.effect_ranges_[-count:] if count else ()
-    for one, evidence, effect, estimate, fitted in zip(
-        search.effects,
-        search.evidence,
+    for finding, effect, estimate, fitted in zip(
+        search.findings,
         final.effects,
         final.effect_estimates,
         ranges,
@@ -137,6 +133,18 @@ def _effects(search, final, names, prismatic):
         values, deviations = _named(effect, estimate)
         half = quantile(estimate.freedom)
         units = effect.parameter_units(prismatic[effect.joint])
+        intervals = {
+            key: (
+                values[key] - half * deviations[key],
+                values[key] + half * deviations[key],
+            )
+            for key in deviations
+            # What no column determines, or no scatter tells of, has no interval.
+            if deviations[key] > 0
+        }
+        told = (named_beside(r.effect, finding.effect, names) for r in finding.rivals)
+        known = search.settings.known
+        doubt = finding.doubt or _unknown(effect, values, deviations, intervals, known)
         yield DiscoveredEffect(
             name=effect.name,
             joint=effect.joint,
@@ -144,21 +152,31 @@ def _effects(search, final, names, prismatic):
             scope=effect.scope,
             parameters=values,
             units={key: units.get(key, "") for key in values},
-            intervals={
-                key: (
-                    values[key] - half * deviations[key],
-                    values[key] + half * deviations[key],
-                )
-                for key in deviations
-                # What no column determines, or no scatter tells of, has no interval.
-                if deviations[key] > 0
-            },
-            evidence=evidence,
-            rivals=rivals.get(one.key(), ()),
+            intervals=intervals,
+            evidence=finding.evidence,
+            rivals=tuple(dict.fromkeys(told)),
             effect=effect,
             ranges=fitted,
             afterwards=_afterwards(effect, estimate, float(final.view.clock[-1])),
+            doubt=doubt,
         )
+
+
+def _unknown(effect, values, deviations, intervals, known):
+    """Say why the values of an effect give it no name; "" if they do."""
+    idle = dict.fromkeys(values, 0.0)
+    if effect.in_model:
+        idle |= dict(zip(effect.tangent, effect.idle))
+        sure = [
+            abs(values[key] - idle[key]) > known * deviation
+            for key, deviation in deviations.items()
+            if deviation > 0
+        ]
+        return "" if any(sure) else UNSURE
+    # A shape alone is no sign that the effect is there.
+    own = [key for key in intervals if key not in effect.shape()] or list(intervals)
+    away = (intervals[k][0] > idle[k] or intervals[k][1] < idle[k] for k in own)
+    return "" if not own or any(away) else UNKNOWN
 
 
 def _afterwards(effect, estimate, seconds):
@@ -225,14 +243,7 @@ def _deviation(slope, covariance):
 
 
 def _rounds(search, names):
-    """Yield each `Round`, with errors over the spread of the torque."""
-    view = search.model.view
-    rows, spread = view.rows, view.spread()
-
-    def error(squares):
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.sqrt(squares / rows) / spread
-
+    """Yield each `Round`."""
     for step in search.steps:
         yield Round(
             action=step.action,
@@ -241,25 +252,17 @@ def _rounds(search, names):
             joint_name=names[step.effect.joint],
             shape=step.effect.shape(),
             replaced="" if step.replaced is None else step.replaced.name,
-            evidence=step.evidence,
-            rule=step.rule.name,
-            level=step.rule.level,
-            n_tests=step.rule.n_tests,
-            rivals=tuple(_trial(c) for c in step.rivals),
-            tried=tuple(_trial(c) for c in step.tried),
-            error_before=error(step.squares_before),
-            error_after=error(step.squares_after),
+            log_odds=step.log_odds,
+            rivals=tuple(
+                Trial(
+                    name=rival.effect.name,
+                    joint=rival.effect.joint,
+                    shape=rival.effect.shape(),
+                    log_odds=rival.log_odds,
+                )
+                for rival in step.rivals
+            ),
         )
-
-
-def _trial(candidate):
-    effect = candidate.effect
-    return Trial(
-        name=effect.name,
-        joint=effect.joint,
-        shape=effect.shape(),
-        evidence=candidate.evidence,
-    )
 
 
 def _settings(search, judgement, asked):
@@ -275,10 +278,8 @@ def _settings(search, judgement, asked):
         "untouched_seconds": judgement.before.weight.shape[0] * float(view.step),
         "guard_seconds": judgement.guard,
         "alpha": float(asked["alpha"]),
-        "rule": STEP_UP,
-        "last_level": float(search.threshold) if search.n_tests else None,
-        "last_n_tests": int(search.n_tests),
-        "smallest_gain": SMALLEST_GAIN,
+        "n_candidates": int(search.n_candidates),
+        "search": dataclasses.asdict(search.settings),
         "effects": tuple(e.name for e in search.library),
         "signals": tuple(view.signals),
         "n_blocks": view.blocks.n_blocks,
@@ -308,7 +309,7 @@ def _ceiling(model, rest, names, asked):
     return ceilings(model, joints, names, asked["alpha"], asked["random_state"])
 
 
-def _curves(judged, final, judgement, maps):
+def _curves(judged, final, judgement, maps, effects):
     """Residuals of the untouched part with their signals, thinned for pictures."""
     before, after, view = judgement.before, judgement.after, final.view
     m = before.torque.shape[0]
@@ -325,6 +326,8 @@ def _curves(judged, final, judgement, maps):
         "weight": before.weight[rows],
         "torque": before.torque[rows],
         "maps": maps,
-        "effects": effect_curves(final),
+        "effects": tuple(
+            own for own, effect in zip(effect_curves(final), effects) if not effect.doubt
+        ),
         "line": time_line(judgement, view.clock, [p.start for p in view.parts]),
     }

@@ -5,6 +5,7 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg
 from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
@@ -13,7 +14,6 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     correlation_time,
     make_blocks,
 )
-from sklearn_vbjfa.diagnosis.search._regression import FoldMoments, reduced
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock
 from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
@@ -24,6 +24,8 @@ from sklearn_vbjfa.robot._identifier import (
     states_of,
 )
 
+# Directions of the scaled Gram matrix below this are never used.
+_RANK = 1e-12
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
 
@@ -44,33 +46,6 @@ class Family:
 
     effects: tuple[Effect, ...]
     columns: np.ndarray | None
-
-    def where(self, wanted):
-        """Return those effects that a function of the effect wants."""
-        chosen = [k for k, effect in enumerate(self.effects) if wanted(effect)]
-        if len(chosen) == len(self.effects):
-            return self
-        effects = tuple(self.effects[k] for k in chosen)
-        return Family(
-            effects=effects,
-            columns=self.columns[:, :, chosen, : _width(effects)] if chosen else None,
-        )
-
-    def extended(self, effect, columns):
-        """Return the same with one more effect and its columns (nj, m, k)."""
-        return Family(
-            effects=(*self.effects, effect),
-            columns=np.concatenate([self.columns, columns[:, :, None]], axis=2),
-        )
-
-    def forms(self):
-        """Return a family for each complexity of its forms, the plainest first."""
-        sizes = sorted({effect.complexity for effect in self.effects})
-        return [self.where(lambda one, n=n: one.complexity == n) for n in sizes]
-
-    def like(self, effect):
-        """Return those that are the same use of the effect, see `Effect.key`."""
-        return self.where(lambda one: one.key() == effect.key())
 
 
 class RecordingView:
@@ -128,10 +103,6 @@ class RecordingView:
         Weights of the joints in the fit of the declared model.
     Z, back : ndarray of shape (nv, m, r) and (p, r)
         Regressor in reduced coordinates, see `reduced`.
-    moments : FoldMoments
-        Second moments of Z.
-    size : float
-        Root mean square of a column of Z.
     """
 
     def __init__(self, robot, recording, leave_out=(), origin=None, begins=None):
@@ -251,9 +222,6 @@ class RecordingView:
     def _set_coordinates(self):
         """Express the regressor in the directions that the data determine."""
         self.Z, self.back = reduced(self.equations, self.precision)
-        self.moments = FoldMoments(self.Z, self.target, self.blocks.folds())
-        # Effects' columns are brought to the size of the declared ones.
-        self.size = np.sqrt((self.Z**2).sum() / max(self.Z[0].size, 1)) or 1.0
 
     @property
     def rows(self):
@@ -289,6 +257,10 @@ class RecordingView:
         if theta is not None:
             plain = plain_coefficients(effects, coefs)
             parameters = np.concatenate([(self.back @ theta)[:rigid], plain])
+        return self.motion_of(parameters, effects)
+
+    def motion_of(self, parameters, effects=()):
+        """Signals at the full rate, with the load of parameters; see `make_motion`."""
         motion = make_motion(
             self.robot.features_,
             self.states,
@@ -355,23 +327,6 @@ class RecordingView:
             self._families[key] = motion, found
         return found
 
-    def stacked(self, effects, motion):
-        """Regressor (nv, m, r + k) with effects behind the declared columns.
-
-        They are brought to the size of those, by factors for each effect that are
-        returned as well.
-        """
-        Z, scales = [self.Z], []
-        for effect in effects:
-            columns = self.columns_of(effect, motion)
-            extra = np.zeros((*self.Z.shape[:2], columns.shape[-1]))
-            extra[self.joints_of(effect)] = columns
-            power = np.mean(extra**2, axis=(0, 1))
-            scale = self.size / np.sqrt(np.where(power > 0, power, 1.0))
-            scales.append(scale)
-            Z.append(extra * scale)
-        return np.concatenate(Z, axis=2), tuple(scales)
-
 
 def _width(effects):
     """Most coefficients of any of some effects."""
@@ -381,3 +336,23 @@ def _width(effects):
 def variants(effect, motion):
     """Return an effect with each shape of its grid, tuple of Effect."""
     return tuple(clone(effect).set_params(**s) for s in effect.shapes(motion))
+
+
+def reduced(equations, precision):
+    """Express a regressor in the directions that the data determine.
+
+    Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
+    weight, and the matrix (p, r) that leads back to the parameters.
+    """
+    weight = equations.weight
+    root = np.sqrt(weight).T[:, :, None]
+    rows = equations.Phi.transpose(1, 0, 2) * root
+    G = np.einsum("j,jmp,jmq->pq", precision, rows, rows, optimize=True)
+    scale = np.sqrt(np.diagonal(G))
+    used = scale > 0
+    unit = np.where(used, scale, 1.0)
+    values, vectors = linalg.eigh(G / np.outer(unit, unit))
+    keep = values > _RANK * values[-1]
+    back = np.where(used[:, None], vectors[:, keep] / unit[:, None], 0.0)
+    back *= np.sqrt(max(float((weight * precision).sum()), 1.0))
+    return rows @ back, back

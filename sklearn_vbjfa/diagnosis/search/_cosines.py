@@ -1,0 +1,182 @@
+"""Rows of a recording in frequency: discrete cosines, and the residual's spectrum."""
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft, special
+
+# Bands of frequency in an octave, and the fewest cosines in one.
+_PER_OCTAVE, _FEWEST = 2, 2
+# Spectral density below this share of the largest is rounding.
+_ROUNDING = 1e-12
+
+
+class Cosines:
+    """Discrete cosines of a recording's rows, each part (a recording) for itself.
+
+    Stationary residuals are nearly independent there, with the spectrum as their
+    variance (P. Whittle, "Estimation and information in stationary time series", Arkiv
+    for Matematik 2, 1953, doi 10.1007/BF02590998). Rows that do not count are bridged
+    by straight lines. Cosines above the cut-off of the low-pass, which hold what the
+    ends of the recording leak and no information of their own, are left out.
+
+    Parameters
+    ----------
+    view : RecordingView
+        Recording.
+
+    Attributes
+    ----------
+    band : ndarray of shape (n,)
+        Band of frequency of each cosine, from the slowest.
+    octave : ndarray of shape (n_bands,)
+        Middle of each band, logarithm of base 2 of the frequency.
+    fill : ndarray of shape (nv,)
+        Share of the rows that count, of each joint.
+    """
+
+    def __init__(self, view):
+        m = view.index.size
+        self._parts = list(itertools.pairwise([*view.starts, m]))
+        used = view.root > 0
+        self.fill = used.mean(axis=0)
+        self._bridges = [_bridge(own, self._parts) for own in used.T]
+        frequency = np.empty(m)
+        for a, b in self._parts:
+            frequency[a:b] = np.arange(b - a) / (2.0 * (b - a) * view.step)
+        cutoff = view.robot.cutoff_
+        self._kept = frequency <= (cutoff if np.isfinite(cutoff) else np.inf)
+        longest = max(b - a for a, b in self._parts) * view.step
+        self.band, self.octave = _bands(frequency[self._kept], 0.5 / longest)
+
+    def __call__(self, rows, joints):
+        """Cosines (nj, n, ...) of rows (nj, m, ...) of some joints."""
+        out = np.empty((rows.shape[0], self.band.size, *rows.shape[2:]))
+        whole = np.empty(rows.shape[1:])
+        for i, j in enumerate(joints):
+            x = rows[i]
+            if self._bridges[j] is not None:
+                low, high, share = self._bridges[j]
+                share = share.reshape((-1,) + (1,) * (x.ndim - 1))
+                x = (1.0 - share) * x[low] + share * x[high]
+            for a, b in self._parts:
+                whole[a:b] = fft.dct(x[a:b], axis=0, norm="ortho")
+            out[i] = whole[self._kept]
+        return out
+
+    def rows(self, cosines):
+        """Rows (nj, m, ...) that cosines (nj, n, ...) stand for."""
+        out = np.empty((cosines.shape[0], self._kept.size, *cosines.shape[2:]))
+        whole = np.zeros(out.shape[1:])
+        for i, own in enumerate(cosines):
+            whole[self._kept] = own
+            for a, b in self._parts:
+                out[i, a:b] = fft.idct(whole[a:b], axis=0, norm="ortho")
+        return out
+
+
+def _bridge(used, parts):
+    """Rows before and after each missing row and its place between; None if none is."""
+    if used.all() or not used.any():
+        return None
+    low = high = np.arange(used.size)
+    low, high = low.copy(), high.copy()
+    for a, b in parts:
+        there = a + np.flatnonzero(used[a:b])
+        if there.size == 0:
+            low[a:b] = high[a:b] = a
+            continue
+        rows = np.arange(a, b)
+        at = np.searchsorted(there, rows, side="right") - 1
+        low[a:b] = there[np.maximum(at, 0)]
+        after = np.searchsorted(there, rows, side="left")
+        high[a:b] = there[np.minimum(after, there.size - 1)]
+    width = high - low
+    share = np.where(width > 0, (np.arange(used.size) - low) / np.maximum(width, 1), 0)
+    return low, high, share
+
+
+def _bands(frequency, lowest):
+    """Band of each cosine, and the middle of each band in octaves."""
+    octave = np.log2(np.maximum(frequency, lowest) / lowest)
+    label = np.floor(_PER_OCTAVE * octave + 1e-9).astype(int)
+    count = np.bincount(label)
+    # Bands with too few cosines go with the next one above.
+    merged, total, at = np.empty(count.size, int), 0, 0
+    for k, n in enumerate(count):
+        merged[k], total = at, total + n
+        if total >= _FEWEST:
+            at, total = at + 1, 0
+    if total and at:
+        merged[merged == at] = at - 1
+    band = merged[label]
+    size = np.bincount(band)
+    return band, np.bincount(band, octave) / size
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spectrum:
+    """Variance of a residual's cosines by joint and band.
+
+    Attributes
+    ----------
+    variance : ndarray of shape (nv, n_bands)
+        Variance; infinite for a joint that does not count.
+    log_prior : float
+        Logarithm of its prior density, but for a constant.
+    """
+
+    variance: np.ndarray
+    log_prior: float
+
+    @classmethod
+    def of(cls, power, freedom, octave, smoothness):
+        """Estimate it from powers of a residual by bands.
+
+        Parameters
+        ----------
+        power : ndarray of shape (nv, n_bands)
+            Sums of squares.
+        freedom : ndarray of shape (nv, n_bands)
+            Degrees of freedom: cosines that count, less what the fit took of them.
+        octave : ndarray of shape (n_bands,)
+            Middle of each band.
+        smoothness : float
+            Prior deviation of the bend of the logarithm between bands.
+
+        Notes
+        -----
+        The logarithm of each band's mean square, unbiased, with the variance of that of
+        a chi-squared variable, under a prior for its second differences: a band of few
+        cosines is what its neighbours make of it.
+        """
+        variance, log_prior = np.full(power.shape, np.inf), 0.0
+        bend = _bends(octave) / smoothness
+        for j in np.flatnonzero(power.any(axis=1)):
+            own = np.maximum(power[j], _ROUNDING * power[j].max())
+            known = freedom[j] > 0.5
+            half = 0.5 * np.where(known, freedom[j], 1.0)
+            # Mean and variance of the logarithm of chi^2 / freedom.
+            value = np.log(own / (2 * half)) - special.digamma(half) + np.log(half)
+            weight = np.where(known, 1.0 / special.polygamma(1, half), 0.0)
+            normal = np.diag(weight) + bend.T @ bend
+            normal += 1e-9 * np.trace(normal) * np.eye(own.size)
+            smooth = np.linalg.solve(normal, weight * value)
+            variance[j] = np.exp(smooth)
+            log_prior -= 0.5 * float(((bend @ smooth) ** 2).sum())
+        return cls(variance=variance, log_prior=log_prior)
+
+    def weights(self, band, fill):
+        """Weights of the cosines (nv, n); those of a bridged recording count less."""
+        return (fill[:, None] / self.variance)[:, band]
+
+
+def _bends(octave):
+    """Second differences of values at unequal places, (n - 2, n)."""
+    n = octave.size
+    out = np.zeros((max(n - 2, 0), n))
+    for i in range(n - 2):
+        left, right = np.diff(octave[i : i + 3])
+        out[i, i : i + 3] = 1 / left, -1 / left - 1 / right, 1 / right
+    return out / _PER_OCTAVE

@@ -1,0 +1,541 @@
+"""The way to the most probable model: add, refine, drop, exchange by one posterior."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+from sklearn.base import clone
+
+from sklearn_vbjfa.diagnosis.search._found import Step
+from sklearn_vbjfa.diagnosis.search._problem import Base, Family, Fit, Problem, spectrum_of
+from sklearn_vbjfa.diagnosis.search._refine import refined, starts
+
+# Times that load, spectrum and geometry are made anew.
+_TURNS = 3
+# Share of the error that its mirror image saves of what an effect with a direction
+# saves: more is nothing with a direction.
+_MIRROR = 0.5
+# Share of a motion's power below the frequency up to which it is said to reach.
+_MOTION = 0.9
+# Nats within which the first in precedence gives its name to equal columns.
+_EQUAL = 0.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Offer:
+    """A candidate beside a model.
+
+    Attributes
+    ----------
+    family : Family
+        All of its shapes.
+    best : int
+        The best of them.
+    log_odds : float
+        Posterior log odds that the model lacks it, shapes averaged.
+    coef : ndarray of shape (k,)
+        Coefficients of the best shape.
+    tempered : bool
+        Whether its evidence has been tempered by its scatter in time, see
+        `Fit.excess`; it is an upper bound before.
+    """
+
+    family: Family
+    best: int
+    log_odds: float
+    coef: np.ndarray
+    tempered: bool = False
+
+    @property
+    def effect(self):
+        """Effect with the best shape."""
+        return self.family.effects[self.best]
+
+
+class Path:
+    """Search for the most probable set of effects.
+
+    Parameters
+    ----------
+    view : RecordingView
+        Recording.
+    library : tuple of Effect
+        What to try on every joint.
+    settings : SearchSettings
+        Numbers that decide.
+    max_effects : int or None
+        Most effects.
+    on_progress : callable or None
+        Called with (number, text).
+    """
+
+    def __init__(self, view, library, settings, max_effects=None, on_progress=None):
+        self.view, self.library, self.settings = view, library, settings
+        self.max_effects, self.on_progress = max_effects, on_progress
+        self.steps = []
+        self._kept = {}
+
+    # -- candidates -----------------------------------------------------------------
+
+    def _candidates(self):
+        """Families of all effects on all joints, by joint."""
+        found = {}
+        for j in np.flatnonzero(self.problem.heard):
+            found[j] = []
+            for effect in self.library:
+                one = clone(effect).set_params(joint=int(j))
+                if one.name in self.view.declared or one.applies(self.motion):
+                    continue
+                family = self.problem.family(one, self.motion)
+                if family is not None:
+                    found[j].append(family)
+        self.candidates = found
+        count = sum(map(len, found.values()))
+        self.n_candidates = count
+        self.log_prior = np.log(self.settings.expected / max(count, 1))
+
+    def _offer(self, fit, family, taken, excess=1.0):
+        """Return the best shape of a family beside a fit as an `Offer`, or None."""
+        groups = fit.groups(family)
+        if excess > 1.0:
+            groups = groups.tempered(excess)
+        free = np.array([e.key() not in taken for e in family.effects])
+        free &= groups.shown()
+        if not free.any():
+            return None
+        evidence = groups.evidence(self.settings.scale)
+        if not evidence[free].max() + self.log_prior > -20:
+            return None
+        coefs = groups.coefficients()
+        for c in np.flatnonzero(free):
+            effect = family.effects[c]
+            free[c] = effect.plausible(coefs[c, : len(effect.coefficients)])
+        if not free.any():
+            return None
+        if family.effects[0].opposite() is not None:
+            free &= self._one_sided(family, groups.gain(), free)
+            if not free.any():
+                return None
+        evidence = np.where(free, evidence, -np.inf)
+        return Offer(
+            family=family,
+            best=int(np.argmax(evidence)),
+            log_odds=float(logsumexp(evidence) - np.log(free.size) + self.log_prior),
+            coef=coefs[int(np.argmax(evidence))],
+        )
+
+    def _tempered(self, fit, offer):
+        """Return an offer whose evidence is worth what its scatter in time leaves."""
+        if offer.tempered:
+            return offer
+        excess = fit.excess(offer.family, offer.best, offer.coef, self._noise)
+        taken = set().union(*(m.effect.excludes() for m in fit.members))
+        again = self._offer(fit, offer.family, taken, excess)
+        if again is None:
+            return None
+        return replace(again, tempered=True)
+
+    def _surest(self, fit, offers, margin=0.0):
+        """Return tempered offers within a margin of the best, the best first.
+
+        Tempering takes evidence only, so that what is below the best of those that
+        are tempered need not be.
+        """
+        found, open_ = [], sorted(offers, key=lambda o: o.log_odds)
+        best = -np.inf
+        while open_ and open_[-1].log_odds > best - margin:
+            offer = self._tempered(fit, open_.pop())
+            if offer is not None:
+                found.append(offer)
+                best = max(best, offer.log_odds)
+        found = [o for o in found if o.log_odds > best - margin - 1e-9]
+        return sorted(found, key=lambda o: -o.log_odds)
+
+    def _one_sided(self, family, gain, free):
+        """Which shapes are of a direction that their mirror image does not share."""
+        best = {}
+        for effect, own, allowed in zip(family.effects, gain, free):
+            if allowed:
+                best[effect.key()] = max(best.get(effect.key(), 0.0), own)
+        kept = []
+        for effect in family.effects:
+            own = best.get(effect.key(), 0.0)
+            kept.append(best.get(effect.opposite().key(), 0.0) <= _MIRROR * own)
+        return np.array(kept)
+
+    def _offers(self, fit, joint):
+        """Offers on a joint beside a fit."""
+        taken = set().union(*(m.effect.excludes() for m in fit.members))
+        found = (self._offer(fit, f, taken) for f in self.candidates[joint])
+        return [offer for offer in found if offer is not None]
+
+    # -- moves ------------------------------------------------------------------------
+
+    def _best(self, fit, least):
+        """Best offer on any joint; joints whose model has not changed are not asked."""
+        for joint in self.candidates:
+            if joint not in self._kept:
+                self._kept[joint] = self._offers(fit, joint)
+        while True:
+            joint = max(
+                (j for j, own in self._kept.items() if own),
+                key=lambda j: max(o.log_odds for o in self._kept[j]),
+                default=None,
+            )
+            if joint is None:
+                return None
+            own = self._kept[joint]
+            best = max(own, key=lambda o: o.log_odds)
+            if best.log_odds <= least:
+                if not self._stale:
+                    return None
+                for j in self._stale:
+                    self._kept[j] = self._offers(fit, j)
+                self._stale = set()
+            elif joint in self._stale:
+                self._kept[joint] = self._offers(fit, joint)
+                self._stale.discard(joint)
+            elif not best.tempered:
+                sure = self._tempered(fit, best)
+                rest = [o for o in own if o is not best]
+                self._kept[joint] = rest if sure is None else [*rest, sure]
+            else:
+                return self._first(best, [o for k in self._kept.values() for o in k])
+
+    def _first(self, best, offers):
+        """First in precedence of those of the geometry that say the same."""
+        if not best.effect.in_model:
+            return best
+        near = [
+            o
+            for o in offers
+            if o.effect.in_model and o.log_odds > best.log_odds - _EQUAL
+        ]
+        return min(near, key=lambda o: (o.effect.precedence, -o.log_odds))
+
+    def _moved(self, joints=None):
+        """Note that the model of some joints, or of all, has changed."""
+        if joints is None or len(joints) > 1:
+            self._kept.clear()
+            self._stale = set()
+        else:
+            for joint in joints:
+                self._kept.pop(joint, None)
+            self._stale = set(self._kept)
+
+    def _scaled(self, fit):
+        """Return a fit with the most probable scale of each member."""
+        scale = self.settings.scale
+        members = [
+            replace(m, scale=float(g.best_scale(scale)[0]))
+            for m, g in zip(fit.members, fit.own_groups())
+        ]
+        return Fit(fit.base, members)
+
+    def _member(self, fit, offer):
+        """Return an offer as a member, its shape searched between the grid's."""
+        scale = self.settings.scale
+
+        def evidence(effect):
+            family = self._single(effect)
+            return float(fit.groups(family).evidence(scale)[0])
+
+        effect = offer.effect
+        if effect.continuous:
+            groups = fit.groups(offer.family)
+            effect = refined(
+                starts(offer.family.effects, groups.evidence(scale), effect),
+                evidence,
+                self.motion,
+            )
+        family = self._single(effect)
+        best = fit.groups(family).best_scale(scale)[0]
+        return family.member(0, float(best))
+
+    def _single(self, effect):
+        """Family of one shape."""
+        columns = self.view.columns([effect], self.motion)
+        return Family.of(self.problem, (effect,), columns)
+
+    def refined(self, fit, joints):
+        """Search the shapes of the members of some joints again, beside the others."""
+        for i, member in enumerate(fit.members):
+            effect = member.effect
+            if effect.joint not in joints or not effect.continuous:
+                continue
+            base = fit.without(i)
+            scale = self.settings.scale
+
+            def evidence(one, base=base):
+                return float(base.groups(self._single(one)).evidence(scale)[0])
+
+            found = refined([effect], evidence, self.motion)
+            members = list(fit.members)
+            members[i] = self._single(found).member(0, member.scale)
+            fit = Fit(fit.base, members)
+        return self._scaled(fit)
+
+    def _excess(self, fit, i, noise):
+        """How much the evidence for a member scatters in time; see `Fit.excess`."""
+        member = fit.members[i]
+        family = Family(
+            effects=(member.effect,),
+            joints=member.joints,
+            columns=member.columns,
+            unit=member.unit[None],
+        )
+        coef = fit.coefficients(i) + member.done
+        return fit.without(i).excess(family, 0, coef, noise)
+
+    def log_odds(self, fit):
+        """Posterior log odds of each member beside the others."""
+        found = []
+        for i, groups in enumerate(fit.own_groups()):
+            tempered = groups.tempered(self._excess(fit, i, self._noise))
+            evidence = float(tempered.evidence(self.settings.scale)[0])
+            found.append(evidence - np.log(self._shapes(fit.members[i])))
+        return np.array(found) + self.log_prior
+
+    def own_odds(self, fit):
+        """Posterior log odds of each member, with the spectrum that each model has.
+
+        What is slow may be noise: without an effect the spectrum takes its place.
+        """
+        fit = spectrum_of(fit, self.settings)
+        whole, found = fit.log_evidence(), []
+        for i, (member, groups) in enumerate(zip(fit.members, fit.own_groups())):
+            rest = spectrum_of(fit.without(i), self.settings)
+            scale = self.settings.scale
+            more = float(groups.integrated(scale, member.scale)[0])
+            lost = whole + more - rest.log_evidence() - float(groups.evidence(scale)[0])
+            excess = self._excess(fit, i, fit.scores)
+            evidence = float(groups.tempered(excess).evidence(scale)[0])
+            evidence += min(lost, 0.0) / excess
+            found.append(evidence - np.log(self._shapes(member)) + self.log_prior)
+        return np.array(found)
+
+    def _shapes(self, member):
+        """Number of shapes among which a member was chosen."""
+        for family in self.candidates.get(member.effect.joint, ()):
+            if family.effects[0].name == member.effect.name:
+                return len(family.effects)
+        return 1
+
+    def _pruned(self, fit, least=0.0):
+        """Drop what is improbable beside the others, the least probable first."""
+        while fit.members:
+            odds = self.log_odds(fit)
+            i = int(np.argmin(odds))
+            if odds[i] > least:
+                break
+            gone = fit.members[i]
+            self.steps.append(
+                Step(action="drop", effect=gone.effect, log_odds=float(odds[i]))
+            )
+            fit = self._scaled(fit.without(i))
+            self._moved(gone.joints)
+        return fit
+
+    def dropped(self, fit, i, odds):
+        """Return a fit without a member, and note that it went."""
+        effect = fit.members[i].effect
+        self.steps.append(Step(action="drop", effect=effect, log_odds=odds))
+        return self._scaled(fit.without(i))
+
+    def above_motion(self, effect):
+        """Whether a filter of a channel acts above the motion of its joint."""
+        frequency, power = [], []
+        for part in self.view.parts:
+            speed = self.motion.v[part, effect.joint]
+            frequency.append(np.fft.rfftfreq(speed.size, self.view.robot.dt))
+            power.append(np.abs(np.fft.rfft(speed)) ** 2 / speed.size)
+        frequency, power = np.concatenate(frequency), np.concatenate(power)
+        order = np.argsort(frequency, kind="stable")
+        share = np.cumsum(power[order])
+        highest = frequency[order][np.searchsorted(share, _MOTION * share[-1])]
+        return _corner(effect) > self.settings.above_motion * highest
+
+    def _climb(self, fit, least=0.0):
+        """Add, refine, drop and exchange until nothing is more probable."""
+        self._moved()
+        been = {keys_of(fit)}
+        while True:
+            full = self.max_effects is not None and len(fit.members) >= self.max_effects
+            offer = None if full else self._best(fit, least)
+            if offer is not None:
+                if self.on_progress is not None:
+                    text = f"joint {offer.effect.joint + 1}"
+                    self.on_progress(len(fit.members), text)
+                member = self._member(fit, offer)
+                new = Fit(fit.base, [*fit.members, member])
+                new = self._pruned(self._scaled(self.refined(new, [member.effect.joint])), least)
+                if keys_of(new) in been:
+                    break
+                been.add(keys_of(new))
+                self.steps.append(
+                    Step(
+                        action="add", effect=member.effect, log_odds=offer.log_odds
+                    )
+                )
+                fit = new
+                self._moved(member.joints)
+                continue
+            new = self._exchanged(fit, been)
+            if new is None:
+                break
+            fit = new
+            been.add(keys_of(fit))
+            self._moved()
+        return fit
+
+    def rivals(self, fit, i):
+        """Offers that would take the place of a member, the best first."""
+        member, base = fit.members[i], fit.without(i)
+        found = []
+        for joint in self.candidates:
+            if joint in member.joints:
+                found += self._offers(base, joint)
+        return self._surest(base, found, self.settings.rivals)
+
+    def _exchanged(self, fit, been):
+        """Put what is more probable in the place of a member; None if nothing is."""
+        odds = self.log_odds(fit)
+        for i in np.argsort(odds):
+            member, base = fit.members[i], fit.without(i)
+            near = [
+                o
+                for o in self.rivals(fit, i)
+                if o.log_odds > odds[i] - self.settings.rivals
+                and o.effect.key() != member.effect.key()
+            ]
+            for offer in near[:3]:
+                other = self._member(base, offer)
+                new = Fit(fit.base, [*base.members, other])
+                new = self._scaled(new)
+                own = self.log_odds(new)[-1]
+                if own > odds[i] + _EQUAL and keys_of(new) not in been:
+                    self.steps.append(
+                        Step(
+                            action="replace",
+                            effect=other.effect,
+                            replaced=member.effect,
+                            log_odds=float(own),
+                        )
+                    )
+                    return new
+        return None
+
+    # -- the whole ------------------------------------------------------------------
+
+    def _spectrum(self, fit):
+        """Weights by the spectrum of what a model with too many effects leaves."""
+        fit = spectrum_of(fit, self.settings)
+        for _ in range(self.settings.most):
+            self._moved()
+            added = []
+            for joint in self.candidates:
+                offers = self._offers(fit, joint)
+                # One is expected of each joint here.
+                count = max(len(self.candidates[joint]), 1)
+                least = self.log_prior - np.log(self.settings.expected / count)
+                best = max(offers, key=lambda o: o.log_odds, default=None)
+                if best is not None and best.log_odds > least:
+                    added.append(best.family.member(best.best, self.settings.scale))
+            if not added:
+                break
+            fit = Fit(fit.base, [*fit.members, *added])
+            fit = spectrum_of(self._scaled(fit), self.settings)
+        self._noise = fit.scores
+        return fit.base
+
+    def begin(self):
+        """Fit the declared columns alone, with the load that they give."""
+        view = self.view
+        self.problem = Problem(view)
+        flat = view.precision * self.problem.cosines.fill
+        weights = np.repeat(flat[:, None], self.problem.y.shape[1], axis=1)
+        fit = Fit(Base(self.problem, weights))
+        self.motion = view.motion(fit.theta)
+        self._candidates()
+        return fit
+
+    def placed(self, effects):
+        """Return the most probable model with given effects, on the load they give."""
+        fit = self.begin()
+        for _ in range(_TURNS):
+            members = [self._single(e).member(0, self.settings.scale) for e in effects]
+            fit = self._anew(self._scaled(Fit(fit.base, members)))
+            effects = [m.effect for m in fit.members]
+        return self._scaled(fit)
+
+    def run(self):
+        """Search; returns the last `Fit`."""
+        fit, seen = self.begin(), None
+        for turn in range(_TURNS):
+            if turn:
+                self._candidates()
+            start = [self._again(m) for m in fit.members]
+            base = self._spectrum(Fit(fit.base, start))
+            fit = self._climb(self._scaled(Fit(base, start)))
+            names = keys_of(fit)
+            if names == seen or not fit.members:
+                break
+            seen = names
+            fit = self._anew(fit)
+        self.fit = fit
+        return fit
+
+    def _again(self, member):
+        """Return a member whose columns are made from the present motion."""
+        return self._single(member.effect).member(0, member.scale)
+
+    def _anew(self, fit):
+        """Correct the robot by what was found of its geometry, and take its load."""
+        effects, coefs = [], []
+        members = []
+        for i, member in enumerate(fit.members):
+            own, coef = member.effect, fit.coefficients(i)
+            if own.in_model and own.natural(coef):
+                own = own.at(coef)
+            members.append(replace(member, effect=own))
+            effects.append(own)
+            coefs.append(coef)
+        theta, base, before = fit.theta, fit.base, self.view
+        self.view = before.corrected(tuple(effects))
+        if self.view is not before:
+            self.problem = Problem(self.view, self.problem.cosines)
+            base = Base(self.problem, base.weights)
+            plain = [m for m in members if not m.effect.in_model]
+            theta = Fit(base, plain).theta
+        self.motion = self.view.motion(
+            theta,
+            tuple(e for e in effects if not e.in_model),
+            np.concatenate(
+                [np.empty(0), *(c for e, c in zip(effects, coefs) if not e.in_model)]
+            ),
+        )
+        again = [self._again(m) for m in members]
+        return Fit(base, again)
+
+
+def _corner(effect):
+    """Frequency above which a filter acts [Hz]."""
+    corner = 1.0 / (2 * np.pi * effect.time_constant)
+    return corner * np.sqrt(np.log(2.0)) if effect.kind == "smooth" else corner
+
+
+def tuned_on(view, effects, settings):
+    """Return effects with shapes that suit another recording, tuple of Effect."""
+    if not effects:
+        return ()
+    path = Path(view, tuple(effects), settings)
+    path.begin()
+    fit = path.placed(effects)
+    joints = {effect.joint for effect in effects}
+    fit = path.refined(spectrum_of(fit, settings), joints)
+    return tuple(member.effect for member in fit.members)
+
+
+def keys_of(fit):
+    """Keys of a fit's effects, a frozenset."""
+    return frozenset(m.effect.key() for m in fit.members)

@@ -1,0 +1,109 @@
+"""Names from odds: what of the most probable model is told, and with which doubt."""
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.search._found import (
+    Evidence,
+    Finding,
+    Found,
+    FoundModel,
+    Rival,
+)
+from sklearn_vbjfa.diagnosis.search._held_out import held_out
+from sklearn_vbjfa.diagnosis.search._path import Path
+
+# Why an effect that is probable has no name.
+UNDECIDED = "undecided"
+CHANCE = "lowers no error on other stretches of time beyond chance"
+SMALL = "saves too little to be worth a name"
+SLOW_FILTER = "a filter within the motion's own frequencies"
+UNNATURAL = "of a sign or size that it cannot have"
+UNKNOWN = "no parameter of it is known from zero"
+UNSURE = "its value is not known well enough to correct anything"
+
+
+def search(view, library, settings, alpha, max_effects=None, on_progress=None):
+    """Find the most probable effects of a recording, and say what has a name.
+
+    Parameters
+    ----------
+    view : RecordingView
+        Recording.
+    library : tuple of Effect
+        Effects to try on every joint.
+    settings : SearchSettings
+        Numbers that decide.
+    alpha : float
+        Share of recordings with nothing missing that get any name.
+    max_effects : int or None
+        Most effects.
+    on_progress : callable or None
+        Called with (number, text).
+
+    Returns
+    -------
+    Found
+        What was found.
+    """
+    path = Path(view, library, settings, max_effects, on_progress)
+    fit = path.run()
+    needed = float(np.log((1.0 - alpha) / alpha))
+    odds = path.own_odds(fit)
+    # What the spectrum of the whole model makes improbable goes.
+    while len(odds) and odds.min() <= 0:
+        fit = path.dropped(fit, int(np.argmin(odds)), float(odds.min()))
+        odds = path.own_odds(fit)
+    found = held_out(fit, path.motion)
+    findings = []
+    for i, (member, own) in enumerate(zip(fit.members, odds)):
+        worth = found.members[i]
+        evidence = Evidence(
+            log_odds=float(own),
+            gain=worth.gain,
+            gain_std=worth.gain_std,
+            errors=worth.errors,
+            n_blocks=worth.n_blocks,
+            helped=worth.helped,
+        )
+        rivals = tuple(
+            Rival(effect=o.effect, log_odds=o.log_odds)
+            for o in path.rivals(fit, i)
+            if o.log_odds > own - settings.rivals
+            and o.effect.key() != member.effect.key()
+        )
+        doubt = _doubt(member, fit.coefficients(i), evidence, settings, needed, path)
+        findings.append(
+            Finding(effect=member.effect, evidence=evidence, rivals=rivals, doubt=doubt)
+        )
+    order = sorted(range(len(findings)), key=lambda i: bool(findings[i].doubt))
+    model = FoundModel(
+        view=path.view,
+        effects=tuple(m.effect for m in fit.members),
+        motion=path.motion,
+        residual=found.residual,
+        fit=fit,
+    )
+    return Found(
+        model=model,
+        findings=tuple(findings[i] for i in order),
+        steps=tuple(path.steps),
+        n_candidates=path.n_candidates,
+        needed=needed,
+        settings=settings,
+        library=tuple(library),
+    )
+
+
+def _doubt(member, coef, evidence, settings, needed, path):
+    """Say why an effect has no name; "" for one that has."""
+    if evidence.log_odds < needed:
+        return UNDECIDED
+    if not evidence.errors > settings.chance:
+        return CHANCE
+    if not evidence.gain > settings.worth:
+        return SMALL
+    if not member.effect.natural(coef):
+        return UNNATURAL
+    if member.effect.name == "torque_filter" and not path.above_motion(member.effect):
+        return SLOW_FILTER
+    return ""

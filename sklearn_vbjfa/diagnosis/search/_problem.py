@@ -1,0 +1,509 @@
+"""The regression of all joints in frequency, with some groups of effects beside it."""
+
+import functools
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
+from sklearn_vbjfa.diagnosis.search._groups import Groups
+from sklearn_vbjfa.effects import Effect
+
+# Ridge of the rigid bodies and plain terms, over the mean square of a column: rounding.
+_RIDGE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Member:
+    """An effect in the model, with one shape.
+
+    Attributes
+    ----------
+    effect : Effect
+        With its shape.
+    joints : tuple of int
+        Joints that its columns act on.
+    columns : ndarray of shape (nj, n, 1, k)
+        Their cosines, not weighted.
+    unit : ndarray of shape (k,)
+        See `Groups`.
+    scale : float
+        Prior deviation of its coefficients, in units.
+    """
+
+    effect: Effect
+    joints: tuple
+    columns: np.ndarray
+    unit: np.ndarray
+    scale: float = 1.0
+
+    @property
+    def width(self):
+        """Number of columns."""
+        return self.unit.size
+
+    @property
+    def done(self):
+        """What of its coefficients the equations have already, (k,)."""
+        if not self.effect.in_model:
+            return np.zeros(self.width)
+        return self.effect.values - np.asarray(self.effect.idle)
+
+
+class Problem:
+    """Weighted equations of all joints in frequency.
+
+    Parameters
+    ----------
+    view : RecordingView
+        Recording.
+    cosines : Cosines or None
+        Of the same rows, where they are there already.
+
+    Attributes
+    ----------
+    view, cosines : RecordingView and Cosines
+        As given.
+    Z, y : ndarray of shape (nv, n, r) and (nv, n)
+        Cosines of the declared columns and of the torques.
+    torque : ndarray of shape (nv,)
+        Root mean square of the varying torque of each joint, in weighted rows.
+    """
+
+    def __init__(self, view, cosines=None):
+        self.view = view
+        self.cosines = Cosines(view) if cosines is None else cosines
+        joints = range(view.nv)
+        self.Z = self.cosines(view.Z, joints)
+        self.y = self.cosines(view.target, joints)
+        rows = np.maximum(view.rows, np.finfo(float).tiny)
+        mean = (view.target * view.root.T).sum(axis=1) / rows
+        rest = view.target - mean[:, None] * view.root.T
+        self.torque = np.sqrt((rest**2).sum(axis=1) / view.target.shape[1])
+        self.heard = view.precision > 0
+
+    def family(self, effect, motion):
+        """Members (joints, effects, columns (nj, n, c, k), unit (c, k)) of a family."""
+        found = self.view.family(effect, motion)
+        if not found.effects:
+            return None
+        return Family.of(self, found.effects, found.columns)
+
+    def member(self, effect, motion, scale=1.0):
+        """Return an effect as a `Member`."""
+        family = Family.of(
+            self, (effect,), self.view.columns_of(effect, motion)[:, :, None]
+        )
+        return family.member(0, scale)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Family:
+    """An effect with the shapes of its grid, in frequency.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        One for each shape.
+    joints : tuple of int
+        Joints.
+    columns : ndarray of shape (nj, n, c, k)
+        Cosines of their columns, not weighted.
+    unit : ndarray of shape (c, k)
+        See `Groups`; zero for columns that are zero.
+    """
+
+    effects: tuple
+    joints: tuple
+    columns: np.ndarray
+    unit: np.ndarray
+
+    @classmethod
+    def of(cls, problem, effects, columns):
+        """Take rows (nj, m, c, k) to frequency."""
+        joints = tuple(problem.view.joints_of(effects[0]))
+        size = np.sqrt((columns**2).mean(axis=1))
+        torque = problem.torque[list(joints)][:, None, None]
+        # An effect of all joints has the torque of that which it moves the most.
+        share = np.where(torque > 0, size / np.where(torque > 0, torque, 1.0), 0.0)
+        largest = share.max(axis=0)
+        unit = np.where(largest > 0, 1.0 / np.where(largest > 0, largest, 1.0), 0.0)
+        return cls(
+            effects=tuple(effects),
+            joints=joints,
+            columns=problem.cosines(columns, joints),
+            unit=unit,
+        )
+
+    def member(self, c, scale=1.0):
+        """Return one of the shapes as a `Member`."""
+        k = len(self.effects[c].coefficients)
+        return Member(
+            effect=self.effects[c],
+            joints=self.joints,
+            columns=np.ascontiguousarray(self.columns[:, :, c : c + 1, :k]),
+            unit=self.unit[c, :k],
+            scale=scale,
+        )
+
+
+class Base:
+    """The declared columns alone under given weights, and what families are beside it.
+
+    Parameters
+    ----------
+    problem : Problem
+        Equations.
+    weights : ndarray of shape (nv, n)
+        Weights of the cosines.
+    log_prior : float
+        Logarithm of the prior density of the spectrum that they are from.
+
+    Attributes
+    ----------
+    L : ndarray of shape (r, r)
+        Lower Cholesky factor of their Gram matrix.
+    t : ndarray of shape (r,)
+        L^-1 times their products with the torques.
+    """
+
+    def __init__(self, problem, weights, log_prior=0.0):
+        self.problem, self.weights = problem, weights
+        self.log_prior = log_prior
+        r = problem.Z.shape[2]
+        G, g = np.zeros((r, r)), np.zeros(r)
+        for Z, y, w in zip(problem.Z, problem.y, weights):
+            own = Z * w[:, None]
+            G += own.T @ Z
+            g += own.T @ y
+        G += _RIDGE * max(np.trace(G) / max(r, 1), 1.0) * np.eye(r)
+        self.L = linalg.cholesky(G, lower=True)
+        self.t = self.solved(g)
+        self._known = {}
+
+    def solved(self, right):
+        """L^-1 times a right-hand side (r, ...)."""
+        return linalg.solve_triangular(self.L, right, lower=True)
+
+    def beside(self, joints, columns):
+        """Moments of columns (nj, n, c, k) beside the declared ones, `Beside`."""
+        key = id(columns)
+        if key not in self._known:
+            # The columns are held, so that no other ones get their number.
+            self._known[key] = columns, self._beside(joints, columns)
+        return self._known[key][1]
+
+    def _beside(self, joints, columns):
+        nj, n, c, k = columns.shape
+        cross, right = np.zeros((self.L.shape[0], c * k)), np.zeros(c * k)
+        gram = np.zeros((c, k, k))
+        for i, j in enumerate(joints):
+            own = columns[i].reshape(n, c * k) * self.weights[j][:, None]
+            cross += self.problem.Z[j].T @ own
+            right += self.problem.y[j] @ own
+            F = columns[i].transpose(1, 2, 0)
+            gram += own.reshape(n, c, k).transpose(1, 2, 0) @ F.transpose(0, 2, 1)
+        T = self.solved(cross)
+        return Beside(
+            T=T,
+            gram=gram,
+            H=gram - _blocks(T, c, k),
+            q=(right - self.t @ T).reshape(c, k),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Beside:
+    """Moments of c groups of k columns beside the declared ones.
+
+    Attributes
+    ----------
+    T : ndarray of shape (r, c * k)
+        L^-1 times their products with these.
+    gram, H : ndarray of shape (c, k, k)
+        Their Gram matrices, and what is left of them.
+    q : ndarray of shape (c, k)
+        Their products with what is left of the torques.
+    """
+
+    T: np.ndarray
+    gram: np.ndarray
+    H: np.ndarray
+    q: np.ndarray
+
+
+def _blocks(T, c, k):
+    """Blocks on the diagonal of T' T, (c, k, k)."""
+    by_group = T.reshape(-1, c, k).transpose(1, 2, 0)
+    return by_group @ by_group.transpose(0, 2, 1)
+
+
+class Fit:
+    """A model of all joints' torques with some members, under given weights.
+
+    Parameters
+    ----------
+    base : Base
+        Declared columns under these weights.
+    members : sequence of Member
+        Effects beside them.
+
+    Attributes
+    ----------
+    theta : ndarray of shape (r,)
+        Posterior mean of the declared columns, in reduced coordinates.
+    places : list of slice
+        Coefficients of each member.
+    prior : ndarray of shape (p,)
+        Prior precision of these.
+    """
+
+    def __init__(self, base, members=()):
+        self.base, self.members = base, tuple(members)
+        edges = np.cumsum([0, *(m.width for m in self.members)])
+        self.places = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:])]
+        p = int(edges[-1])
+        self._B, S, right = np.zeros((base.L.shape[0], p)), np.zeros((p, p)), np.zeros(p)
+        self.prior = np.zeros(p)
+        for place, member in zip(self.places, self.members):
+            own = base.beside(member.joints, member.columns)
+            self._B[:, place] = own.T
+            used = member.unit > 0
+            deviation = np.where(used, member.scale * member.unit, 1.0)
+            self.prior[place] = 1.0 / deviation**2
+            right[place] = own.q[0] - self.prior[place] * member.done
+            S[place, place] = own.gram[0]
+        for a, b in itertools.combinations(range(len(self.members)), 2):
+            product = self._product(self.members[a], self.members[b])
+            S[self.places[a], self.places[b]] = product
+            S[self.places[b], self.places[a]] = product.T
+        S += np.diag(self.prior) - self._B.T @ self._B
+        self._factor = linalg.cholesky(S, lower=True) if p else S
+        self._t = self._reduced(right)
+        self._coef = (
+            linalg.solve_triangular(self._factor, self._t, lower=True, trans="T")
+            if p
+            else right
+        )
+        self.theta = linalg.solve_triangular(
+            base.L, base.t - self._B @ self._coef, lower=True, trans="T"
+        )
+
+    @property
+    def problem(self):
+        """Equations."""
+        return self.base.problem
+
+    @property
+    def n_coefficients(self):
+        """Number of the members' coefficients."""
+        return self._coef.size
+
+    def _reduced(self, right):
+        """Solve the members' factor for a right-hand side (p, ...)."""
+        if not self.members:
+            return right
+        return linalg.solve_triangular(self._factor, right, lower=True)
+
+    def _product(self, one, other):
+        """Weighted products of the columns of two members, (k, l)."""
+        found = np.zeros((one.width, other.width))
+        for i, j in enumerate(one.joints):
+            if j in other.joints:
+                own = one.columns[i, :, 0] * self.base.weights[j][:, None]
+                found += own.T @ other.columns[other.joints.index(j), :, 0]
+        return found
+
+    @functools.cached_property
+    def residual(self):
+        """Residuals of the cosines, (nv, n)."""
+        out = self.problem.y - self.problem.Z @ self.theta
+        for place, member in zip(self.places, self.members):
+            for i, j in enumerate(member.joints):
+                out[j] -= member.columns[i, :, 0] @ self._coef[place]
+        return out
+
+    def rows_of(self, j):
+        """Columns of the members in a joint's equations, (n, p)."""
+        X = np.zeros((self.problem.y.shape[1], self._coef.size))
+        for place, member in zip(self.places, self.members):
+            if j in member.joints:
+                X[:, place] = member.columns[member.joints.index(j), :, 0]
+        return X
+
+    @property
+    def done(self):
+        """What of the coefficients the equations have already, (p,)."""
+        return np.concatenate([np.zeros(0), *(m.done for m in self.members)])
+
+    def powers(self):
+        """Residual powers and freedom left by joint and band, two (nv, n_bands)."""
+        cosines = self.problem.cosines
+        bands = cosines.octave.size
+        power, taken = np.zeros((2, self.problem.view.nv, bands))
+        for j in np.flatnonzero(self.problem.heard):
+            root = np.sqrt(self.base.weights[j])
+            T = self.base.solved((self.problem.Z[j] * root[:, None]).T)
+            D = self._reduced((self.rows_of(j) * root[:, None]).T - self._B.T @ T)
+            size = (T**2).sum(axis=0) + (D**2).sum(axis=0)
+            taken[j] = np.bincount(cosines.band, size, bands)
+            power[j] = np.bincount(cosines.band, self.residual[j] ** 2, bands)
+        count = np.bincount(cosines.band, minlength=bands)
+        fill = cosines.fill[:, None]
+        return fill * power, np.maximum(fill * count - taken, 0.0)
+
+    def groups(self, family):
+        """Second moments of a family's shapes beside this model, `Groups`."""
+        nj, n, c, k = family.columns.shape
+        own = self.base.beside(family.joints, family.columns)
+        H, q = own.H, own.q
+        if self.members:
+            cross = -self._B.T @ own.T
+            for place, member in zip(self.places, self.members):
+                for i, j in enumerate(member.joints):
+                    if j in family.joints:
+                        F = family.columns[family.joints.index(j)].reshape(n, c * k)
+                        weighted = member.columns[i, :, 0] * self.base.weights[j][:, None]
+                        cross[place] += weighted.T @ F
+            D = self._reduced(cross)
+            H = H - _blocks(D, c, k)
+            q = q - (self._t @ D).reshape(c, k)
+        diagonal = np.diagonal(own.gram, axis1=1, axis2=2)
+        return Groups(H=H, q=q, own=diagonal, unit=family.unit)
+
+    @functools.cached_property
+    def scores(self):
+        """Residuals in whitened rows (nv, m), with which scores are made."""
+        white = self.residual * np.sqrt(self.base.weights)
+        return self._rows(white)
+
+    def _rows(self, cosines):
+        """Rows that whitened cosines (nv, n, ...) stand for, where rows count."""
+        found = self.problem.cosines.rows(cosines)
+        used = (self.problem.view.root.T > 0) & self.problem.heard[:, None]
+        return np.where(used.reshape(*used.shape, *(1,) * (found.ndim - 2)), found, 0.0)
+
+    def excess(self, family, c, coef, noise):
+        """How much more than by its noise the evidence for a group scatters in time.
+
+        Parameters
+        ----------
+        family : Family
+            Group.
+        c : int
+            Its shape.
+        coef : ndarray of shape (k,)
+            Direction of its coefficients that counts.
+        noise : ndarray of shape (nv, m)
+            Residuals in whitened rows, see `scores`.
+
+        Returns
+        -------
+        float
+            Variance of its score between blocks of time over that which its second
+            moments promise (the sandwich over the Hessian), at least one.
+        """
+        problem, base = self.problem, self.base
+        direction = family.columns[:, :, c] @ coef
+        cross = np.zeros(base.L.shape[0])
+        own = np.zeros(self._coef.size)
+        for i, j in enumerate(family.joints):
+            weighted = base.weights[j] * direction[i]
+            cross += problem.Z[j].T @ weighted
+            own += self.rows_of(j).T @ weighted
+        T = base.solved(cross)
+        D = self._reduced(own - self._B.T @ T)
+        members = D
+        if self.members:
+            members = linalg.solve_triangular(self._factor, D, lower=True, trans="T")
+        declared = linalg.solve_triangular(
+            base.L, T - self._B @ members, lower=True, trans="T"
+        )
+        left = -(problem.Z @ declared)
+        for place, member in zip(self.places, self.members):
+            for i, j in enumerate(member.joints):
+                left[j] -= member.columns[i, :, 0] @ members[place]
+        for i, j in enumerate(family.joints):
+            left[j] += direction[i]
+        rows = self._rows(left * np.sqrt(base.weights))
+        scores = problem.view.blocks.sums((rows * noise).sum(axis=0))
+        promised = (rows**2).sum()
+        if not promised > 0:
+            return 1.0
+        count = scores.size
+        return max(1.0, float(scores.var() * count**2 / (count - 1) / promised))
+
+    @functools.cached_property
+    def _covariance(self):
+        """Posterior covariance of the members' coefficients."""
+        return linalg.cho_solve((self._factor, True), np.eye(self._coef.size))
+
+    def own_groups(self):
+        """Second moments of each member beside the others, list of `Groups`.
+
+        By the block inverse, without another fit.
+        """
+        found = []
+        for place, member in zip(self.places, self.members):
+            inverse = np.linalg.inv(self._covariance[place, place])
+            prior = np.diag(self.prior[place])
+            H = inverse - prior
+            q = inverse @ self._coef[place] + inverse @ member.done
+            gram = self.base.beside(member.joints, member.columns).gram
+            found.append(
+                Groups(
+                    H=H[None],
+                    q=q[None],
+                    own=np.diagonal(gram, axis1=1, axis2=2),
+                    unit=member.unit[None],
+                )
+            )
+        return found
+
+    def log_evidence(self):
+        """Logarithm of the evidence, but for a constant of the recording.
+
+        Of members with their scales, and of the spectrum that the weights are from.
+        """
+        problem, weights = self.problem, self.base.weights
+        heard = problem.heard
+        fill = problem.cosines.fill[heard, None]
+        density = 0.5 * (fill * np.log(weights[heard])).sum()
+        power = (weights[heard] * problem.y[heard] ** 2).sum()
+        power -= self.base.t @ self.base.t + self._t @ self._t
+        power += self.prior @ self.done**2
+        volume = np.log(np.diagonal(self.base.L)).sum()
+        if self.members:
+            volume += np.log(np.diagonal(self._factor)).sum()
+            volume -= 0.5 * np.log(self.prior).sum()
+        return float(density - 0.5 * power - volume + self.base.log_prior)
+
+    def coefficients(self, i):
+        """Posterior mean of a member's coefficients, (k,)."""
+        return self._coef[self.places[i]]
+
+    def deviations(self, i):
+        """Their posterior deviations, (k,)."""
+        return np.sqrt(np.diagonal(self._covariance)[self.places[i]])
+
+    def beside(self, member):
+        """Fit with one more member."""
+        return Fit(self.base, (*self.members, member))
+
+    def without(self, i):
+        """Fit without a member."""
+        return Fit(self.base, (*self.members[:i], *self.members[i + 1 :]))
+
+
+def spectrum_of(fit, settings, rounds=3):
+    """Return a fit under weights by the spectrum of its residual."""
+    problem = fit.problem
+    for _ in range(rounds):
+        power, freedom = fit.powers()
+        cosines = problem.cosines
+        spectrum = Spectrum.of(power, freedom, cosines.octave, settings.smoothness)
+        weights = spectrum.weights(cosines.band, cosines.fill)
+        fit = Fit(Base(problem, weights, spectrum.log_prior), fit.members)
+    return fit

@@ -1,0 +1,189 @@
+"""Shape parameters of effects between the points of their grid."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import optimize
+from sklearn.base import clone
+
+from sklearn_vbjfa.diagnosis.search._view import variants
+
+# The search of shape parameters ends where the evidence rises by less [nats], or after
+# this many trials.
+_WORTH, _MOST_TRIALS = 0.02, 60
+# Points of the grid from which several parameters are searched: two of them may trade
+# against each other.
+_STARTS = 3
+# A parameter that does nothing at a value stays there unless so much is gained [nats].
+_NEUTRAL = 2.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bracket:
+    """A shape parameter between the grid's next points on both sides.
+
+    Attributes
+    ----------
+    low, high : float
+        Bounds; of the logarithm where that is searched.
+    logarithmic : bool
+        Whether the logarithm is searched.
+    lowest, highest : float
+        Ends of the whole grid; infinite for an angle.
+    turn : float
+        Period of an angle; zero for what is none.
+    """
+
+    low: float
+    high: float
+    logarithmic: bool
+    lowest: float
+    highest: float
+    turn: float = 0.0
+
+    @classmethod
+    def of(cls, effect, name, motion):
+        """Return the bounds of a parameter; None where the grid has no neighbours."""
+        value = getattr(effect, name)
+        same = [v for v in variants(effect, motion) if v.key() == effect.key()]
+        values = np.unique([getattr(v, name) for v in same])
+        if name in effect.cyclic and values.size > 1:
+            turn = 2 * np.pi
+            around = np.concatenate([values - turn, values, values + turn])
+            at = int(np.argmin(np.abs(around - value)))
+            low, high = around[at - 1], around[at + 1]
+            return cls(
+                low=low,
+                high=high,
+                logarithmic=False,
+                lowest=-np.inf,
+                highest=np.inf,
+                turn=turn,
+            )
+        values = values[np.sign(values) == np.sign(value)]
+        if value == 0 or values.size < 2:
+            return None
+        at = int(np.argmin(np.abs(values - value)))
+        positive = bool((values > 0).all())
+        scaled = np.log(values) if positive else values
+        low, high = scaled[max(at - 1, 0)], scaled[min(at + 1, values.size - 1)]
+        return cls(
+            low=low,
+            high=high,
+            logarithmic=positive,
+            lowest=scaled[0],
+            highest=scaled[-1],
+        )
+
+    def value(self, u):
+        """Return the parameter at a place between the bounds."""
+        if self.turn:
+            return float(u % self.turn)
+        return float(np.exp(u) if self.logarithmic else u)
+
+    def place(self, value):
+        """Return the place of a parameter."""
+        return np.log(value) if self.logarithmic else value
+
+
+def refined(candidates, evidence, motion):
+    """Search shape parameters on between the points of the grid.
+
+    Parameters
+    ----------
+    candidates : sequence of Effect
+        Shapes to start from.
+    evidence : callable
+        Effect -> what its shape is worth [nats].
+    motion : Motion
+        Signals.
+
+    Returns
+    -------
+    Effect
+        The best of all that were tried.
+    """
+    found = max((_searched(one, evidence, motion) for one in candidates), key=evidence)
+    if found.neutral:
+        plain = clone(found).set_params(**dict(found.neutral))
+        if evidence(found) - evidence(plain) < _NEUTRAL:
+            return plain
+    return found
+
+
+def _searched(effect, evidence, motion):
+    """Search from one shape."""
+    brackets = {n: Bracket.of(effect, n, motion) for n in effect.continuous}
+    brackets = {n: bracket for n, bracket in brackets.items() if bracket is not None}
+    if not brackets:
+        return effect
+
+    def at(places):
+        values = {n: b.value(u) for (n, b), u in zip(brackets.items(), places)}
+        return clone(effect).set_params(**values)
+
+    search = _along if len(brackets) == 1 else _downhill
+    start = [b.place(getattr(effect, n)) for n, b in brackets.items()]
+    own = list(brackets.values())
+    place, value = search(lambda u: -evidence(at(u)), start, own)
+    return at(place) if -value > evidence(effect) else effect
+
+
+def _along(cost, start, brackets):
+    """Search one parameter between its bounds: where, and the cost there."""
+    (bracket,) = brackets
+    low, high = bracket.low, bracket.high
+    found = optimize.minimize_scalar(
+        lambda u: cost([u]),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 3e-3 * (high - low)},
+    )
+    return [found.x], found.fun
+
+
+def _downhill(cost, start, brackets):
+    """Search several parameters, which may trade against each other, as `_along`."""
+    # Nelder and Mead's simplex follows a narrow valley; it may leave the neighbours
+    # of the start behind, but not what the parameter can be.
+    width = np.array([b.high - b.low for b in brackets])
+    simplex = np.vstack([start, start + 0.25 * np.diag(width)])
+    found = optimize.minimize(
+        cost,
+        start,
+        method="Nelder-Mead",
+        bounds=[(b.lowest, b.highest) for b in brackets],
+        options={
+            "initial_simplex": simplex,
+            "xatol": 1e-3 * width.min(),
+            "fatol": _WORTH,
+            "maxfev": _MOST_TRIALS,
+        },
+    )
+    return found.x, found.fun
+
+
+def starts(effects, evidence, best):
+    """Return the shapes of a grid to search on from, of one use of an effect."""
+    # A single parameter is searched around its best value; two may trade against each
+    # other, with several peaks, none of which lies beside a better one.
+    same = [i for i, e in enumerate(effects) if e.key() == best.key()]
+    order = sorted(same, key=lambda i: -evidence[i])
+    names = best.continuous
+    if len(names) < 2:
+        return [best]
+    apart = []
+    for name in names:
+        values, place = np.unique(
+            [getattr(e, name) for e in effects], return_inverse=True
+        )
+        steps = np.abs(place[:, None] - place)
+        if name in best.cyclic:
+            steps = np.minimum(steps, values.size - steps)
+        apart.append(steps)
+    near = np.max(apart, axis=0) <= 1
+    found = []
+    for i in order:
+        if not near[i, found].any():
+            found.append(i)
+    return [effects[i] for i in found[:_STARTS]]

@@ -97,10 +97,10 @@ class Path:
         self.n_candidates = count
         self.log_prior = np.log(self.settings.expected / max(count, 1))
 
-    def _offer(self, fit, family, taken, excess=1.0):
+    def _offer(self, fit, family, taken, excess=None):
         """Return the best shape of a family beside a fit as an `Offer`, or None."""
         groups = fit.groups(family)
-        if excess > 1.0:
+        if excess is not None:
             groups = groups.tempered(excess)
         free = np.array([e.key() not in taken for e in family.effects])
         free &= groups.shown()
@@ -336,10 +336,11 @@ class Path:
             rest = spectrum_of(fit.without(i), self.settings)
             scale = self.settings.scale
             more = float(groups.integrated(scale, member.scale)[0])
-            lost = whole + more - rest.log_evidence() - float(groups.evidence(scale)[0])
             excess = self._excess(fit, i, fit.scores)
-            evidence = float(groups.tempered(excess).evidence(scale)[0])
-            evidence += min(lost, 0.0) / excess
+            evidence = min(
+                float(groups.tempered(excess).evidence(scale)[0]),
+                excess.tempered(whole + more - rest.log_evidence()),
+            )
             found.append(evidence - np.log(self._shapes(member)) + self.log_prior)
         return np.array(found)
 

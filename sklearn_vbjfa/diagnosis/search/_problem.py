@@ -435,19 +435,19 @@ class Fit:
         rows = self._rows(left * np.sqrt(base.weights))
         promised = (rows**2).sum()
         if not promised > 0:
-            return Excess(ratio=1.0, freedom=np.inf)
+            return Excess()
         # What the group itself explains of them is no noise.
         noise = noise - rows * ((rows * noise).sum() / promised)
         scores = problem.view.blocks.sums((rows * noise).sum(axis=0))
         power = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
         slow = power[: max(power.size // _SLOW, 1)]
-        ratio = max(1.0, slow.mean(), power.mean())
+        usual = float(max(1.0, slow.mean(), power.mean()))
         effect = family.effects[c]
         if not (effect.slow or effect.trend or effect.jumping):
-            return Excess(ratio=float(ratio), freedom=np.inf)
+            return Excess(ratio=usual, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.
-        ratio = max(ratio, power[:_SLOWEST].mean())
-        return Excess(ratio=float(ratio), freedom=float(slow.size))
+        ratio = float(max(usual, power[:_SLOWEST].mean()))
+        return Excess(ratio=ratio, freedom=float(slow.size), usual=usual)
 
     @functools.cached_property
     def _covariance(self):

@@ -448,9 +448,26 @@ class Path:
         if self.held_out(new).worth(len(fit.members)).gain <= 0:
             # What predicts other motion no better is refused beside this model.
             return fit
+        if member.effect.in_model and not self._settles(new):
+            return fit
         self.steps.append(step)
         self._moved(member.joints)
         return self._pruned(new)
+
+    def _settles(self, fit):
+        """Whether the last member of a fit is probable once the robot is corrected.
+
+        What its first derivative promises need not hold: a gain that is hidden looks
+        like whatever the joint lacks.
+        """
+        before = self.view, self.problem, self.motion
+        for _ in range(_TURNS):
+            fit = self._anew(fit)
+        last = fit.members[-1]
+        sure = self.log_odds(fit)[-1] > 0
+        natural = last.effect.natural(fit.coefficients(len(fit.members) - 1))
+        self.view, self.problem, self.motion = before
+        return sure and natural
 
     def rivals(self, fit, i):
         """Offers that would take the place of a member, the best first."""
@@ -471,6 +488,7 @@ class Path:
                 for o in self.rivals(fit, i)
                 if o.order > odds[i] - self.settings.rivals
                 and o.log_odds > 0
+                and not o.effect.in_model
                 and o.effect.key() != member.effect.key()
                 and member.effect.name not in closure(o.effect, self.library)
             ]

@@ -8,7 +8,13 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._found import Rival, Step
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
-from sklearn_vbjfa.diagnosis.search._problem import Base, Family, Fit, Problem, spectrum_of
+from sklearn_vbjfa.diagnosis.search._problem import (
+    Base,
+    Family,
+    Fit,
+    Problem,
+    spectrum_of,
+)
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
 from sklearn_vbjfa.effects._library import closure
 
@@ -241,9 +247,7 @@ class Path:
         if not best.effect.in_model:
             return best
         near = [
-            o
-            for o in offers
-            if o.effect.in_model and o.order > best.order - _EQUAL
+            o for o in offers if o.effect.in_model and o.order > best.order - _EQUAL
         ]
         return min(near, key=lambda o: (o.effect.precedence, -o.order))
 
@@ -452,7 +456,42 @@ class Path:
             return fit
         self.steps.append(step)
         self._moved(member.joints)
-        return self._pruned(new)
+        return self._pruned(self._absorbed(new))
+
+    def _absorbed(self, fit):
+        """Leave out what the last member contains if that does as well alone.
+
+        Its shape was found beside them, where it stood for what they had left over.
+        """
+        last = fit.members[-1]
+        names, joint = closure(last.effect, self.library), last.effect.joint
+        rest = [
+            m
+            for m in fit.members[:-1]
+            if m.effect.joint != joint or m.effect.name not in names
+        ]
+        if len(rest) == len(fit.members) - 1:
+            return fit
+        base = Fit(fit.base, rest)
+        offers = [
+            offer
+            for family in self.candidates[joint]
+            if family.effects[0].name == last.effect.name
+            for offer in [self._offer(base, family, self._taken(base))]
+            if offer is not None
+        ]
+        for offer in offers:
+            alone = self._scaled(Fit(fit.base, [*rest, self._member(base, offer)]))
+            errors = [self.held_out(one).error_of(joint) for one in (alone, fit)]
+            if errors[0] <= (1 + self.settings.worth) * errors[1]:
+                for member in fit.members[:-1]:
+                    if member not in rest:
+                        gone = Step(
+                            action="drop", effect=member.effect, log_odds=np.nan
+                        )
+                        self.steps.append(gone)
+                return alone
+        return fit
 
     def _settles(self, fit):
         """Whether the last member of a fit is probable once the robot is corrected.

@@ -267,7 +267,11 @@ class Fit:
         edges = np.cumsum([0, *(m.width for m in self.members)])
         self.places = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:])]
         p = int(edges[-1])
-        self._B, S, right = np.zeros((base.L.shape[0], p)), np.zeros((p, p)), np.zeros(p)
+        self._B, S, right = (
+            np.zeros((base.L.shape[0], p)),
+            np.zeros((p, p)),
+            np.zeros(p),
+        )
         self.prior = np.zeros(p)
         for place, member in zip(self.places, self.members):
             own = base.beside(member.joints, member.columns)
@@ -367,7 +371,9 @@ class Fit:
                 for i, j in enumerate(member.joints):
                     if j in family.joints:
                         F = family.columns[family.joints.index(j)].reshape(n, c * k)
-                        weighted = member.columns[i, :, 0] * self.base.weights[j][:, None]
+                        weighted = (
+                            member.columns[i, :, 0] * self.base.weights[j][:, None]
+                        )
                         cross[place] += weighted.T @ F
             D = self._reduced(cross)
             H = H - _blocks(D, c, k)

@@ -1,4 +1,4 @@
-"""What each effect is worth on stretches of time, or recordings, that were not fitted."""
+"""What each effect is worth on time, or recordings, that were not fitted."""
 
 import functools
 from dataclasses import dataclass
@@ -164,7 +164,7 @@ class HeldOutFit:
         return float(self.squares[:, np.searchsorted(self.held.heard, joint)].sum())
 
     def worth(self, i):
-        """What a member is worth, `Worth`."""
+        """Return what a member is worth, `Worth`."""
         place, member = self._places[i], self.fit.members[i]
         without = np.empty_like(self.squares)
         unit = np.eye(self._done.size)[:, place]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logit, logsumexp
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._found import Rival, Step
@@ -86,6 +86,8 @@ class Path:
         self.steps = []
         self._kept, self._stale, self._gone = {}, set(), set()
         self._held = None
+        # Log odds above which an effect is in the model.
+        self.least = float(logit(settings.undecided))
 
     # -- candidates -----------------------------------------------------------------
 
@@ -209,7 +211,9 @@ class Path:
             return any((name, offer.effect.joint) in there for name in names)
 
         while True:
-            probable = [o for k in self._kept.values() for o in k if o.log_odds > 0]
+            probable = [
+                o for k in self._kept.values() for o in k if o.log_odds > self.least
+            ]
             if not probable:
                 if not self._stale:
                     return None
@@ -238,8 +242,10 @@ class Path:
         1996, doi 10.2307/3315687).
         """
         names = closure(best.effect, self.library)
-        within = [o for o in offers if o.effect.name in names and o.log_odds > 0]
-        sure = [o for o in self._surest(fit, within) if o.log_odds > 0]
+        within = [
+            o for o in offers if o.effect.name in names and o.log_odds > self.least
+        ]
+        sure = [o for o in self._surest(fit, within) if o.log_odds > self.least]
         return sure[0] if sure else best
 
     def _first(self, best, offers):
@@ -363,7 +369,7 @@ class Path:
         return np.array(found)
 
     def _shapes(self, member):
-        """Number of shapes among which a member was chosen."""
+        """Count the shapes among which a member was chosen."""
         for family in self.candidates.get(member.effect.joint, ()):
             if family.effects[0].name == member.effect.name:
                 return len(family.effects)
@@ -374,7 +380,7 @@ class Path:
         while fit.members:
             odds = self.log_odds(fit)
             i = int(np.argmin(odds))
-            if odds[i] > 0:
+            if odds[i] > self.least:
                 break
             self._moved(fit.members[i].joints)
             fit = self.dropped(fit, i, float(odds[i]))
@@ -503,7 +509,7 @@ class Path:
         for _ in range(_TURNS):
             fit = self._anew(fit)
         last = fit.members[-1]
-        sure = self.log_odds(fit)[-1] > 0
+        sure = self.log_odds(fit)[-1] > self.least
         natural = last.effect.natural(fit.coefficients(len(fit.members) - 1))
         self.view, self.problem, self.motion = before
         return sure and natural
@@ -526,7 +532,7 @@ class Path:
                 o
                 for o in self.rivals(fit, i)
                 if o.order > odds[i] - self.settings.rivals
-                and o.log_odds > 0
+                and o.log_odds > self.least
                 and not o.effect.in_model
                 and o.effect.key() != member.effect.key()
                 and member.effect.name not in closure(o.effect, self.library)
@@ -582,7 +588,6 @@ class Path:
         weights = np.repeat(flat[:, None], self.problem.y.shape[1], axis=1)
         fit = Fit(Base(self.problem, weights))
         self.motion = view.motion(fit.theta)
-        self._candidates()
         return fit
 
     def placed(self, effects):
@@ -597,6 +602,7 @@ class Path:
     def run(self):
         """Search; returns the last `Fit`."""
         fit, seen = self.begin(), None
+        self._candidates()
         for turn in range(_TURNS):
             if turn:
                 self._candidates()
@@ -654,8 +660,7 @@ def tuned_on(view, effects, settings):
     """Return effects with shapes that suit another recording, tuple of Effect."""
     if not effects:
         return ()
-    path = Path(view, tuple(effects), settings)
-    path.begin()
+    path = Path(view, (), settings)
     fit = path.placed(effects)
     fit = path.refined(spectrum_of(fit, settings))
     return tuple(member.effect for member in fit.members)

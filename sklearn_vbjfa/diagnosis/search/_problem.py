@@ -198,7 +198,7 @@ class Base:
         return self._known[key][1]
 
     def _beside(self, joints, columns):
-        nj, n, c, k = columns.shape
+        _, n, c, k = columns.shape
         cross, right = np.zeros((self.L.shape[0], c * k)), np.zeros(c * k)
         gram = np.zeros((c, k, k))
         for i, j in enumerate(joints):
@@ -265,7 +265,7 @@ class Fit:
     def __init__(self, base, members=()):
         self.base, self.members = base, tuple(members)
         edges = np.cumsum([0, *(m.width for m in self.members)])
-        self.places = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:])]
+        self.places = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
         p = int(edges[-1])
         self._B, S, right = (
             np.zeros((base.L.shape[0], p)),
@@ -362,7 +362,7 @@ class Fit:
 
     def groups(self, family):
         """Second moments of a family's shapes beside this model, `Groups`."""
-        nj, n, c, k = family.columns.shape
+        _, n, c, k = family.columns.shape
         own = self.base.beside(family.joints, family.columns)
         H, q = own.H, own.q
         if self.members:

@@ -1,5 +1,6 @@
 """The regression of all joints in frequency, with some groups of effects beside it."""
 
+import copy
 import functools
 import itertools
 from dataclasses import dataclass
@@ -186,6 +187,19 @@ class Base:
     def solved(self, right):
         """L^-1 times a right-hand side (r, ...)."""
         return linalg.solve_triangular(self.L, right, lower=True)
+
+    def undone(self, member):
+        """Return the same before a member's corrections, as far as these are linear."""
+        done = member.done
+        if not done.any():
+            return self
+        problem, other = copy.copy(self.problem), copy.copy(self)
+        problem.y = problem.y.copy()
+        for i, j in enumerate(member.joints):
+            problem.y[j] += member.columns[i, :, 0] @ done
+        other.problem, other._known = problem, {}
+        other.t = self.t + self.beside(member.joints, member.columns).T @ done
+        return other
 
     def beside(self, joints, columns):
         """Moments of columns (nj, n, c, k) beside the declared ones, `Beside`."""
@@ -493,8 +507,9 @@ class Fit:
         return Fit(self.base, (*self.members, member))
 
     def without(self, i):
-        """Fit without a member."""
-        return Fit(self.base, (*self.members[:i], *self.members[i + 1 :]))
+        """Fit without a member, to a robot that it has not corrected."""
+        base = self.base.undone(self.members[i])
+        return Fit(base, (*self.members[:i], *self.members[i + 1 :]))
 
 
 def spectrum_of(fit, settings, rounds=3):

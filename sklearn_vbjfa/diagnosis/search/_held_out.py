@@ -86,7 +86,7 @@ def held_out(fit, motion):
     raw, white = np.array(raw), np.array(white)
     penalty = np.r_[np.zeros(r), fit.prior]
     total = np.einsum("jma,jmb->ab", white, white, optimize=True)
-    penalty[:r] = 1e-9 * max(np.trace(total[:r, :r]) / r, 1.0)
+    penalty[:r] = 1e-9 * np.maximum(np.diagonal(total)[:r], 1.0)
     done = np.r_[np.zeros(r), fit.done]
     pull = penalty * done
     n_members = len(fit.members)

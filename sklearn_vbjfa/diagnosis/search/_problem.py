@@ -12,7 +12,7 @@ from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._groups import Groups
 from sklearn_vbjfa.effects import Effect
 
-# Ridge of the rigid bodies and plain terms, over the mean square of a column: rounding.
+# Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 
 
@@ -179,7 +179,8 @@ class Base:
             own = Z * w[:, None]
             G += own.T @ Z
             g += own.T @ y
-        G += _RIDGE * max(np.trace(G) / max(r, 1), 1.0) * np.eye(r)
+        # Of each column itself: weights make some of them a thousand times the others.
+        G += np.diag(_RIDGE * np.maximum(np.diagonal(G), 1.0))
         self.L = linalg.cholesky(G, lower=True)
         self.t = self.solved(g)
         self._known = {}

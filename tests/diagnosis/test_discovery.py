@@ -627,10 +627,6 @@ def test_unexplained_names_the_signal_that_it_varies_with():
     assert rest.signals[0].share > 0.3
 
 
-@pytest.mark.xfail(
-    reason="With such friction, which the library lacks, a delay is named on four of "
-    "five seeds; it was on two while offset and rotor inertia could be dropped."
-)
 def test_friction_that_depends_on_another_joint_is_no_delay():
     torque = ARM.torque(
         joint_1=lambda r: 0.8 * np.tanh(2 * r.q[:, 1]) * np.sign(r.v[:, 0])

@@ -70,6 +70,8 @@ def held_out(fit, motion):
     problem = fit.problem
     view, cosines = problem.view, problem.cosines
     heard = np.flatnonzero(problem.heard)
+    if heard.size == 0:
+        return HeldOutFit(members=[], residual=np.zeros_like(view.target))
     r, p = problem.Z.shape[2], problem.Z.shape[2] + fit.n_coefficients
     raw, white = [], []
     columns = [view.columns([m.effect], motion)[:, :, 0] for m in fit.members]

@@ -1,136 +1,199 @@
-"""What each effect is worth on stretches of time that were not fitted."""
+"""What each effect is worth on stretches of time, or recordings, that were not fitted."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
 
+# Folds of a single recording, stretches one after the other.
+_FOLDS = 8
+# Recordings from which on each is left out as a whole: another motion.
+_RECORDINGS = 3
+# Ridge of the declared columns, over the mean square of a column: rounding.
+_RIDGE = 1e-9
+
 
 @dataclass(frozen=True, kw_only=True)
-class HeldOut:
+class Worth:
     """What an effect saves on stretches of time that were not fitted.
 
     Attributes
     ----------
     gain : float
-        Share of the squared error in rows as recorded that it saves; of its joint, or
-        of the robot in units of noise for what acts on all.
+        Share of the squared error that it saves: of its joint, or of the robot in
+        units of noise for what acts on all.
     gain_std : float
-        Its standard error, from the scatter between stretches.
-    errors : float
-        What it saves in whitened rows, over its standard error.
+        Its standard error, from the scatter between blocks of time.
     helped : float
-        Share of the stretches in which it helps.
+        Share of the blocks in which it helps.
     n_blocks : int
-        Number of stretches in which it changes anything.
+        Number of blocks in which it changes anything.
     """
 
     gain: float
     gain_std: float
-    errors: float
     helped: float
     n_blocks: int
 
     @classmethod
-    def of(cls, before, after, white_before, white_after):
-        """Compare squared errors (n_blocks,), as recorded and whitened."""
-        saved, white = before - after, white_before - white_after
-        used = white != 0
-        total, count = before.sum(), int(used.sum())
+    def of(cls, before, after):
+        """Compare squared errors (n_blocks,)."""
+        saved, total = before - after, before.sum()
+        changed = saved != 0
+        count = int(changed.sum())
         if count < 2 or total == 0:
-            return cls(gain=0.0, gain_std=0.0, errors=0.0, helped=0.0, n_blocks=count)
-        scatter = white[used].std(ddof=1) * np.sqrt(count)
+            return cls(gain=0.0, gain_std=0.0, helped=0.0, n_blocks=count)
         return cls(
             gain=float(saved.sum() / total),
             gain_std=float(saved.std() * np.sqrt(saved.size) / total),
-            errors=float(white.sum() / scatter) if scatter > 0 else 0.0,
-            helped=float((white[used] > 0).mean()),
+            helped=float((saved[changed] > 0).mean()),
             n_blocks=count,
         )
 
+    @property
+    def errors(self):
+        """What it saves over its standard error."""
+        return self.gain / self.gain_std if self.gain_std > 0 else 0.0
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class HeldOutFit:
-    """A model on stretches of time that were not fitted.
 
-    Attributes
+class HeldOut:
+    """Regressions of all joints that leave out one fold of time after the other.
+
+    From second moments of blocks of time. Folds are whole recordings where there are
+    three or more, else stretches of each recording: what is worth its name predicts
+    motion that was not fitted.
+
+    Parameters
     ----------
-    members : list of HeldOut
-        What each of its effects is worth there.
-    residual : ndarray of shape (nv, m)
-        Its residuals there, scaled by the root of the weights.
+    view : RecordingView
+        Recording.
     """
 
-    members: list
-    residual: np.ndarray
+    def __init__(self, view):
+        self.view = view
+        self.heard = np.flatnonzero(view.precision > 0)
+        self.fold = fold_of(view)
+        self._edges = np.r_[
+            0, np.flatnonzero(np.diff(view.blocks.label)) + 1, view.index.size
+        ]
+        # A block lies in one fold, but for the one in which a fold ends.
+        self._of_block = self.fold[self._edges[:-1]]
+        self._known = {}
+
+    def _rows(self, members):
+        """All columns and the torque of the heard joints, (nj, m, r + p + 1)."""
+        view = self.view
+        width = sum(m.width for m in members)
+        rows = np.zeros((self.heard.size, view.index.size, width))
+        at = 0
+        for member, own in zip(members, self._columns(members)):
+            for i, j in enumerate(self.heard):
+                if j in member.joints:
+                    place = slice(at, at + member.width)
+                    rows[i, :, place] = own[member.joints.index(j)]
+            at += member.width
+        target = view.target[self.heard, :, None]
+        return np.concatenate([view.Z[self.heard], rows, target], axis=2)
+
+    def _columns(self, members):
+        """Columns (nj, m, k) of each member, row by row."""
+        for member in members:
+            key = id(member.columns)
+            if key not in self._known:
+                made = self.view.columns([member.effect], self.motion)[:, :, 0]
+                self._known[key] = member.columns, made
+            yield self._known[key][1]
+
+    def fitted(self, fit, motion):
+        """Leave out each fold of a `Fit`; returns a `HeldOutFit`."""
+        self.motion = motion
+        return HeldOutFit(self, fit, self._rows(fit.members))
 
 
-def held_out(fit, motion):
-    """Leave out folds of time, and say what each member of a `Fit` is worth there."""
-    problem = fit.problem
-    view, cosines = problem.view, problem.cosines
-    heard = np.flatnonzero(problem.heard)
-    if heard.size == 0:
-        return HeldOutFit(members=[], residual=np.zeros_like(view.target))
-    r, p = problem.Z.shape[2], problem.Z.shape[2] + fit.n_coefficients
-    raw, white = [], []
-    columns = [view.columns([m.effect], motion)[:, :, 0] for m in fit.members]
-    for j in heard:
-        X = np.column_stack([problem.Z[j], fit.rows_of(j), problem.y[j]])
-        X *= np.sqrt(fit.base.weights[j])[:, None]
-        used = view.root[:, j, None] > 0
-        white.append(np.where(used, cosines.rows(X[None])[0], 0.0))
-        own = np.zeros((view.index.size, fit.n_coefficients))
-        for place, member, made in zip(fit.places, fit.members, columns):
-            if j in member.joints:
-                own[:, place] = made[member.joints.index(j)]
-        raw.append(np.column_stack([view.Z[j], own, view.target[j]]))
-    raw, white = np.array(raw), np.array(white)
-    penalty = np.r_[np.zeros(r), fit.prior]
-    total = np.einsum("jma,jmb->ab", white, white, optimize=True)
-    penalty[:r] = 1e-9 * np.maximum(np.diagonal(total)[:r], 1.0)
-    done = np.r_[np.zeros(r), fit.done]
-    pull = penalty * done
-    n_members = len(fit.members)
-    squares = np.zeros((2, n_members + 1, heard.size, view.index.size))
-    residual = np.zeros((view.nv, view.index.size))
-    for rows in view.blocks.folds():
-        part = white[:, rows].reshape(-1, p + 1)
-        left = total - part.T @ part
-        G, g = left[:p, :p] + np.diag(penalty), left[:p, p] - pull
-        factor = linalg.cho_factor(G)
-        theta = [linalg.cho_solve(factor, g)]
-        for place in fit.places:
-            # What leaving columns out does to the others, by the block inverse.
-            own = slice(r + place.start, r + place.stop)
-            unit = np.eye(p)[:, own]
-            inverse = linalg.cho_solve(factor, unit)
-            shift = inverse @ np.linalg.solve(inverse[own], theta[0][own] + done[own])
-            theta.append(theta[0] - shift)
-        theta = np.array(theta).T
-        for kind, made in enumerate((raw, white)):
-            wrong = made[:, rows, p, None] - made[:, rows, :p] @ theta
-            squares[kind][:, :, rows] = (wrong**2).transpose(2, 0, 1)
-            if kind == 0:
-                residual[np.ix_(heard, rows)] = wrong[:, :, 0]
-    blocks = view.blocks.sums(np.moveaxis(squares, -1, 0)).transpose(1, 2, 0, 3)
-    found = []
-    for i, member in enumerate(fit.members):
-        own = slice(None)
-        scale = view.precision[heard]
-        if not member.effect.everywhere:
-            own = heard == member.effect.joint
-            scale = np.ones(1)
-        after, before = blocks[:, 0][..., own], blocks[:, i + 1][..., own]
-        found.append(
-            HeldOut.of(
-                before[0] @ scale,
-                after[0] @ scale,
-                before[1].sum(axis=1),
-                after[1].sum(axis=1),
-            )
+class HeldOutFit:
+    """A model on folds of time that were not fitted; see `HeldOut`."""
+
+    def __init__(self, held, fit, rows):
+        self.held, self.fit, self._given = held, fit, rows
+        view = held.view
+        p = rows.shape[2] - 1
+        r = p - fit.n_coefficients
+        self._places = [slice(r + s.start, r + s.stop) for s in fit.places]
+        # Block, joint, column, column.
+        self._moments = np.array(
+            [
+                rows[:, a:b].transpose(0, 2, 1) @ rows[:, a:b]
+                for a, b in zip(held._edges[:-1], held._edges[1:])
+            ]
         )
-    return HeldOutFit(members=found, residual=residual)
+        weight = view.precision[held.heard]
+        self._weighted = np.einsum("j,bjpq->bpq", weight, self._moments)
+        total = self._weighted.sum(axis=0)
+        ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
+        prior = np.r_[np.full(r, ridge), fit.prior]
+        self._done = np.r_[np.zeros(r), fit.done]
+        self._folds = []
+        for k in np.unique(held._of_block):
+            blocks = held._of_block == k
+            left = total - self._weighted[blocks].sum(axis=0)
+            G = left[:p, :p] + np.diag(prior)
+            factor = linalg.cho_factor(G)
+            theta = linalg.cho_solve(factor, left[:p, p] - prior * self._done)
+            self._folds.append((blocks, factor, theta))
+
+    def _squares(self, blocks, theta):
+        """Squared errors (n, nj) of some blocks."""
+        full = np.r_[theta, -1.0]
+        return np.einsum("p,bjpq,q->bj", full, self._moments[blocks], full)
+
+    @functools.cached_property
+    def squares(self):
+        """Squared errors of blocks (n_blocks, nj), of the model."""
+        found = np.empty(self._moments.shape[:2])
+        for blocks, _, theta in self._folds:
+            found[blocks] = self._squares(blocks, theta)
+        return found
+
+    def worth(self, i):
+        """What a member is worth, `Worth`."""
+        place, member = self._places[i], self.fit.members[i]
+        without = np.empty_like(self.squares)
+        unit = np.eye(self._done.size)[:, place]
+        for blocks, factor, theta in self._folds:
+            inverse = linalg.cho_solve(factor, unit)
+            # What leaving columns out does to the others, by the block inverse.
+            away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
+            without[blocks] = self._squares(blocks, theta - inverse @ away)
+        if member.effect.everywhere:
+            weight = self.held.view.precision[self.held.heard]
+            return Worth.of(without @ weight, self.squares @ weight)
+        own = int(np.searchsorted(self.held.heard, member.effect.joint))
+        return Worth.of(without[:, own], self.squares[:, own])
+
+    @property
+    def residual(self):
+        """Residuals (nv, m) of rows that were not fitted, scaled by their roots."""
+        held = self.held
+        out = np.zeros_like(held.view.target)
+        for blocks, _, theta in self._folds:
+            rows = np.isin(held.view.blocks.label, np.flatnonzero(blocks))
+            own = self._given[:, rows]
+            out[np.ix_(held.heard, rows)] = own[..., -1] - own[..., :-1] @ theta
+        return out
+
+
+def fold_of(view):
+    """Fold of each filtered row: recordings, or stretches of one or two, (m,)."""
+    origins = np.unique(view.origin)
+    if origins.size >= _RECORDINGS:
+        return np.searchsorted(origins, view.origin)
+    pieces = -(-_FOLDS // origins.size)
+    fold = np.empty(view.origin.size, int)
+    for k, origin in enumerate(origins):
+        own = np.flatnonzero(view.origin == origin)
+        fold[own] = k * pieces + np.arange(own.size) * pieces // own.size
+    return fold
 
 
 def held_out_rows(view):
@@ -138,11 +201,10 @@ def held_out_rows(view):
 
     Scaled by the root of the weights; the coefficients of all rows (r,) beside them.
     """
-    weight = view.precision[:, None, None]
-    root = np.sqrt(weight)
+    root = np.sqrt(view.precision)[:, None, None]
     rows, right = view.Z * root, view.target * root[:, :, 0]
     total = np.einsum("jma,jmb->ab", rows, rows, optimize=True)
-    total += 1e-9 * max(np.trace(total) / max(len(total), 1), 1.0) * np.eye(len(total))
+    total += _RIDGE * max(np.trace(total) / max(len(total), 1), 1.0) * np.eye(len(total))
     g = np.einsum("jma,jm->a", rows, right, optimize=True)
     residual = np.empty_like(view.target)
     for fold in view.blocks.folds():

@@ -6,7 +6,8 @@ import numpy as np
 from scipy.special import logsumexp
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._found import Step
+from sklearn_vbjfa.diagnosis.search._found import Rival, Step
+from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import Base, Family, Fit, Problem, spectrum_of
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
 
@@ -73,7 +74,8 @@ class Path:
         self.view, self.library, self.settings = view, library, settings
         self.max_effects, self.on_progress = max_effects, on_progress
         self.steps = []
-        self._kept = {}
+        self._kept, self._stale, self._gone = {}, set(), set()
+        self._held = None
 
     # -- candidates -----------------------------------------------------------------
 
@@ -129,7 +131,7 @@ class Path:
         if offer.tempered:
             return offer
         excess = fit.excess(offer.family, offer.best, offer.coef, self._noise)
-        taken = set().union(*(m.effect.excludes() for m in fit.members))
+        taken = self._taken(fit)
         again = self._offer(fit, offer.family, taken, excess)
         if again is None:
             return None
@@ -163,15 +165,19 @@ class Path:
             kept.append(best.get(effect.opposite().key(), 0.0) <= _MIRROR * own)
         return np.array(kept)
 
+    def _taken(self, fit):
+        """Keys of effects that do not come beside a fit, a set."""
+        return self._gone.union(*(m.effect.excludes() for m in fit.members))
+
     def _offers(self, fit, joint):
         """Offers on a joint beside a fit."""
-        taken = set().union(*(m.effect.excludes() for m in fit.members))
+        taken = self._taken(fit)
         found = (self._offer(fit, f, taken) for f in self.candidates[joint])
         return [offer for offer in found if offer is not None]
 
     # -- moves ------------------------------------------------------------------------
 
-    def _best(self, fit, least):
+    def _best(self, fit):
         """Best offer on any joint; joints whose model has not changed are not asked."""
         for joint in self.candidates:
             if joint not in self._kept:
@@ -186,7 +192,7 @@ class Path:
                 return None
             own = self._kept[joint]
             best = max(own, key=lambda o: o.log_odds)
-            if best.log_odds <= least:
+            if best.log_odds <= 0:
                 if not self._stale:
                     return None
                 for j in self._stale:
@@ -212,6 +218,11 @@ class Path:
             if o.effect.in_model and o.log_odds > best.log_odds - _EQUAL
         ]
         return min(near, key=lambda o: (o.effect.precedence, -o.log_odds))
+
+    def _refused(self, offer):
+        """Make the offers of a joint again without one that was refused."""
+        self._kept.pop(offer.effect.joint, None)
+        self._stale.discard(offer.effect.joint)
 
     def _moved(self, joints=None):
         """Note that the model of some joints, or of all, has changed."""
@@ -257,22 +268,22 @@ class Path:
         columns = self.view.columns([effect], self.motion)
         return Family.of(self.problem, (effect,), columns)
 
-    def refined(self, fit, joints):
-        """Search the shapes of the members of some joints again, beside the others."""
+    def refined(self, fit):
+        """Search the shapes of all members again, each beside the others."""
+        scale = self.settings.scale
         for i, member in enumerate(fit.members):
-            effect = member.effect
-            if effect.joint not in joints or not effect.continuous:
+            if not member.effect.continuous:
                 continue
             base = fit.without(i)
-            scale = self.settings.scale
 
             def evidence(one, base=base):
                 return float(base.groups(self._single(one)).evidence(scale)[0])
 
-            found = refined([effect], evidence, self.motion)
+            found = refined([member.effect], evidence, self.motion)
             members = list(fit.members)
             members[i] = self._single(found).member(0, member.scale)
             fit = Fit(fit.base, members)
+        self._moved()
         return self._scaled(fit)
 
     def _excess(self, fit, i, noise):
@@ -321,19 +332,15 @@ class Path:
                 return len(family.effects)
         return 1
 
-    def _pruned(self, fit, least=0.0):
+    def _pruned(self, fit):
         """Drop what is improbable beside the others, the least probable first."""
         while fit.members:
             odds = self.log_odds(fit)
             i = int(np.argmin(odds))
-            if odds[i] > least:
+            if odds[i] > 0:
                 break
-            gone = fit.members[i]
-            self.steps.append(
-                Step(action="drop", effect=gone.effect, log_odds=float(odds[i]))
-            )
-            fit = self._scaled(fit.without(i))
-            self._moved(gone.joints)
+            self._moved(fit.members[i].joints)
+            fit = self.dropped(fit, i, float(odds[i]))
         return fit
 
     def dropped(self, fit, i, odds):
@@ -357,38 +364,62 @@ class Path:
         highest = frequency[order][np.searchsorted(share, _MOTION * share[-1])]
         return _corner(effect) > self.settings.above_motion * highest
 
-    def _climb(self, fit, least=0.0):
-        """Add, refine, drop and exchange until nothing is more probable."""
+    def held_out(self, fit):
+        """Leave out folds of time; see `HeldOut.fitted`."""
+        if self._held is None or self._held.view is not self.view:
+            self._held = HeldOut(self.view)
+        return self._held.fitted(fit, self.motion)
+
+    def _climb(self, fit):
+        """Add, drop, refine and exchange until nothing is more probable."""
         self._moved()
-        been = {keys_of(fit)}
+        been, tuned, self._gone = {keys_of(fit)}, None, set()
         while True:
             full = self.max_effects is not None and len(fit.members) >= self.max_effects
-            offer = None if full else self._best(fit, least)
+            offer = None if full else self._best(fit)
             if offer is not None:
-                if self.on_progress is not None:
-                    text = f"joint {offer.effect.joint + 1}"
-                    self.on_progress(len(fit.members), text)
-                member = self._member(fit, offer)
-                new = Fit(fit.base, [*fit.members, member])
-                new = self._pruned(self._scaled(self.refined(new, [member.effect.joint])), least)
+                new = self._added(fit, offer)
                 if keys_of(new) in been:
-                    break
-                been.add(keys_of(new))
-                self.steps.append(
-                    Step(
-                        action="add", effect=member.effect, log_odds=offer.log_odds
-                    )
-                )
-                fit = new
-                self._moved(member.joints)
-                continue
-            new = self._exchanged(fit, been)
+                    # What came was refused, has gone again, or led back.
+                    self._gone.add(offer.effect.key())
+                    self._refused(offer)
+                    continue
+                self._gone.clear()
+            elif fit.members and keys_of(fit) != tuned:
+                # Shapes that were found before the others were there.
+                tuned = keys_of(fit)
+                new = self._pruned(self.refined(fit))
+            else:
+                new = self._exchanged(fit, been)
             if new is None:
-                break
+                return fit
             fit = new
             been.add(keys_of(fit))
-            self._moved()
-        return fit
+
+    def _added(self, fit, offer):
+        """Return a fit with an offer, without what becomes improbable by that."""
+        joint = offer.effect.joint
+        if self.on_progress is not None:
+            self.on_progress(len(fit.members), f"joint {joint + 1}")
+        near = self._surest(fit, self._kept[joint], self.settings.rivals)
+        member = self._member(fit, offer)
+        step = Step(
+            action="add",
+            effect=member.effect,
+            log_odds=offer.log_odds,
+            rivals=tuple(
+                Rival(effect=o.effect, log_odds=o.log_odds)
+                for o in near
+                if o.effect.key() != offer.effect.key()
+            ),
+        )
+        new = self._scaled(Fit(fit.base, [*fit.members, member]))
+        if self.held_out(new).worth(len(fit.members)).gain <= 0:
+            # What predicts other motion no better is refused beside this model.
+            return fit
+        self.steps.append(step)
+        self._moved(member.joints)
+        return self._pruned(new)
 
     def rivals(self, fit, i):
         """Offers that would take the place of a member, the best first."""
@@ -424,6 +455,7 @@ class Path:
                             log_odds=float(own),
                         )
                     )
+                    self._moved()
                     return new
         return None
 
@@ -533,8 +565,7 @@ def tuned_on(view, effects, settings):
     path = Path(view, tuple(effects), settings)
     path.begin()
     fit = path.placed(effects)
-    joints = {effect.joint for effect in effects}
-    fit = path.refined(spectrum_of(fit, settings), joints)
+    fit = path.refined(spectrum_of(fit, settings))
     return tuple(member.effect for member in fit.members)
 
 

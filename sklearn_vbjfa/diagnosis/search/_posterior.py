@@ -9,7 +9,6 @@ from sklearn_vbjfa.diagnosis.search._found import (
     FoundModel,
     Rival,
 )
-from sklearn_vbjfa.diagnosis.search._held_out import held_out
 from sklearn_vbjfa.diagnosis.search._path import Path
 
 # Why an effect that is probable has no name.
@@ -17,7 +16,6 @@ UNDECIDED = "undecided"
 CHANCE = "lowers no error on other stretches of time beyond chance"
 SMALL = "saves too little to be worth a name"
 SLOW_FILTER = "a filter within the motion's own frequencies"
-UNNATURAL = "of a sign or size that it cannot have"
 UNKNOWN = "no parameter of it is known from zero"
 UNSURE = "its value is not known well enough to correct anything"
 
@@ -49,14 +47,27 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
     fit = path.run()
     needed = float(np.log((1.0 - alpha) / alpha))
     odds = path.own_odds(fit)
-    # What the spectrum of the whole model makes improbable goes.
-    while len(odds) and odds.min() <= 0:
-        fit = path.dropped(fit, int(np.argmin(odds)), float(odds.min()))
+    # What the spectrum of the whole model makes improbable goes, what predicts other
+    # motion worse, and what has a sign or size that it cannot have.
+    while len(odds):
+        worst = int(np.argmin(odds))
+        if odds[worst] > 0:
+            found = path.held_out(fit)
+            gains = [
+                found.worth(i).gain
+                if member.effect.natural(fit.coefficients(i))
+                else -np.inf
+                for i, member in enumerate(fit.members)
+            ]
+            worst = int(np.argmin(gains))
+            if gains[worst] > 0:
+                break
+        fit = path.dropped(fit, worst, float(odds[worst]))
         odds = path.own_odds(fit)
-    found = held_out(fit, path.motion)
+    found = path.held_out(fit)
     findings = []
     for i, (member, own) in enumerate(zip(fit.members, odds)):
-        worth = found.members[i]
+        worth = found.worth(i)
         evidence = Evidence(
             log_odds=float(own),
             gain=worth.gain,
@@ -71,7 +82,7 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
             if o.log_odds > own - settings.rivals
             and o.effect.key() != member.effect.key()
         )
-        doubt = _doubt(member, fit.coefficients(i), evidence, settings, needed, path)
+        doubt = _doubt(member, evidence, settings, needed, path)
         findings.append(
             Finding(effect=member.effect, evidence=evidence, rivals=rivals, doubt=doubt)
         )
@@ -94,7 +105,7 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
     )
 
 
-def _doubt(member, coef, evidence, settings, needed, path):
+def _doubt(member, evidence, settings, needed, path):
     """Say why an effect has no name; "" for one that has."""
     if evidence.log_odds < needed:
         return UNDECIDED
@@ -102,8 +113,6 @@ def _doubt(member, coef, evidence, settings, needed, path):
         return CHANCE
     if not evidence.gain > settings.worth:
         return SMALL
-    if not member.effect.natural(coef):
-        return UNNATURAL
     if member.effect.name == "torque_filter" and not path.above_motion(member.effect):
         return SLOW_FILTER
     return ""

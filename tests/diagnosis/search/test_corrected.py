@@ -194,7 +194,7 @@ def test_other_effects_are_judged_on_the_corrected_robot():
 def test_a_gain_changes_the_robot_for_what_comes_later():
     now = searched([GAIN], joint_2=lambda r: 1.2 * np.sign(r.v[:, 1]))
     _, fit = placed(now, [TorqueGain(1), Coulomb(1)])
-    gain, friction = fit.members
+    gain, _ = fit.members
     assert gain.effect.gain == pytest.approx(1.2, abs=0.03)
     # Friction is what the joint has, not what its channel reads.
     assert fit.coefficients(1)[0] == pytest.approx(1.0, abs=0.05)

@@ -95,7 +95,7 @@ def test_pairs_that_a_model_cannot_tell_apart(level):
 
 @pytest.mark.parametrize("effect", [JointZero(0), JointZero(2)])
 def test_what_the_bodies_do_as_well_is_never_offered(level, effect):
-    """The zero of a vertical joint, and that of the last one: its body may be turned."""
+    """The zero of a vertical joint, and of the last one, whose body may be turned."""
     family = level.model.fit.problem.family(effect, level.model.motion)
     groups = level.model.fit.groups(family)
     evidence = groups.evidence(level.settings.scale)

@@ -65,9 +65,11 @@ def test_a_family_has_every_shape_of_the_grid():
         assert not family.columns[:, :, k, own.shape[2] :].any()
     # It is kept, unless another load changes it.
     assert view.family(effects.Drift(0), view.motion(None)) is family
-    loaded = view.family(effects.LoadFriction(0), motion)
-    assert view.family(effects.LoadFriction(0), motion) is loaded
-    assert view.family(effects.LoadFriction(0), view.motion(None)) is not loaded
+    theta = np.zeros(view.Z.shape[2])
+    one, other = view.motion(theta), view.motion(theta)
+    loaded = view.family(effects.LoadFriction(0), one)
+    assert view.family(effects.LoadFriction(0), one) is loaded
+    assert view.family(effects.LoadFriction(0), other) is not loaded
 
 
 # -- reduction

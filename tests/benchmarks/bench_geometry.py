@@ -313,7 +313,7 @@ def _described(effect):
         "parameters": numbers,
         "rivals": [str(rival) for rival in effect.rivals],
         "gain": float(effect.evidence.gain),
-        "p_value": float(effect.evidence.p_value),
+        "log_odds": float(effect.log_odds),
     }
 
 

@@ -1,8 +1,8 @@
 """The guide, the README and the code say the same, and their examples run."""
 
+import dataclasses
 import importlib.metadata
 import importlib.util
-import dataclasses
 import inspect
 import math
 import re

@@ -555,8 +555,12 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
     def _unneeded_entries(self, moments):
         """Entries of the regressor (nv, p) that nothing excites or effects hold."""
-        zeros = unexcited_entries(moments, self.features_.n_parameters_)
-        zeros[:, held_columns(self.features_, self.effects_)] = True
+        rigid, effects = self.features_.n_parameters_, self.effects_
+        zeros = unexcited_entries(moments, rigid)
+        if zeros.shape[1] < rigid + sum(len(e.coefficients) for e in effects):
+            # A first pass, which has no effects that need the load.
+            effects = self._plan.passes()[0].effects
+        zeros[:, held_columns(self.features_, effects)] = True
         return zeros
 
     def _correct(self, effects):

@@ -11,6 +11,34 @@ _SCALES = np.geomspace(1e-4, 1e2, 25)
 _SPAN = 1e-5
 
 
+@dataclass(frozen=True, kw_only=True)
+class Excess:
+    """How much more evidence scatters in time than its second moments promise.
+
+    Attributes
+    ----------
+    ratio : float
+        Variance of the score over that which they promise, at least one.
+    freedom : float
+        Degrees of freedom of that variance; infinite where they are many.
+    """
+
+    ratio: float
+    freedom: float
+
+    def tempered(self, evidence):
+        """Return a log Bayes factor as it is worth with this scatter."""
+        evidence = evidence / self.ratio
+        if evidence > 0 and np.isfinite(self.freedom):
+            evidence = student(evidence, self.freedom)
+        return evidence
+
+
+def student(gain, freedom):
+    """Log likelihood ratio of Student's t where the normal one has a gain."""
+    return 0.5 * (freedom + 1) * np.log1p(2 * gain / freedom)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Groups:
     """Second moments of c groups of k columns beside a model.
@@ -25,12 +53,15 @@ class Groups:
         Square sums of the columns themselves.
     unit : ndarray of shape (c, k)
         Coefficients with which each column alone has the torque of its joint.
+    freedom : float
+        Degrees of freedom of the noise: Student's t in place of the normal.
     """
 
     H: np.ndarray
     q: np.ndarray
     own: np.ndarray
     unit: np.ndarray
+    freedom: float = np.inf
 
     def evidence(self, scale):
         """Logarithms of Bayes factors (c,) against the model without the group.
@@ -50,9 +81,13 @@ class Groups:
         return logsumexp(self._along(scale), axis=0)
 
     def tempered(self, excess):
-        """Return the moments of a likelihood that is worth less by a factor."""
+        """Return the moments of a likelihood that is worth less, see `Excess`."""
         return Groups(
-            H=self.H / excess, q=self.q / excess, own=self.own / excess, unit=self.unit
+            H=self.H / excess.ratio,
+            q=self.q / excess.ratio,
+            own=self.own / excess.ratio,
+            unit=self.unit,
+            freedom=excess.freedom,
         )
 
     def integrated(self, scale, own):
@@ -70,10 +105,13 @@ class Groups:
         """Log evidence times prior at each scale, (n_scales, c)."""
         value, rest = self._spectral()
         s2 = (_SCALES**2)[:, None, None]
-        terms = 0.5 * rest**2 * s2 / (1 + s2 * value) - 0.5 * np.log1p(s2 * value)
+        gain = (0.5 * rest**2 * s2 / (1 + s2 * value)).sum(axis=2)
+        if np.isfinite(self.freedom):
+            gain = student(gain, self.freedom)
         ratio = _SCALES / scale
         prior = ratio / (1 + ratio**2)
-        return terms.sum(axis=2) + np.log(prior / prior.sum())[:, None]
+        volume = 0.5 * np.log1p(s2 * value).sum(axis=2)
+        return gain - volume + np.log(prior / prior.sum())[:, None]
 
     def _spectral(self):
         """Eigenvalues (c, k) of the scaled blocks, and the products along them."""

@@ -10,6 +10,7 @@ from sklearn_vbjfa.diagnosis.search._found import Rival, Step
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import Base, Family, Fit, Problem, spectrum_of
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
+from sklearn_vbjfa.effects._library import closure
 
 # Times that load, spectrum and geometry are made anew.
 _TURNS = 3
@@ -96,10 +97,10 @@ class Path:
         self.n_candidates = count
         self.log_prior = np.log(self.settings.expected / max(count, 1))
 
-    def _offer(self, fit, family, taken, excess=1.0):
+    def _offer(self, fit, family, taken, excess=None):
         """Return the best shape of a family beside a fit as an `Offer`, or None."""
         groups = fit.groups(family)
-        if excess > 1.0:
+        if excess is not None:
             groups = groups.tempered(excess)
         free = np.array([e.key() not in taken for e in family.effects])
         free &= groups.shown()
@@ -178,35 +179,52 @@ class Path:
     # -- moves ------------------------------------------------------------------------
 
     def _best(self, fit):
-        """Best offer on any joint; joints whose model has not changed are not asked."""
+        """Best offer on any joint; joints whose model has not changed are not asked.
+
+        What contains an effect of the model comes when nothing else does.
+        """
         for joint in self.candidates:
             if joint not in self._kept:
                 self._kept[joint] = self._offers(fit, joint)
+        there = {(m.effect.name, m.effect.joint) for m in fit.members}
+
+        def waits(offer):
+            names = closure(offer.effect, self.library)
+            return any((name, offer.effect.joint) in there for name in names)
+
         while True:
-            joint = max(
-                (j for j, own in self._kept.items() if own),
-                key=lambda j: max(o.log_odds for o in self._kept[j]),
-                default=None,
-            )
-            if joint is None:
-                return None
-            own = self._kept[joint]
-            best = max(own, key=lambda o: o.log_odds)
-            if best.log_odds <= 0:
+            probable = [o for k in self._kept.values() for o in k if o.log_odds > 0]
+            if not probable:
                 if not self._stale:
                     return None
                 for j in self._stale:
                     self._kept[j] = self._offers(fit, j)
                 self._stale = set()
-            elif joint in self._stale:
+                continue
+            best = min(probable, key=lambda o: (waits(o), -o.log_odds))
+            joint = best.effect.joint
+            if joint in self._stale:
                 self._kept[joint] = self._offers(fit, joint)
                 self._stale.discard(joint)
             elif not best.tempered:
                 sure = self._tempered(fit, best)
-                rest = [o for o in own if o is not best]
+                rest = [o for o in self._kept[joint] if o is not best]
                 self._kept[joint] = rest if sure is None else [*rest, sure]
             else:
-                return self._first(best, [o for k in self._kept.values() for o in k])
+                plain = self._plainer(fit, best, self._kept[joint])
+                return self._first(best, probable) if plain is best else plain
+
+    def _plainer(self, fit, best, offers):
+        """Plainer effect that an offer contains, if that is probable by itself.
+
+        What contains it comes beside it: a prior of heredity (H. Chipman, "Bayesian
+        variable selection with related predictors", Canadian J. of Statistics 24(1),
+        1996, doi 10.2307/3315687).
+        """
+        names = closure(best.effect, self.library)
+        within = [o for o in offers if o.effect.name in names and o.log_odds > 0]
+        sure = [o for o in self._surest(fit, within) if o.log_odds > 0]
+        return sure[0] if sure else best
 
     def _first(self, best, offers):
         """First in precedence of those of the geometry that say the same."""
@@ -318,10 +336,11 @@ class Path:
             rest = spectrum_of(fit.without(i), self.settings)
             scale = self.settings.scale
             more = float(groups.integrated(scale, member.scale)[0])
-            lost = whole + more - rest.log_evidence() - float(groups.evidence(scale)[0])
             excess = self._excess(fit, i, fit.scores)
-            evidence = float(groups.tempered(excess).evidence(scale)[0])
-            evidence += min(lost, 0.0) / excess
+            evidence = min(
+                float(groups.tempered(excess).evidence(scale)[0]),
+                excess.tempered(whole + more - rest.log_evidence()),
+            )
             found.append(evidence - np.log(self._shapes(member)) + self.log_prior)
         return np.array(found)
 
@@ -440,6 +459,7 @@ class Path:
                 for o in self.rivals(fit, i)
                 if o.log_odds > odds[i] - self.settings.rivals
                 and o.effect.key() != member.effect.key()
+                and member.effect.name not in closure(o.effect, self.library)
             ]
             for offer in near[:3]:
                 other = self._member(base, offer)

@@ -6,12 +6,14 @@ import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import linalg
+from scipy import fft, linalg
 
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
-from sklearn_vbjfa.diagnosis.search._groups import Groups
+from sklearn_vbjfa.diagnosis.search._groups import Excess, Groups
 from sklearn_vbjfa.effects import Effect
 
+# Slowest cosines of the scores that tell of effects of time; of others a fourth of all.
+_SLOW = 4
 # Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 
@@ -416,9 +418,12 @@ class Fit:
 
         Returns
         -------
-        float
+        Excess
             Variance of its score between blocks of time over that which its second
-            moments promise (the sandwich over the Hessian), at least one.
+            moments promise (the sandwich over the Hessian), at least one, with the
+            degrees of freedom that it is known with. The variance of slow changes of
+            the score counts where it is larger: that of independent blocks is as large
+            at all frequencies.
         """
         problem, base = self.problem, self.base
         direction = family.columns[:, :, c] @ coef
@@ -446,9 +451,17 @@ class Fit:
         scores = problem.view.blocks.sums((rows * noise).sum(axis=0))
         promised = (rows**2).sum()
         if not promised > 0:
-            return 1.0
-        count = scores.size
-        return max(1.0, float(scores.var() * count**2 / (count - 1) / promised))
+            return Excess(ratio=1.0, freedom=np.inf)
+        power = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
+        effect = family.effects[c]
+        if effect.slow or effect.trend or effect.jumping:
+            # What changes with time is told by slow changes alone, and there are few.
+            slow = power[:_SLOW]
+            ratio = max(1.0, float(slow.mean()), float(power.mean()))
+            return Excess(ratio=ratio, freedom=float(slow.size))
+        slow = power[: max(power.size // _SLOW, 1)]
+        ratio = max(1.0, float(slow.mean()), float(power.mean()))
+        return Excess(ratio=ratio, freedom=np.inf)
 
     @functools.cached_property
     def _covariance(self):

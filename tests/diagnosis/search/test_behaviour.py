@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 pytest.importorskip("pinocchio")
 
@@ -233,3 +234,21 @@ def test_the_report_prints_what_was_applied():
     markdown = loop.report_.to_markdown()
     assert [r.name for r in loop.rounds_] == ["spring"]
     assert "added" in markdown[markdown.index("Steps of the search") :]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("memory", [0.0, 0.3, 3.0])
+def test_alpha_is_the_share_of_recordings_that_get_a_name_they_should_not(memory):
+    """The whole library, residuals of any memory: at most chance above 5 %."""
+    count, wrong = 40, 0
+    for seed in range(count):
+        recording = record("ZY", seed=seed, duration=20.0)
+        rng = np.random.default_rng(1000 + seed)
+        noise = 0.05 * rng.normal(size=recording.noise.shape)
+        if memory:
+            keep = np.exp(-0.02 / memory)
+            noise = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], noise, axis=0)
+        torque = recording.torque() + noise
+        wrong += bool(recording.discover(torque, ceiling=False).effects_)
+    # Six or more of 40 come up in less than 2 % of the cases at 5 %.
+    assert wrong <= 5

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
-from scipy import integrate, stats
+from scipy import integrate, special, stats
 
 from sklearn_vbjfa.diagnosis.search._groups import Groups
 
@@ -138,3 +138,31 @@ def test_noise_alone_speaks_against_a_group():
         assert np.mean(np.array(values) > np.log(100.0)) <= 0.03
         means.append(np.mean(values))
     assert means[1] < means[0] < 0
+
+
+def test_odds_are_calibrated():
+    """Of groups that are there in half of the draws, as the prior has it.
+
+    Among those with a probability between two bounds that share is there.
+    """
+    rng = np.random.default_rng(0)
+    X, _ = problem(2)
+    unit = 1.0 / np.sqrt((X**2).mean(axis=0))
+    count = 8000
+    there = rng.random(count) < 0.5
+    scale = np.abs(0.1 * np.tan(0.5 * np.pi * rng.random(count))) * there
+    coef = scale[:, None] * unit * rng.normal(size=(count, 2))
+    y = coef @ X.T + rng.normal(size=(count, ROWS))
+    groups = Groups(
+        H=np.broadcast_to(X.T @ X, (count, 2, 2)),
+        q=y @ X,
+        own=np.broadcast_to((X**2).sum(axis=0), (count, 2)),
+        unit=np.broadcast_to(unit, (count, 2)),
+    )
+    probability = special.expit(groups.evidence(0.1))
+    for low, high in ((0.0, 0.48), (0.48, 0.6), (0.6, 0.9), (0.9, 1.0)):
+        chosen = (probability >= low) & (probability <= high)
+        mean = probability[chosen].mean()
+        deviation = np.sqrt(mean * (1 - mean) / chosen.sum())
+        assert chosen.sum() > 50
+        assert abs(there[chosen].mean() - mean) < 3.5 * deviation + 0.005

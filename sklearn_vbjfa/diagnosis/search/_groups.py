@@ -21,10 +21,18 @@ class Excess:
         Variance of the score over that which they promise, at least one.
     freedom : float
         Degrees of freedom of that variance; infinite where they are many.
+    usual : float
+        The ratio as it is taken for effects that are no function of time, by which
+        those that are compare with them.
     """
 
-    ratio: float
-    freedom: float
+    ratio: float = 1.0
+    freedom: float = np.inf
+    usual: float = 1.0
+
+    def as_usual(self):
+        """Return the same as for effects that are no function of time."""
+        return Excess(ratio=self.usual, usual=self.usual)
 
     def tempered(self, evidence):
         """Return a log Bayes factor as it is worth with this scatter."""

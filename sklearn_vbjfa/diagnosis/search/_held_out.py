@@ -155,6 +155,10 @@ class HeldOutFit:
             found[blocks] = self._squares(blocks, theta)
         return found
 
+    def error(self):
+        """Squared error of all joints, in units of their noise."""
+        return float((self.squares @ self.held.view.precision[self.held.heard]).sum())
+
     def worth(self, i):
         """What a member is worth, `Worth`."""
         place, member = self._places[i], self.fit.members[i]

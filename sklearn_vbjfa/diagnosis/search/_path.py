@@ -40,6 +40,8 @@ class Offer:
     tempered : bool
         Whether its evidence has been tempered by its scatter in time, see
         `Fit.excess`; it is an upper bound before.
+    order : float
+        The log odds by which it compares with others, see `Excess.as_usual`.
     """
 
     family: Family
@@ -47,6 +49,7 @@ class Offer:
     log_odds: float
     coef: np.ndarray
     tempered: bool = False
+    order: float = 0.0
 
     @property
     def effect(self):
@@ -120,11 +123,13 @@ class Path:
             if not free.any():
                 return None
         evidence = np.where(free, evidence, -np.inf)
+        log_odds = float(logsumexp(evidence) - np.log(free.size) + self.log_prior)
         return Offer(
             family=family,
             best=int(np.argmax(evidence)),
-            log_odds=float(logsumexp(evidence) - np.log(free.size) + self.log_prior),
+            log_odds=log_odds,
             coef=coefs[int(np.argmax(evidence))],
+            order=log_odds,
         )
 
     def _tempered(self, fit, offer):
@@ -133,10 +138,15 @@ class Path:
             return offer
         excess = fit.excess(offer.family, offer.best, offer.coef, self._noise)
         taken = self._taken(fit)
-        again = self._offer(fit, offer.family, taken, excess)
-        if again is None:
+        usual = self._offer(fit, offer.family, taken, excess.as_usual())
+        if usual is None:
             return None
-        return replace(again, tempered=True)
+        if not np.isfinite(excess.freedom):
+            return replace(usual, tempered=True)
+        strict = self._offer(fit, offer.family, taken, excess)
+        if strict is None:
+            return None
+        return replace(strict, tempered=True, order=usual.order)
 
     def _surest(self, fit, offers, margin=0.0):
         """Return tempered offers within a margin of the best, the best first.
@@ -144,15 +154,15 @@ class Path:
         Tempering takes evidence only, so that what is below the best of those that
         are tempered need not be.
         """
-        found, open_ = [], sorted(offers, key=lambda o: o.log_odds)
+        found, open_ = [], sorted(offers, key=lambda o: o.order)
         best = -np.inf
-        while open_ and open_[-1].log_odds > best - margin:
+        while open_ and open_[-1].order > best - margin:
             offer = self._tempered(fit, open_.pop())
             if offer is not None:
                 found.append(offer)
-                best = max(best, offer.log_odds)
-        found = [o for o in found if o.log_odds > best - margin - 1e-9]
-        return sorted(found, key=lambda o: -o.log_odds)
+                best = max(best, offer.order)
+        found = [o for o in found if o.order > best - margin - 1e-9]
+        return sorted(found, key=lambda o: -o.order)
 
     def _one_sided(self, family, gain, free):
         """Which shapes are of a direction that their mirror image does not share."""
@@ -201,7 +211,7 @@ class Path:
                     self._kept[j] = self._offers(fit, j)
                 self._stale = set()
                 continue
-            best = min(probable, key=lambda o: (waits(o), -o.log_odds))
+            best = min(probable, key=lambda o: (waits(o), -o.order))
             joint = best.effect.joint
             if joint in self._stale:
                 self._kept[joint] = self._offers(fit, joint)
@@ -233,9 +243,9 @@ class Path:
         near = [
             o
             for o in offers
-            if o.effect.in_model and o.log_odds > best.log_odds - _EQUAL
+            if o.effect.in_model and o.order > best.order - _EQUAL
         ]
-        return min(near, key=lambda o: (o.effect.precedence, -o.log_odds))
+        return min(near, key=lambda o: (o.effect.precedence, -o.order))
 
     def _refused(self, offer):
         """Make the offers of a joint again without one that was refused."""
@@ -316,11 +326,15 @@ class Path:
         coef = fit.coefficients(i) + member.done
         return fit.without(i).excess(family, 0, coef, noise)
 
-    def log_odds(self, fit):
-        """Posterior log odds of each member beside the others."""
+    def log_odds(self, fit, usual=False):
+        """Posterior log odds of each member beside the others.
+
+        As `usual` those by which they compare, see `Excess.as_usual`.
+        """
         found = []
         for i, groups in enumerate(fit.own_groups()):
-            tempered = groups.tempered(self._excess(fit, i, self._noise))
+            excess = self._excess(fit, i, self._noise)
+            tempered = groups.tempered(excess.as_usual() if usual else excess)
             evidence = float(tempered.evidence(self.settings.scale)[0])
             found.append(evidence - np.log(self._shapes(fit.members[i])))
         return np.array(found) + self.log_prior
@@ -451,32 +465,35 @@ class Path:
 
     def _exchanged(self, fit, been):
         """Put what is more probable in the place of a member; None if nothing is."""
-        odds = self.log_odds(fit)
+        odds = self.log_odds(fit, usual=True)
         for i in np.argsort(odds):
             member, base = fit.members[i], fit.without(i)
             near = [
                 o
                 for o in self.rivals(fit, i)
-                if o.log_odds > odds[i] - self.settings.rivals
+                if o.order > odds[i] - self.settings.rivals
+                and o.log_odds > 0
                 and o.effect.key() != member.effect.key()
                 and member.effect.name not in closure(o.effect, self.library)
             ]
             for offer in near[:3]:
                 other = self._member(base, offer)
-                new = Fit(fit.base, [*base.members, other])
-                new = self._scaled(new)
-                own = self.log_odds(new)[-1]
-                if own > odds[i] + _EQUAL and keys_of(new) not in been:
-                    self.steps.append(
-                        Step(
-                            action="replace",
-                            effect=other.effect,
-                            replaced=member.effect,
-                            log_odds=float(own),
-                        )
+                new = self._scaled(base.beside(other))
+                own = self.log_odds(new, usual=True)[-1]
+                if own < odds[i] + _EQUAL or keys_of(new) in been:
+                    continue
+                if self.held_out(new).error() > self.held_out(fit).error():
+                    continue
+                self.steps.append(
+                    Step(
+                        action="replace",
+                        effect=other.effect,
+                        replaced=member.effect,
+                        log_odds=float(own),
                     )
-                    self._moved()
-                    return new
+                )
+                self._moved()
+                return new
         return None
 
     # -- the whole ------------------------------------------------------------------

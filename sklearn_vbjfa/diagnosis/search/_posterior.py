@@ -64,7 +64,7 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
                 break
         fit = path.dropped(fit, worst, float(odds[worst]))
         odds = path.own_odds(fit)
-    found = path.held_out(fit)
+    found, usual = path.held_out(fit), path.log_odds(fit, usual=True)
     findings = []
     for i, (member, own) in enumerate(zip(fit.members, odds)):
         worth = found.worth(i)
@@ -77,9 +77,9 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
             helped=worth.helped,
         )
         rivals = tuple(
-            Rival(effect=o.effect, log_odds=o.log_odds)
+            Rival(effect=o.effect, log_odds=o.order)
             for o in path.rivals(fit, i)
-            if o.log_odds > own - settings.rivals
+            if o.order > usual[i] - settings.rivals
             and o.effect.key() != member.effect.key()
         )
         doubt = _doubt(member, evidence, settings, needed, path)

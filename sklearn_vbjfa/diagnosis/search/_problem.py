@@ -12,8 +12,8 @@ from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._groups import Excess, Groups
 from sklearn_vbjfa.effects import Effect
 
-# Slowest cosines of the scores that tell of effects of time; of others a fourth of all.
-_SLOW = 4
+# One in so many cosines of the scores is slow; and the slowest of them.
+_SLOW, _SLOWEST = 4, 4
 # Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 
@@ -448,20 +448,21 @@ class Fit:
         for i, j in enumerate(family.joints):
             left[j] += direction[i]
         rows = self._rows(left * np.sqrt(base.weights))
-        scores = problem.view.blocks.sums((rows * noise).sum(axis=0))
         promised = (rows**2).sum()
         if not promised > 0:
-            return Excess(ratio=1.0, freedom=np.inf)
+            return Excess()
+        # What the group itself explains of them is no noise.
+        noise = noise - rows * ((rows * noise).sum() / promised)
+        scores = problem.view.blocks.sums((rows * noise).sum(axis=0))
         power = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
-        effect = family.effects[c]
-        if effect.slow or effect.trend or effect.jumping:
-            # What changes with time is told by slow changes alone, and there are few.
-            slow = power[:_SLOW]
-            ratio = max(1.0, float(slow.mean()), float(power.mean()))
-            return Excess(ratio=ratio, freedom=float(slow.size))
         slow = power[: max(power.size // _SLOW, 1)]
-        ratio = max(1.0, float(slow.mean()), float(power.mean()))
-        return Excess(ratio=ratio, freedom=np.inf)
+        usual = float(max(1.0, slow.mean(), power.mean()))
+        effect = family.effects[c]
+        if not (effect.slow or effect.trend or effect.jumping):
+            return Excess(ratio=usual, usual=usual)
+        # What changes with time is told by slow changes alone, and there are few.
+        ratio = float(max(usual, power[:_SLOWEST].mean()))
+        return Excess(ratio=ratio, freedom=float(slow.size), usual=usual)
 
     @functools.cached_property
     def _covariance(self):

@@ -321,6 +321,8 @@ def literal_scores(fit, own, coef):
     used = view.root.T > 0
     rows = np.where(used, made.cosines.rows(left), 0.0)
     noise = np.where(used, made.cosines.rows(fit.residual * root), 0.0)
+    # What the direction itself explains of it is no noise.
+    noise = noise - rows * (rows * noise).sum() / (rows**2).sum()
     product = (rows * noise).sum(axis=0)
     label = view.blocks.label
     scores = np.array([product[label == b].sum() for b in range(label.max() + 1)])

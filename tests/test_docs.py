@@ -1,5 +1,6 @@
 """The guide, the README and the code say the same, and their examples run."""
 
+import dataclasses
 import importlib.metadata
 import importlib.util
 import inspect
@@ -148,54 +149,24 @@ def test_names_in_api_are_where_it_says():
 
 def constants_of_the_loop():
     """Phrases of the guide with the numbers that the code has."""
-    from sklearn_vbjfa.diagnosis.search import (
-        _blocks,
-        _evidence,
-        _exchange,
-        _gaps,
-        _judgement,
-        _search,
-        _shapes,
-        _split,
-        _symmetry,
-        _transfer,
-    )
+    from sklearn_vbjfa.diagnosis.search import _blocks, _gaps, _judgement, _split
     from sklearn_vbjfa.diagnosis.search import _intervals as intervals
     from sklearn_vbjfa.effects import _base
     from sklearn_vbjfa.robot import _joint_moments
 
     defaults = inspect.signature(sklearn_vbjfa.EffectDiscovery).parameters
     few, many = _blocks._WANTED
-    words = {8: "eight", 9: "nine", 10: "ten"}
     varies, any_case = _gaps.ABOVE_FLOOR
-    third = ("whole", "half", "third", "quarter")[_transfer._STRETCHES - 1]
     small = {3: "three", 4: "four", 10: "ten"}
     return [
-        f"fitted to the first {100 * _search._FORWARD:g} % of the search data",
-        f"the first {third} of every recording is predicted from the other two",
         f"{100 * defaults['test_size'].default:g} % of the motion (``test_size``)",
         f"or {small[_split._STRETCHES]} stretches of a single one",
         f"an error takes {small[int(_split.FEWEST_VALUES)]} values that are",
         f"reaches {small[int(_judgement._WIDER)]} times as far (at least to "
         f"{_judgement._CONTROL:g} Hz)",
-        f"p-values of at most ``alpha`` ({defaults['alpha'].default:g}) times k / m",
         f"fewer than {_blocks.FEWEST} times what the residual stays correlated for",
-        f"fitted to the first {100 * _search._LATE:g} % of where it acts",
-        f"acts in fewer than {2 * _search._ACTIVE} blocks",
-        f"acts in fewer than {_search._ACTIVE} blocks after the middle",
-        f"(with less than {100 * _search._FADED:g} % of its largest power)",
-        f"and {words[_shapes._FINER]} finer steps around the tuned one",
         f"{_blocks._CORRELATION_TIMES:g} times as long as the residual stays corr",
         f"{few} to {many} blocks are aimed at, and {_blocks.FEWEST} are the fewest",
-        f"Every {_blocks._FOLDS}th block is predicted from the others",
-        f"save at least {100 * _evidence.SMALLEST_GAIN:g} % of the joint's squared",
-        f"at most {_search.AT_FLOOR:g} of its standard deviations above the noise",
-        f"saves more than {100 * _search._CONTAINED:g} % of what the candidate saves",
-        f"The {small[_search._ANEW]} best candidates of a joint are judged once more",
-        f"more than {_exchange._ABOVE:g} times above their noise floor",
-        f"each effect beside the {small[_exchange._FIRST]} best ones",
-        f"the other way round saves more than {100 * _symmetry._SHARE:g} % of what",
-        f"costs less than {100 * _search._SUPERFLUOUS:g} % of the squared error",
         f"above {varies:g} times the floor if it varies with any, above {any_case:g} t",
         f"({100 * _base._FAST:g} % of its speeds are slower)",
         f"hold the true value in {200 * intervals._UPPER_END - 100:g} % of cases",
@@ -221,6 +192,16 @@ def test_numbers_of_the_loop_are_those_of_the_code():
     text = " ".join(read(DOCS / "effects.rst").split())
     for phrase in constants_of_the_loop():
         assert phrase in text, phrase
+
+
+def test_every_number_that_decides_is_in_the_guide_with_its_default():
+    from sklearn_vbjfa.diagnosis import SearchSettings
+
+    text = " ".join(read(page) for page in sorted(DOCS.glob("*.rst")))
+    for field in dataclasses.fields(SearchSettings):
+        # A row of a table, or a sentence, that begins with the name.
+        told = rf"``{field.name}``\D{{1,20}}{re.escape(f'{field.default:g}')}(?!\d)"
+        assert re.search(told, text), field.name
 
 
 def test_shapes_in_the_guide_are_those_that_are_tried():

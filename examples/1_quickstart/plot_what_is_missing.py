@@ -45,13 +45,13 @@ print(f"true Fc: {recording.friction['coulomb'].round(3)} N m")
 print(f"true mu: {recording.undeclared['load_friction'][1]} (joint_2)")
 
 # %%
-# Every step is recorded, with the share of the squared error that it saved on blocks of
-# time that it was not fitted to.
+# Every step is recorded, with the logarithm of the odds that the effect has beside what
+# the model had then; the report has the odds beside all others.
 
 for step in loop.rounds_:
     print(
         f"{step.action:8s}{step.name:15s}{step.joint_name}: "
-        f"saves {100 * step.evidence.gain:.0f} %, p = {step.evidence.p_value:.1e}"
+        f"log odds {step.log_odds:.0f}"
     )
 
 # %%

@@ -149,14 +149,14 @@ def open_effects(data, names):
     """
     _check_joints(data, names)
     weights = {}
-    doubted = {(found["name"], found["joint"]) for found in data["effects"]}
+    completed = (*data["effects"], *data.get("perhaps", ()))
+    doubted = {(found["name"], found["joint"]) for found in completed}
     weights |= dict.fromkeys(doubted, _ASKED)
     for step in data.get("rounds", ()):
-        undecided = step["action"] in ("refuse", "withdraw") or step.get("rivals")
-        if not undecided:
+        if not step.get("rivals"):
             continue
         weights[step["name"], step["joint"]] = _ASKED
-        for trial in step.get("rivals", ()):
+        for trial in step["rivals"]:
             weights[trial["name"], trial["joint"]] = _ASKED
     for one in data.get("hidden", ()):
         if one["reason"] == "excitation":
@@ -192,7 +192,7 @@ def _tuned(data):
     """Shapes that the search tuned, by effect and joint."""
     shapes = {}
     for step in data.get("rounds", ()):
-        for one in (*step.get("rivals", ()), *step.get("tried", ()), step):
+        for one in (*step.get("rivals", ()), step):
             shapes[one["name"], one["joint"]] = one.get("shape") or {}
     return shapes
 

@@ -283,7 +283,8 @@ def effect(name, joint, rivals=(), intervals=None, **parameters):
         rivals=rivals,
         parameters=parameters,
         intervals=intervals or {},
-        evidence=SimpleNamespace(gain=0.5, p_value=1e-6),
+        evidence=SimpleNamespace(gain=0.5),
+        log_odds=14.0,
     )
 
 

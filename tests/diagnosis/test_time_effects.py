@@ -7,7 +7,6 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.search import _search
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
 
@@ -24,15 +23,6 @@ def close(change, recording=ONE, library=LIBRARY, **given):
         return (FRICTION + change(r.t / LENGTH)) * np.sign(r.v[:, 0])
 
     return recording.discover(recording.torque(joint_1=friction), library, **given)
-
-
-def rules(loop):
-    """Rules by which a drift was refused."""
-    return {
-        step.rule
-        for step in loop.rounds_
-        if step.action == "refuse" and step.name == "drift"
-    }
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +47,6 @@ def test_what_faded_within_the_first_seconds_is_no_drift(share, seed):
     recording = record("ZY", duration=LENGTH, seed=seed)
     loop = close(lambda s: 3.0 * np.exp(-s / share), recording)
     assert loop.effects_ == ()
-    # It was seen, and could not be tried.
-    assert rules(loop) == {_search.FADED}
-    step = next(s for s in loop.rounds_ if s.action == "refuse")
-    assert step.evidence.n_blocks <= 1
-    assert step.tried[0].evidence.gain > 0.02
-    assert _search.FADED in loop.report_.to_markdown()
 
 
 @pytest.mark.parametrize(
@@ -71,14 +55,12 @@ def test_what_faded_within_the_first_seconds_is_no_drift(share, seed):
 def test_what_comes_and_goes_is_no_drift(periods, phase):
     loop = close(lambda s: 0.5 * np.cos(2 * np.pi * (periods * s + phase)))
     assert loop.effects_ == ()
-    assert rules(loop) <= {_search.FADED, _search.LATER}
 
 
 def test_a_trend_has_to_go_on_for_half_of_the_recording():
     """Up and down again: each quarter alone is a trend, and no half is."""
     loop = close(lambda s: -0.5 * np.sin(2 * np.pi * s))
     assert loop.effects_ == ()
-    assert _search.LATER in rules(loop)
 
 
 # -- the time after the recording

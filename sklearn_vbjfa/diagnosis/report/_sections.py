@@ -411,7 +411,7 @@ def _perhaps(outcome, verdict):
         cannot = words.join(rivals, len(rivals), "or")
         rows.append((joint, label, cell, probability, e.doubt, cannot))
         why = "" if e.doubt == UNDECIDED else f"; {e.doubt}"
-        told.append(f"- {joint}: {label}, probability {probability}{why}")
+        told.append(f"- {joint}: perhaps {label}, probability {probability}{why}")
     heads = ("joint", "effect", "parameters (90 %)", "probability", "why no name")
     return Section(
         heading="Perhaps",
@@ -757,7 +757,9 @@ def _steps(outcome, verdict):
             )
         )
     heads = ("no.", "joint", "effect", "step", "odds", "rivals")
-    return Section(heading="Steps of the search", table=_table(heads, rows))
+    # A terminal has no room for the way to what was found.
+    table = _table(heads, rows)
+    return Section(heading="Steps of the search", table=table, terminal=())
 
 
 # -- settings ---------------------------------------------------------------------

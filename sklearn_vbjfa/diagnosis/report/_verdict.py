@@ -221,11 +221,12 @@ def _errors_sentence(outcome, errors):
     if not np.isfinite(errors.after):
         return ""
     text = f"Mean error on untouched data {words.percent(errors.before)}"
-    if outcome.effects or outcome.added:
+    completed = outcome.effects or outcome.perhaps
+    if completed or outcome.added:
         text += " before"
         if outcome.added:
             text += f", {words.percent(errors.plain)} with the four plain terms"
-        if outcome.effects:
+        if completed:
             text += f", {words.percent(errors.after)} after"
     if np.isfinite(errors.wide):
         band = words.number(outcome.wide_cutoff, 2)
@@ -270,7 +271,9 @@ def _headline(outcome, joints, status):
         return f"{found} added, but {text}" if count else words.capital(text)
     if status == "worse":
         which, one = where("worse")
-        what = found if count else f"{words.capital(plain_words(outcome))} were"
+        what = found if count else "What is perhaps missing was"
+        if not count and outcome.added:
+            what = f"{words.capital(plain_words(outcome))} were"
         declared = any(
             next(_is_worse(outcome, v.joint)) for v in joints if v.status == "worse"
         )
@@ -307,6 +310,12 @@ def _headline(outcome, joints, status):
         more = ""
         if outcome.added:
             more = f"{words.capital(plain_words(outcome))} were added; beyond these n"
+        if outcome.perhaps:
+            return (
+                f"{more or 'N'}o effect is sure to be missing, perhaps "
+                f"{_named(outcome, outcome.perhaps)}; what remains is {near} the noise "
+                f"floor.{silent}"
+            )
         return (
             f"{more or 'N'}othing is missing: the residual is {near} the noise "
             f"floor.{silent}"
@@ -333,15 +342,20 @@ def plain_words(outcome):
 
 
 def _found(outcome):
-    """Name the first effects, which save most, and count the others; with a verb."""
+    """Name the first effects, and count the others; with a verb."""
     effects = outcome.effects
     if not effects:
         return "0 effects were"
+    verb = "was" if len(effects) == 1 else "were"
+    return f"{words.capital(_named(outcome, effects))} {verb}"
+
+
+def _named(outcome, effects):
+    """Name the first of some effects, and count the others."""
     named = [
         words.effect_at(outcome, e.name, e.joint, e.parameters)
         for e in effects[:_NAMED]
     ]
     if len(effects) > _NAMED:
         named.append(words.plural(len(effects) - _NAMED, "more effect"))
-    verb = "was" if len(effects) == 1 else "were"
-    return f"{words.capital(words.join(named))} {verb}"
+    return words.join(named)

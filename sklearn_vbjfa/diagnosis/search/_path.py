@@ -390,7 +390,9 @@ class Path:
         """Return a fit without a member, and note that it went."""
         effect = fit.members[i].effect
         self.steps.append(Step(action="drop", effect=effect, log_odds=odds))
-        return self._scaled(fit.without(i))
+        fit = self._scaled(fit.without(i))
+        # The robot is not corrected by it any more.
+        return self._anew(fit) if effect.in_model else fit
 
     def above_motion(self, effect):
         """Whether a filter of a channel acts above the motion of its joint."""
@@ -539,7 +541,7 @@ class Path:
             ]
             for offer in near[:3]:
                 other = self._member(base, offer)
-                new = self._scaled(Fit(fit.base, [*base.members, other]))
+                new = self._scaled(base.beside(other))
                 own = self.log_odds(new, usual=True)[-1]
                 if own < odds[i] + _EQUAL or keys_of(new) in been:
                     continue

@@ -1,5 +1,6 @@
 """The regression of all joints in frequency, with some groups of effects beside it."""
 
+import copy
 import functools
 import itertools
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from sklearn_vbjfa.effects import Effect
 
 # One in so many cosines of the scores is slow; and the slowest of them.
 _SLOW, _SLOWEST = 4, 4
-# Ridge of the rigid bodies and plain terms, over the mean square of a column: rounding.
+# Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 
 
@@ -180,7 +181,8 @@ class Base:
             own = Z * w[:, None]
             G += own.T @ Z
             g += own.T @ y
-        G += _RIDGE * max(np.trace(G) / max(r, 1), 1.0) * np.eye(r)
+        # Of each column itself: weights make some of them a thousand times the others.
+        G += np.diag(_RIDGE * np.maximum(np.diagonal(G), 1.0))
         self.L = linalg.cholesky(G, lower=True)
         self.t = self.solved(g)
         self._known = {}
@@ -188,6 +190,19 @@ class Base:
     def solved(self, right):
         """L^-1 times a right-hand side (r, ...)."""
         return linalg.solve_triangular(self.L, right, lower=True)
+
+    def undone(self, member):
+        """Return the same before a member's corrections, as far as these are linear."""
+        done = member.done
+        if not done.any():
+            return self
+        problem, other = copy.copy(self.problem), copy.copy(self)
+        problem.y = problem.y.copy()
+        for i, j in enumerate(member.joints):
+            problem.y[j] += member.columns[i, :, 0] @ done
+        other.problem, other._known = problem, {}
+        other.t = self.t + self.beside(member.joints, member.columns).T @ done
+        return other
 
     def beside(self, joints, columns):
         """Moments of columns (nj, n, c, k) beside the declared ones, `Beside`."""
@@ -513,8 +528,9 @@ class Fit:
         return Fit(self.base, (*self.members, member))
 
     def without(self, i):
-        """Fit without a member."""
-        return Fit(self.base, (*self.members[:i], *self.members[i + 1 :]))
+        """Fit without a member, to a robot that it has not corrected."""
+        base = self.base.undone(self.members[i])
+        return Fit(base, (*self.members[:i], *self.members[i + 1 :]))
 
 
 def spectrum_of(fit, settings, rounds=3):

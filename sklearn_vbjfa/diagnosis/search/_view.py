@@ -289,12 +289,30 @@ class RecordingView:
         k = _width(effects)
         out = np.zeros((len(joints), self.index.size, len(effects), k))
         for c, effect in enumerate(effects):
-            filtered = self.filtered(effect.columns(motion))
+            filtered = self.filtered(self._made(effect, motion))
             for i, j in enumerate(joints):
                 own = filtered[:, j] if effect.whole_robot else filtered
                 scale = self.gains[j] * self.root[:, j, None]
                 out[i, :, c, : own.shape[1]] = own * scale
         return out
+
+    def _made(self, effect, motion):
+        """Columns of an effect at the full rate; those of one's own may be anything."""
+        columns = np.asarray(effect.columns(motion))
+        named = f"Effect {effect.name!r} on {self.robot.joint_names_[effect.joint]}"
+        n, k = motion.q.shape[0], len(effect.coefficients)
+        expected = (n, self.nv, k) if effect.whole_robot else (n, k)
+        if columns.shape != expected:
+            raise ValueError(
+                f"{named} must have columns of shape {expected}, a row for each sample "
+                f"and a column for each coefficient; got {columns.shape}."
+            )
+        if not np.isfinite(columns).all():
+            rows = int((~np.isfinite(columns.reshape(n, -1))).any(axis=1).sum())
+            raise ValueError(
+                f"{named} has columns that are not finite in {rows} of {n} samples."
+            )
+        return columns
 
     def columns_of(self, effect, motion):
         """Columns of one effect, (nj, m, k); kept until the load is another."""

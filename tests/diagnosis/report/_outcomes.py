@@ -1,10 +1,11 @@
 """Outcomes of searches that never ran, for reports."""
 
+import dataclasses
+
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.search._band import Band
 from sklearn_vbjfa.diagnosis.search._dependence import Dependence
-from sklearn_vbjfa.diagnosis.search._evidence import Evidence
 from sklearn_vbjfa.diagnosis.search._findings import (
     DiscoveredEffect,
     Hidden,
@@ -13,10 +14,19 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     Trial,
     Unexplained,
 )
+from sklearn_vbjfa.diagnosis.search._found import Evidence
+from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED
+from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 
-EVIDENCE = Evidence(gain=0.46, gain_std=0.04, p_value=2.3e-9, n_blocks=52, helped=0.9)
+EVIDENCE = Evidence(
+    log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_blocks=52, helped=0.9
+)
+# Of probability 80 %, and of one that is sure and chance on other stretches.
+PERHAPS = Evidence(
+    log_odds=1.386, gain=0.02, gain_std=0.02, errors=1.7, n_blocks=52, helped=0.6
+)
 KINDS = (
     ("load_friction", {"mu": 0.112}, {"mu": ""}, ("presliding",)),
     (
@@ -54,6 +64,15 @@ def make_effect(i, joint, names):
     )
 
 
+def make_perhaps(i, joint, names, doubt=UNDECIDED, evidence=PERHAPS):
+    """Make an effect without a name, whose values may all be zero."""
+    effect = make_effect(i, joint, names)
+    wide = {k: (low - high, 2 * high) for k, (low, high) in effect.intervals.items()}
+    return dataclasses.replace(
+        effect, intervals=wide, evidence=evidence, doubt=doubt, rivals=()
+    )
+
+
 def make_range(name, joint, depends=("position",)):
     return EffectRange(
         name=name,
@@ -66,8 +85,7 @@ def make_range(name, joint, depends=("position",)):
 
 
 def make_round(effect, action="add"):
-    trial = Trial(name="stribeck", joint=effect.joint, shape={}, evidence=EVIDENCE)
-    nv = effect.joint + 1
+    trial = Trial(name="stribeck", joint=effect.joint, shape={}, log_odds=6.1)
     return Round(
         action=action,
         name=effect.name,
@@ -75,14 +93,8 @@ def make_round(effect, action="add"):
         joint_name=effect.joint_name,
         shape={},
         replaced="coulomb" if action == "replace" else "",
-        evidence=EVIDENCE,
-        rule="Benjamini-Hochberg over the candidates of the round",
-        level=0.0014,
-        n_tests=108,
+        log_odds=-1.7 if action == "drop" else 8.9,
         rivals=(trial,),
-        tried=(trial,) * 12,
-        error_before=np.full(nv, 0.2),
-        error_after=np.full(nv, 0.1),
     )
 
 
@@ -110,6 +122,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             "cutoff": 10.0,
         },
         "effects": effects,
+        "perhaps": (),
         "rounds": tuple(make_round(e) for e in effects),
         "unexplained": tuple(
             Unexplained(
@@ -168,10 +181,8 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             "untouched_seconds": 21.4,
             "guard_seconds": 0.13,
             "alpha": 0.05,
-            "rule": "Benjamini-Hochberg over the candidates of the round",
-            "last_level": 0.05 / 18 / nv,
-            "last_n_tests": 18 * nv,
-            "smallest_gain": 0.02,
+            "n_candidates": 18 * nv,
+            "search": dataclasses.asdict(SearchSettings()),
             "effects": ("coulomb", "ripple"),
             "n_blocks": 52,
             "block_seconds": 1.3,

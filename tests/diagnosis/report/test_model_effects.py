@@ -196,9 +196,9 @@ def test_a_tilt_belongs_to_no_joint():
         assert "tilted base on joint 1" not in shown.lower()
         assert "joint 1: the base" not in shown
         assert "turned joint axis on joint 1" in shown
-    step = replace(make_round(TILT, "refuse"), rivals=())
-    shown = str(Report(outcome_of(rounds=(step,))))
-    assert "later data: tilted base." in " ".join(shown.split())
+    step = replace(make_round(TILT, "drop"), rivals=())
+    shown = Report(outcome_of(rounds=(step,))).to_markdown()
+    assert "| 1 | robot | tilted base | dropped" in " ".join(shown.split())
 
 
 def test_headlines_name_the_joint_of_what_has_one():

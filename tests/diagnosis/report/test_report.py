@@ -14,12 +14,15 @@ from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis.report._sections import sections
 from sklearn_vbjfa.diagnosis.report._verdict import judge
 from sklearn_vbjfa.diagnosis.search._findings import Hidden
+from sklearn_vbjfa.diagnosis.search._posterior import SMALL
 from sklearn_vbjfa.effects import Coulomb, Effect, available
 from sklearn_vbjfa.effects._ranges import OutsideRange
 from tests.diagnosis.report._outcomes import (
+    EVIDENCE,
     finding,
     make_effect,
     make_outcome,
+    make_perhaps,
     make_round,
 )
 
@@ -29,7 +32,7 @@ LINES = {
     "What the declared model of arm lacks": 3,
     "Error of each joint on untouched data": 12,
     "Band of the errors": 6,
-    "Effects that were missing": 14,
+    "Effects that were missing": 15,
     "Record next": 4,
     "Not visible in this recording": 4,
     "Channels": 2,
@@ -119,15 +122,22 @@ def test_text_begins_with_the_verdict(outcome):
     assert text.startswith(" ".join(report.verdict.split())[:100])
 
 
-def test_many_rounds_do_not_lengthen_the_text():
+def test_rounds_are_no_matter_for_a_terminal():
     outcome = make_outcome()
-    step = make_round(outcome.effects[0], "refuse")
-    dropped = make_round(outcome.effects[1], "drop")
-    once, often = (
-        str(Report(make_outcome(rounds=(step, dropped) * count))) for count in (1, 50)
+    added, replaced, dropped = (
+        make_round(outcome.effects[0], action) for action in ("add", "replace", "drop")
     )
-    assert once == often
-    assert "Refused" in once
+    none, often = (
+        Report(make_outcome(rounds=(added, replaced, dropped) * count))
+        for count in (0, 50)
+    )
+    assert str(none) == str(often)
+    for text in (often.to_markdown(), often.to_html()):
+        flat = " ".join(text.split())
+        assert "7300 : 1" in flat
+        assert "1 : 5.5" in flat
+        assert "dropped: improbable beside the others" in flat
+        assert "replaced Coulomb friction" in flat
 
 
 def test_nothing_is_left_out():
@@ -145,7 +155,7 @@ def test_an_effect_is_named_with_value_gain_and_rivals():
     line = text[text.index("- joint") :].split("\n\n")[0]
     assert " ".join(line.split()) == (
         "- joint 2: load-dependent friction, mu = 0.112 +- 0.011; saves 46 %, "
-        "p = 2e-9; this data cannot tell it from hysteresis after reversals "
+        "odds 3600 : 1; this data cannot tell it from hysteresis after reversals "
         "(presliding)"
     )
 
@@ -388,7 +398,7 @@ def test_dict_round_trip(outcome):
     data = Report(outcome).to_dict()
     text = json.dumps(data, allow_nan=False)
     assert json.loads(text) == data
-    assert data["schema_version"] == 7
+    assert data["schema_version"] == 8
     assert "curves" not in data
     assert len(data["effects"]) == len(outcome.effects)
     assert len(data["error_before"]) == len(outcome.joint_names)
@@ -586,7 +596,7 @@ class Hose(Effect):
 @pytest.mark.parametrize("call", [str, Report.to_markdown, Report.to_html])
 def test_an_effect_of_ones_own_is_called_by_the_label_of_its_class(call):
     found = replace(make_effect(0, 0, NAMES), name=Gasket.name, rivals=(Hose.name,))
-    step = replace(make_round(found, "refuse"), name=Hose.name, replaced=Gasket.name)
+    step = replace(make_round(found, "replace"), name=Hose.name, replaced=Gasket.name)
     hidden = Hidden(
         name=Hose.name, joint=2, joint_name=NAMES[2], reason="excitation", remedy="?"
     )
@@ -601,7 +611,8 @@ def test_an_effect_of_ones_own_is_called_by_the_label_of_its_class(call):
     verdict, rest = text.split("missing", 1)
     assert Gasket.label in verdict.replace("Squeeze", "squeeze")
     assert Gasket.label in rest
-    assert rest.count(Hose.label) >= 3  # rival, hidden, refused
+    # Rival and hidden; a step as well, of which a terminal shows none.
+    assert rest.count(Hose.label) >= (2 if call is str else 3)
     assert f"{Gasket.record} (joint 1)" in text
     assert f"{Hose.record} (joints 1 and 3)" in text
     assert "own gasket" not in text
@@ -624,6 +635,101 @@ def test_an_effect_of_ones_own_is_called_by_the_label_of_its_class(call):
 )
 def test_values_are_rounded_to_what_the_interval_means(value, interval, unit, expected):
     assert words.with_error(value, interval, unit) == expected
+
+
+# -- odds
+
+
+@pytest.mark.parametrize(
+    ("log_odds", "expected"),
+    [
+        (np.log(19.0), "19 : 1"),
+        (np.log(350.0), "350 : 1"),
+        (8.2, "3600 : 1"),
+        (np.log(0.02), "1 : 50"),
+        (0.0, "1 : 1"),
+        (50.0, "> 1e6 : 1"),
+        (-50.0, "< 1 : 1e6"),
+        (np.nan, "unknown"),
+        (np.inf, "unknown"),
+    ],
+)
+def test_odds_are_written_as_bets(log_odds, expected):
+    assert words.odds_text(log_odds) == expected
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [(0.5, "50 %"), (0.876, "88 %"), (0.9999, "99 %"), (1e-9, "1 %")],
+)
+def test_nothing_is_certain(value, expected):
+    assert words.probability_text(value) == expected
+
+
+# -- perhaps
+
+
+@pytest.fixture(name="open_question")
+def fixture_open_question():
+    """One name, and two that are perhaps."""
+    perhaps = (
+        make_perhaps(2, 3, NAMES),
+        make_perhaps(1, 4, NAMES, doubt=SMALL, evidence=EVIDENCE),
+    )
+    return make_outcome(n_effects=1, perhaps=perhaps)
+
+
+def test_what_is_perhaps_missing_is_told_with_its_probability(open_question):
+    report = Report(open_question)
+    text = str(report)
+    # No heading says so in a terminal.
+    assert "- joint 4: perhaps torque ripple, probability 80 %\n" in text
+    said = "- joint 5: perhaps coupling to joint 1 (sum), probability 99 %; saves too"
+    assert f"{said} little to be worth a name" in " ".join(text.split())
+    for shown in formats(report):
+        assert "probability" in shown
+        assert "80 %" in shown
+    for shown in formats(report)[1:]:
+        assert "why no name" in shown
+        assert "undecided" in shown
+    data = report.to_dict()
+    assert [e["doubt"] for e in data["effects"]] == [""]
+    assert [e["doubt"] for e in data["perhaps"]] == ["undecided", SMALL]
+    assert data["perhaps"][0]["probability"] == pytest.approx(0.8, abs=0.001)
+    assert data["perhaps"][0]["log_odds"] == pytest.approx(1.386)
+    assert data["effects"][0]["log_odds"] == pytest.approx(8.2)
+
+
+def test_what_is_perhaps_missing_is_no_name(open_question):
+    without = Report(replace(open_question, perhaps=()))
+    report = Report(open_question)
+    assert report.headline == without.headline
+    assert report.status == without.status
+    assert [v.n_effects for v in report.joints] == [0, 1, 0, 0, 0, 0]
+    assert "Perhaps" not in without.to_markdown()
+
+
+def test_with_something_perhaps_nothing_is_not_said_to_be_missing():
+    perhaps = (make_perhaps(2, 3, NAMES),)
+    outcome = make_outcome(n_effects=0, perhaps=perhaps)
+    after = outcome.error_after
+    report = Report(replace(outcome, error_before=3 * after, error_plain=3 * after))
+    assert report.status == "nothing"
+    assert "Nothing is missing" not in report.headline
+    assert "perhaps torque ripple on joint 4" in report.headline
+    # The errors are those of the models with and without it.
+    mean = outcome.error_after.mean()
+    said = f"{words.percent(3 * mean)} before, {words.percent(mean)} after"
+    assert said in " ".join(report.verdict.split())
+
+
+def test_what_is_perhaps_missing_and_does_harm_is_told():
+    outcome = make_outcome(n_effects=0, perhaps=(make_perhaps(2, 3, NAMES),))
+    worse = replace(outcome, error_before=0.5 * outcome.error_after, intervals={})
+    report = Report(worse)
+    assert report.status == "worse"
+    assert "perhaps missing" in report.headline.lower()
+    assert "worse than before" in report.headline
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,13 @@
 """Searches on recordings whose torques are known, for the tests of their parts."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.search._search import EffectSearch
+from sklearn_vbjfa.diagnosis.search._path import Path
+from sklearn_vbjfa.diagnosis.search._posterior import search as posterior
+from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording._recording import take_arrays
 from tests.diagnosis._recordings import record
@@ -27,26 +31,57 @@ def stribeck(size):
     return torque
 
 
-def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
+@dataclass(frozen=True, eq=False)
+class Search:
+    """A search that has not begun."""
+
+    view: RecordingView
+    library: tuple
+    settings: SearchSettings = field(default_factory=SearchSettings)
+    alpha: float = 0.05
+    max_effects: int | None = None
+    on_progress: object = None
+
+    def path(self):
+        """Return the path to the most probable model, with the declared one fitted."""
+        path = Path(self.view, self.library, self.settings, self.max_effects)
+        path.begin()
+        return path
+
+    def run(self):
+        """Search, and return what was `Found`."""
+        return posterior(
+            self.view,
+            self.library,
+            self.settings,
+            self.alpha,
+            self.max_effects,
+            self.on_progress,
+        )
+
+
+def view_of(torque, recording=CLEAN, robot=None, groups=None):
+    """Return the recording as a search sees it."""
     robot = recording.robot() if robot is None else robot
     groups = np.zeros(torque.shape[0], int) if groups is None else groups
     robot.fit(recording.position, torque, groups=groups)
-    weight = np.ones_like(torque)
     measured = take_arrays(
         recording.position,
         torque,
         groups,
-        weight,
+        np.ones_like(torque),
         recording.t,
         dt=robot.dt,
         joint_names=robot.joint_names_,
     )
-    return EffectSearch(
-        view=RecordingView(robot, measured),
-        library=effects.resolve(library),
-        **{"alpha": 0.05, **given},
-    )
+    return RecordingView(robot, measured)
+
+
+def search(torque, library, recording=CLEAN, robot=None, groups=None, **given):
+    view = view_of(torque, recording, robot, groups)
+    return Search(view=view, library=effects.resolve(library), **given)
 
 
 def found(run):
-    return [(e.name, e.joint) for e in run.effects]
+    """Names and joints of what has a name."""
+    return [(f.effect.name, f.effect.joint) for f in run.named]

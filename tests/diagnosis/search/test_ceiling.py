@@ -11,11 +11,11 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.diagnosis.search._ceiling import Signals, ceilings, since_reversal
 from sklearn_vbjfa.diagnosis.search._flexible import Stretches
-from sklearn_vbjfa.diagnosis.search._model import SearchModel
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording._recording import take_arrays
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
+from tests.diagnosis.search._searches import Search
 
 NAMES = ("base", "elbow")
 JOINT = 1
@@ -52,7 +52,7 @@ def viewed(seeds, duration, weight=1.0):
         dt=robot.dt,
         joint_names=robot.joint_names_,
     )
-    return SearchModel.of(RecordingView(robot, recording))
+    return Search(view=RecordingView(robot, recording), library=()).run().model
 
 
 ONE = viewed((2,), 40.0)

@@ -6,10 +6,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.search._model import Judge, SearchModel
-from sklearn_vbjfa.diagnosis.search._search import Place
-from sklearn_vbjfa.diagnosis.search._shapes import linearised
-from sklearn_vbjfa.diagnosis.search._transfer import Transfer
 from sklearn_vbjfa.effects import (
     BaseTilt,
     Coulomb,
@@ -27,22 +23,15 @@ LIBRARY = ("base_tilt", "joint_zero", "joint_axis", "torque_gain", "coulomb")
 
 
 def searched(truth, library=LIBRARY, declared=(), **added):
-    """Search in the recording of a robot with faults, before anything was accepted."""
+    """Make a search in the recording of a robot with faults."""
     recording = with_faults(truth)
     robot = recording.robot(projector=None, input_noise=None, effects=declared)
-    now = search(recording.torque(**added), library, recording, robot)
-    now.accept(())
-    return now
+    return search(recording.torque(**added), library, recording, robot)
 
 
 @pytest.fixture(scope="module")
-def leaning():
-    return searched([TILT])
-
-
-@pytest.fixture(scope="module")
-def view(leaning):
-    return leaning.view
+def view():
+    return searched([TILT]).view
 
 
 # -- the view
@@ -75,7 +64,6 @@ def test_rows_blocks_and_weights_stay(view):
     assert_array_equal(other.precision, view.precision)
     assert_array_equal(other.equations.weight, view.equations.weight)
     assert not np.allclose(other.equations.Phi, view.equations.Phi)
-    assert other.moments is not view.moments
 
 
 @pytest.mark.parametrize("effects", [[TILT], [ZERO, GAIN], [TILT, JointAxis(2, 0.1)]])
@@ -154,12 +142,10 @@ def test_what_the_robot_declares_is_corrected_from_the_start():
 # -- models with corrections
 
 
-def accepted(now, effects):
-    """Let a search accept effects, and linearise them until they stay."""
-    model = SearchModel.of(now.view, effects, now.model)
-    for joint in range(3):
-        model = linearised(model, joint)
-    return model
+def placed(now, effects):
+    """Return the path of a search, and its model with given effects."""
+    path = now.path()
+    return path, path.placed(effects)
 
 
 @pytest.mark.parametrize(
@@ -174,98 +160,41 @@ def accepted(now, effects):
     ids=lambda truth: truth[0].name,
 )
 def test_values_are_linearised_until_they_stay(truth):
-    now = searched(truth)
     (start,) = truth
-    first = SearchModel.of(now.view, [type(start)(joint=start.joint)], now.model)
-    (model,) = [linearised(first, start.joint)]
-    (effect,) = model.effects
-    step, std = model.coefficients(effect), model.deviations(effect)
-    assert np.all(np.abs(step) <= 0.1 * std)
-    assert np.all(std > 0)
-    # The deviations are those of independent rows, which the low-pass leaves not.
-    assert_allclose(effect.values + step, start.values, atol=20 * std.max())
-    assert_allclose(effect.values, start.values, atol=0.02)
-    assert np.all(model.squares.sum(axis=0) < 1.5 * first.squares.sum(axis=0))
-    # From the first linearisation on the error only falls.
-    before, after = (m.squares @ now.model.precision for m in (first, model))
-    assert after.sum() <= before.sum() * 1.01
-    assert linearised(model, start.joint) is model
+    path, fit = placed(searched(truth), [type(start)(joint=start.joint)])
+    (member,) = fit.members
+    # What is left to correct is small beside what was corrected.
+    step = fit.coefficients(0)
+    assert np.all(np.abs(step) < 0.01 * np.abs(start.values).max() + 1e-3)
+    assert_allclose(member.effect.values + step, start.values, atol=0.02)
+    # The model is of the corrected robot.
+    assert path.view is fit.problem.view
+    assert path.view is not path.view.corrected(())
+    assert np.all(fit.deviations(0) > 0)
 
 
-def test_effects_of_other_joints_are_left_alone():
-    now = searched([ZERO, GAIN])
-    first = SearchModel.of(now.view, [JointZero(1), TorqueGain(2)], now.model)
-    model = linearised(first, 1)
-    assert model.effects[0].corrects
-    assert not model.effects[1].corrects
-
-
-def test_deviations_are_those_of_the_fit():
-    """Against the inverse of the Gram matrix, written out."""
-    now = searched([ZERO])
-    effect = JointZero(1, 0.05)
-    model = SearchModel.of(now.view, [Coulomb(0), effect], now.model)
-    Z, scales = model.view.stacked(model.effects, model.motion)
-    W = model.precision[:, None, None]
-    gram = np.einsum("jmi,jmk->ik", W * Z, Z)
-    # A ridge of hardly anything.
-    expected = np.sqrt(np.linalg.inv(gram)[-1, -1]) * scales[-1][0]
-    assert_allclose(model.deviations(effect), expected, rtol=1e-3)
-    with pytest.raises(ValueError, match="not among the accepted"):
-        model.deviations(Coulomb(0))
-
-
-def test_the_model_without_an_accepted_tilt_is_the_declared_one(leaning):
-    """Its evidence is against the robot of the description, not a tilted one."""
-    model = accepted(leaning, [BaseTilt()])
-    (tilt,) = model.effects
-    place = Place.of(tilt, model)
-    assert place.base.view is leaning.view
-    assert place.base.effects == ()
-    assert_allclose(place.squares, model.squares)
-    error = [(x.squares @ model.precision).sum() for x in (place.base, model)]
-    assert error[1] < 0.1 * error[0]
-    judge = Judge(place.base, model.residuals())
-    assert place.white(judge).sum() < 0.2 * judge.squares.sum()
-    leaning.model = model
-    case = leaning.evidence_of(tilt)
-    assert case.gain > 0.8
-    assert case.p_value < 1e-3
+def test_the_base_of_the_evidence_is_the_description():
+    """A corrected robot must not make the effect that corrected it improbable."""
+    path, fit = placed(searched([TILT]), [BaseTilt()])
+    path._noise = fit.scores
+    assert path.log_odds(fit)[0] > 50
+    assert path.own_odds(fit)[0] > 20
 
 
 def test_other_effects_are_judged_on_the_corrected_robot():
     now = searched([TILT], joint_2=coulomb(1.0))
-    friction = Coulomb(1)
-    model = accepted(now, [BaseTilt(), friction])
-    place = Place.of(friction, model)
-    assert place.base.view is model.view
-    assert place.base.view is not now.view
-    assert [e.name for e in place.base.effects] == ["base_tilt"]
-    now.model = model
-    assert now.evidence_of(friction).significant(1e-3)
-
-
-def test_the_transfer_has_each_models_own_robot():
-    """Without the tilt, motion that was not fitted is predicted by a level robot."""
-    now = searched([TILT], joint_2=coulomb(1.0))
-    model = accepted(now, [BaseTilt(), Coulomb(1)])
-    tilt, friction = model.effects
-    transfer = Transfer(model)
-    both, level, smooth = (
-        transfer.squares(chosen).sum(axis=0)
-        for chosen in ([tilt, friction], [friction], [tilt])
-    )
-    assert level @ model.precision > 5 * (both @ model.precision)
-    assert smooth[1] > 5 * both[1]
-    # The declared model alone, whatever else was ever corrected.
-    alone = Transfer(SearchModel.of(now.view)).squares([]).sum(axis=0)
-    assert_allclose(transfer.squares([]).sum(axis=0), alone, rtol=0.5)
+    path, fit = placed(now, [BaseTilt(), Coulomb(1)])
+    tilt, friction = (m.effect for m in fit.members)
+    assert path.view is now.view.corrected([tilt])
+    assert_allclose(tilt.values, TILT.values, atol=0.02)
+    (k,) = (i for i, m in enumerate(fit.members) if m.effect is friction)
+    assert_allclose(fit.coefficients(k), [1.0], atol=0.05)
 
 
 def test_a_gain_changes_the_robot_for_what_comes_later():
     now = searched([GAIN], joint_2=lambda r: 1.2 * np.sign(r.v[:, 1]))
-    model = accepted(now, [TorqueGain(1), Coulomb(1)])
-    gain, friction = model.effects
-    assert gain.gain == pytest.approx(1.2, abs=0.03)
+    _, fit = placed(now, [TorqueGain(1), Coulomb(1)])
+    gain, _ = fit.members
+    assert gain.effect.gain == pytest.approx(1.2, abs=0.03)
     # Friction is what the joint has, not what its channel reads.
-    assert model.coefficients(friction)[0] == pytest.approx(1.0, abs=0.05)
+    assert fit.coefficients(1)[0] == pytest.approx(1.0, abs=0.05)

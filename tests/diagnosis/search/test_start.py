@@ -6,11 +6,8 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.search._left_out import can_be_left_out, left_out
-from sklearn_vbjfa.diagnosis.search._model import Judge
 from tests.diagnosis._recordings import DT, named, record
-from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring, stribeck
+from tests.diagnosis.search._searches import stribeck
 
 ARM = record("ZY", seed=4, duration=30.0)
 PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
@@ -134,71 +131,3 @@ def effects_of(robot, position, torque, labels):
     names = ["coulomb", "offset", "rotor_inertia", "stribeck", "spring", "presliding"]
     loop = EffectDiscovery(robot, effects=names, ceiling=False)
     return loop.fit(position, torque, groups=labels)
-
-
-# -- leaving out, against fits written out
-
-
-@pytest.fixture(scope="module")
-def full():
-    """Accept plain terms of which some are there."""
-    torque = CLEAN.torque(joint_2=coulomb(1.0), joint_1=spring(2.0, 0.5))
-    now = search(torque, ["coulomb", "offset", "spring"])
-    own = [
-        effects.Coulomb(0),
-        effects.Coulomb(1),
-        effects.Offset(1),
-        effects.Spring(0),
-    ]
-    now.accept(own)
-    return now
-
-
-def test_what_is_left_out_is_what_a_fit_without_it_gives(full):
-    model = full.model
-    for one in left_out(model, list(model.effects)):
-        rest = model.beside(model.without(one.effect))
-        joint = one.effect.joint
-        # The ridge is relative to the mean of the columns, of which one is gone.
-        assert_allclose(
-            one.squares[0][joint], rest.squares.sum(axis=0)[joint], rtol=1e-3
-        )
-        assert_allclose(one.squares[1], model.squares.sum(axis=0), rtol=1e-12)
-        share = 1 - one.squares[1][joint] / one.squares[0][joint]
-        assert one.evidence.gain == pytest.approx(share, rel=1e-8)
-
-
-def test_whitened_rows_are_those_of_the_whole_model(full):
-    """Of several columns at once as well."""
-    model = full.model
-    judge = Judge(model, model.residuals())
-    (place,) = [p for e, p in zip(model.effects, model.places()) if e.name == "spring"]
-    columns = np.arange(place.start, place.stop)
-    white = judge.without(0, [columns])[:, 0]
-    assert white.sum() > 5 * judge.squares[:, 0].sum()
-    # Whatever is left out together costs at least what either costs alone.
-    alone = judge.without(0, [columns[:1], columns[1:]])
-    assert (white.sum() >= alone.sum(axis=0) * (1 - 1e-9)).all()
-
-
-def test_what_is_there_costs_most_and_what_is_not_is_no_loss(full):
-    cases = {
-        (x.effect.name, x.effect.joint): x.evidence
-        for x in left_out(full.model, list(full.model.effects))
-    }
-    assert cases["coulomb", 1].gain > 0.9
-    assert cases["spring", 0].gain > 0.9
-    for name in (("coulomb", 0), ("offset", 1)):
-        assert cases[name].gain < 0.02
-        assert not cases[name].significant(0.01)
-
-
-def test_effects_with_shapes_are_not_left_out_linearly():
-    assert can_be_left_out(effects.Offset(0))
-    assert can_be_left_out(effects.Spring(0))
-    assert not can_be_left_out(effects.Ripple(0))
-    assert not can_be_left_out(effects.Elastic(0))
-
-
-def test_nothing_is_left_out_of_nothing(full):
-    assert left_out(full.model, []) == []

@@ -8,6 +8,8 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.diagnosis.search._view import reduced
+from sklearn_vbjfa.robot._equations import Equations
 from tests.diagnosis._recordings import DT
 from tests.diagnosis.search._searches import CLEAN, search
 
@@ -49,13 +51,58 @@ def test_filter_and_blocks_respect_recordings():
     assert view.blocks.label[first] == view.blocks.label[first - 1] + 1
 
 
-def test_families_are_told_apart_by_their_key():
-    now = search(CLEAN.torque(), ["drift"])
-    family = now.view.family(effects.Drift(0), now.view.motion(None))
-    warm = family.like(effects.Drift(0, of="viscous"))
-    assert {e.of for e in warm.effects} == {"viscous"}
-    assert warm.columns.shape[2] == len(warm.effects) < len(family.effects)
-    chosen = [k for k, e in enumerate(family.effects) if e.of == "viscous"]
-    assert_array_equal(warm.columns, family.columns[:, :, chosen])
-    assert family.where(lambda effect: True) is family
-    assert family.like(effects.Offset(0)).effects == ()
+def test_a_family_has_every_shape_of_the_grid():
+    view = search(CLEAN.torque(), ["drift"]).view
+    motion = view.motion(None)
+    family = view.family(effects.Drift(0), motion)
+    shapes = effects.Drift(0).shapes(motion)
+    assert [e.shape() for e in family.effects] == [
+        effects.Drift(0, **shape).shape() for shape in shapes
+    ]
+    for k, effect in enumerate(family.effects):
+        own = view.columns([effect], motion)[:, :, 0]
+        assert_array_equal(family.columns[:, :, k, : own.shape[2]], own)
+        assert not family.columns[:, :, k, own.shape[2] :].any()
+    # It is kept, unless another load changes it.
+    assert view.family(effects.Drift(0), view.motion(None)) is family
+    theta = np.zeros(view.Z.shape[2])
+    one, other = view.motion(theta), view.motion(theta)
+    loaded = view.family(effects.LoadFriction(0), one)
+    assert view.family(effects.LoadFriction(0), one) is loaded
+    assert view.family(effects.LoadFriction(0), other) is not loaded
+
+
+# -- reduction
+
+
+def test_reduced_coordinates_give_the_same_torques():
+    rng = np.random.default_rng(0)
+    m, precision = 240, np.array([1.0, 7.0])
+    Phi = rng.normal(size=(m, 2, 6)) * np.geomspace(1e-3, 1e3, 6)
+    Phi[:, :, 4] = 2 * Phi[:, :, 0] - Phi[:, :, 1]  # not determined
+    Phi[:, :, 5] = 0.0  # not excited
+    weight = rng.uniform(0, 1, size=(m, 2))
+    weight[::9] = 0.0
+    tau = rng.normal(size=(m, 2))
+    Z, back = reduced(Equations(Phi=Phi, tau=tau, weight=weight), precision)
+    assert Z.shape == (2, m, 4)
+    assert back.shape == (6, 4)
+    u = rng.normal(size=4)
+    root = np.sqrt(weight)
+    assert_allclose((root * (Phi @ (back @ u))).T, Z @ u, atol=1e-9)
+    assert_array_equal(back[5], 0.0)
+    # Columns of mean square one, apart from the direction.
+    G = np.einsum("j,jma,jmb->ab", precision, Z, Z)
+    assert_allclose(G, np.diag(np.diagonal(G)), atol=1e-6 * np.diagonal(G).max())
+    # Least squares in reduced coordinates is least squares.
+    own = np.sqrt(precision)[:, None, None]
+    small = np.linalg.lstsq(
+        (Z * own).reshape(-1, 4), ((root * tau).T * own[:, :, 0]).ravel(), rcond=None
+    )[0]
+    rows = (Phi * (root * np.sqrt(precision))[:, :, None]).reshape(-1, 6)
+    unit = np.sqrt((rows**2).sum(axis=0))
+    unit[5] = 1.0
+    full = np.linalg.lstsq(
+        rows / unit, (root * np.sqrt(precision) * tau).ravel(), rcond=1e-10
+    )[0]
+    assert_allclose(Phi @ (back @ small), Phi @ (full / unit), atol=1e-8)

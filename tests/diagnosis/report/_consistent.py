@@ -1,0 +1,90 @@
+"""What every report must agree on, whatever was found."""
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.report import _plain
+from sklearn_vbjfa.diagnosis.report import _words as words
+
+
+def assert_consistent(report):
+    """Odds, intervals, savings, verdict and remedies of a report say the same."""
+    outcome = report.outcome
+    settings, own = outcome.settings, outcome.settings["search"]
+    for effect in outcome.effects:
+        told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
+        assert effect.doubt == "", told
+        assert effect.probability >= 1 - settings["alpha"] - 1e-12, told
+        assert effect.evidence.errors > own["chance"], told
+        assert effect.evidence.gain > own["worth"], told
+        assert _is_known(effect), f"{told}, {effect.intervals}"
+    for effect in outcome.perhaps:
+        told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
+        assert effect.doubt, told
+        assert effect.probability >= own["undecided"], told
+    for effect in (*outcome.effects, *outcome.perhaps):
+        _assert_values(effect)
+        assert 0 <= effect.evidence.helped <= 1
+        assert settings["n_candidates"] > 0
+    named = {_key(effect) for effect in outcome.effects}
+    perhaps = {_key(effect) for effect in outcome.perhaps}
+    assert len(named | perhaps) == len(outcome.effects) + len(outcome.perhaps)
+    told = {(one.name, one.joint) for one in _plain.remedies(outcome)}
+    without = {(e.name, e.joint) for e in outcome.perhaps}
+    assert not told & without, f"to be corrected on a perhaps: {told & without}"
+    _assert_words(report)
+
+
+def _key(effect):
+    return effect.name, effect.joint, str(effect.parameters)
+
+
+def _is_known(effect):
+    """Whether one value is away from the one that does nothing, beyond its interval."""
+    idle, shape = {}, set()
+    if effect.effect is not None:
+        shape = set(effect.effect.shape())
+        if effect.effect.in_model:
+            idle = dict(zip(effect.effect.tangent, effect.effect.idle))
+    ends = {k: v for k, v in effect.intervals.items() if k not in shape}
+    ends = ends or effect.intervals
+    # What has no interval at all says nothing of its value.
+    return not ends or any(
+        low > idle.get(key, 0.0) or high < idle.get(key, 0.0)
+        for key, (low, high) in ends.items()
+    )
+
+
+def _assert_values(effect):
+    """Intervals are finite, and around values that are told."""
+    for key, (low, high) in effect.intervals.items():
+        assert np.isfinite([low, high]).all(), key
+        assert low <= effect.parameters[key] <= high, key
+
+
+def _assert_words(report):
+    """Compare what is printed with what was computed."""
+    outcome, data = report.outcome, report.to_dict()
+    markdown = report.to_markdown().replace("\\", "")
+    for key, effects in (("effects", outcome.effects), ("perhaps", outcome.perhaps)):
+        for told, effect in zip(data[key], effects, strict=True):
+            assert told["log_odds"] == effect.log_odds
+            assert told["probability"] == effect.probability
+    for effect in outcome.effects:
+        odds = words.odds_text(effect.log_odds)
+        gain = words.whole_percent(effect.evidence.gain)
+        assert not odds.startswith(("1 :", "<")), odds
+        assert odds in markdown
+        assert gain in markdown
+    for effect in outcome.perhaps:
+        assert words.probability_text(effect.probability) in markdown
+        assert effect.doubt in markdown
+    assert ("# Perhaps" in markdown) == bool(outcome.perhaps)
+    assert ("# Effects that were missing" in markdown) == bool(outcome.effects)
+    headline = report.headline
+    if outcome.effects or outcome.perhaps:
+        assert "othing is missing" not in headline, headline
+    if report.status in ("complete", "partial"):
+        assert outcome.effects, headline
+        assert "missing" in headline, headline
+    if report.status in ("nothing", "exhausted"):
+        assert not outcome.effects, headline

@@ -1,0 +1,182 @@
+"""Discrete cosines of a recording's rows, and the spectrum of a residual."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.signal import lfilter
+
+from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
+
+STEP = 0.02
+
+
+def view(m=200, starts=(0,), missing=(), cutoff=np.inf, nv=2):
+    """Rows of two joints, of which the first lacks some."""
+    root = np.ones((m, nv))
+    root[list(missing), 0] = 0.0
+    return SimpleNamespace(
+        index=np.arange(m),
+        starts=np.array(starts),
+        root=root,
+        step=STEP,
+        robot=SimpleNamespace(cutoff_=cutoff),
+    )
+
+
+# -- cosines
+
+
+@pytest.mark.parametrize("starts", [(0,), (0, 80), (0, 1, 120)])
+def test_they_are_orthonormal_and_invertible(starts):
+    cosines = Cosines(view(starts=starts))
+    basis = cosines(np.eye(200)[None], [0])[0]
+    assert_allclose(basis @ basis.T, np.eye(200), atol=1e-12)
+    x = np.random.default_rng(0).normal(size=(2, 200, 3))
+    assert_allclose(cosines.rows(cosines(x, [0, 1])), x, atol=1e-12)
+
+
+def test_recordings_do_not_mix():
+    cosines = Cosines(view(starts=(0, 80)))
+    x = np.zeros((1, 200))
+    x[0, :80] = np.random.default_rng(0).normal(size=80)
+    back = cosines.rows(cosines(x, [0]))
+    assert_allclose(back[0, 80:], 0.0, atol=1e-14)
+    # The constant of each is a cosine of its own, in the slowest band.
+    for rows in (slice(0, 80), slice(80, 200)):
+        one = np.zeros((1, 200))
+        one[0, rows] = 1.0
+        (places,) = np.nonzero(np.abs(cosines(one, [0])[0]) > 1e-9)
+        assert places.size == 1
+        assert cosines.band[places] == 0
+
+
+def test_what_lies_above_the_low_pass_is_left_out():
+    nyquist = 0.5 / STEP
+    cosines = Cosines(view(cutoff=nyquist / 4))
+    slow, fast = (
+        np.cos(np.pi * k * (np.arange(200) + 0.5) / 200)[None] for k in (10, 60)
+    )
+    assert cosines.band.size == pytest.approx(200 / 4, abs=1)
+    assert_allclose(cosines.rows(cosines(slow, [0])), slow, atol=1e-12)
+    assert_allclose(cosines(fast, [0]), 0.0, atol=1e-12)
+
+
+def test_gaps_are_bridged_by_straight_lines():
+    rows = np.arange(200)
+    gap = [*range(40, 60), 100, *range(190, 200)]
+    cosines = Cosines(view(missing=gap))
+    line = 3.0 + 0.1 * rows
+    broken = line.copy()
+    broken[gap] = 0.0
+    both = cosines.rows(cosines(np.array([broken, broken]), [0, 1]))
+    expected = line.copy()
+    # Beyond the last row that counts nothing is known.
+    expected[190:] = line[189]
+    assert_allclose(both[0], expected, atol=1e-10)
+    # The other joint lacks nothing.
+    assert_allclose(both[1], broken, atol=1e-10)
+    assert_allclose(cosines.fill, [1 - len(gap) / 200, 1.0])
+
+
+def test_gaps_are_not_bridged_from_one_recording_to_the_next():
+    gap = [*range(70, 90), *range(150, 200)]
+    cosines = Cosines(view(starts=(0, 80, 150), missing=gap))
+    x = np.repeat([1.0, 5.0, 9.0], [80, 70, 50])
+    x[gap] = 0.0
+    (back,) = cosines.rows(cosines(x[None], [0]))
+    assert_allclose(back, np.repeat([1.0, 5.0, 0.0], [80, 70, 50]), atol=1e-10)
+
+
+def test_bands_are_half_octaves_from_the_slowest():
+    cosines = Cosines(view(m=4000))
+    frequency = np.arange(4000) / (2 * 4000 * STEP)
+    assert (np.diff(cosines.band) >= 0).all()
+    assert_array_equal(np.unique(cosines.band), np.arange(cosines.octave.size))
+    assert np.bincount(cosines.band).min() >= 2
+    assert (np.diff(cosines.octave) > 0).all()
+    top = frequency[cosines.band == cosines.octave.size - 2]
+    assert top.max() / top.min() == pytest.approx(np.sqrt(2), rel=0.01)
+
+
+# -- spectrum
+
+
+def made(x, smoothness=1.0):
+    """Spectrum of a series that nothing was fitted to, at each cosine."""
+    cosines = Cosines(view(m=x.size, nv=1))
+    own = cosines(x[None], [0])
+    bands = cosines.octave.size
+    power = np.bincount(cosines.band, own[0] ** 2, bands)[None]
+    freedom = np.bincount(cosines.band, minlength=bands)[None].astype(float)
+    spectrum = Spectrum.of(power, freedom, cosines.octave, smoothness)
+    return cosines, 1.0 / spectrum.weights(cosines.band, np.ones(1))[0]
+
+
+def assert_known(cosines, ratio):
+    """Compare with the truth, by the scatter that so many cosines leave."""
+    deviation = np.sqrt(2.0 / np.bincount(cosines.band))[cosines.band]
+    assert (np.abs(np.log(ratio)) < 3.0 * deviation + 0.02).all()
+
+
+def test_a_white_spectrum_is_flat():
+    x = 0.3 * np.random.default_rng(0).normal(size=20000)
+    cosines, variance = made(x)
+    assert_known(cosines, variance / 0.09)
+
+
+@pytest.mark.parametrize("keep", [0.5, 0.95])
+def test_the_spectrum_of_an_autoregression_is_found(keep):
+    x = lfilter([1.0], [1.0, -keep], np.random.default_rng(1).normal(size=20000))
+    cosines, variance = made(x)
+    angle = np.pi * np.arange(x.size) / x.size
+    truth = 1.0 / np.abs(1 - keep * np.exp(-1j * angle)) ** 2
+    band_mean = np.bincount(cosines.band, truth) / np.bincount(cosines.band)
+    assert_known(cosines, variance / band_mean[cosines.band])
+
+
+def test_a_band_of_few_cosines_follows_its_neighbours():
+    octave = np.arange(12) / 2
+    power, freedom = np.full((1, 12), 1.0), np.full((1, 12), 200.0)
+    power *= freedom
+    for few in (1.0, 3.0, 400.0):
+        freedom[0, 5], power[0, 5] = few, 0.01 * few
+        found = Spectrum.of(power, freedom, octave, 0.3).variance[0]
+        if few < 10:
+            assert 0.3 < found[5] < 1.1
+        else:
+            assert found[5] < 0.05
+    # Of none it is what lies between them.
+    freedom[0, 5] = 0.0
+    found = Spectrum.of(power, freedom, octave, 0.3).variance[0]
+    assert_allclose(found, 1.0, rtol=0.02)
+
+
+def test_joints_that_are_not_heard_have_no_weight():
+    power = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
+    spectrum = Spectrum.of(power, np.full((2, 3), 9.0), np.arange(3.0), 1.0)
+    weights = spectrum.weights(np.array([0, 0, 1, 2]), np.array([0.5, 1.0]))
+    assert_array_equal(weights[1], 0.0)
+    assert_allclose(weights[0], 0.5 / spectrum.variance[0][[0, 0, 1, 2]])
+
+
+def test_the_unit_of_the_torque_does_not_matter():
+    rng = np.random.default_rng(0)
+    power, freedom = rng.gamma(3.0, size=(2, 9)), np.full((2, 9), 6.0)
+    one = Spectrum.of(power, freedom, np.arange(9.0), 1.0)
+    other = Spectrum.of(1e6 * power, freedom, np.arange(9.0), 1.0)
+    assert_allclose(other.variance, 1e6 * one.variance, rtol=1e-5)
+    assert other.log_prior == pytest.approx(one.log_prior, abs=1e-4)
+
+
+def test_a_crooked_spectrum_is_less_probable():
+    octave, freedom = np.arange(9.0), np.full((1, 9), 50.0)
+    straight, crooked = np.full((1, 9), 50.0), np.full((1, 9), 50.0)
+    crooked[0, 4] *= 100.0
+    found = [
+        Spectrum.of(power, freedom, octave, 1.0).log_prior
+        for power in (straight, crooked)
+    ]
+    assert found[0] == pytest.approx(0.0, abs=1e-6)
+    assert found[1] < -1.0

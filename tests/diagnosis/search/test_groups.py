@@ -1,0 +1,168 @@
+"""Evidence for a group of columns against integrals and densities written out."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.testing import assert_allclose
+from scipy import integrate, special, stats
+
+from sklearn_vbjfa.diagnosis.search._groups import Groups
+
+ROWS = 30
+
+
+def problem(k, seed=0, size=1.0):
+    """Columns (n, k) of unequal sizes and torques with noise of unit variance."""
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(ROWS, k)) @ (np.eye(k) + 0.5 * rng.normal(size=(k, k)))
+    X *= np.geomspace(0.2, 5.0, k)
+    y = size * X @ rng.normal(size=k) / np.linalg.norm(X) + rng.normal(size=ROWS)
+    return X, y
+
+
+def groups_of(X, y, unit):
+    """Moments of one group whose columns are alone."""
+    return Groups(
+        H=(X.T @ X)[None],
+        q=(X.T @ y)[None],
+        own=(X**2).sum(axis=0)[None],
+        unit=np.asarray(unit)[None],
+    )
+
+
+def log_density(y, covariance):
+    """Of the normal distribution with mean zero."""
+    power = y @ np.linalg.solve(covariance, y)
+    return -0.5 * (power + np.linalg.slogdet(2 * np.pi * covariance)[1])
+
+
+def log_factor(X, y, unit, scale):
+    """Log density of the torques with the group over that without, for one scale."""
+    prior = np.diag((scale * np.asarray(unit)) ** 2)
+    noise = np.eye(len(y))
+    return log_density(y, noise + X @ prior @ X.T) - log_density(y, noise)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+@pytest.mark.parametrize("size", [0.0, 3.0, 30.0])
+def test_evidence_is_the_integral_over_the_half_cauchy_scale(k, size):
+    X, y = problem(k, seed=k, size=size)
+    unit, width = 1.0 / np.sqrt((X**2).mean(axis=0)), 0.1
+
+    def integrand(log_scale):
+        scale = np.exp(log_scale)
+        density = stats.halfcauchy.pdf(scale, scale=width) * scale
+        return density * np.exp(log_factor(X, y, unit, scale))
+
+    ends = np.log([1e-5, 1e3])
+    integral, _ = integrate.quad(integrand, *ends, limit=200)
+    found = groups_of(X, y, unit).evidence(width)
+    assert_allclose(found, [np.log(integral)], atol=0.01)
+
+
+def test_one_scale_is_the_closed_form_of_a_single_column():
+    """Tipping and Faul (2003), equation 18: sparsity S, quality Q, precision alpha."""
+    X, y = problem(1, size=10.0)
+    unit, scale = np.array([0.7]), 0.3
+    groups = groups_of(X, y, unit)
+    alpha = 1.0 / (scale * unit[0]) ** 2
+    S, Q = float(X[:, 0] @ X[:, 0]), float(X[:, 0] @ y)
+    expected = 0.5 * (Q**2 / (alpha + S) + np.log(alpha / (alpha + S)))
+    found = groups.evidence(0.1) - groups.integrated(0.1, scale)
+    assert_allclose(found, [expected], rtol=1e-10)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_one_scale_is_the_density_of_the_torques(k):
+    X, y = problem(k, seed=4, size=5.0)
+    unit = np.linspace(0.5, 2.0, k) / np.sqrt((X**2).mean(axis=0))
+    for scale in (0.01, 0.4, 7.0):
+        groups = groups_of(X, y, unit)
+        found = groups.evidence(0.1) - groups.integrated(0.1, scale)
+        assert_allclose(found, [log_factor(X, y, unit, scale)], rtol=1e-8)
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    seed=st.integers(0, 1000),
+    factors=st.lists(st.floats(1e-6, 1e6), min_size=3, max_size=3),
+)
+def test_units_of_columns_do_not_matter(seed, factors):
+    X, y = problem(3, seed, size=5.0)
+    factors, unit = np.array(factors), np.array([0.5, 1.0, 2.0])
+    one, other = groups_of(X, y, unit), groups_of(X * factors, y, unit / factors)
+    assert_allclose(other.evidence(0.1), one.evidence(0.1), rtol=1e-6, atol=1e-6)
+    assert_allclose(other.gain(), one.gain(), rtol=1e-6)
+    assert_allclose(other.coefficients() * factors, one.coefficients(), rtol=1e-5)
+
+
+def test_a_column_of_zeros_costs_nothing():
+    X, y = problem(2, size=5.0)
+    unit = np.array([0.5, 2.0])
+    one = groups_of(X, y, unit)
+    more = groups_of(np.column_stack([X, np.zeros(ROWS)]), y, [*unit, 0.0])
+    assert_allclose(more.evidence(0.1), one.evidence(0.1), rtol=1e-12)
+    assert_allclose(more.coefficients()[0], [*one.coefficients()[0], 0.0], rtol=1e-10)
+    nothing = groups_of(np.zeros((ROWS, 1)), y, [0.0])
+    assert_allclose(nothing.evidence(0.1), [0.0], atol=1e-12)
+    assert not nothing.shown().any()
+
+
+def test_a_column_twice_is_that_column():
+    """But for its prior: the sum of two coefficients of the same deviation."""
+    X, y = problem(1, size=10.0)
+    one, twice = groups_of(X, y, [1.0]), groups_of(np.hstack([X, X]), y, [1.0, 1.0])
+    assert_allclose(twice.gain(), one.gain(), rtol=1e-10)
+    assert_allclose(twice.coefficients().sum(), one.coefficients()[0, 0], rtol=1e-10)
+    assert_allclose(twice.evidence(0.1), one.evidence(0.1 * np.sqrt(2)), atol=0.05)
+
+
+def test_gain_and_coefficients_are_those_of_least_squares():
+    X, y = problem(3, size=5.0)
+    groups = groups_of(X, y, [1.0, 0.3, 3.0])
+    coef, rest, *_ = np.linalg.lstsq(X, y, rcond=None)
+    assert_allclose(groups.coefficients()[0], coef, rtol=1e-8)
+    assert_allclose(groups.gain(), [y @ y - rest[0]], rtol=1e-8)
+
+
+def test_noise_alone_speaks_against_a_group():
+    """The more the more columns it has: the largest likelihood does not."""
+    means = []
+    for k in (1, 3):
+        values = [
+            groups_of(*problem(k, seed, 0.0), np.ones(k)).evidence(0.1)[0]
+            for seed in range(200)
+        ]
+        # At odds of one in a hundred it is rare.
+        assert np.mean(np.array(values) > np.log(100.0)) <= 0.03
+        means.append(np.mean(values))
+    assert means[1] < means[0] < 0
+
+
+def test_odds_are_calibrated():
+    """Of groups that are there in half of the draws, as the prior has it.
+
+    Among those with a probability between two bounds that share is there.
+    """
+    rng = np.random.default_rng(0)
+    X, _ = problem(2)
+    unit = 1.0 / np.sqrt((X**2).mean(axis=0))
+    count = 8000
+    there = rng.random(count) < 0.5
+    scale = np.abs(0.1 * np.tan(0.5 * np.pi * rng.random(count))) * there
+    coef = scale[:, None] * unit * rng.normal(size=(count, 2))
+    y = coef @ X.T + rng.normal(size=(count, ROWS))
+    groups = Groups(
+        H=np.broadcast_to(X.T @ X, (count, 2, 2)),
+        q=y @ X,
+        own=np.broadcast_to((X**2).sum(axis=0), (count, 2)),
+        unit=np.broadcast_to(unit, (count, 2)),
+    )
+    probability = special.expit(groups.evidence(0.1))
+    for low, high in ((0.0, 0.48), (0.48, 0.6), (0.6, 0.9), (0.9, 1.0)):
+        chosen = (probability >= low) & (probability <= high)
+        mean = probability[chosen].mean()
+        deviation = np.sqrt(mean * (1 - mean) / chosen.sum())
+        assert chosen.sum() > 50
+        assert abs(there[chosen].mean() - mean) < 3.5 * deviation + 0.005

@@ -1,0 +1,145 @@
+"""What is left out, against fits that never saw it."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.diagnosis.search._held_out import (
+    HeldOut,
+    Worth,
+    fold_of,
+    held_out_rows,
+)
+from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
+from sklearn_vbjfa.effects import Coulomb, Spring
+from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring
+
+TORQUE = CLEAN.torque(joint_2=coulomb(0.5), joint_1=spring(2.0, 1.0))
+EFFECTS = [Spring(0), Coulomb(1), Spring(1)]
+THREE = np.repeat([0, 1, 2], CLEAN.t.size // 3)
+
+
+def made(groups=None):
+    """Fit three effects, of which the last is not there, to one recording or three."""
+    path = search(TORQUE, ["coulomb", "spring"], groups=groups).path()
+    return path, path.placed(EFFECTS)
+
+
+@pytest.fixture(scope="module", params=[None, THREE], ids=["one", "three"])
+def fitted(request):
+    path, fit = made(request.param)
+    return fit, HeldOut(path.view).fitted(fit, path.motion)
+
+
+def literal(fit, held, members):
+    """Squared errors of blocks (n_blocks, nj) of refits without each fold."""
+    view = fit.problem.view
+    columns = [view.Z]
+    precision = [np.zeros(view.Z.shape[2])]
+    for i in members:
+        own = fit.members[i]
+        X = np.zeros((view.nv, view.index.size, own.width))
+        (joint,) = own.joints
+        X[joint] = view.columns_of(own.effect, held.motion)[0]
+        columns.append(X)
+        precision.append(1.0 / (own.scale * own.unit) ** 2)
+    A = np.concatenate(columns, axis=2)
+    root = np.sqrt(view.precision)[:, None]
+    penalty = np.sqrt(np.concatenate(precision))
+    squares = np.zeros((view.blocks.n_blocks, view.nv))
+    block_fold = np.array(
+        [
+            held.fold[np.flatnonzero(view.blocks.label == b)[0]]
+            for b in range(len(squares))
+        ]
+    )
+    for fold in np.unique(block_fold):
+        out = np.isin(view.blocks.label, np.flatnonzero(block_fold == fold))
+        rows = (A[:, ~out] * root[:, :, None]).reshape(-1, A.shape[2])
+        values = (view.target[:, ~out] * root).ravel()
+        theta = np.linalg.lstsq(
+            np.vstack([rows, np.diag(penalty)]),
+            np.r_[values, np.zeros(penalty.size)],
+            rcond=None,
+        )[0]
+        wrong = np.where(out, view.target - A @ theta, 0.0) ** 2
+        squares += view.blocks.sums(wrong.T)
+    return squares
+
+
+def test_squares_are_those_of_refits_without_each_fold(fitted):
+    fit, found = fitted
+    assert_allclose(found.squares, literal(fit, found.held, [0, 1, 2]), rtol=1e-5)
+
+
+@pytest.mark.parametrize("i", [0, 1, 2])
+def test_what_an_effect_is_worth_is_what_refits_without_it_lose(fitted, i):
+    fit, found = fitted
+    rest = [k for k in range(3) if k != i]
+    joint = fit.members[i].effect.joint
+    before = literal(fit, found.held, rest)[:, joint]
+    after = literal(fit, found.held, [0, 1, 2])[:, joint]
+    expected, worth = Worth.of(before, after), found.worth(i)
+    assert worth.gain == pytest.approx(expected.gain, rel=1e-4, abs=1e-6)
+    assert worth.gain_std == pytest.approx(expected.gain_std, rel=1e-3, abs=1e-6)
+    assert worth.n_blocks == expected.n_blocks
+    # The first two are there.
+    assert (worth.gain > 0.5) == (i < 2)
+    settings = SearchSettings()
+    told = worth.errors > settings.chance and worth.gain > settings.worth
+    assert told == (i < 2)
+
+
+def test_residuals_are_those_of_what_was_not_seen(fitted):
+    fit, found = fitted
+    squares = fit.problem.view.blocks.sums((found.residual**2).T)
+    assert_allclose(squares, found.squares, rtol=1e-8)
+
+
+def test_three_recordings_are_left_out_as_a_whole():
+    view = made(THREE)[0].view
+    assert_array_equal(fold_of(view), view.origin)
+
+
+@pytest.mark.parametrize("groups", [None, np.repeat([0, 1], CLEAN.t.size // 2)])
+def test_fewer_are_left_out_in_stretches(groups):
+    view = made(groups)[0].view
+    fold = fold_of(view)
+    # One after the other, of about equal length.
+    assert (np.diff(fold) >= 0).all()
+    assert np.unique(fold).size == 8
+    count = np.bincount(fold)
+    assert count.max() < 1.2 * count.min()
+    for own in np.unique(fold):
+        assert np.unique(view.origin[fold == own]).size == 1
+
+
+def test_worth_by_hand():
+    before, after = np.array([4.0, 6.0, 10.0, 5.0]), np.array([3.0, 6.0, 5.0, 6.0])
+    worth = Worth.of(before, after)
+    saved = np.array([1.0, 0.0, 5.0, -1.0])
+    assert worth.gain == pytest.approx(5 / 25)
+    assert worth.gain_std == pytest.approx(2 * saved.std() / 25)
+    assert worth.errors == pytest.approx(worth.gain / worth.gain_std)
+    assert worth.helped == pytest.approx(2 / 3)
+    assert worth.n_blocks == 3
+    nothing = Worth.of(before, before)
+    assert (nothing.gain, nothing.errors, nothing.n_blocks) == (0.0, 0.0, 0)
+    assert Worth.of(np.zeros(4), np.zeros(4)).gain == 0.0
+
+
+def test_rows_of_the_declared_model_are_left_out_by_folds_of_blocks():
+    view = search(TORQUE, []).view
+    residual, theta = held_out_rows(view)
+    root = np.sqrt(view.precision)[:, None]
+    A = (view.Z * root[:, :, None]).reshape(-1, view.Z.shape[2])
+    exact = np.linalg.lstsq(A, (view.target * root).ravel(), rcond=None)[0]
+    assert_allclose(theta, exact, rtol=1e-5, atol=1e-8)
+    for fold in view.blocks.folds():
+        rest = np.setdiff1d(np.arange(view.index.size), fold)
+        A = (view.Z[:, rest] * root[:, :, None]).reshape(-1, view.Z.shape[2])
+        exact = np.linalg.lstsq(A, (view.target[:, rest] * root).ravel(), rcond=None)[0]
+        wrong = view.target[:, fold] - view.Z[:, fold] @ exact
+        assert_allclose(residual[:, fold], wrong, rtol=1e-4, atol=1e-6)

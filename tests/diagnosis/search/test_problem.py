@@ -1,0 +1,374 @@
+"""The regression in frequency against dense least squares and densities."""
+
+import itertools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.diagnosis.search._problem import (
+    Base,
+    Family,
+    Fit,
+    Member,
+    spectrum_of,
+)
+from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
+from sklearn_vbjfa.effects import Coulomb, JointZero, Offset, Spring
+from tests.diagnosis._recordings import record
+from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring, view_of
+
+NV, N, R = 3, 60, 4
+ZERO = JointZero(1, 0.3)
+
+
+def problem(seed=0, loud=1.0):
+    """Equations of three joints, the last of which is not heard, and weights.
+
+    `loud` : how far the columns' sizes, and the weights, are apart.
+    """
+    rng = np.random.default_rng(seed)
+    Z = rng.normal(size=(NV, N, R)) * np.geomspace(1, loud, R)
+    y = Z @ (rng.normal(size=R) / np.geomspace(1, loud, R)) + rng.normal(size=(NV, N))
+    weights = rng.uniform(0.2, 2.0, size=(NV, N)) * np.geomspace(loud, 1, N)
+    heard = np.array([True, True, False])
+    Z[2] = y[2] = weights[2] = 0.0
+    cosines = SimpleNamespace(fill=np.ones(NV))
+    return SimpleNamespace(Z=Z, y=y, heard=heard, cosines=cosines), weights
+
+
+def member(effect, joints, k, seed, scale=0.5):
+    """Make an effect with columns of its own, on some joints."""
+    rng = np.random.default_rng(seed)
+    return Member(
+        effect=effect,
+        joints=joints,
+        columns=rng.normal(size=(len(joints), N, 1, k)),
+        unit=np.linspace(0.5, 2.0, k),
+        scale=scale,
+    )
+
+
+MEMBERS = (
+    member(Spring(0), (0,), 2, 1),
+    member(Coulomb(1), (1,), 1, 2, scale=3.0),
+    member(ZERO, (0, 1, 2), 1, 3),
+)
+
+
+def of(members, seed=0, loud=1.0):
+    made, weights = problem(seed, loud)
+    return Fit(Base(made, weights, log_prior=-1.5), members)
+
+
+def dense(fit):
+    """Weighted rows of all joints (A, b), and the prior's precision and mean."""
+    blocks = [fit.problem.Z]
+    precision, mean = [np.zeros(fit.problem.Z.shape[2])], [np.zeros(R)]
+    for own in fit.members:
+        X = np.zeros((NV, N, own.width))
+        X[list(own.joints)] = own.columns[:, :, 0]
+        blocks.append(X)
+        precision.append(1.0 / (own.scale * own.unit) ** 2)
+        mean.append(-own.done)
+    root = np.sqrt(fit.base.weights)
+    A = (np.concatenate(blocks, axis=2) * root[:, :, None]).reshape(NV * N, -1)
+    return A, (fit.problem.y * root).ravel(), np.concatenate(precision), np.hstack(mean)
+
+
+def solution(fit):
+    """Posterior mean and covariance by stacked least squares."""
+    A, b, precision, mean = dense(fit)
+    rows = np.vstack([A, np.diag(np.sqrt(precision))])
+    values = np.r_[b, np.sqrt(precision) * mean]
+    found = np.linalg.lstsq(rows, values, rcond=None)[0]
+    return found, np.linalg.inv(rows.T @ rows)
+
+
+SUBSETS = [c for k in range(4) for c in itertools.combinations(MEMBERS, k)]
+
+
+@pytest.mark.parametrize("members", SUBSETS, ids=len)
+def test_a_fit_is_least_squares_with_the_prior(members):
+    fit = of(members)
+    found, covariance = solution(fit)
+    assert_allclose(fit.theta, found[:R], rtol=1e-6)
+    for i, place in enumerate(fit.places):
+        own = slice(R + place.start, R + place.stop)
+        assert_allclose(fit.coefficients(i), found[own], rtol=1e-6)
+        deviation = np.sqrt(np.diagonal(covariance)[own])
+        assert_allclose(fit.deviations(i), deviation, rtol=1e-6)
+    A, b, *_ = dense(fit)
+    residual = ((b - A @ found) / np.sqrt(fit.base.weights.ravel() + 1e-300))[: 2 * N]
+    assert_allclose(fit.residual[:2].ravel(), residual, atol=1e-6)
+
+
+def log_density(fit):
+    """Log density of the torques, as far as the declared columns leave them.
+
+    Literal: a dense normal distribution of what is orthogonal to these.
+    """
+    A, b, precision, mean = dense(fit)
+    heard = np.repeat(fit.problem.heard, N)
+    A, b = A[heard], b[heard]
+    left, _, _ = np.linalg.svd(A[:, :R])
+    K = left[:, R:]
+    X = K.T @ A[:, R:]
+    covariance = np.eye(K.shape[1]) + X / precision[R:] @ X.T
+    rest = K.T @ b - X @ mean[R:]
+    power = rest @ np.linalg.solve(covariance, rest)
+    return -0.5 * (power + np.linalg.slogdet(covariance)[1])
+
+
+@pytest.mark.parametrize("loud", [1.0, 1e3])
+def test_log_evidence_is_the_density_of_the_torques(loud):
+    """But for a constant that models with the same weights share."""
+    fits = [of(members, loud=loud) for members in SUBSETS]
+    found = np.array([fit.log_evidence() for fit in fits])
+    expected = np.array([log_density(fit) for fit in fits])
+    assert_allclose(found - found[0], expected - expected[0], atol=1e-4)
+
+
+def test_columns_of_a_thousand_times_the_weight_make_the_ridge_no_prior():
+    """Rounding of one column is not that of another."""
+    made, weights = problem(loud=1e6)
+    fit = Fit(Base(made, weights))
+    A, b, *_ = dense(fit)
+    size = np.sqrt((A**2).sum(axis=0))
+    exact = np.linalg.lstsq(A / size, b, rcond=None)[0] / size
+    assert_allclose(fit.theta, exact, rtol=1e-5)
+
+
+def family(own):
+    return Family(
+        effects=(own.effect,),
+        joints=own.joints,
+        columns=own.columns,
+        unit=own.unit[None],
+    )
+
+
+@pytest.mark.parametrize("i", range(3))
+def test_a_member_beside_the_others_is_a_group_beside_a_fit_without_it(i):
+    """The third is in the equations already, which its absence must undo."""
+    fit = of(MEMBERS)
+    own, refit = fit.own_groups()[i], fit.without(i).groups(family(MEMBERS[i]))
+    assert_allclose(own.H, refit.H, rtol=1e-6)
+    assert_allclose(own.q, refit.q, rtol=1e-6)
+    assert_allclose(own.evidence(0.1), refit.evidence(0.1), rtol=1e-6)
+    # Least squares with the group, all its value included, is the fit without prior.
+    A, b, precision, mean = dense(fit)
+    place = slice(R + fit.places[i].start, R + fit.places[i].stop)
+    precision[place] = 0.0
+    rows = np.vstack([A, np.diag(np.sqrt(precision))])
+    values = np.r_[b, np.sqrt(precision) * mean]
+    free = np.linalg.lstsq(rows, values, rcond=None)[0]
+    expected = free[place] + MEMBERS[i].done
+    assert_allclose(own.coefficients()[0], expected, rtol=1e-5)
+
+
+def test_a_fit_without_a_member_is_that_of_the_others():
+    fit = of(MEMBERS)
+    for i in (0, 1):
+        rest = fit.without(i)
+        again = of([m for k, m in enumerate(MEMBERS) if k != i])
+        assert_allclose(rest.theta, again.theta, rtol=1e-9)
+        assert rest.log_evidence() == pytest.approx(again.log_evidence(), abs=1e-6)
+    more = of(MEMBERS[:2]).beside(MEMBERS[2])
+    assert_allclose(more.theta, fit.theta, rtol=1e-9)
+
+
+def test_without_what_corrects_the_robot_its_corrections_are_undone():
+    fit = of(MEMBERS)
+    made, weights = problem()
+    columns = MEMBERS[2].columns[:, :, 0, 0]
+    made.y = made.y + 0.3 * columns
+    expected = Fit(Base(made, weights, log_prior=-1.5), MEMBERS[:2])
+    rest = fit.without(2)
+    assert_allclose(rest.theta, expected.theta, rtol=1e-8)
+    assert_allclose(rest.residual, expected.residual, atol=1e-8)
+    found = fit.log_evidence() - rest.log_evidence()
+    # The same as of an effect with all of its value still to be found.
+    whole = Member(
+        effect=Offset(1),
+        joints=MEMBERS[2].joints,
+        columns=MEMBERS[2].columns,
+        unit=MEMBERS[2].unit,
+        scale=MEMBERS[2].scale,
+    )
+    more = expected.beside(whole)
+    assert more.log_evidence() - expected.log_evidence() == pytest.approx(
+        found, abs=1e-6
+    )
+    assert_allclose(more.coefficients(2) - 0.3, fit.coefficients(2), rtol=1e-6)
+    # The problem itself stays.
+    assert_allclose(fit.problem.y, problem()[0].y)
+
+
+def test_integrating_the_scale_is_the_sum_of_fits_with_one():
+    """Evidence of a group over the model without it, at each scale a fit of its own."""
+    own = MEMBERS[0]
+    rest = of(MEMBERS[1:])
+    scales = np.geomspace(1e-4, 1e2, 200)
+    ratio = scales / 0.1
+    prior = ratio / (1 + ratio**2)
+    logs = [
+        rest.beside(
+            Member(
+                effect=own.effect,
+                joints=own.joints,
+                columns=own.columns,
+                unit=own.unit,
+                scale=scale,
+            )
+        ).log_evidence()
+        for scale in scales
+    ]
+    logs = np.array(logs) - rest.log_evidence()
+    expected = np.log((prior * np.exp(logs)).sum() / prior.sum())
+    assert_allclose(rest.groups(family(own)).evidence(0.1), [expected], atol=0.02)
+
+
+# -- on a recording
+
+
+TORQUE = CLEAN.torque(joint_2=coulomb(1.0), joint_1=spring(4.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def path():
+    return search(TORQUE, ["coulomb", "spring", "ripple"]).path()
+
+
+@pytest.fixture(scope="module")
+def fitted(path):
+    return spectrum_of(path.placed([Spring(0), Coulomb(1)]), SearchSettings())
+
+
+def test_shapes_of_a_family_do_not_know_of_each_other(path, fitted):
+    whole = path.candidates[0][-1]
+    groups = fitted.groups(whole)
+    for c in (0, len(whole.effects) // 2, len(whole.effects) - 1):
+        own = Family(
+            effects=whole.effects[c : c + 1],
+            joints=whole.joints,
+            columns=np.ascontiguousarray(whole.columns[:, :, c : c + 1]),
+            unit=whole.unit[c : c + 1],
+        )
+        alone = fitted.groups(own)
+        assert_allclose(alone.H[0], groups.H[c], rtol=1e-8, atol=1e-12)
+        assert_allclose(alone.evidence(0.1), groups.evidence(0.1)[[c]], rtol=1e-8)
+
+
+def test_the_order_of_recordings_does_not_matter():
+    """The odds of everything that a search finds."""
+    half = CLEAN.t.size // 2
+    odds = []
+    for order in ((0, 1), (1, 0)):
+        rows = np.concatenate([np.arange(k * half, (k + 1) * half) for k in order])
+        swapped = record("ZY", seed=2)
+        for name in ("t", "q", "v", "a", "load", "position", "noise"):
+            object.__setattr__(swapped, name, getattr(CLEAN, name)[rows])
+        object.__setattr__(swapped, "t", CLEAN.t)
+        found = search(
+            TORQUE[rows],
+            ["coulomb", "spring"],
+            swapped,
+            groups=np.repeat([0, 1], half),
+        ).run()
+        odds.append({f.effect.name: f.evidence.log_odds for f in found.findings})
+    assert odds[0].keys() == odds[1].keys() == {"coulomb", "spring"}
+    for name, value in odds[0].items():
+        assert odds[1][name] == pytest.approx(value, rel=1e-4)
+
+
+def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(fitted):
+    """The trace of the hat matrix, band by band."""
+    power, freedom = fitted.powers()
+    made, cosines = fitted.problem, fitted.problem.cosines
+    n = cosines.band.size
+    root = np.sqrt(fitted.base.weights)
+    A = [np.column_stack([made.Z[j], fitted.rows_of(j)]) for j in range(2)]
+    A = np.concatenate([own * r[:, None] for own, r in zip(A, root)])
+    penalty = np.r_[np.zeros(made.Z.shape[2]), fitted.prior]
+    hat = np.einsum("ij,jk,ik->i", A, np.linalg.inv(A.T @ A + np.diag(penalty)), A)
+    for j in range(2):
+        own = hat[j * n : (j + 1) * n]
+        left = cosines.fill[j] * np.bincount(cosines.band) - np.bincount(
+            cosines.band, own
+        )
+        assert_allclose(freedom[j], np.maximum(left, 0.0), atol=1e-4)
+        squares = np.bincount(cosines.band, fitted.residual[j] ** 2)
+        assert_allclose(power[j], cosines.fill[j] * squares, rtol=1e-9)
+
+
+def literal_scores(fit, own, coef):
+    """Scores by block of a direction beside a fit, and what moments promise."""
+    made, view = fit.problem, fit.problem.view
+    nv, n = made.y.shape
+    root = np.sqrt(fit.base.weights)
+    x = np.zeros((nv, n))
+    x[list(own.joints)] = own.columns[:, :, 0] @ coef
+    A = [np.column_stack([made.Z[j], fit.rows_of(j)]) for j in range(nv)]
+    A = np.array([block * r[:, None] for block, r in zip(A, root)])
+    flat = A.reshape(nv * n, -1)
+    penalty = np.diag(np.r_[np.zeros(made.Z.shape[2]), fit.prior])
+    right = flat.T @ (x * root).ravel()
+    left = (x * root) - A @ np.linalg.solve(flat.T @ flat + penalty, right)
+    used = view.root.T > 0
+    rows = np.where(used, made.cosines.rows(left), 0.0)
+    noise = np.where(used, made.cosines.rows(fit.residual * root), 0.0)
+    # What the direction itself explains of it is no noise.
+    noise = noise - rows * (rows * noise).sum() / (rows**2).sum()
+    product = (rows * noise).sum(axis=0)
+    label = view.blocks.label
+    scores = np.array([product[label == b].sum() for b in range(label.max() + 1)])
+    return scores, (rows**2).sum()
+
+
+def test_the_scatter_of_a_score_is_that_of_its_blocks(path, fitted):
+    """The sandwich over the Hessian, where blocks scatter more than moments say."""
+    own = path._single(Spring(1))
+    coef = np.array([1.0, 0.2])
+    scores, promised = literal_scores(fitted, own.member(0), coef)
+    plain = scores.var(ddof=1) * scores.size / promised
+    found = fitted.excess(own, 0, coef, fitted.scores)
+    assert found.ratio >= max(1.0, plain) * (1 - 1e-6)
+    # Of white noise there is little more.
+    assert found.ratio < 3.0
+    # Its size does not matter, nor that of the direction.
+    again = fitted.excess(own, 0, 1e3 * coef, fitted.scores)
+    assert again.ratio == pytest.approx(found.ratio, rel=1e-6)
+    # Ten times the noise has a hundred times the variance.
+    loud, louder = (
+        fitted.excess(own, 0, coef, size * fitted.scores).ratio for size in (10, 100)
+    )
+    assert louder == pytest.approx(100 * loud, rel=1e-6)
+
+
+def test_an_effect_that_comes_and_goes_is_worth_less(path, fitted):
+    """A score whose sign changes slowly scatters more than one of white noise."""
+    own, coef = path._single(Spring(1)), np.array([1.0, 0.2])
+    rows = fitted.scores
+    sign = np.sign(np.sin(2 * np.pi * np.arange(rows.shape[1]) / rows.shape[1]))
+    direction = own.columns[0, :, 0] @ coef * np.sqrt(fitted.base.weights[1])
+    slow = np.zeros_like(rows)
+    shape = np.zeros((2, direction.size))
+    shape[1] = direction
+    slow[1] = sign * fitted.problem.cosines.rows(shape)[1]
+    slow *= rows.std() / slow[1].std()
+    white = fitted.excess(own, 0, coef, rows)
+    assert fitted.excess(own, 0, coef, slow).ratio > 3.0 * white.ratio
+
+
+def test_a_view_without_joints_that_are_heard_has_nothing_to_find():
+    view = view_of(TORQUE)
+    view.root[:] = 0.0
+    view.precision[:] = 0.0
+    view.Z[:], view.target[:] = 0.0, 0.0
+    now = search(TORQUE, ["coulomb"])
+    object.__setattr__(now, "view", view)
+    assert now.run().findings == ()

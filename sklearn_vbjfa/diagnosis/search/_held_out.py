@@ -12,6 +12,8 @@ _FOLDS = 8
 _RECORDINGS = 3
 # Ridge of the declared columns, over the mean square of a column: rounding.
 _RIDGE = 1e-9
+# Share of the mean error below which a block's is rounding.
+_TINY = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +27,9 @@ class Worth:
         units of noise for what acts on all.
     gain_std : float
         Its standard error, from the scatter between blocks of time.
+    errors : float
+        Mean logarithm of the ratio of the errors without and with it, over its standard
+        error: a few blocks do not decide alone.
     helped : float
         Share of the blocks in which it helps.
     n_blocks : int
@@ -33,6 +38,7 @@ class Worth:
 
     gain: float
     gain_std: float
+    errors: float
     helped: float
     n_blocks: int
 
@@ -43,18 +49,20 @@ class Worth:
         changed = saved != 0
         count = int(changed.sum())
         if count < 2 or total == 0:
-            return cls(gain=0.0, gain_std=0.0, helped=0.0, n_blocks=count)
+            return cls(
+                gain=0.0, gain_std=0.0, errors=0.0, helped=0.0, n_blocks=count
+            )
+        # A block that is fitted exactly would decide alone.
+        tiny = _TINY * before.mean()
+        ratio = np.log((before + tiny) / (after + tiny))[changed]
+        error = ratio.std(ddof=1) / np.sqrt(count)
         return cls(
             gain=float(saved.sum() / total),
             gain_std=float(saved.std() * np.sqrt(saved.size) / total),
+            errors=float(ratio.mean() / error) if error > 0 else 0.0,
             helped=float((saved[changed] > 0).mean()),
             n_blocks=count,
         )
-
-    @property
-    def errors(self):
-        """What it saves over its standard error."""
-        return self.gain / self.gain_std if self.gain_std > 0 else 0.0
 
 
 class HeldOut:

@@ -10,7 +10,7 @@ from sklearn_vbjfa.diagnosis.search._view import variants
 
 # The search of shape parameters ends where the evidence rises by less [nats], or after
 # this many trials.
-_WORTH, _MOST_TRIALS = 0.02, 60
+_WORTH, _MOST_TRIALS = 0.01, 100
 # Points of the grid from which several parameters are searched: two of them may trade
 # against each other.
 _STARTS = 3

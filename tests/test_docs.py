@@ -150,52 +150,56 @@ def constants_of_the_loop():
     """Phrases of the guide with the numbers that the code has."""
     from sklearn_vbjfa.diagnosis.search import (
         _blocks,
-        _evidence,
-        _exchange,
+        _cosines,
         _gaps,
+        _held_out,
         _judgement,
-        _search,
-        _shapes,
+        _path,
+        _problem,
+        _refine,
         _split,
-        _symmetry,
-        _transfer,
     )
     from sklearn_vbjfa.diagnosis.search import _intervals as intervals
     from sklearn_vbjfa.effects import _base
     from sklearn_vbjfa.robot import _joint_moments
 
+    own = sklearn_vbjfa.diagnosis.SearchSettings()
     defaults = inspect.signature(sklearn_vbjfa.EffectDiscovery).parameters
+    alpha = defaults["alpha"].default
     few, many = _blocks._WANTED
-    words = {8: "eight", 9: "nine", 10: "ten"}
     varies, any_case = _gaps.ABOVE_FLOOR
-    third = ("whole", "half", "third", "quarter")[_transfer._STRETCHES - 1]
-    small = {3: "three", 4: "four", 10: "ten"}
+    small = {2: "two", 3: "three", 4: "four", 10: "ten"}
+    share = {2: "half an", 4: "quarter"}
     return [
-        f"fitted to the first {100 * _search._FORWARD:g} % of the search data",
-        f"the first {third} of every recording is predicted from the other two",
         f"{100 * defaults['test_size'].default:g} % of the motion (``test_size``)",
         f"or {small[_split._STRETCHES]} stretches of a single one",
         f"an error takes {small[int(_split.FEWEST_VALUES)]} values that are",
         f"reaches {small[int(_judgement._WIDER)]} times as far (at least to "
         f"{_judgement._CONTROL:g} Hz)",
-        f"p-values of at most ``alpha`` ({defaults['alpha'].default:g}) times k / m",
-        f"fewer than {_blocks.FEWEST} times what the residual stays correlated for",
-        f"fitted to the first {100 * _search._LATE:g} % of where it acts",
-        f"acts in fewer than {2 * _search._ACTIVE} blocks",
-        f"acts in fewer than {_search._ACTIVE} blocks after the middle",
-        f"(with less than {100 * _search._FADED:g} % of its largest power)",
-        f"and {words[_shapes._FINER]} finer steps around the tuned one",
-        f"{_blocks._CORRELATION_TIMES:g} times as long as the residual stays corr",
+        f"{math.log((1 - alpha) / alpha):.2f} is a probability of "
+        f"{100 * (1 - alpha):g} %",
+        f"m are expected to be there ({own.expected:g} by default)",
+        rf"\qquad s_0 = {own.scale:g},",
+        f"in bands of {share[_cosines._PER_OCTAVE]} octave",
+        f"up to {own.most} a joint",
+        f"the slowest {share[_problem._SLOW]} of its cosines",
+        f"the {_problem._SLOWEST} slowest changes alone",
+        f"goes on, up to {small[_path._TURNS]} times",
+        f"made anew, {small[_path._TURNS]} times over",
+        f"{_held_out._FOLDS} stretches, one after the other, are predicted",
+        f"With {_held_out._RECORDINGS} or more recordings, whole recordings are left",
+        f"the other way round saves more than {100 * _path._MIRROR:g} % of what",
+        f"stays zero unless it gains {_refine._NEUTRAL:g} nats",
+        f"larger than with both by more than {100 * own.worth:g} %, what it contains",
+        f"more than {own.chance:g} standard errors, and by at least "
+        f"{100 * own.worth:g} %",
+        f"value of the geometry is at least {own.known:g} deviations away",
+        f"above {own.above_motion:g} times the frequency below which "
+        f"{100 * _path._MOTION:g} % of the power",
+        f"within {own.rivals:g} nats (a factor of {math.exp(own.rivals):.0f})",
+        f"fewer than {_blocks.FEWEST} times that",
+        f"{_blocks._CORRELATION_TIMES:g} times as long as the residual of the declared",
         f"{few} to {many} blocks are aimed at, and {_blocks.FEWEST} are the fewest",
-        f"Every {_blocks._FOLDS}th block is predicted from the others",
-        f"save at least {100 * _evidence.SMALLEST_GAIN:g} % of the joint's squared",
-        f"at most {_search.AT_FLOOR:g} of its standard deviations above the noise",
-        f"saves more than {100 * _search._CONTAINED:g} % of what the candidate saves",
-        f"The {small[_search._ANEW]} best candidates of a joint are judged once more",
-        f"more than {_exchange._ABOVE:g} times above their noise floor",
-        f"each effect beside the {small[_exchange._FIRST]} best ones",
-        f"the other way round saves more than {100 * _symmetry._SHARE:g} % of what",
-        f"costs less than {100 * _search._SUPERFLUOUS:g} % of the squared error",
         f"above {varies:g} times the floor if it varies with any, above {any_case:g} t",
         f"({100 * _base._FAST:g} % of its speeds are slower)",
         f"hold the true value in {200 * intervals._UPPER_END - 100:g} % of cases",

@@ -72,11 +72,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Fits the declared model, adds the plain terms that it lacks (viscous and Coulomb
     friction, an offset and the rotor's inertia, on every joint), and looks for the most
     probable set of effects beside them: every effect of the library on every joint has
-    posterior odds. What is probable enough and predicts motion that was not fitted has a
-    name; the rest that is more probable than not is told as "perhaps". Residuals that no
-    effect explains are reported as unexplained. Part of the motion is held out for the
-    errors of the declared model, with the plain terms, and with the effects; finally
-    the completed model is fitted to all data.
+    posterior odds. What is probable enough and predicts motion that was not fitted has
+    a name; the rest that is more probable than not is told as "perhaps". Residuals that
+    no effect explains are reported as unexplained. Part of the motion is held out for
+    the errors of the declared model, with the plain terms, and with the effects;
+    finally the completed model is fitted to all data.
 
     Parameters
     ----------

@@ -380,8 +380,11 @@ def _put_in(made, world, states, scale, seed, rng):
     return made._replace(tau=tau, truth=truth, joint=joint, size=size)
 
 
-def judge(kind, joints, seed, with_effect):
-    """Close the loop on one recording; what was found, as plain data for JSON."""
+def judge(kind, joints, seed, with_effect, **settings):
+    """Close the loop on one recording; what was found, as plain data for JSON.
+
+    With other parameters of `EffectDiscovery`, if they are given.
+    """
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
     made = recording(kind, joints, seed, with_effect)
@@ -393,7 +396,7 @@ def judge(kind, joints, seed, with_effect):
         "size": made.size,
     }
     identifier = RobotIdentifier(made.model, dt=made.dt, friction=DECLARED[joints])
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0)
+    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
     started = time.process_time()
     try:
         with warnings.catch_warnings():

@@ -124,7 +124,11 @@ class DiscoveredEffect:
 
     @property
     def probability(self):
-        """Posterior probability that the declared model lacked it."""
+        """Probability that the declared model lacked it.
+
+        The posterior one, or the probability that it lowers the error on stretches of
+        time that were not fitted, if that is less.
+        """
         return self.evidence.probability
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import expit
+from scipy.special import expit, ndtr
 
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
@@ -42,8 +42,8 @@ class Evidence:
 
     @property
     def probability(self):
-        """Posterior probability."""
-        return float(expit(self.log_odds))
+        """Probability: the posterior one, or that it helps elsewhere, if less."""
+        return float(min(expit(self.log_odds), ndtr(self.errors)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -75,8 +75,8 @@ class Groups:
         """Logarithms of Bayes factors (c,) against the model without the group.
 
         The coefficients are normal, with `unit` times a scale as their deviation, and
-        the scale is half-Cauchy around `scale` (N. Polson, J. Scott, "On the half-Cauchy
-        prior for a global scale parameter", Bayesian Analysis 7(4), 2012,
+        the scale is half-Cauchy around `scale` (N. Polson, J. Scott, "On the
+        half-Cauchy prior for a global scale parameter", Bayesian Analysis 7(4), 2012,
         doi 10.1214/12-BA730), summed over a grid of its logarithm. For one scale the
         factor is prod_k (1 + s^2 lambda_k)^(-1/2) exp(q_k^2 s^2 / (2 (1 + s^2
         lambda_k))) over the eigenvalues of the group's block [1]_.

@@ -1,4 +1,4 @@
-"""What each effect is worth on stretches of time, or recordings, that were not fitted."""
+"""What each effect is worth on time, or recordings, that were not fitted."""
 
 import functools
 from dataclasses import dataclass
@@ -159,8 +159,12 @@ class HeldOutFit:
         """Squared error of all joints, in units of their noise."""
         return float((self.squares @ self.held.view.precision[self.held.heard]).sum())
 
+    def error_of(self, joint):
+        """Squared error of one joint."""
+        return float(self.squares[:, np.searchsorted(self.held.heard, joint)].sum())
+
     def worth(self, i):
-        """What a member is worth, `Worth`."""
+        """Return what a member is worth, `Worth`."""
         place, member = self._places[i], self.fit.members[i]
         without = np.empty_like(self.squares)
         unit = np.eye(self._done.size)[:, place]
@@ -208,7 +212,9 @@ def held_out_rows(view):
     root = np.sqrt(view.precision)[:, None, None]
     rows, right = view.Z * root, view.target * root[:, :, 0]
     total = np.einsum("jma,jmb->ab", rows, rows, optimize=True)
-    total += _RIDGE * max(np.trace(total) / max(len(total), 1), 1.0) * np.eye(len(total))
+    total += (
+        _RIDGE * max(np.trace(total) / max(len(total), 1), 1.0) * np.eye(len(total))
+    )
     g = np.einsum("jma,jm->a", rows, right, optimize=True)
     residual = np.empty_like(view.target)
     for fold in view.blocks.folds():

@@ -327,7 +327,9 @@ def _curves(judged, final, judgement, maps, effects):
         "torque": before.torque[rows],
         "maps": maps,
         "effects": tuple(
-            own for own, effect in zip(effect_curves(final), effects) if not effect.doubt
+            own
+            for own, effect in zip(effect_curves(final), effects)
+            if not effect.doubt
         ),
         "line": time_line(judgement, view.clock, [p.start for p in view.parts]),
     }

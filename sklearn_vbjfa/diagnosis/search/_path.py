@@ -3,12 +3,18 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import logit, logsumexp
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._found import Rival, Step
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
-from sklearn_vbjfa.diagnosis.search._problem import Base, Family, Fit, Problem, spectrum_of
+from sklearn_vbjfa.diagnosis.search._problem import (
+    Base,
+    Family,
+    Fit,
+    Problem,
+    spectrum_of,
+)
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
 from sklearn_vbjfa.effects._library import closure
 
@@ -80,6 +86,8 @@ class Path:
         self.steps = []
         self._kept, self._stale, self._gone = {}, set(), set()
         self._held = None
+        # Log odds above which an effect is in the model.
+        self.least = float(logit(settings.undecided))
 
     # -- candidates -----------------------------------------------------------------
 
@@ -203,7 +211,9 @@ class Path:
             return any((name, offer.effect.joint) in there for name in names)
 
         while True:
-            probable = [o for k in self._kept.values() for o in k if o.log_odds > 0]
+            probable = [
+                o for k in self._kept.values() for o in k if o.log_odds > self.least
+            ]
             if not probable:
                 if not self._stale:
                     return None
@@ -232,8 +242,10 @@ class Path:
         1996, doi 10.2307/3315687).
         """
         names = closure(best.effect, self.library)
-        within = [o for o in offers if o.effect.name in names and o.log_odds > 0]
-        sure = [o for o in self._surest(fit, within) if o.log_odds > 0]
+        within = [
+            o for o in offers if o.effect.name in names and o.log_odds > self.least
+        ]
+        sure = [o for o in self._surest(fit, within) if o.log_odds > self.least]
         return sure[0] if sure else best
 
     def _first(self, best, offers):
@@ -241,9 +253,7 @@ class Path:
         if not best.effect.in_model:
             return best
         near = [
-            o
-            for o in offers
-            if o.effect.in_model and o.order > best.order - _EQUAL
+            o for o in offers if o.effect.in_model and o.order > best.order - _EQUAL
         ]
         return min(near, key=lambda o: (o.effect.precedence, -o.order))
 
@@ -359,7 +369,7 @@ class Path:
         return np.array(found)
 
     def _shapes(self, member):
-        """Number of shapes among which a member was chosen."""
+        """Count the shapes among which a member was chosen."""
         for family in self.candidates.get(member.effect.joint, ()):
             if family.effects[0].name == member.effect.name:
                 return len(family.effects)
@@ -370,7 +380,7 @@ class Path:
         while fit.members:
             odds = self.log_odds(fit)
             i = int(np.argmin(odds))
-            if odds[i] > 0:
+            if odds[i] > self.least:
                 break
             self._moved(fit.members[i].joints)
             fit = self.dropped(fit, i, float(odds[i]))
@@ -450,9 +460,61 @@ class Path:
         if self.held_out(new).worth(len(fit.members)).gain <= 0:
             # What predicts other motion no better is refused beside this model.
             return fit
+        if member.effect.in_model and not self._settles(new):
+            return fit
         self.steps.append(step)
         self._moved(member.joints)
-        return self._pruned(new)
+        return self._pruned(self._absorbed(new))
+
+    def _absorbed(self, fit):
+        """Leave out what the last member contains if that does as well alone.
+
+        Its shape was found beside them, where it stood for what they had left over.
+        """
+        last = fit.members[-1]
+        names, joint = closure(last.effect, self.library), last.effect.joint
+        rest = [
+            m
+            for m in fit.members[:-1]
+            if m.effect.joint != joint or m.effect.name not in names
+        ]
+        if len(rest) == len(fit.members) - 1:
+            return fit
+        base = Fit(fit.base, rest)
+        offers = [
+            offer
+            for family in self.candidates[joint]
+            if family.effects[0].name == last.effect.name
+            for offer in [self._offer(base, family, self._taken(base))]
+            if offer is not None
+        ]
+        for offer in offers:
+            alone = self._scaled(Fit(fit.base, [*rest, self._member(base, offer)]))
+            errors = [self.held_out(one).error_of(joint) for one in (alone, fit)]
+            if errors[0] <= (1 + self.settings.worth) * errors[1]:
+                for member in fit.members[:-1]:
+                    if member not in rest:
+                        gone = Step(
+                            action="drop", effect=member.effect, log_odds=np.nan
+                        )
+                        self.steps.append(gone)
+                return alone
+        return fit
+
+    def _settles(self, fit):
+        """Whether the last member of a fit is probable once the robot is corrected.
+
+        What its first derivative promises need not hold: a gain that is hidden looks
+        like whatever the joint lacks.
+        """
+        before = self.view, self.problem, self.motion
+        for _ in range(_TURNS):
+            fit = self._anew(fit)
+        last = fit.members[-1]
+        sure = self.log_odds(fit)[-1] > self.least
+        natural = last.effect.natural(fit.coefficients(len(fit.members) - 1))
+        self.view, self.problem, self.motion = before
+        return sure and natural
 
     def rivals(self, fit, i):
         """Offers that would take the place of a member, the best first."""
@@ -472,7 +534,8 @@ class Path:
                 o
                 for o in self.rivals(fit, i)
                 if o.order > odds[i] - self.settings.rivals
-                and o.log_odds > 0
+                and o.log_odds > self.least
+                and not o.effect.in_model
                 and o.effect.key() != member.effect.key()
                 and member.effect.name not in closure(o.effect, self.library)
             ]
@@ -527,7 +590,6 @@ class Path:
         weights = np.repeat(flat[:, None], self.problem.y.shape[1], axis=1)
         fit = Fit(Base(self.problem, weights))
         self.motion = view.motion(fit.theta)
-        self._candidates()
         return fit
 
     def placed(self, effects):
@@ -542,6 +604,7 @@ class Path:
     def run(self):
         """Search; returns the last `Fit`."""
         fit, seen = self.begin(), None
+        self._candidates()
         for turn in range(_TURNS):
             if turn:
                 self._candidates()
@@ -599,8 +662,7 @@ def tuned_on(view, effects, settings):
     """Return effects with shapes that suit another recording, tuple of Effect."""
     if not effects:
         return ()
-    path = Path(view, tuple(effects), settings)
-    path.begin()
+    path = Path(view, (), settings)
     fit = path.placed(effects)
     fit = path.refined(spectrum_of(fit, settings))
     return tuple(member.effect for member in fit.members)

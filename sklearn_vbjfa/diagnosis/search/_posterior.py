@@ -51,7 +51,7 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
     # motion worse, and what has a sign or size that it cannot have.
     while len(odds):
         worst = int(np.argmin(odds))
-        if odds[worst] > 0:
+        if odds[worst] > path.least:
             found = path.held_out(fit)
             gains = [
                 found.worth(i).gain

@@ -213,7 +213,7 @@ class Base:
         return self._known[key][1]
 
     def _beside(self, joints, columns):
-        nj, n, c, k = columns.shape
+        _, n, c, k = columns.shape
         cross, right = np.zeros((self.L.shape[0], c * k)), np.zeros(c * k)
         gram = np.zeros((c, k, k))
         for i, j in enumerate(joints):
@@ -280,9 +280,13 @@ class Fit:
     def __init__(self, base, members=()):
         self.base, self.members = base, tuple(members)
         edges = np.cumsum([0, *(m.width for m in self.members)])
-        self.places = [slice(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:])]
+        self.places = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
         p = int(edges[-1])
-        self._B, S, right = np.zeros((base.L.shape[0], p)), np.zeros((p, p)), np.zeros(p)
+        self._B, S, right = (
+            np.zeros((base.L.shape[0], p)),
+            np.zeros((p, p)),
+            np.zeros(p),
+        )
         self.prior = np.zeros(p)
         for place, member in zip(self.places, self.members):
             own = base.beside(member.joints, member.columns)
@@ -373,7 +377,7 @@ class Fit:
 
     def groups(self, family):
         """Second moments of a family's shapes beside this model, `Groups`."""
-        nj, n, c, k = family.columns.shape
+        _, n, c, k = family.columns.shape
         own = self.base.beside(family.joints, family.columns)
         H, q = own.H, own.q
         if self.members:
@@ -382,7 +386,9 @@ class Fit:
                 for i, j in enumerate(member.joints):
                     if j in family.joints:
                         F = family.columns[family.joints.index(j)].reshape(n, c * k)
-                        weighted = member.columns[i, :, 0] * self.base.weights[j][:, None]
+                        weighted = (
+                            member.columns[i, :, 0] * self.base.weights[j][:, None]
+                        )
                         cross[place] += weighted.T @ F
             D = self._reduced(cross)
             H = H - _blocks(D, c, k)

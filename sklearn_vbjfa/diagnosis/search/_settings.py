@@ -28,9 +28,7 @@ class SearchSettings:
         What takes the place of an effect within so many nats is told as its rival.
     undecided : float, default=0.5
         Probability from which on an effect is told as "perhaps", up to ``1 - alpha``,
-        from which on it has a name.
-    kept : float, default=0.1
-        Probability from which on an effect stays in the prediction, shrunk.
+        from which on it has a name; what is less probable is not in the model.
     smoothness : float, default=1.0
         How far the residual's spectrum may bend: prior deviation of the change of its
         logarithmic slope from one band of frequency to the next. It says how much of a
@@ -60,7 +58,6 @@ class SearchSettings:
     scale: float = 0.1
     rivals: float = 3.0
     undecided: float = 0.5
-    kept: float = 0.1
     smoothness: float = 1.0
     chance: float = 1.645
     worth: float = 0.02
@@ -79,7 +76,7 @@ class SearchSettings:
                 raise ValueError(
                     f"{field.name} of SearchSettings must be {expected}; got {value!r}."
                 )
-        for name in ("undecided", "kept", "worth"):
+        for name in ("undecided", "worth"):
             if getattr(self, name) >= 1:
                 raise ValueError(
                     f"{name} of SearchSettings is a share below 1; got "

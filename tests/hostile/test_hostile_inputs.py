@@ -73,10 +73,10 @@ def run(runner, build, folder, command="close-loop"):
 def verdict(report):
     """Return what a report says is missing beyond doubt, and of each joint's rest.
 
-    At the level of 5 % one file in twenty has an effect that is none.
+    At a probability of 95 % one file in twenty has an effect that is none.
     """
     content = json.loads(Path(report).read_text(encoding="utf-8"))
-    sure = [x for x in content["effects"] if x["evidence"]["p_value"] < 0.01]
+    sure = [x for x in content["effects"] if x["probability"] > 0.99]
     effects = sorted((x["name"], x["joint"]) for x in sure)
     return effects, [joint["status"] for joint in content["joints"]]
 

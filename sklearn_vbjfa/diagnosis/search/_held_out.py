@@ -49,9 +49,7 @@ class Worth:
         changed = saved != 0
         count = int(changed.sum())
         if count < 2 or total == 0:
-            return cls(
-                gain=0.0, gain_std=0.0, errors=0.0, helped=0.0, n_blocks=count
-            )
+            return cls(gain=0.0, gain_std=0.0, errors=0.0, helped=0.0, n_blocks=count)
         # A block that is fitted exactly would decide alone.
         tiny = _TINY * before.mean()
         ratio = np.log((before + tiny) / (after + tiny))[changed]
@@ -76,12 +74,14 @@ class HeldOut:
     ----------
     view : RecordingView
         Recording.
+    fold : ndarray of shape (m,) or None
+        Other folds, whole blocks of time.
     """
 
-    def __init__(self, view):
+    def __init__(self, view, fold=None):
         self.view = view
         self.heard = np.flatnonzero(view.precision > 0)
-        self.fold = fold_of(view)
+        self.fold = fold_of(view) if fold is None else fold
         self._edges = np.r_[
             0, np.flatnonzero(np.diff(view.blocks.label)) + 1, view.index.size
         ]
@@ -135,7 +135,10 @@ class HeldOutFit:
                 for a, b in zip(held._edges[:-1], held._edges[1:])
             ]
         )
-        weight = view.precision[held.heard]
+        # What the joints weigh with the members there.
+        power = (fit.residual[held.heard] ** 2).sum(axis=1)
+        least = _TINY**2 * (view.target[held.heard] ** 2).sum(axis=1)
+        self.weight = weight = view.rows[held.heard] / np.maximum(power, least)
         self._weighted = np.einsum("j,bjpq->bpq", weight, self._moments)
         total = self._weighted.sum(axis=0)
         ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
@@ -164,8 +167,9 @@ class HeldOutFit:
         return found
 
     def error(self):
-        """Squared error of all joints, in units of their noise."""
-        return float((self.squares @ self.held.view.precision[self.held.heard]).sum())
+        """Logarithms of the joints' mean squared errors, their rows as weights."""
+        rows = self.held.view.rows[self.held.heard]
+        return float(rows @ np.log(self.squares.sum(axis=0) / rows))
 
     def error_of(self, joint):
         """Squared error of one joint."""
@@ -182,8 +186,7 @@ class HeldOutFit:
             away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
             without[blocks] = self._squares(blocks, theta - inverse @ away)
         if member.effect.everywhere:
-            weight = self.held.view.precision[self.held.heard]
-            return Worth.of(without @ weight, self.squares @ weight)
+            return Worth.of(without @ self.weight, self.squares @ self.weight)
         own = int(np.searchsorted(self.held.heard, member.effect.joint))
         return Worth.of(without[:, own], self.squares[:, own])
 

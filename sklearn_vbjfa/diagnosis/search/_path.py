@@ -14,6 +14,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Fit,
     Problem,
     spectrum_of,
+    weighed,
 )
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
 from sklearn_vbjfa.effects._library import closure
@@ -500,8 +501,11 @@ class Path:
         ]
         for offer in offers:
             alone = self._scaled(Fit(fit.base, [*rest, self._member(base, offer)]))
-            errors = [self.held_out(one).error_of(joint) for one in (alone, fit)]
-            if errors[0] <= (1 + self.settings.worth) * errors[1]:
+            own, both, none = (
+                self.held_out(one).error_of(joint) for one in (alone, fit, base)
+            )
+            # Most of what both save.
+            if own - both <= self.settings.worth * (none - both):
                 for member in fit.members[:-1]:
                     if member not in rest:
                         gone = Step(
@@ -607,9 +611,9 @@ class Path:
         fit = self.begin()
         for _ in range(_TURNS):
             members = [self._single(e).member(0, self.settings.scale) for e in effects]
-            fit = self._anew(self._scaled(Fit(fit.base, members)))
+            fit = self._anew(self._scaled(weighed(Fit(fit.base, members))))
             effects = [m.effect for m in fit.members]
-        return self._scaled(fit)
+        return self._scaled(weighed(fit))
 
     def run(self):
         """Search; returns the last `Fit`."""
@@ -673,8 +677,10 @@ def tuned_on(view, effects, settings):
     if not effects:
         return ()
     path = Path(view, (), settings)
+    # In the weights in which the model is fitted to it.
     fit = path.placed(effects)
-    fit = path.refined(spectrum_of(fit, settings))
+    for _ in range(_TURNS):
+        fit = weighed(path.refined(fit))
     return tuple(member.effect for member in fit.members)
 
 

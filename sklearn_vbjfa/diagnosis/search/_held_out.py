@@ -10,7 +10,7 @@ from scipy import linalg
 _FOLDS = 8
 # Recordings from which on each is left out as a whole: another motion.
 _RECORDINGS = 3
-# Ridge of the declared columns, over the mean square of a column: rounding.
+# Ridge of the declared columns, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 
 
@@ -116,7 +116,6 @@ class HeldOutFit:
 
     def __init__(self, held, fit, rows):
         self.held, self.fit, self._given = held, fit, rows
-        view = held.view
         p = rows.shape[2] - 1
         r = p - fit.n_coefficients
         self._places = [slice(r + s.start, r + s.stop) for s in fit.places]
@@ -127,20 +126,27 @@ class HeldOutFit:
                 for a, b in zip(held._edges[:-1], held._edges[1:])
             ]
         )
-        weight = view.precision[held.heard]
-        self._weighted = np.einsum("j,bjpq->bpq", weight, self._moments)
+        # By what this model leaves: beside the noise of one that lacks its effects
+        # their prior would shrink them.
+        left = (fit.residual[held.heard] ** 2).sum(axis=1)
+        self.weight = fit.residual.shape[1] / np.maximum(left, np.finfo(float).tiny)
+        self._weighted = np.einsum("j,bjpq->bpq", self.weight, self._moments)
         total = self._weighted.sum(axis=0)
-        ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
-        prior = np.r_[np.full(r, ridge), fit.prior]
+        ridge = _RIDGE * np.maximum(np.diagonal(total)[:r], 1.0)
+        prior = np.r_[ridge, fit.prior]
         self._done = np.r_[np.zeros(r), fit.done]
-        self._folds = []
-        for k in np.unique(held._of_block):
-            blocks = held._of_block == k
-            left = total - self._weighted[blocks].sum(axis=0)
-            G = left[:p, :p] + np.diag(prior)
-            factor = linalg.cho_factor(G)
-            theta = linalg.cho_solve(factor, left[:p, p] - prior * self._done)
-            self._folds.append((blocks, factor, theta))
+        self._total, self._prior = total, prior
+        self._folds = list(self._left_out(held._of_block))
+
+    def _left_out(self, fold):
+        """Leave out the blocks of each fold: which they are, and what the rest says."""
+        p = self._done.size
+        for k in np.unique(fold):
+            blocks = fold == k
+            left = self._total - self._weighted[blocks].sum(axis=0)
+            factor = linalg.cho_factor(left[:p, :p] + np.diag(self._prior))
+            right = left[:p, p] - self._prior * self._done
+            yield blocks, factor, linalg.cho_solve(factor, right)
 
     def _squares(self, blocks, theta):
         """Squared errors (n, nj) of some blocks."""
@@ -181,11 +187,15 @@ class HeldOutFit:
 
     @property
     def residual(self):
-        """Residuals (nv, m) of rows that were not fitted, scaled by their roots."""
-        held = self.held
+        """Residuals (nv, m) of rows that were not fitted, scaled by their roots.
+
+        Of every few blocks, between which the motion is alike: what is left there is
+        noise or an effect, and not what a fit to other motion gets wrong.
+        """
+        held, blocks = self.held, self.held.view.blocks
         out = np.zeros_like(held.view.target)
-        for blocks, _, theta in self._folds:
-            rows = np.isin(held.view.blocks.label, np.flatnonzero(blocks))
+        for chosen, _, theta in self._left_out(blocks.fold[held._edges[:-1]]):
+            rows = np.isin(blocks.label, np.flatnonzero(chosen))
             own = self._given[:, rows]
             out[np.ix_(held.heard, rows)] = own[..., -1] - own[..., :-1] @ theta
         return out

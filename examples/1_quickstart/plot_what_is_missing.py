@@ -45,14 +45,20 @@ print(f"true Fc: {recording.friction['coulomb'].round(3)} N m")
 print(f"true mu: {recording.undeclared['load_friction'][1]} (joint_2)")
 
 # %%
-# Every step is recorded, with the logarithm of the odds that the effect has beside what
-# the model had then; the report has the odds beside all others.
+# Every step is recorded, with the posterior odds of the effect beside the others as
+# they were then. Of an effect that was found, the loop also says which share of the
+# squared error it saves on stretches of time that were not fitted. What is more
+# probable than not and has no name is told apart.
 
 for step in loop.rounds_:
     print(
         f"{step.action:8s}{step.name:15s}{step.joint_name}: "
-        f"log odds {step.log_odds:.0f}"
+        f"log odds {step.log_odds:.1f}"
     )
+for effect in loop.effects_:
+    print(f"{effect.name} saves {100 * effect.evidence.gain:.0f} %")
+for effect in loop.perhaps_:
+    print(f"perhaps {effect.name}, {100 * effect.probability:.0f} %: {effect.doubt}")
 
 # %%
 # The untouched part

@@ -70,12 +70,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     """Find what a robot model lacks: close the loop with measured data.
 
     Fits the declared model, adds the plain terms that it lacks (viscous and Coulomb
-    friction, an offset and the rotor's inertia, on every joint), examines the torque
-    residual on unseen data, and tries every effect of the library on every joint; adds
-    the best one, refits everything, and repeats. Residuals that no effect explains are
-    reported as unexplained. Part of the motion is held out for the errors of the
-    declared model, with the plain terms, and with the effects; finally the completed
-    model is fitted to all data.
+    friction, an offset and the rotor's inertia, on every joint), and looks for the most
+    probable set of effects beside them: every effect of the library on every joint has
+    posterior odds. What is probable enough and predicts motion that was not fitted has
+    a name; the rest that is more probable than not is told as "perhaps". Residuals that
+    no effect explains are reported as unexplained. Part of the motion is held out for
+    the errors of the declared model, with the plain terms, and with the effects;
+    finally the completed model is fitted to all data.
 
     Parameters
     ----------
@@ -91,9 +92,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         standstill. There are more intervals if a joint would hardly move in them, and
         the share is up to 0.4 if it would be too little for a verdict.
     alpha : float, default=0.05
-        Significance level over all effects and joints together.
+        Share of recordings with nothing missing that may get any name: an effect has a
+        name from a posterior probability of ``1 - alpha`` on. Also the level, over all
+        joints, of `ceiling_` and of recordings that contradict each other.
     max_effects : int or None, default=None
         Maximum number of effects to add.
+    settings : SearchSettings or None, default=None
+        Further numbers that decide, see `sklearn_vbjfa.diagnosis.SearchSettings`; None
+        takes its defaults.
     ceiling : bool, default=True
         Whether to measure what functions of any form would explain of the residual of
         joints that stay above their noise floor, see `ceiling_`.
@@ -106,14 +112,18 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Attributes
     ----------
     effects_ : tuple of DiscoveredEffect
-        Accepted effects in the order in which they were found; each has `name`,
-        `joint` (from zero), `parameters`, `units`, `intervals` (of 90 %), `rivals`,
-        `ranges` (of the motion that it was fitted on). The values are those of
-        `identifier_`.
+        Effects that have a name; each has `name`, `joint` (from zero), `log_odds`
+        (natural logarithm of the posterior odds that the model lacked it),
+        `probability`, `rivals` (what would take its place within three nats),
+        `parameters`, `units`, `intervals` (of 90 %), `ranges` (of the motion that it
+        was fitted on). The values are those of `identifier_`.
+    perhaps_ : tuple of DiscoveredEffect
+        Effects that are more probable than not and have no name; `doubt` says why.
+        They are part of `identifier_` and `judged_` like those that have one.
     rounds_ : tuple of Round
-        Every step: what was added, replaced, dropped, refused or withdrawn, on what
-        evidence, by which rule at what level (`rule`, `level`, `n_tests`), and the
-        rivals.
+        The path to the most probable model: what was added, replaced or dropped
+        (`action`), its `log_odds` beside the others as they were then (nan where it
+        went because another effect contains it), and the `rivals` in that place.
     added_ : tuple of str
         Plain terms that were fitted on every joint beyond what was declared.
     error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
@@ -169,25 +179,40 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     stand out from chance, and leaving them out costs more than fitting one that is not
     there. What is found does not depend on which of them were declared.
 
-    Candidates are scored from second moments of blocks of time: all parameters are
-    refitted (the effect's columns enter by the Schur complement of the declared
-    Gram matrix), each eighth block is predicted by the others, and the shape
-    parameters are chosen inside each fold. Significance is judged over blocks of rows
-    from which the residual's own memory is taken out, at a level shared out among all
-    candidates of a round (Benjamini and Hochberg). A candidate that contains a plainer
-    effect waits for it; of those that blocks cannot tell apart the simplest is taken
-    and the others are reported as rivals; what later additions make superfluous is
-    dropped; and what does not hold on the last quarter of the search part, or in the
-    last half of where it acts if it begins late, is refused. Where no single effect
-    passes, pairs are tried, and one effect in place of two.
-    At the end the first, second and last thirds of all recordings are predicted from
-    the others with physically consistent parameters, effects that make that worse are
-    withdrawn, and what became superfluous by that is dropped.
+    Rows are taken to frequency, by discrete cosines of each recording, where a
+    stationary residual has nearly independent values with its spectrum as their
+    variance [1]_: slow noise takes the evidence of slow effects and leaves fast ones
+    theirs. The spectrum is estimated in bands of half an octave, of what is left beside
+    more effects than will be named.
+
+    The coefficients of a candidate (a joint and an effect) are normal with a common
+    scale, its torque over that of the joint. The scale has a half-Cauchy prior [2]_ and
+    is integrated over, which for one scale has a closed form [3]_; the shapes of the
+    candidate's grid are averaged. To the logarithm of this Bayes factor that of the
+    prior odds is added, the expected number of effects over the number of candidates.
+
+    Evidence is tempered: it is divided by the variance of its score between blocks of
+    time over that which the second moments promise (sandwich over Hessian), if that is
+    more than one. What is a function of time counts by the slowest changes of its score
+    alone, of which there are few: Student's t takes the place of the normal
+    distribution.
+
+    From the declared model with the plain terms on, the most probable candidate is
+    added and what became improbable beside it is dropped; where nothing is to add,
+    shapes are searched again beside each other, and effects are exchanged for more
+    probable ones. What an effect contains comes first [4]_, if it is probable by
+    itself. An effect has to lower the error on stretches of time that were not fitted,
+    an eighth each; with three or more recordings, on whole ones.
+
+    A name takes a probability of ``1 - alpha``; a gain on such stretches beyond chance
+    and of two per cent or more; and an interval of a parameter that excludes zero (a
+    value of the geometry is known to a third of itself). Filters of a channel are named
+    only above the frequencies of the motion.
 
     Beyond seven joints the branches that leave the base are searched one by one, as
-    they share no body, each with its share of `alpha`; couplings between branches are
-    then not looked for. With `max_effects`, effects of one's own, or effects declared
-    already, the robot is searched as a whole.
+    they share no body, each with its share of the effects that are expected; couplings
+    between branches are then not looked for. With `max_effects`, effects of one's own,
+    or effects declared already, the robot is searched as a whole.
 
     The untouched part begins and ends as far from the search part as the residual
     remembers (at most a quarter of a stretch). Errors are taken in the band of the fit,
@@ -201,6 +226,17 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     the untouched part and how much in the next 50 s, as squared residuals vary slowly
     in the whole recording (ten cosines of time, Student's t with as many degrees of
     freedom).
+
+    References
+    ----------
+    .. [1] P. Whittle, "Estimation and information in stationary time series", Arkiv for
+       Matematik 2, 1953. :doi:`10.1007/BF02590998`
+    .. [2] N. Polson, J. Scott, "On the half-Cauchy prior for a global scale parameter",
+       Bayesian Analysis 7(4), 2012. :doi:`10.1214/12-BA730`
+    .. [3] M. Tipping, A. Faul, "Fast marginal likelihood maximisation for sparse
+       Bayesian models", AISTATS 2003, equation 18, for a single column.
+    .. [4] H. Chipman, "Bayesian variable selection with related predictors", Canadian
+       Journal of Statistics 24(1), 1996. :doi:`10.2307/3315687`
 
     Examples
     --------
@@ -341,8 +377,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
         if not (isinstance(self.alpha, (int, float)) and 0 < self.alpha < 1):
             raise ValueError(
-                "alpha must be a level of significance between 0 and 1; got "
-                f"{self.alpha!r}."
+                f"alpha must be a share between 0 and 1; got {self.alpha!r}."
             )
         limit = self.max_effects
         if limit is not None and not (

@@ -158,7 +158,8 @@ class Effect(TransformerMixin, BaseEstimator):
     shape_units : tuple of (str, (str, str))
         Shape parameters and their units.
     contains : tuple of str
-        Plainer effects that this one must beat: it is judged beside them.
+        Plainer effects that this one must beat: a search takes those first that are
+        probable by themselves.
     holds : tuple of (str, str)
         Plain terms that are a column of its own as well, with that coefficient. Where
         several have it, the first effect of the joint has the sum, the others and the
@@ -214,7 +215,7 @@ class Effect(TransformerMixin, BaseEstimator):
         What to record next to tell it from its rivals.
     slow : bool
         Whether it is a function of time, which could imitate whatever changes slowly:
-        it has to prove itself on later data.
+        a search counts its evidence by slow changes alone.
     afterwards : str
         What a `slow` effect is taken to do after the last time of the fit.
 
@@ -277,8 +278,8 @@ class Effect(TransformerMixin, BaseEstimator):
     def trend(self):
         """Whether it adds a torque of its own that need not change with the motion.
 
-        Such a torque could imitate whatever changes slowly: like a `slow` effect it has
-        to prove itself on later data.
+        Such a torque could imitate whatever changes slowly: its evidence counts like
+        that of a `slow` effect.
         """
         return False
 

@@ -720,9 +720,9 @@ GOOD = ARM.torque(joint_1=spring(4.0, 1.0))
     [
         ({"effects": ["stiction"]}, "Unknown effect 'stiction'; expected one of visc"),
         ({"effects": ["coulomb", "coulomb"]}, "effects names coulomb twice"),
-        ({"alpha": 0.0}, "alpha must be a level of significance between 0 and 1; got"),
-        ({"alpha": 1}, "alpha must be a level"),
-        ({"alpha": "5 %"}, "alpha must be a level"),
+        ({"alpha": 0.0}, "alpha must be a share between 0 and 1; got"),
+        ({"alpha": 1}, "alpha must be a share"),
+        ({"alpha": "5 %"}, "alpha must be a share"),
         ({"test_size": 0.0}, "test_size must be the share .* got 0.0"),
         ({"test_size": 1.2}, "test_size must be the share"),
         ({"test_size": None}, "test_size must be the share"),

@@ -81,7 +81,9 @@ class Report:
         -------
         dict
             Lists instead of arrays, None instead of nan, joints from zero;
-            ``"schema_version"`` changes when keys do. Values are in SI units; an effect
+            ``"schema_version"`` changes when keys do. ``"effects"`` have a name,
+            ``"perhaps"`` are more probable than not and have none; both with
+            ``"log_odds"`` and ``"probability"``. Values are in SI units; an effect
             of the robot model has them in degrees, mm or per cent as well, under
             ``"plain"``, and ``"corrections"`` has what is to be changed: the tilt of
             the base, zeros of encoders, axes and gains of torque channels.

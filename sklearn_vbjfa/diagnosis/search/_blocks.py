@@ -1,12 +1,11 @@
 """Blocks of time, and what a residual remembers from one to the next.
 
-A block counts as one independent piece of evidence. A residual that stays correlated
-for seconds amounts to a few independent values, however many rows it has: blocks long
-enough to be independent would be too few in a short recording, and would ignore that
-slow noise hardly touches fast effects. Rows are therefore whitened before blocks are
-compared: what the residual's own past predicts is subtracted from torques and columns
-alike (generalised least squares), and an effect is worth what it explains of the rest.
-Slow noise thus takes the evidence of slow effects, and leaves fast ones theirs.
+The search asks how much its evidence scatters between blocks (`Fit.excess`). Where
+blocks themselves are compared (signals that a residual varies with, what a flexible
+function explains of it), each counts as one independent piece of evidence. A residual
+that stays correlated for seconds amounts to a few independent values, however many rows
+it has, and blocks long enough to be independent would be too few in a short recording.
+Rows are therefore whitened before: what the residual's own past predicts is subtracted.
 """
 
 import itertools
@@ -199,9 +198,8 @@ class Whitening:
 # A block is this many times longer than the residual stays correlated.
 _CORRELATION_TIMES = 10.0
 # Blocks wanted. What a poor first model lacks is correlated for as long as the motion
-# is; it is not noise, and must not make the blocks so long that fewer are left than
-# the signed-rank test needs among a hundred candidates. Noise that stays correlated for
-# longer than a block is taken out before blocks are compared, see `Judge`.
+# is; it is not noise, and must not make the blocks so long that few are left. Noise
+# that stays correlated for longer than a block is taken out before blocks are compared.
 _WANTED = (40, 60)
 # The fewest with which anything can be said: the smallest p-value is 2^-12.
 FEWEST = 12

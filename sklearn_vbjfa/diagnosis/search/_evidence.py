@@ -1,4 +1,4 @@
-"""What blocks of time say about a change of a model."""
+"""Two predictions block by block: for ceilings, signals and contradictions."""
 
 from dataclasses import dataclass
 

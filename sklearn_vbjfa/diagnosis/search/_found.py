@@ -25,8 +25,7 @@ class Evidence:
     gain_std : float
         Its standard error, from the scatter between stretches.
     errors : float
-        What it saves there over the standard error, in rows from which the residual's
-        spectrum is taken out.
+        What it saves there over the standard error.
     n_blocks : int
         Stretches in which it changes anything.
     helped : float

@@ -10,8 +10,10 @@ from scipy import linalg
 _FOLDS = 8
 # Recordings from which on each is left out as a whole: another motion.
 _RECORDINGS = 3
-# Ridge of the declared columns, over the square sum of a column: rounding.
+# Ridge of the declared columns, over the mean square of a column: rounding.
 _RIDGE = 1e-9
+# Share of the mean error below which a block's is rounding.
+_TINY = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +27,9 @@ class Worth:
         units of noise for what acts on all.
     gain_std : float
         Its standard error, from the scatter between blocks of time.
+    errors : float
+        Mean logarithm of the ratio of the errors without and with it, over its standard
+        error: a few blocks do not decide alone.
     helped : float
         Share of the blocks in which it helps.
     n_blocks : int
@@ -33,6 +38,7 @@ class Worth:
 
     gain: float
     gain_std: float
+    errors: float
     helped: float
     n_blocks: int
 
@@ -43,18 +49,18 @@ class Worth:
         changed = saved != 0
         count = int(changed.sum())
         if count < 2 or total == 0:
-            return cls(gain=0.0, gain_std=0.0, helped=0.0, n_blocks=count)
+            return cls(gain=0.0, gain_std=0.0, errors=0.0, helped=0.0, n_blocks=count)
+        # A block that is fitted exactly would decide alone.
+        tiny = _TINY * before.mean()
+        ratio = np.log((before + tiny) / (after + tiny))[changed]
+        error = ratio.std(ddof=1) / np.sqrt(count)
         return cls(
             gain=float(saved.sum() / total),
             gain_std=float(saved.std() * np.sqrt(saved.size) / total),
+            errors=float(ratio.mean() / error) if error > 0 else 0.0,
             helped=float((saved[changed] > 0).mean()),
             n_blocks=count,
         )
-
-    @property
-    def errors(self):
-        """What it saves over its standard error."""
-        return self.gain / self.gain_std if self.gain_std > 0 else 0.0
 
 
 class HeldOut:
@@ -68,12 +74,14 @@ class HeldOut:
     ----------
     view : RecordingView
         Recording.
+    fold : ndarray of shape (m,) or None
+        Other folds, whole blocks of time.
     """
 
-    def __init__(self, view):
+    def __init__(self, view, fold=None):
         self.view = view
         self.heard = np.flatnonzero(view.precision > 0)
-        self.fold = fold_of(view)
+        self.fold = fold_of(view) if fold is None else fold
         self._edges = np.r_[
             0, np.flatnonzero(np.diff(view.blocks.label)) + 1, view.index.size
         ]
@@ -116,6 +124,7 @@ class HeldOutFit:
 
     def __init__(self, held, fit, rows):
         self.held, self.fit, self._given = held, fit, rows
+        view = held.view
         p = rows.shape[2] - 1
         r = p - fit.n_coefficients
         self._places = [slice(r + s.start, r + s.stop) for s in fit.places]
@@ -126,27 +135,23 @@ class HeldOutFit:
                 for a, b in zip(held._edges[:-1], held._edges[1:])
             ]
         )
-        # By what this model leaves: beside the noise of one that lacks its effects
-        # their prior would shrink them.
-        left = (fit.residual[held.heard] ** 2).sum(axis=1)
-        self.weight = fit.residual.shape[1] / np.maximum(left, np.finfo(float).tiny)
-        self._weighted = np.einsum("j,bjpq->bpq", self.weight, self._moments)
+        # What the joints weigh with the members there.
+        power = (fit.residual[held.heard] ** 2).sum(axis=1)
+        least = _TINY**2 * (view.target[held.heard] ** 2).sum(axis=1)
+        self.weight = weight = view.rows[held.heard] / np.maximum(power, least)
+        self._weighted = np.einsum("j,bjpq->bpq", weight, self._moments)
         total = self._weighted.sum(axis=0)
-        ridge = _RIDGE * np.maximum(np.diagonal(total)[:r], 1.0)
-        prior = np.r_[ridge, fit.prior]
+        ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
+        prior = np.r_[np.full(r, ridge), fit.prior]
         self._done = np.r_[np.zeros(r), fit.done]
-        self._total, self._prior = total, prior
-        self._folds = list(self._left_out(held._of_block))
-
-    def _left_out(self, fold):
-        """Leave out the blocks of each fold: which they are, and what the rest says."""
-        p = self._done.size
-        for k in np.unique(fold):
-            blocks = fold == k
-            left = self._total - self._weighted[blocks].sum(axis=0)
-            factor = linalg.cho_factor(left[:p, :p] + np.diag(self._prior))
-            right = left[:p, p] - self._prior * self._done
-            yield blocks, factor, linalg.cho_solve(factor, right)
+        self._folds = []
+        for k in np.unique(held._of_block):
+            blocks = held._of_block == k
+            left = total - self._weighted[blocks].sum(axis=0)
+            G = left[:p, :p] + np.diag(prior)
+            factor = linalg.cho_factor(G)
+            theta = linalg.cho_solve(factor, left[:p, p] - prior * self._done)
+            self._folds.append((blocks, factor, theta))
 
     def _squares(self, blocks, theta):
         """Squared errors (n, nj) of some blocks."""
@@ -162,8 +167,9 @@ class HeldOutFit:
         return found
 
     def error(self):
-        """Squared error of all joints, in units of their noise."""
-        return float((self.squares @ self.held.view.precision[self.held.heard]).sum())
+        """Logarithms of the joints' mean squared errors, their rows as weights."""
+        rows = self.held.view.rows[self.held.heard]
+        return float(rows @ np.log(self.squares.sum(axis=0) / rows))
 
     def error_of(self, joint):
         """Squared error of one joint."""
@@ -180,22 +186,17 @@ class HeldOutFit:
             away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
             without[blocks] = self._squares(blocks, theta - inverse @ away)
         if member.effect.everywhere:
-            weight = self.held.view.precision[self.held.heard]
-            return Worth.of(without @ weight, self.squares @ weight)
+            return Worth.of(without @ self.weight, self.squares @ self.weight)
         own = int(np.searchsorted(self.held.heard, member.effect.joint))
         return Worth.of(without[:, own], self.squares[:, own])
 
     @property
     def residual(self):
-        """Residuals (nv, m) of rows that were not fitted, scaled by their roots.
-
-        Of every few blocks, between which the motion is alike: what is left there is
-        noise or an effect, and not what a fit to other motion gets wrong.
-        """
-        held, blocks = self.held, self.held.view.blocks
+        """Residuals (nv, m) of rows that were not fitted, scaled by their roots."""
+        held = self.held
         out = np.zeros_like(held.view.target)
-        for chosen, _, theta in self._left_out(blocks.fold[held._edges[:-1]]):
-            rows = np.isin(blocks.label, np.flatnonzero(chosen))
+        for blocks, _, theta in self._folds:
+            rows = np.isin(held.view.blocks.label, np.flatnonzero(blocks))
             own = self._given[:, rows]
             out[np.ix_(held.heard, rows)] = own[..., -1] - own[..., :-1] @ theta
         return out

@@ -102,7 +102,7 @@ class Path:
                     continue
                 family = self.problem.family(one, self.motion)
                 if family is not None:
-                    found[j].append(family)
+                    found[j] += family.apart()
         self.candidates = found
         count = sum(map(len, found.values()))
         self.n_candidates = count
@@ -188,10 +188,20 @@ class Path:
         """Keys of effects that do not come beside a fit, a set."""
         return self._gone.union(*(m.effect.excludes() for m in fit.members))
 
+    def _contained(self, fit, joint):
+        """Names of effects that a member of a joint contains, a set."""
+        own = [m.effect for m in fit.members if m.effect.joint == joint]
+        return set().union(*(closure(effect, self.library) for effect in own))
+
     def _offers(self, fit, joint):
         """Offers on a joint beside a fit."""
         taken = self._taken(fit)
-        found = (self._offer(fit, f, taken) for f in self.candidates[joint])
+        within = self._contained(fit, joint)
+        found = (
+            self._offer(fit, family, taken)
+            for family in self.candidates[joint]
+            if family.effects[0].name not in within
+        )
         return [offer for offer in found if offer is not None]
 
     # -- moves ------------------------------------------------------------------------

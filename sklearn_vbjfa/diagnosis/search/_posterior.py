@@ -10,6 +10,7 @@ from sklearn_vbjfa.diagnosis.search._found import (
     FoundModel,
     Rival,
 )
+from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._path import Path
 
 # Why an effect that is probable has no name.
@@ -92,7 +93,10 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
         view=path.view,
         effects=tuple(m.effect for m in fit.members),
         motion=path.motion,
-        residual=found.residual,
+        # As the untouched part is: stretches between others.
+        residual=HeldOut(path.view, path.view.blocks.fold)
+        .fitted(fit, path.motion)
+        .residual,
         fit=fit,
     )
     return Found(

@@ -140,6 +140,25 @@ class Family:
             unit=unit,
         )
 
+    def apart(self):
+        """Return a family for each use that is another effect, see `Effect.apart`."""
+        names = self.effects[0].apart
+        uses = {}
+        for c, effect in enumerate(self.effects):
+            use = tuple(getattr(effect, name) for name in names)
+            uses.setdefault(use, []).append(c)
+        if len(uses) < 2:
+            return [self]
+        return [
+            Family(
+                effects=tuple(self.effects[c] for c in own),
+                joints=self.joints,
+                columns=np.ascontiguousarray(self.columns[:, :, own]),
+                unit=self.unit[own],
+            )
+            for own in uses.values()
+        ]
+
     def member(self, c, scale=1.0):
         """Return one of the shapes as a `Member`."""
         k = len(self.effects[c].coefficients)

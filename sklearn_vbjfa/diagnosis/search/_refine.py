@@ -10,7 +10,10 @@ from sklearn_vbjfa.diagnosis.search._view import variants
 
 # The search of shape parameters ends where the evidence rises by less [nats], or after
 # this many trials.
-_WORTH, _MOST_TRIALS = 0.02, 60
+_WORTH, _MOST_TRIALS = 0.01, 100
+# Sizes of the simplex, in shares of the way to the neighbours: it is begun once more,
+# as it may have become flat.
+_SIMPLEX = 0.25, 0.05
 # Points of the grid from which several parameters are searched: two of them may trade
 # against each other.
 _STARTS = 3
@@ -147,19 +150,21 @@ def _downhill(cost, start, brackets):
     # Nelder and Mead's simplex follows a narrow valley; it may leave the neighbours
     # of the start behind, but not what the parameter can be.
     width = np.array([b.high - b.low for b in brackets])
-    simplex = np.vstack([start, start + 0.25 * np.diag(width)])
-    found = optimize.minimize(
-        cost,
-        start,
-        method="Nelder-Mead",
-        bounds=[(b.lowest, b.highest) for b in brackets],
-        options={
-            "initial_simplex": simplex,
-            "xatol": 1e-3 * width.min(),
-            "fatol": _WORTH,
-            "maxfev": _MOST_TRIALS,
-        },
-    )
+    for share in _SIMPLEX:
+        simplex = np.vstack([start, start + share * np.diag(width)])
+        found = optimize.minimize(
+            cost,
+            start,
+            method="Nelder-Mead",
+            bounds=[(b.lowest, b.highest) for b in brackets],
+            options={
+                "initial_simplex": simplex,
+                "xatol": 1e-3 * width.min(),
+                "fatol": _WORTH,
+                "maxfev": _MOST_TRIALS,
+            },
+        )
+        start = found.x
     return found.x, found.fun
 
 

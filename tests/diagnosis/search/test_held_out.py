@@ -91,20 +91,26 @@ def test_what_an_effect_is_worth_is_what_refits_without_it_lose(fitted, i):
     assert told == (i < 2)
 
 
-def test_residuals_are_those_of_folds_of_blocks_that_were_not_seen(fitted):
-    """Of blocks between which the motion is alike, not of another motion."""
+def test_residuals_are_those_of_what_was_not_seen(fitted):
     fit, found = fitted
-    blocks = fit.problem.view.blocks
-    squares = blocks.sums((found.residual**2).T)
-    firsts = np.unique(blocks.label, return_index=True)[1]
-    expected = literal(fit, found, [0, 1, 2], blocks.fold[firsts])
-    assert_allclose(squares, expected, rtol=3e-4)
+    squares = fit.problem.view.blocks.sums((found.residual**2).T)
+    assert_allclose(squares, found.squares, rtol=1e-8)
+
+
+def test_folds_may_be_given():
+    """Blocks between which the motion is alike, for what is left of the whole."""
+    path, fit = made()
+    blocks = path.view.blocks
+    found = HeldOut(path.view, blocks.fold).fitted(fit, path.motion)
+    assert_allclose(found.squares, literal(fit, found, [0, 1, 2]), rtol=3e-4)
+    assert_array_equal(found.held.fold, blocks.fold)
 
 
 def test_what_was_fitted_is_not_shrunk_by_the_noise_of_what_lacked_it(fitted):
-    """At a noise floor the model is there out of sample as well."""
+    """At a noise floor the model is there between other blocks as well."""
     fit, found = fitted
     view = fit.problem.view
+    found = HeldOut(view, view.blocks.fold).fitted(fit, found.held.motion)
     rms = np.sqrt((found.residual**2).sum(axis=1) / view.rows)
     left = view.filtered(CLEAN.noise).std(axis=0)
     assert_allclose(rms, left, rtol=0.3)
@@ -134,7 +140,9 @@ def test_worth_by_hand():
     saved = np.array([1.0, 0.0, 5.0, -1.0])
     assert worth.gain == pytest.approx(5 / 25)
     assert worth.gain_std == pytest.approx(2 * saved.std() / 25)
-    assert worth.errors == pytest.approx(worth.gain / worth.gain_std)
+    ratio = np.log([4 / 3, 2.0, 5 / 6])
+    expected = ratio.mean() / (ratio.std(ddof=1) / np.sqrt(3))
+    assert worth.errors == pytest.approx(expected, rel=1e-4)
     assert worth.helped == pytest.approx(2 / 3)
     assert worth.n_blocks == 3
     nothing = Worth.of(before, before)

@@ -1,6 +1,7 @@
 """Names from odds: what of the most probable model is told, and with which doubt."""
 
 import numpy as np
+from scipy.special import expit, ndtri
 
 from sklearn_vbjfa.diagnosis.search._found import (
     Evidence,
@@ -113,7 +114,7 @@ def _doubt(member, evidence, settings, needed, path):
     """Say why an effect has no name; "" for one that has."""
     if evidence.log_odds < needed:
         return UNDECIDED
-    if not evidence.errors > settings.chance:
+    if not evidence.errors > max(settings.chance, ndtri(expit(needed))):
         return CHANCE
     if not evidence.gain > settings.worth:
         return SMALL

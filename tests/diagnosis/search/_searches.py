@@ -46,6 +46,7 @@ class Search:
         """Return the path to the most probable model, with the declared one fitted."""
         path = Path(self.view, self.library, self.settings, self.max_effects)
         path.begin()
+        path._candidates()
         return path
 
     def run(self):

@@ -36,7 +36,7 @@ def test_values_that_are_none_are_refused(name, value):
         SearchSettings(**{name: value})
 
 
-@pytest.mark.parametrize("name", ["undecided", "kept", "worth"])
+@pytest.mark.parametrize("name", ["undecided", "worth"])
 def test_shares_are_below_one(name):
     with pytest.raises(
         ValueError, match=f"{name} of SearchSettings is a share below 1"

@@ -374,7 +374,7 @@ class Path:
             excess = self._excess(fit, i, fit.scores)
             evidence = min(
                 float(groups.tempered(excess).evidence(scale)[0]),
-                excess.tempered(whole + more - rest.log_evidence()),
+                excess.tempered(whole + more - rest.log_evidence(), member.width),
             )
             found.append(evidence - np.log(self._shapes(member)) + self.log_prior)
         return np.array(found)
@@ -638,12 +638,12 @@ class Path:
         return self._single(member.effect).member(0, member.scale)
 
     def _anew(self, fit):
-        """Correct the robot by what was found of its geometry, and take its load."""
+        """Linearise effects where they are found, correct the robot, take its load."""
         effects, coefs = [], []
         members = []
         for i, member in enumerate(fit.members):
             own, coef = member.effect, fit.coefficients(i)
-            if own.in_model and own.natural(coef):
+            if own.tangent and own.natural(coef):
                 own = own.at(coef)
             members.append(replace(member, effect=own))
             effects.append(own)

@@ -284,6 +284,14 @@ class Effect(TransformerMixin, BaseEstimator):
         return False
 
     @property
+    def corner(self):
+        """Frequency above which it filters a channel [Hz]; None for what is no filter.
+
+        A filter within the frequencies of the motion stands for something else.
+        """
+        return None
+
+    @property
     def owner(self):
         """Name of the body or joint that its coefficients bear; empty for its own."""
         return ""

@@ -251,6 +251,12 @@ class TorqueFilter(Effect):
         return f"filter: {late} lags {other} by a low-pass of {1e3 * T:.2g} ms"
 
     @property
+    def corner(self):
+        """Frequency that leaves half the power [Hz]; see `Effect`."""
+        half = 1.0 / (2.0 * np.pi) if self.kind == "lag" else _HALF_POWER
+        return half / self.time_constant
+
+    @property
     def memory(self):
         """A lag knows the past alone, an average both sides; see `Effect`."""
         return "past" if self.kind == "lag" else "future"

@@ -62,6 +62,11 @@ class Worth:
             n_blocks=count,
         )
 
+    @property
+    def helps(self):
+        """Whether it saves anything, in the sum and in the mean of the blocks."""
+        return self.gain > 0 and self.errors > 0
+
 
 class HeldOut:
     """Regressions of all joints that leave out one fold of time after the other.

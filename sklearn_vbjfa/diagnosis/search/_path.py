@@ -416,7 +416,7 @@ class Path:
         order = np.argsort(frequency, kind="stable")
         share = np.cumsum(power[order])
         highest = frequency[order][np.searchsorted(share, _MOTION * share[-1])]
-        return _corner(effect) > self.settings.above_motion * highest
+        return effect.corner > self.settings.above_motion * highest
 
     def held_out(self, fit):
         """Leave out folds of time; see `HeldOut.fitted`."""
@@ -468,7 +468,7 @@ class Path:
             ),
         )
         new = self._scaled(Fit(fit.base, [*fit.members, member]))
-        if self.held_out(new).worth(len(fit.members)).gain <= 0:
+        if not self.held_out(new).worth(len(fit.members)).helps:
             # What predicts other motion no better is refused beside this model.
             return fit
         if member.effect.in_model and not self._settles(new):
@@ -537,7 +537,28 @@ class Path:
         for joint in self.candidates:
             if joint in member.joints:
                 found += self._offers(base, joint)
-        return self._surest(base, found, self.settings.rivals)
+        near = self._surest(base, found, self.settings.rivals)
+        if member.effect.in_model:
+            # What turns the robot alike with more values than are needed.
+            known = {o.effect.key() for o in near}
+            near += [
+                o
+                for o in self._as_well(base, found, member)
+                if o.effect.key() not in known
+            ]
+        return near
+
+    def _as_well(self, base, offers, member):
+        """Effects of the geometry that explain as much as a member does."""
+        offers = [self._tempered(base, o) for o in offers if o.effect.in_model]
+        gains = {
+            o: 0.5 * base.groups(o.family).gain()[o.best]
+            for o in offers
+            if o is not None
+        }
+        own = [g for o, g in gains.items() if o.effect.key() == member.effect.key()]
+        least = max(own, default=np.inf) - self.settings.rivals
+        return [o for o, gain in gains.items() if gain > least]
 
     def _exchanged(self, fit, been):
         """Put what is more probable in the place of a member; None if nothing is."""
@@ -666,12 +687,6 @@ class Path:
         return Fit(base, again)
 
 
-def _corner(effect):
-    """Frequency above which a filter acts [Hz]."""
-    corner = 1.0 / (2 * np.pi * effect.time_constant)
-    return corner * np.sqrt(np.log(2.0)) if effect.kind == "smooth" else corner
-
-
 def tuned_on(view, effects, settings):
     """Return effects with shapes that suit another recording, tuple of Effect."""
     if not effects:
@@ -680,7 +695,7 @@ def tuned_on(view, effects, settings):
     # In the weights in which the model is fitted to it.
     fit = path.placed(effects)
     for _ in range(_TURNS):
-        fit = weighed(path.refined(fit))
+        fit = weighed(path._anew(path.refined(fit)))
     return tuple(member.effect for member in fit.members)
 
 

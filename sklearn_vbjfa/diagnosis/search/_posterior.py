@@ -57,7 +57,7 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
             found = path.held_out(fit)
             gains = [
                 found.worth(i).gain
-                if member.effect.natural(fit.coefficients(i))
+                if member.effect.natural(fit.coefficients(i)) and found.worth(i).helps
                 else -np.inf
                 for i, member in enumerate(fit.members)
             ]
@@ -81,7 +81,7 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
         rivals = tuple(
             Rival(effect=o.effect, log_odds=o.order)
             for o in path.rivals(fit, i)
-            if o.order > usual[i] - settings.rivals
+            if (o.effect.in_model or o.order > usual[i] - settings.rivals)
             and o.effect.key() != member.effect.key()
         )
         doubt = _doubt(member, evidence, settings, needed, path)
@@ -118,6 +118,7 @@ def _doubt(member, evidence, settings, needed, path):
         return CHANCE
     if not evidence.gain > settings.worth:
         return SMALL
-    if member.effect.name == "torque_filter" and not path.above_motion(member.effect):
+    corner = member.effect.corner
+    if corner is not None and not path.above_motion(member.effect):
         return SLOW_FILTER
     return ""

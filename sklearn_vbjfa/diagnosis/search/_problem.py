@@ -478,7 +478,8 @@ class Fit:
             return Excess()
         # What the group itself explains of them is no noise.
         noise = noise - rows * ((rows * noise).sum() / promised)
-        scores = problem.view.blocks.sums((rows * noise).sum(axis=0))
+        view = problem.view
+        scores = view.blocks.sums((rows * noise).sum(axis=0))[view.block_order]
         power = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
         slow = power[: max(power.size // _SLOW, 1)]
         usual = float(max(1.0, slow.mean(), power.mean()))

@@ -99,6 +99,8 @@ class RecordingView:
         Number of the recording that each filtered row is from.
     blocks : Blocks
         Blocks of time.
+    block_order : ndarray of int
+        All blocks, parts in an order that does not depend on how they came.
     precision : ndarray of shape (nv,)
         Weights of the joints in the fit of the declared model.
     Z, back : ndarray of shape (nv, m, r) and (p, r)
@@ -209,6 +211,12 @@ class RecordingView:
             correlation,
             length,
             self._by_content(),
+        )
+        # Blocks in an order that does not know in which order the parts came.
+        parts = self.blocks.label[np.r_[self.starts, self.index.size - 1]]
+        bounds = [*parts[:-1], parts[-1] + 1]
+        self.block_order = np.concatenate(
+            [np.arange(bounds[k], bounds[k + 1]) for k in self._by_content()]
         )
 
     def _by_content(self):

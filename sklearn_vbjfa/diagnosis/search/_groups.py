@@ -34,17 +34,20 @@ class Excess:
         """Return the same as for effects that are no function of time."""
         return Excess(ratio=self.usual, usual=self.usual)
 
-    def tempered(self, evidence):
-        """Return a log Bayes factor as it is worth with this scatter."""
+    def tempered(self, evidence, width):
+        """Return a log Bayes factor of `width` columns as it is worth with this."""
         evidence = evidence / self.ratio
         if evidence > 0 and np.isfinite(self.freedom):
-            evidence = student(evidence, self.freedom)
+            evidence = student(evidence, self.freedom, width)
         return evidence
 
 
-def student(gain, freedom):
-    """Log likelihood ratio of Student's t where the normal one has a gain."""
-    return 0.5 * (freedom + 1) * np.log1p(2 * gain / freedom)
+def student(gain, freedom, width):
+    """Log likelihood ratio of Student's t where the normal one has a gain.
+
+    Of coefficients of `width` columns.
+    """
+    return 0.5 * (freedom + width) * np.log1p(2 * gain / freedom)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,7 +118,7 @@ class Groups:
         s2 = (_SCALES**2)[:, None, None]
         gain = (0.5 * rest**2 * s2 / (1 + s2 * value)).sum(axis=2)
         if np.isfinite(self.freedom):
-            gain = student(gain, self.freedom)
+            gain = student(gain, self.freedom, (value > 0).sum(axis=1))
         ratio = _SCALES / scale
         prior = ratio / (1 + ratio**2)
         volume = 0.5 * np.log1p(s2 * value).sum(axis=2)

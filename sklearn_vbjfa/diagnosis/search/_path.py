@@ -14,6 +14,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Fit,
     Problem,
     spectrum_of,
+    weighed,
 )
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
 from sklearn_vbjfa.effects._library import closure
@@ -373,7 +374,7 @@ class Path:
             excess = self._excess(fit, i, fit.scores)
             evidence = min(
                 float(groups.tempered(excess).evidence(scale)[0]),
-                excess.tempered(whole + more - rest.log_evidence()),
+                excess.tempered(whole + more - rest.log_evidence(), member.width),
             )
             found.append(evidence - np.log(self._shapes(member)) + self.log_prior)
         return np.array(found)
@@ -500,8 +501,11 @@ class Path:
         ]
         for offer in offers:
             alone = self._scaled(Fit(fit.base, [*rest, self._member(base, offer)]))
-            errors = [self.held_out(one).error_of(joint) for one in (alone, fit)]
-            if errors[0] <= (1 + self.settings.worth) * errors[1]:
+            own, both, none = (
+                self.held_out(one).error_of(joint) for one in (alone, fit, base)
+            )
+            # Most of what both save.
+            if own - both <= self.settings.worth * (none - both):
                 for member in fit.members[:-1]:
                     if member not in rest:
                         gone = Step(
@@ -607,9 +611,9 @@ class Path:
         fit = self.begin()
         for _ in range(_TURNS):
             members = [self._single(e).member(0, self.settings.scale) for e in effects]
-            fit = self._anew(self._scaled(Fit(fit.base, members)))
+            fit = self._anew(self._scaled(weighed(Fit(fit.base, members))))
             effects = [m.effect for m in fit.members]
-        return self._scaled(fit)
+        return self._scaled(weighed(fit))
 
     def run(self):
         """Search; returns the last `Fit`."""
@@ -634,12 +638,12 @@ class Path:
         return self._single(member.effect).member(0, member.scale)
 
     def _anew(self, fit):
-        """Correct the robot by what was found of its geometry, and take its load."""
+        """Linearise effects where they are found, correct the robot, take its load."""
         effects, coefs = [], []
         members = []
         for i, member in enumerate(fit.members):
             own, coef = member.effect, fit.coefficients(i)
-            if own.in_model and own.natural(coef):
+            if own.tangent and own.natural(coef):
                 own = own.at(coef)
             members.append(replace(member, effect=own))
             effects.append(own)
@@ -673,8 +677,10 @@ def tuned_on(view, effects, settings):
     if not effects:
         return ()
     path = Path(view, (), settings)
+    # In the weights in which the model is fitted to it.
     fit = path.placed(effects)
-    fit = path.refined(spectrum_of(fit, settings))
+    for _ in range(_TURNS):
+        fit = weighed(path.refined(fit))
     return tuple(member.effect for member in fit.members)
 
 

@@ -562,3 +562,13 @@ def spectrum_of(fit, settings, rounds=3):
         weights = spectrum.weights(cosines.band, cosines.fill)
         fit = Fit(Base(problem, weights, spectrum.log_prior), fit.members)
     return fit
+
+
+def weighed(fit):
+    """Return a fit under one weight for each joint, by its residual."""
+    problem = fit.problem
+    power = (fit.residual**2).mean(axis=1)
+    heard = problem.heard & (power > 0)
+    own = np.where(heard, problem.cosines.fill / np.where(heard, power, 1.0), 0.0)
+    weights = np.repeat(own[:, None], problem.y.shape[1], axis=1)
+    return Fit(Base(problem, weights), fit.members)

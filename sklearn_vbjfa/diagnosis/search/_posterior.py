@@ -1,7 +1,7 @@
 """Names from odds: what of the most probable model is told, and with which doubt."""
 
 import numpy as np
-from scipy.special import expit, ndtri
+from scipy.special import expit, ndtr, ndtri
 
 from sklearn_vbjfa.diagnosis.search._found import (
     Evidence,
@@ -56,10 +56,13 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
         if odds[worst] > path.least:
             found = path.held_out(fit)
             gains = [
-                found.worth(i).gain
-                if member.effect.natural(fit.coefficients(i)) and found.worth(i).helps
+                own.gain
+                if member.effect.natural(fit.coefficients(i))
+                # In most blocks as well, or nobody would call it probable.
+                and ndtr(own.errors) >= settings.undecided
                 else -np.inf
                 for i, member in enumerate(fit.members)
+                for own in [found.worth(i)]
             ]
             worst = int(np.argmin(gains))
             if gains[worst] > 0:

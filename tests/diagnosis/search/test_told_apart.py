@@ -48,7 +48,9 @@ def test_a_search_names_the_tilt_and_its_rival(truth):
 def test_the_zero_of_a_horizontal_joint_is_not_told_from_a_tilt(truth, seed):
     """By a tilt about the joint alone; both are named, in this order or the other."""
     now = searched([truth], record("YXY", seed=seed)).run()
-    assert sorted([*found(now), *rivals(now)]) == [("base_tilt", 0), ("joint_zero", 0)]
+    told = {*found(now), *rivals(now)}
+    # The axis of the next joint may be as well, where there is one like it.
+    assert {("base_tilt", 0), ("joint_zero", 0)} <= told
 
 
 def test_a_tilt_about_other_axes_has_no_zero_for_a_rival():

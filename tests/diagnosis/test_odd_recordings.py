@@ -160,9 +160,6 @@ def pace_of(number, t):
     return pace * (1.0 if number == 0 else 0.9)
 
 
-@pytest.mark.xfail(
-    strict=True, reason="0.45 kg for 0.6 kg: about an upright axis it is felt little"
-)
 def test_groups_that_differ_in_a_payload():
     import pinocchio as pin
 

@@ -7,15 +7,15 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit, added_effects
+from sklearn_vbjfa.diagnosis.explain._judgement import Models, judge
+from sklearn_vbjfa.diagnosis.explain._outcome import make_outcome
+from sklearn_vbjfa.diagnosis.explain._split import split_in_time
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
-from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, added_effects
-from sklearn_vbjfa.diagnosis.search._judgement import Models, judge
-from sklearn_vbjfa.diagnosis.search._outcome import make_outcome
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import search
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
-from sklearn_vbjfa.diagnosis.search._split import split_in_time
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect, TorqueGain, resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms

@@ -6,10 +6,10 @@ import numpy as np
 from sklearn.base import clone
 from sklearn.utils.validation import check_array
 
+from sklearn_vbjfa.diagnosis.explain._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import text_table
 from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
-from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.search._held_out import held_out_rows
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording._recording import check_clock, take_arrays

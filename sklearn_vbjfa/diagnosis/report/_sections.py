@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.explain._gaps import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import (
     _evidence,
     _gains,
@@ -26,7 +27,6 @@ from sklearn_vbjfa.diagnosis.report._pictures import (
     residual_picture,
     time_axis,
 )
-from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED
 
 # Entries of a list that a terminal shows as sentences; each further one is a row.

@@ -12,9 +12,9 @@ import numpy as np
 from sklearn.utils import check_random_state
 from threadpoolctl import threadpool_limits
 
-from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, compare
-from sklearn_vbjfa.diagnosis.search._findings import Ceiling
-from sklearn_vbjfa.diagnosis.search._flexible import (
+from sklearn_vbjfa.diagnosis.explain._evidence import SMALLEST_GAIN, compare
+from sklearn_vbjfa.diagnosis.explain._findings import Ceiling
+from sklearn_vbjfa.diagnosis.explain._flexible import (
     FEWEST_VALUES,
     FlexibleFunction,
     Stretches,

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
-from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
-from sklearn_vbjfa.diagnosis.search._findings import (
+from sklearn_vbjfa.diagnosis.explain._dependence import dependences, motion_signals
+from sklearn_vbjfa.diagnosis.explain._findings import (
     Hidden,
     Unexplained,
     named_beside,
 )
+from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
 from sklearn_vbjfa.diagnosis.search._found import Found
 from sklearn_vbjfa.effects._library import closure
 from sklearn_vbjfa.robot._equations import make_motion

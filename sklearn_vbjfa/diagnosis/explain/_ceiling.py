@@ -78,7 +78,7 @@ def ceilings(model, joints, names, alpha, random_state=None):
     rng = check_random_state(0 if random_state is None else random_state)
     seed = int(rng.randint(2**31 - 1))
     root = view.root.T
-    residual = model.residuals() / np.where(root > 0, root, np.inf)
+    residual = model.residual / np.where(root > 0, root, np.inf)
     seconds, signals = model.memory_seconds(), Signals.of(model)
     for j in joints:
         if _values(view, j) < FEWEST_VALUES:

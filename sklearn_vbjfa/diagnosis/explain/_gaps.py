@@ -38,7 +38,7 @@ def unexplained(model, names, spread, floors, errors):
     and the errors on the untouched part over the spread, nan where there is none.
     """
     view = model.view
-    residual = model.residuals() / np.where(view.root.T > 0, view.root.T, np.inf)
+    residual = model.residual / np.where(view.root.T > 0, view.root.T, np.inf)
     signals = motion_signals(model.motion, names)
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
     found = []

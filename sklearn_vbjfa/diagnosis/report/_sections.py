@@ -60,8 +60,6 @@ class Table:
         Heads of the columns; empty for none.
     rows : tuple of tuple
         Cells.
-    details : tuple of tuple of str
-        What a page unfolds below each row; empty for nothing.
     links : tuple of str
         Where on its page the effect of each row leads; empty for nowhere.
     numbers : bool
@@ -70,7 +68,6 @@ class Table:
 
     heads: tuple = ()
     rows: tuple
-    details: tuple = ()
     links: tuple = ()
     numbers: bool = False
 

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, special
 
+from sklearn_vbjfa.diagnosis.search._blocks import Bridge
+
 # Bands of frequency in an octave, and the fewest cosines in one.
 _PER_OCTAVE, _FEWEST = 2, 2
 # Spectral density below this share of the largest is rounding.
@@ -41,7 +43,7 @@ class Cosines:
         self._parts = list(itertools.pairwise([*view.starts, m]))
         used = view.root > 0
         self.fill = used.mean(axis=0)
-        self._bridges = [_bridge(own, self._parts) for own in used.T]
+        self._bridges = [Bridge.of(own, view.starts) for own in used.T]
         frequency = np.empty(m)
         for a, b in self._parts:
             frequency[a:b] = np.arange(b - a) / (2.0 * (b - a) * view.step)
@@ -57,9 +59,7 @@ class Cosines:
         for i, j in enumerate(joints):
             x = rows[i]
             if self._bridges[j] is not None:
-                low, high, share = self._bridges[j]
-                share = share.reshape((-1,) + (1,) * (x.ndim - 1))
-                x = (1.0 - share) * x[low] + share * x[high]
+                x = self._bridges[j](x)
             for a, b in self._parts:
                 whole[a:b] = fft.dct(x[a:b], axis=0, norm="ortho")
             out[i] = whole[self._kept]
@@ -74,27 +74,6 @@ class Cosines:
             for a, b in self._parts:
                 out[i, a:b] = fft.idct(whole[a:b], axis=0, norm="ortho")
         return out
-
-
-def _bridge(used, parts):
-    """Rows before and after each missing row and its place between; None if none is."""
-    if used.all() or not used.any():
-        return None
-    low = high = np.arange(used.size)
-    low, high = low.copy(), high.copy()
-    for a, b in parts:
-        there = a + np.flatnonzero(used[a:b])
-        if there.size == 0:
-            low[a:b] = high[a:b] = a
-            continue
-        rows = np.arange(a, b)
-        at = np.searchsorted(there, rows, side="right") - 1
-        low[a:b] = there[np.maximum(at, 0)]
-        after = np.searchsorted(there, rows, side="left")
-        high[a:b] = there[np.minimum(after, there.size - 1)]
-    width = high - low
-    share = np.where(width > 0, (np.arange(used.size) - low) / np.maximum(width, 1), 0)
-    return low, high, share
 
 
 def _bands(frequency, lowest):

@@ -13,6 +13,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Family,
     Fit,
     Problem,
+    declared_alone,
     spectrum_of,
     weighed,
 )
@@ -294,22 +295,12 @@ class Path:
 
     def _member(self, fit, offer):
         """Return an offer as a member, its shape searched between the grid's."""
-        scale = self.settings.scale
-
-        def evidence(effect):
-            family = self._single(effect)
-            return float(fit.groups(family).evidence(scale)[0])
-
         effect = offer.effect
         if effect.continuous:
-            groups = fit.groups(offer.family)
-            effect = refined(
-                starts(offer.family.effects, groups.evidence(scale), effect),
-                evidence,
-                self.motion,
-            )
+            evidence = fit.groups(offer.family).evidence(self.settings.scale)
+            effect = self._refined(fit, starts(offer.family.effects, evidence, effect))
         family = self._single(effect)
-        best = fit.groups(family).best_scale(scale)[0]
+        best = fit.groups(family).best_scale(self.settings.scale)[0]
         return family.member(0, float(best))
 
     def _single(self, effect):
@@ -317,18 +308,21 @@ class Path:
         columns = self.view.columns([effect], self.motion)
         return Family.of(self.problem, (effect,), columns)
 
+    def _refined(self, fit, effects):
+        """Search the shape of an effect beside a fit, from one or several."""
+
+        def evidence(one):
+            groups = fit.groups(self._single(one))
+            return float(groups.evidence(self.settings.scale)[0])
+
+        return refined(effects, evidence, self.motion)
+
     def refined(self, fit):
         """Search the shapes of all members again, each beside the others."""
-        scale = self.settings.scale
         for i, member in enumerate(fit.members):
             if not member.effect.continuous:
                 continue
-            base = fit.without(i)
-
-            def evidence(one, base=base):
-                return float(base.groups(self._single(one)).evidence(scale)[0])
-
-            found = refined([member.effect], evidence, self.motion)
+            found = self._refined(fit.without(i), [member.effect])
             members = list(fit.members)
             members[i] = self._single(found).member(0, member.scale)
             fit = Fit(fit.base, members)
@@ -467,7 +461,7 @@ class Path:
                 if o.effect.key() != offer.effect.key()
             ),
         )
-        new = self._scaled(Fit(fit.base, [*fit.members, member]))
+        new = self._scaled(fit.beside(member))
         if not self.held_out(new).worth(len(fit.members)).helps:
             # What predicts other motion no better is refused beside this model.
             return fit
@@ -500,7 +494,7 @@ class Path:
             if offer is not None
         ]
         for offer in offers:
-            alone = self._scaled(Fit(fit.base, [*rest, self._member(base, offer)]))
+            alone = self._scaled(base.beside(self._member(base, offer)))
             own, both, none = (
                 self.held_out(one).error_of(joint) for one in (alone, fit, base)
             )
@@ -619,12 +613,9 @@ class Path:
 
     def begin(self):
         """Fit the declared columns alone, with the load that they give."""
-        view = self.view
-        self.problem = Problem(view)
-        flat = view.precision * self.problem.cosines.fill
-        weights = np.repeat(flat[:, None], self.problem.y.shape[1], axis=1)
-        fit = Fit(Base(self.problem, weights))
-        self.motion = view.motion(fit.theta)
+        fit = declared_alone(self.view)
+        self.problem = fit.problem
+        self.motion = self.view.motion(fit.theta)
         return fit
 
     def placed(self, effects):
@@ -651,7 +642,6 @@ class Path:
                 break
             seen = names
             fit = self._anew(fit)
-        self.fit = fit
         return fit
 
     def _again(self, member):

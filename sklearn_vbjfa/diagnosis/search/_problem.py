@@ -94,13 +94,6 @@ class Problem:
             return None
         return Family.of(self, found.effects, found.columns)
 
-    def member(self, effect, motion, scale=1.0):
-        """Return an effect as a `Member`."""
-        family = Family.of(
-            self, (effect,), self.view.columns_of(effect, motion)[:, :, None]
-        )
-        return family.member(0, scale)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Family:
@@ -539,10 +532,6 @@ class Fit:
         """Posterior mean of a member's coefficients, (k,)."""
         return self._coef[self.places[i]]
 
-    def deviations(self, i):
-        """Their posterior deviations, (k,)."""
-        return np.sqrt(np.diagonal(self._covariance)[self.places[i]])
-
     def beside(self, member):
         """Fit with one more member."""
         return Fit(self.base, (*self.members, member))
@@ -551,6 +540,13 @@ class Fit:
         """Fit without a member, to a robot that it has not corrected."""
         base = self.base.undone(self.members[i])
         return Fit(base, (*self.members[:i], *self.members[i + 1 :]))
+
+
+def declared_alone(view):
+    """Fit the declared columns, joints weighted as in the fit of the robot."""
+    problem = Problem(view)
+    flat = view.precision * problem.cosines.fill
+    return Fit(Base(problem, np.repeat(flat[:, None], problem.y.shape[1], axis=1)))
 
 
 def spectrum_of(fit, settings, rounds=3):

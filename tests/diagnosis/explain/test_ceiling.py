@@ -27,13 +27,14 @@ class Left:
 
     view: object
     motion: object
-    residual: np.ndarray
+    torque: np.ndarray
 
-    def residuals(self):
-        return self.residual * self.view.root.T
+    @property
+    def residual(self):
+        return self.torque * self.view.root.T
 
     def memory_seconds(self):
-        return [m.time for m in self.view.whitening(self.residuals()).memory]
+        return [m.time for m in self.view.whitening(self.residual).memory]
 
 
 def viewed(seeds, duration, weight=1.0):

@@ -27,7 +27,7 @@ from sklearn_vbjfa.robot._identifier import (
 # Directions of the scaled Gram matrix below this are never used.
 _RANK = 1e-12
 # Full-rate numbers of the columns that are filtered together.
-_AT_ONCE = 1 << 21
+_AT_ONCE = 1 << 18
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
 
@@ -303,15 +303,18 @@ class RecordingView:
         n = motion.q.shape[0]
         at_once = max(1, _AT_ONCE // (n * k * len(joints)))
         for first in range(0, len(effects), at_once):
-            made = [self._made(e, motion) for e in effects[first : first + at_once]]
-            flat = np.concatenate([own.reshape(n, -1) for own in made], axis=1)
-            edges = np.cumsum([own[0].size for own in made])[:-1]
-            each = np.split(self.filtered(flat), edges, axis=1)
-            for c, (own, filtered) in enumerate(zip(made, each), start=first):
-                filtered = filtered.reshape(-1, len(joints), own.shape[-1])
-                for i, j in enumerate(joints):
-                    scale = self.gains[j] * self.root[:, j, None]
-                    out[i, :, c, : own.shape[-1]] = filtered[:, i] * scale
+            some = effects[first : first + at_once]
+            # Beside each other (n, nj, c, k), those with fewer columns with zeros.
+            made = np.zeros((n, len(joints), len(some), k))
+            for c, effect in enumerate(some):
+                own = self._made(effect, motion)
+                made[:, :, c, : own.shape[-1]] = own.reshape(n, len(joints), -1)
+            filtered = self.filtered(made.reshape(n, -1))
+            filtered = filtered.reshape(-1, *made.shape[1:])
+            for i, j in enumerate(joints):
+                scale = self.gains[j] * self.root[:, j]
+                own = out[i, :, first : first + at_once]
+                np.multiply(filtered[:, i], scale[:, None, None], out=own)
         return out
 
     def _made(self, effect, motion):

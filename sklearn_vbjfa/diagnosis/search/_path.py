@@ -418,7 +418,7 @@ class Path:
             self._held = HeldOut(self.view)
         return self._held.fitted(fit, self.motion)
 
-    def _climb(self, fit):
+    def _climb(self, fit, turn):
         """Add, drop, refine and exchange until nothing is more probable."""
         self._moved()
         been, tuned, self._gone = {keys_of(fit)}, None, set()
@@ -439,6 +439,8 @@ class Path:
                 new = self._pruned(self.refined(fit))
             else:
                 new = self._exchanged(fit, been)
+                if new is None and (turn or not fit.members):
+                    new = self._together(fit, been)
             if new is None:
                 return fit
             fit = new
@@ -588,6 +590,92 @@ class Path:
                 return new
         return None
 
+    def _together(self, fit, been):
+        """Begin with everything on a joint and drop what is not needed, or None.
+
+        What hides another, or shows beside it alone, does not come one by one.
+        """
+        for joint in self.candidates:
+            new = self._needed(fit, joint)
+            # One that comes alone, or in place of another, was asked before.
+            if keys_of(new) in been or len(keys_of(new) - keys_of(fit)) < 2:
+                continue
+            been.add(keys_of(new))
+            steps = len(self.steps)
+            new = self._pruned(self.refined(new))
+            del self.steps[steps:]
+            if len(keys_of(new) - keys_of(fit)) < 2 or self._excluded(new):
+                continue
+            if self.max_effects is not None and len(new.members) > self.max_effects:
+                continue
+            before, left_out = keys_of(fit), self.held_out(new)
+            surest = min(
+                own
+                for own, m in zip(self.log_odds(new), new.members)
+                if m.effect.key() not in before
+            )
+            if surest < self.least + self.settings.rivals:
+                continue
+            if left_out.error() > self.held_out(fit).error():
+                continue
+            if all(left_out.worth(i).helps for i in range(len(new.members))):
+                self._note(fit, new)
+                self._moved()
+                return new
+        return None
+
+    def _needed(self, fit, joint):
+        """Return a fit with what is probable of a joint beside all the rest."""
+        taken, within = self._taken(fit), self._contained(fit, joint)
+        scale, members = self.settings.scale, list(fit.members)
+        for family in self.candidates[joint]:
+            first = family.effects[0]
+            if first.in_model or first.name in within:
+                continue
+            groups = fit.groups(family)
+            free = groups.shown() & [e.key() not in taken for e in family.effects]
+            if free.any():
+                evidence = np.where(free, groups.evidence(scale), -np.inf)
+                members.append(family.member(int(np.argmax(evidence)), scale))
+        fit = Fit(fit.base, members)
+        while fit.members:
+            own = fit.own_groups()
+            odds = [
+                float(groups.evidence(scale)[0]) - np.log(self._shapes(member))
+                if joint in member.joints
+                else np.inf
+                for groups, member in zip(own, fit.members)
+            ]
+            worst = int(np.argmin(odds))
+            if odds[worst] + self.log_prior > self.least:
+                break
+            members = [
+                replace(m, scale=float(g.best_scale(scale)[0]))
+                for m, g in zip(fit.members, own)
+            ]
+            fit = Fit(fit.base, members).without(worst)
+        return self._scaled(fit)
+
+    def _excluded(self, fit):
+        """Whether a member of a fit excludes another."""
+        return any(
+            m.effect.key() in self._taken(fit.without(i))
+            for i, m in enumerate(fit.members)
+        )
+
+    def _note(self, fit, new):
+        """Note what came and went between two fits."""
+        before, after = keys_of(fit), keys_of(new)
+        odds = self.log_odds(new)
+        for member in fit.members:
+            if member.effect.key() not in after:
+                gone = Step(action="drop", effect=member.effect, log_odds=np.nan)
+                self.steps.append(gone)
+        for member, own in zip(new.members, odds):
+            if member.effect.key() not in before:
+                came = Step(action="add", effect=member.effect, log_odds=float(own))
+                self.steps.append(came)
+
     # -- the whole ------------------------------------------------------------------
 
     def _spectrum(self, fit):
@@ -636,7 +724,7 @@ class Path:
                 self._candidates()
             start = [self._again(m) for m in fit.members]
             base = self._spectrum(Fit(fit.base, start))
-            fit = self._climb(self._scaled(Fit(base, start)))
+            fit = self._climb(self._scaled(Fit(base, start)), turn)
             names = keys_of(fit)
             if names == seen or not fit.members:
                 break

@@ -224,6 +224,18 @@ class Base:
             self._known[key] = columns, self._beside(joints, columns)
         return self._known[key][1]
 
+    def between(self, one, other):
+        """Weighted products of the columns of two members, (k, l)."""
+        key = id(one.columns), id(other.columns)
+        if key not in self._known:
+            found = np.zeros((one.width, other.width))
+            for i, j in enumerate(one.joints):
+                if j in other.joints:
+                    own = one.columns[i, :, 0] * self.weights[j][:, None]
+                    found += own.T @ other.columns[other.joints.index(j), :, 0]
+            self._known[key] = (one.columns, other.columns), found
+        return self._known[key][1]
+
     def _beside(self, joints, columns):
         _, n, c, k = columns.shape
         cross, right = np.zeros((self.L.shape[0], c * k)), np.zeros(c * k)
@@ -309,7 +321,7 @@ class Fit:
             right[place] = own.q[0] - self.prior[place] * member.done
             S[place, place] = own.gram[0]
         for a, b in itertools.combinations(range(len(self.members)), 2):
-            product = self._product(self.members[a], self.members[b])
+            product = base.between(self.members[a], self.members[b])
             S[self.places[a], self.places[b]] = product
             S[self.places[b], self.places[a]] = product.T
         S += np.diag(self.prior) - self._B.T @ self._B
@@ -339,15 +351,6 @@ class Fit:
         if not self.members:
             return right
         return linalg.solve_triangular(self._factor, right, lower=True)
-
-    def _product(self, one, other):
-        """Weighted products of the columns of two members, (k, l)."""
-        found = np.zeros((one.width, other.width))
-        for i, j in enumerate(one.joints):
-            if j in other.joints:
-                own = one.columns[i, :, 0] * self.base.weights[j][:, None]
-                found += own.T @ other.columns[other.joints.index(j), :, 0]
-        return found
 
     @functools.cached_property
     def residual(self):

@@ -351,15 +351,15 @@ class ChannelEquations:
 
     def _moments(self, j, torque, w):
         """Columns of friction (n, 2), and the regression of `fit`."""
-        friction, others = self._columns(j)
-        y = torque[:, torque.shape[1] // 2]
+        free = self._columns(j)
         rigid = self._rigid(j) * self._spread[self._support[j]]
         # The torque may have any unit: the prior is scaled to its size. What inertias
         # drawn from it cause is the root of the sum of the columns' squares.
-        expected = np.sqrt(_mean_squares(rigid, w).sum())
+        expected = np.sqrt((w @ rigid**2).sum() / w.sum())
+        y = torque[:, torque.shape[1] // 2]
         rigid *= _rms(y, w) / max(expected, np.finfo(float).tiny)
-        free = np.hstack([friction, others])
-        return friction, _Moments(free, rigid, torque, w, self._signals.block)
+        moments = _Moments(free, rigid, torque, w, self._signals.block)
+        return free[:, :2], moments
 
     def inertia_scale(self, j):
         """Regress the torque on nominal gravity and on the nominal rest, separately.
@@ -378,7 +378,7 @@ class ChannelEquations:
         """
         n = self._signals.block.size
         w = self.weight(j)
-        friction, _ = self._columns(j)
+        friction = self._columns(j)[:, :2]
         gravity = self._gravity()[:, j]
         motion = self._nominal[:, j] - gravity
         q = self._signals.states[:, j]
@@ -408,16 +408,15 @@ class ChannelEquations:
     def _expected(self, j, w):
         """Root mean square of the torque by inertias drawn from the prior."""
         rigid = self._rigid(j) * self._spread[self._support[j]]
-        return np.sqrt(_mean_squares(rigid, w).sum())
+        return np.sqrt((w @ rigid**2).sum() / w.sum())
 
     def _columns(self, j):
-        """Columns of friction (n, 2), and of other torques beside the links (n, 6)."""
+        """Columns of friction, and of other torques beside the links (n, 2 + 6)."""
         n, nv = self._signals.sign.shape
-        q, v, a = self._signals.states.reshape(n, 3, nv)[:, :, j].T
-        friction = np.column_stack([v, self._signals.sign[:, j]])
+        q, v, a = self._signals.states[:, j::nv].T
         # A spring or a counterbalance must not pass for gravity of the wrong sign.
         others = [self._nominal[:, j], np.ones(n), a, q, np.sin(q), np.cos(q)]
-        return friction, np.column_stack(others)
+        return np.column_stack([v, self._signals.sign[:, j], *others])
 
     def nominal_scale(self, j, *, rotor=False):
         """Regress the torque on the nominal one, friction and a spring.
@@ -446,7 +445,7 @@ class ChannelEquations:
         nominal = self._nominal[:, j]
         if _rms(nominal, w) <= _LEAST_NOMINAL * self._expected(j, w):
             return 0.0, 0.0, 0.0
-        friction, _ = self._columns(j)
+        friction = self._columns(j)[:, :2]
         q = self._signals.states[:, j]
         rest = np.column_stack([friction, np.ones(n), q])
         if rotor:
@@ -472,14 +471,16 @@ class _Moments:
 
     def __init__(self, free, rigid, torque, weight, block):
         rows = np.flatnonzero(weight > 0)
-        free, rigid, block = free[rows], rigid[rows], block[rows]
-        scale = np.sqrt(np.einsum("ij,ij->j", free, free) / rows.size)
-        scale[scale == 0] = 1.0
-        self._scale = np.r_[scale, np.ones(rigid.shape[1])]
-        self._design = np.hstack([free / scale, rigid])
+        self._design = np.hstack([free, rigid])[rows]
         self._n_free = free.shape[1]
+        # In place, as the rows are a copy.
+        own = self._design[:, : self._n_free]
+        scale = np.sqrt((own**2).sum(axis=0) / rows.size)
+        scale[scale == 0] = 1.0
+        own /= scale
+        self._scale = np.r_[scale, np.ones(rigid.shape[1])]
         self._torque = torque[rows]
-        edges = np.searchsorted(block, np.arange(N_BLOCKS + 1))
+        edges = np.searchsorted(block[rows], np.arange(N_BLOCKS + 1))
         self._rows = [slice(a, b) for a, b in pairwise(edges)]
         self._count = np.diff(edges)
 
@@ -492,12 +493,15 @@ class _Moments:
         y = self._torque[:, middle]
         spread = np.var(y)
         variance = 0.1 * spread
-        ridge = np.full(G.shape[0], 1e-8 * self._count.sum())
-        for _ in range(3 if self._n_free < ridge.size else 1):
-            ridge[self._n_free :] = max(variance, 1e-9 * spread + 1e-300)
-            total = G + np.diag(ridge)
+        total = G.copy()
+        ridge = total.reshape(-1)[:: g.size + 1]
+        ridge[: self._n_free] += 1e-8 * y.size
+        diagonal = np.diagonal(G)[self._n_free :]
+        for _ in range(3 if diagonal.size else 1):
+            ridge[self._n_free :] = diagonal + max(variance, 1e-9 * spread + 1e-300)
             theta = np.linalg.solve(total, g)
-            variance = np.mean((y - self._design @ theta) ** 2)
+            left = y - self._design @ theta
+            variance = left @ left / y.size
         return total, theta
 
     def solve(self, middle):
@@ -517,7 +521,7 @@ class _Moments:
             self._torque[rows] - self._design[rows] @ (theta * self._scale[:, None])
             for rows, theta in zip(self._rows, without)
         ]
-        squares = self._squares(left)
+        squares = self._squares(np.concatenate(left))
         known = np.isfinite(squares[:, 0])
         total = np.average(squares[known], axis=0, weights=self._count[known])
         return np.log(np.maximum(squares, np.finfo(float).tiny)), np.sqrt(total)
@@ -532,17 +536,14 @@ class _Moments:
         design, torque = self._design, self._torque
         _, theta = self._regularised(0, design.T @ design, design.T @ torque[:, 0])
         left = torque - design @ theta[:, None]
-        squares = self._squares([left[rows] for rows in self._rows])
+        squares = self._squares(left)
         return np.log(np.maximum(squares, np.finfo(float).tiny))
 
     def _squares(self, left):
-        """Mean squares of the residuals of each block; nan with fewer than 3 rows."""
-        return np.array(
-            [
-                np.full(e.shape[1], np.nan) if len(e) < 3 else np.mean(e**2, axis=0)
-                for e in left
-            ]
-        )
+        """Mean squares of residuals (n, m) by blocks; nan with fewer than 3 rows."""
+        squares = np.array([(left[rows] ** 2).sum(axis=0) for rows in self._rows])
+        few = self._count < 3
+        return np.where(few, np.nan, squares.T / np.where(few, 1, self._count)).T
 
 
 def gain(better, worse):
@@ -573,13 +574,8 @@ def _jackknife_error(values):
     )
 
 
-def _mean_squares(x, w):
-    """Weighted mean squares of columns (n, k), ndarray (k,)."""
-    return w @ x**2 / w.sum()
-
-
 def _rms(x, w):
-    return float(np.sqrt(_mean_squares(x, w)))
+    return float(np.sqrt(w @ x**2 / w.sum()))
 
 
 def _spread_of(x, w):

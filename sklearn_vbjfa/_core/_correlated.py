@@ -122,7 +122,7 @@ def expect_latent(moments, latent, state):
         + n * (P - q * np.outer(k, k))
     )  # [C6]
     S_ty = H @ xy + k * (yy - c @ xy)  # [C7]
-    cost = np.einsum("ij,ji->", latent.H.T @ state.beta_cov @ H, S) / s2
+    cost = np.vdot(state.beta_cov, HS @ latent.H.T) / s2
     value = -0.5 * (n * (_LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)  # [C12]
     return LatentSums(S_tt=0.5 * (S_tt + S_tt.T), S_ty=S_ty, bound=float(value))
 

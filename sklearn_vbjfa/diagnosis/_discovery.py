@@ -345,7 +345,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             say(len(found.effects), "final model")
             self.judged_ = self.plain_
             if found.effects:
-                self.judged_ = _fitted(self._with(found.effects), part)
+                again = self._with(found.effects)._after(self.plain_)
+                self.judged_ = _fitted(again, part)
             models = Models(
                 declared=self.declared_, plain=self.plain_, judged=self.judged_
             )
@@ -470,7 +471,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["standstill"] = self.judged_.standstill_
         view = RecordingView(self.plain_, whole, silent)
         effects = tuned_on(view, found.effects, found.settings)
-        self.identifier_ = _fitted(self._with(effects).set_params(**band), whole)
+        again = self._with(effects).set_params(**band)._after(self.judged_)
+        self.identifier_ = _fitted(again, whole)
         effects = added_effects(self.identifier_, len(effects))
         final = FinalFit(self.plain_, self.identifier_, view, effects)
         tell_spreads(self.identifier_, final.effect_estimates)

@@ -31,7 +31,9 @@ class Cosines:
     Attributes
     ----------
     band : ndarray of shape (n,)
-        Band of frequency of each cosine, from the slowest.
+        Band of frequency of each cosine, by which they are sorted, from the slowest.
+    edges : ndarray of shape (n_bands + 1,)
+        Where each band begins, and the last one ends.
     octave : ndarray of shape (n_bands,)
         Middle of each band, logarithm of base 2 of the frequency.
     fill : ndarray of shape (nv,)
@@ -48,9 +50,12 @@ class Cosines:
         for a, b in self._parts:
             frequency[a:b] = np.arange(b - a) / (2.0 * (b - a) * view.step)
         cutoff = view.robot.cutoff_
-        self._kept = frequency <= (cutoff if np.isfinite(cutoff) else np.inf)
+        kept = np.flatnonzero(frequency <= (cutoff if np.isfinite(cutoff) else np.inf))
         longest = max(b - a for a, b in self._parts) * view.step
-        self.band, self.octave = _bands(frequency[self._kept], 0.5 / longest)
+        band, self.octave = _bands(frequency[kept], 0.5 / longest)
+        order = np.argsort(band, kind="stable")
+        self.band, self._kept, self._n_rows = band[order], kept[order], m
+        self.edges = np.searchsorted(self.band, np.arange(self.octave.size + 1))
 
     def __call__(self, rows, joints):
         """Cosines (nj, n, ...) of rows (nj, m, ...) of some joints."""
@@ -67,7 +72,7 @@ class Cosines:
 
     def rows(self, cosines):
         """Rows (nj, m, ...) that cosines (nj, n, ...) stand for."""
-        out = np.empty((cosines.shape[0], self._kept.size, *cosines.shape[2:]))
+        out = np.empty((cosines.shape[0], self._n_rows, *cosines.shape[2:]))
         whole = np.zeros(out.shape[1:])
         for i, own in enumerate(cosines):
             whole[self._kept] = own
@@ -146,9 +151,9 @@ class Spectrum:
             log_prior -= 0.5 * float(((bend @ smooth) ** 2).sum())
         return cls(variance=variance, log_prior=log_prior)
 
-    def weights(self, band, fill):
-        """Weights of the cosines (nv, n); those of a bridged recording count less."""
-        return (fill[:, None] / self.variance)[:, band]
+    def weights(self, fill):
+        """Weights by band (nv, n_bands); those of a bridged recording count less."""
+        return fill[:, None] / self.variance
 
 
 def _bends(octave):

@@ -15,6 +15,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Problem,
     declared_alone,
     spectrum_of,
+    together,
     weighed,
 )
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
@@ -317,10 +318,11 @@ class Path:
 
         return refined(effects, evidence, self.motion)
 
-    def refined(self, fit):
-        """Search the shapes of all members again, each beside the others."""
+    def refined(self, fit, joint=None):
+        """Search the shapes of members again, of one joint or all, beside the others."""
         for i, member in enumerate(fit.members):
-            if not member.effect.continuous:
+            elsewhere = joint is not None and member.effect.joint != joint
+            if elsewhere or not member.effect.continuous:
                 continue
             found = self._refined(fit.without(i), [member.effect])
             members = list(fit.members)
@@ -334,8 +336,7 @@ class Path:
         member = fit.members[i]
         family = Family(
             effects=(member.effect,),
-            joints=member.joints,
-            columns=member.columns,
+            moments=member.moments,
             unit=member.unit[None],
         )
         coef = fit.coefficients(i) + member.done
@@ -602,7 +603,7 @@ class Path:
                 continue
             been.add(keys_of(new))
             steps = len(self.steps)
-            new = self._pruned(self.refined(new))
+            new = self._pruned(self.refined(new, joint))
             del self.steps[steps:]
             if len(keys_of(new) - keys_of(fit)) < 2 or self._excluded(new):
                 continue
@@ -627,34 +628,22 @@ class Path:
     def _needed(self, fit, joint):
         """Return a fit with what is probable of a joint beside all the rest."""
         taken, within = self._taken(fit), self._contained(fit, joint)
-        scale, members = self.settings.scale, list(fit.members)
+        scale, offered = self.settings.scale, []
         for family in self.candidates[joint]:
             first = family.effects[0]
-            if first.in_model or first.name in within:
+            if first.in_model or first.whole_robot or first.name in within:
                 continue
             groups = fit.groups(family)
             free = groups.shown() & [e.key() not in taken for e in family.effects]
             if free.any():
                 evidence = np.where(free, groups.evidence(scale), -np.inf)
-                members.append(family.member(int(np.argmax(evidence)), scale))
-        fit = Fit(fit.base, members)
-        while fit.members:
-            own = fit.own_groups()
-            odds = [
-                float(groups.evidence(scale)[0]) - np.log(self._shapes(member))
-                if joint in member.joints
-                else np.inf
-                for groups, member in zip(own, fit.members)
-            ]
-            worst = int(np.argmin(odds))
-            if odds[worst] + self.log_prior > self.least:
-                break
-            members = [
-                replace(m, scale=float(g.best_scale(scale)[0]))
-                for m, g in zip(fit.members, own)
-            ]
-            fit = Fit(fit.base, members).without(worst)
-        return self._scaled(fit)
+                offered.append(family.member(int(np.argmax(evidence)), scale))
+        others = [m for m in fit.members if m.joints != (joint,)]
+        offered += [m for m in fit.members if m.joints == (joint,)]
+        rest = Fit(fit.base, others)
+        odds = self.log_prior - np.log([self._shapes(m) for m in offered])
+        kept = together(rest, offered, odds - self.least, scale)
+        return self._scaled(Fit(fit.base, [*others, *kept]))
 
     def _excluded(self, fit):
         """Whether a member of a fit excludes another."""
@@ -751,7 +740,7 @@ class Path:
         self.view = before.corrected(tuple(effects))
         if self.view is not before:
             self.problem = Problem(self.view, self.problem.cosines)
-            base = Base(self.problem, base.weights)
+            base = Base(self.problem, base.density)
             plain = [m for m in members if not m.effect.in_model]
             theta = Fit(base, plain).theta
         self.motion = self.view.motion(

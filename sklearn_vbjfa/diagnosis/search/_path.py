@@ -319,7 +319,7 @@ class Path:
         return refined(effects, evidence, self.motion)
 
     def refined(self, fit, joint=None):
-        """Search the shapes of members again, of one joint or all, beside the others."""
+        """Search the shapes of members again, of all joints or one."""
         for i, member in enumerate(fit.members):
             elsewhere = joint is not None and member.effect.joint != joint
             if elsewhere or not member.effect.continuous:

@@ -5,8 +5,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.datasets import fetch_bam_xl330
+from sklearn_vbjfa import EffectDiscovery
 from sklearn_vbjfa.diagnosis import ResidualDisplay, analyse_residuals
 from sklearn_vbjfa.effects import Signal
 from tests._quick import one_in
@@ -301,20 +300,3 @@ def test_a_frame_of_signals_is_cut_with_the_rows():
 
 
 # -- measured
-
-
-@pytest.mark.slow
-def test_gain_and_temperature_of_a_servo_cannot_be_told_apart(measured_data_home):
-    """Both rise from recording to recording."""
-    servo = fetch_bam_xl330(data_home=measured_data_home)
-    robot = RobotIdentifier(
-        servo.robot_model(), dt=servo.dt, friction=("viscous", "coulomb")
-    )
-    both = {name: servo.signals[name] for name in ("temperature", "kp")}
-    loop = EffectDiscovery(robot, ceiling=False, random_state=0)
-    loop.fit(servo.q, servo.tau, groups=servo.groups, signals=both)
-    found = the_signal(loop)
-    (other,) = both.keys() - {found.parameters["signal"]}
-    assert any(rival.startswith(f"signal: {other}") for rival in found.rivals)
-    low, high = found.intervals["k"]
-    assert low * high > 0

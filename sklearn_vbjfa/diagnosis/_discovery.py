@@ -200,7 +200,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     From the declared model with the plain terms on, the most probable candidate is
     added and what became improbable beside it is dropped; where nothing is to add,
     shapes are searched again beside each other, and effects are exchanged for more
-    probable ones. What an effect contains comes first [4]_, if it is probable by
+    probable ones. A second start, with everything of a joint from which the least
+    probable is dropped, finds effects that show only beside each other. What an effect
+    contains comes first [4]_, if it is probable by
     itself. An effect has to lower the error on stretches of time that were not fitted,
     an eighth each; with three or more recordings, on whole ones.
 

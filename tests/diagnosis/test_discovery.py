@@ -16,6 +16,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
 from sklearn_vbjfa.diagnosis.explain._split import split_in_time
 from sklearn_vbjfa.effects import Effect
+from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
 from tests.effects._arms import inverse_dynamics, play_sample_by_sample
 
@@ -53,6 +54,16 @@ def one():
 
 
 # -- the right effect, on the right joint
+
+
+@pytest.mark.parametrize(("encoder", "seed"), checkered([3e-4, 3e-3], [0, 1, 2]))
+def test_noise_of_the_positions_makes_no_names(encoder, seed):
+    """Up to 150 times that of the other recordings: what it takes from the columns."""
+    noisy = record("ZY", seed=seed, duration=30.0, encoder=encoder)
+    library = ["load_friction", "viscous_quadratic", "jerk", "elastic", *PLAIN]
+    assert noisy.discover(noisy.torque(), library).effects_ == ()
+    with_spring = noisy.torque(joint_1=spring(4.0, 1.0))
+    assert named(noisy.discover(with_spring, library)) == [("spring", 0)]
 
 
 def unlike(name):

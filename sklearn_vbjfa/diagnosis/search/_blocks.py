@@ -108,7 +108,8 @@ def _integrated(phi):
     noise = np.zeros((p, p))
     noise[0, 0] = 1.0
     flat = np.linalg.solve(np.eye(p * p) - np.kron(companion, companion), noise.ravel())
-    return float(1.0 / (rest**2 * flat[0]))
+    # On the edge to a random walk the solution is rounding, of either sign.
+    return float(1.0 / (rest**2 * flat[0])) if flat[0] > 0 else np.inf
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,6 +10,7 @@ from scipy.signal import lfilter
 from sklearn_vbjfa.diagnosis.search._blocks import (
     FEWEST,
     Whitening,
+    _integrated,
     correlation_time,
     fit_memory,
     make_blocks,
@@ -188,6 +189,23 @@ def test_slow_residuals_of_short_recordings_are_not_read_too_short():
         x = (x - x.mean())[:, None]
         fast.append(correlation_time(x, np.ones_like(x), 0.1, [0]))
     assert np.median(fast) == pytest.approx(1.0, rel=0.25)
+
+
+# Fitted to a random walk: the sum is one but for rounding.
+NEARLY = [
+    1.10321045412163,
+    -0.21069279173587957,
+    0.014057477304174656,
+    0.1660251864163003,
+    -0.2546898858867014,
+    0.0584275311953608,
+    0.12366202858511514,
+]
+
+
+def test_what_is_nearly_a_random_walk_has_no_negative_time():
+    assert 1.0 - sum(NEARLY) > 0
+    assert _integrated(np.array(NEARLY)) > 1e9
 
 
 def test_a_random_walk_is_correlated_for_ever():

@@ -21,35 +21,45 @@ _RIDGE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Member:
+class Columns:
+    """Columns of an effect in frequency.
+
+    Attributes
+    ----------
+    moments : Moments
+        Of them, (nj, n, c, k), not weighted.
+    unit : ndarray
+        See `Groups`, of one shape (k,) or of each (c, k); zero for columns that are.
+    """
+
+    moments: Moments
+    unit: np.ndarray
+
+    @property
+    def joints(self):
+        """Joints that they act on, tuple of int."""
+        return self.moments.joints
+
+    @property
+    def columns(self):
+        """Their cosines (nj, n, c, k)."""
+        return self.moments.columns
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Member(Columns):
     """An effect in the model, with one shape.
 
     Attributes
     ----------
     effect : Effect
         With its shape.
-    moments : Moments
-        Of its columns (nj, n, 1, k), not weighted.
-    unit : ndarray of shape (k,)
-        See `Groups`.
     scale : float
         Prior deviation of its coefficients, in units.
     """
 
     effect: Effect
-    moments: Moments
-    unit: np.ndarray
     scale: float = 1.0
-
-    @property
-    def joints(self):
-        """Joints that its columns act on, tuple of int."""
-        return self.moments.joints
-
-    @property
-    def columns(self):
-        """Their cosines (nj, n, 1, k)."""
-        return self.moments.columns
 
     @property
     def width(self):
@@ -140,32 +150,16 @@ class Problem:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Family:
+class Family(Columns):
     """An effect with the shapes of its grid, in frequency.
 
     Attributes
     ----------
     effects : tuple of Effect
         One for each shape.
-    moments : Moments
-        Of their columns (nj, n, c, k), not weighted.
-    unit : ndarray of shape (c, k)
-        See `Groups`; zero for columns that are zero.
     """
 
     effects: tuple
-    moments: Moments
-    unit: np.ndarray
-
-    @property
-    def joints(self):
-        """Joints that the columns act on, tuple of int."""
-        return self.moments.joints
-
-    @property
-    def columns(self):
-        """Their cosines (nj, n, c, k)."""
-        return self.moments.columns
 
     @classmethod
     def of(cls, problem, effects, columns):

@@ -33,6 +33,7 @@ from sklearn_vbjfa.robot._identifier import (
     RecordingRegressorMixin,
     RobotIdentifier,
     asked_again,
+    beginning_with,
     linear_part,
     tell_spreads,
 )
@@ -347,7 +348,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             say(len(found.effects), "final model")
             self.judged_ = self.plain_
             if found.effects:
-                again = self._with(found.effects)._after(self.plain_)
+                again = beginning_with(self._with(found.effects), self.plain_)
                 self.judged_ = _fitted(again, part)
             models = Models(
                 declared=self.declared_, plain=self.plain_, judged=self.judged_
@@ -473,7 +474,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["standstill"] = self.judged_.standstill_
         view = RecordingView(self.plain_, whole, silent)
         effects = tuned_on(view, found.effects, found.settings)
-        again = self._with(effects).set_params(**band)._after(self.judged_)
+        again = beginning_with(self._with(effects).set_params(**band), self.judged_)
         self.identifier_ = _fitted(again, whole)
         effects = added_effects(self.identifier_, len(effects))
         final = FinalFit(self.plain_, self.identifier_, view, effects)

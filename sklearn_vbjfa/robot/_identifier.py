@@ -1477,6 +1477,11 @@ def linear_part(identifier, theta):
     return np.where(held, 0.0, theta)
 
 
+def beginning_with(identifier, fitted):
+    """Let the next fit of an identifier begin with the load of a fitted one."""
+    return identifier._after(fitted)
+
+
 def outside_of(identifier, recording):
     """Find where a recording leaves what a fitted identifier was fitted on.
 

@@ -19,6 +19,7 @@ from sklearn_vbjfa.diagnosis.explain._flexible import (
     FlexibleFunction,
     Stretches,
 )
+from sklearn_vbjfa.diagnosis.explain._whitening import Whitening, memory_seconds
 
 # What a residual may be a function of, each with all that stands before it.
 SOURCES = ("speed and load", "state and history", "all joints")
@@ -79,7 +80,7 @@ def ceilings(model, joints, names, alpha, random_state=None):
     seed = int(rng.randint(2**31 - 1))
     root = view.root.T
     residual = model.residual / np.where(root > 0, root, np.inf)
-    seconds, signals = model.memory_seconds(), Signals.of(model)
+    seconds, signals = memory_seconds(model), Signals.of(model)
     for j in joints:
         if _values(view, j) < FEWEST_VALUES:
             continue
@@ -208,7 +209,7 @@ class _Trial:
         if not before.sum() > after.sum():
             return 0.0
         root = np.sqrt(weight)[:, None]
-        whiten = view.whitening(left[None] * root.T, root)
+        whiten = Whitening.of(view, left[None] * root.T, root)
         white = [
             view.blocks.sums(whiten(r[None] * root.T, [0])[0] ** 2)
             for r in (self.residual, left)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain._evidence import compare
+from sklearn_vbjfa.diagnosis.explain._whitening import Whitening
 
 # Bins of a signal, and those of time: coarse enough to be filled, fine enough to bend.
 _BINS = 12
@@ -68,7 +69,7 @@ def _step_function(residual, weight, bins, view):
     if before.sum() == 0 or after.sum() >= before.sum():
         return 0.0, 1.0
     root = np.sqrt(weight)[:, None]
-    whiten = view.whitening((residual - fit)[None] * root.T, root)
+    whiten = Whitening.of(view, (residual - fit)[None] * root.T, root)
     y = whiten(residual[None] * root.T, [0])[0]
     columns = (bins[:, None] == np.arange(_BINS)) * root
     A = whiten(columns[None], [0])[0]

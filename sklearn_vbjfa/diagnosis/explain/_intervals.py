@@ -1,6 +1,7 @@
 """Intervals that respect correlation in time."""
 
 import functools
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,9 +9,9 @@ from scipy import special
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._sandwich import block_variance
-from sklearn_vbjfa.diagnosis.search._blocks import blocks_of_time
 from sklearn_vbjfa.robot._equations import held_columns, make_motion
 from sklearn_vbjfa.robot._identifier import linear_part, load_parameters
+from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 
 # Probability below the upper end of an interval, and above its lower end.
@@ -219,7 +220,7 @@ class FinalFit:
         used = (count > 0) & (squares > 0)
         factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
         grams, scores, places = [], [], []
-        for block, place in blocks_of_time(view):
+        for block, place in _blocks_of_time(view):
             declared = view.Z[:, block].transpose(1, 0, 2)
             rows = np.concatenate([declared, extra[block]], axis=2)
             rows = (rows * factor[:, None]).reshape(-1, rows.shape[2])
@@ -306,3 +307,14 @@ def _shares(weight, values, total):
     squares = weight * values**2
     mean = squares.sum(axis=0) / total
     return np.where(mean > 0, squares / np.where(mean > 0, mean, 1.0), 0.0)
+
+
+def _blocks_of_time(view):
+    """Yield the rows of each block of a view, a slice, and its place (recording, k)."""
+    edges = [*view.starts.tolist(), view.index.size]
+    numbering = Numbering.of(np.diff(edges).tolist())
+    for number, (first, last) in enumerate(itertools.pairwise(edges)):
+        places, starts = numbering.parts(number, slice(0, last - first))
+        begins = [*(first + starts), last]
+        for place, (begin, end) in zip(places, itertools.pairwise(begins)):
+            yield slice(begin, end), place

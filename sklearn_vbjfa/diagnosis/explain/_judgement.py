@@ -16,6 +16,7 @@ from sklearn_vbjfa.diagnosis.explain._price import (
     without_constraints,
 )
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
+from sklearn_vbjfa.diagnosis.explain._whitening import memory_seconds
 from sklearn_vbjfa.recording._signals import OfferedSignals
 from sklearn_vbjfa.robot._identifier import RobotIdentifier, outside_of
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
@@ -112,7 +113,7 @@ def judge(models, found, split, whole):
     """
     completed = models.judged
     model, dt = found.model, completed.dt
-    memory = max(model.memory_seconds(), default=0.0)
+    memory = max(memory_seconds(model), default=0.0)
     # Of a memory without end nothing is far enough.
     guard = int(min(memory / dt, whole.n_samples))
     instants = [getattr(e, name) for e in found.effects for name in e.jumping]

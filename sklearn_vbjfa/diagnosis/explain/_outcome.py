@@ -27,6 +27,7 @@ from sklearn_vbjfa.diagnosis.explain._identified import (
 )
 from sklearn_vbjfa.diagnosis.explain._intervals import NEXT_SECONDS, quantile
 from sklearn_vbjfa.diagnosis.explain._motion import motion_limits
+from sklearn_vbjfa.diagnosis.explain._whitening import memory_seconds
 from sklearn_vbjfa.diagnosis.search._posterior import UNKNOWN, UNSURE
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms
@@ -270,7 +271,7 @@ def _settings(search, judgement, asked):
     from sklearn_vbjfa import __version__
 
     view, seed = search.model.view, asked["random_state"]
-    seconds = search.model.memory_seconds()
+    seconds = memory_seconds(search.model)
     return {
         "test_size": float(asked["test_size"]),
         "untouched_stretches": judgement.n_stretches,

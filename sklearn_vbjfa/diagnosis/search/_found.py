@@ -115,11 +115,6 @@ class FoundModel:
     residual: np.ndarray
     fit: Fit | None = None
 
-    def memory_seconds(self):
-        """How long the residual of each joint stays correlated, list [s]."""
-        memories = self.view.whitening(self.residual).memory
-        return [memory.time for memory in memories]
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:

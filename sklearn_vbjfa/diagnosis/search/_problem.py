@@ -134,12 +134,12 @@ class Problem:
 
     def with_torques(self, y):
         """Return the same problem with other torques."""
-        other = copy.copy(self)
-        other.y, other._root = y, self.root
+        made = copy.copy(self)
+        made.y, made._root = y, self.root
         # What is made of the columns alone stays.
         for name in ("right", "power"):
-            other.__dict__.pop(name, None)
-        return other
+            made.__dict__.pop(name, None)
+        return made
 
     def family(self, effect, motion):
         """Members (joints, effects, columns (nj, n, c, k), unit (c, k)) of a family."""

@@ -10,7 +10,6 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._blocks import (
-    Whitening,
     correlation_time,
     make_blocks,
 )
@@ -248,15 +247,6 @@ class RecordingView:
             total = weight.sum(axis=0)
             mean = (weight * tau).sum(axis=0) / total
             return np.sqrt((weight * (tau - mean) ** 2).sum(axis=0) / total)
-
-    def whitening(self, residual, root=None):
-        """Return what takes the memory of residuals (nv, m) out of rows.
-
-        They are scaled by the root of their weights (m, nv), the recording's own
-        unless given.
-        """
-        root = self.root if root is None else root
-        return Whitening(residual, root, self.starts, self.step, self.robot.cutoff_)
 
     def motion(self, theta, effects=(), coefs=()):
         """Signals at the full rate; the load from reduced coordinates or None.

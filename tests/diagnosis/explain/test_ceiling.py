@@ -33,9 +33,6 @@ class Left:
     def residual(self):
         return self.torque * self.view.root.T
 
-    def memory_seconds(self):
-        return [m.time for m in self.view.whitening(self.residual).memory]
-
 
 def viewed(seeds, duration, weight=1.0):
     """Fit a declared model to one or several recordings."""

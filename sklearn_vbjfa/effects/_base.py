@@ -189,10 +189,10 @@ class Effect(TransformerMixin, BaseEstimator):
         sign is something else.
     depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint that its columns go on changing with however large they
-        become, so that outside the range of the fit its torque is extrapolated; see
-        `EffectRange`. What saturates or fades with them (a sign, a Stribeck curve) has
-        its value outside the range as well and is left out; a sign depends on the
-        direction, for a joint that never reversed.
+        become: predictions hold them within the range of the fit, outside of which its
+        torque stays as at the edge; see `EffectRange`. What saturates or fades with
+        them (a sign, a Stribeck curve) has its value outside the range as well and is
+        left out; a sign depends on the direction, for a joint that never reversed.
     curved : bool
         Whether the columns do so in another way than along a straight line, so that
         less lies between what is known and what is not.

@@ -13,6 +13,8 @@ STRAIGHT, CURVED = 0.2, 0.1
 OUTLIERS = 0.005
 # Share of a value by which two computations of the same motion may differ.
 ROUNDING = 1e-9
+# Signals of a motion that are held within ranges.
+HELD = {"position": "q", "speed": "v", "load": "load"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,8 +40,9 @@ class EffectRange:
         Directions of motion, -1 is backward and 1 forward: (-1, 1) is both, (0, 1) or
         (1, 1) forward only.
     depends : tuple of {"position", "speed", "load", "direction"}
-        Those of them that the effect's columns go on changing with, so that its torque
-        is extrapolated outside the range; see `Effect`.
+        Those of them that the effect's columns go on changing with. Of a prediction
+        outside the range its torque is that at the edge, see `within`; a direction
+        that was not fitted is predicted all the same.
     curved : bool
         Whether they do so in another way than along a straight line.
 
@@ -52,6 +55,8 @@ class EffectRange:
     ... )
     >>> spring.excess("position", [-1.5, 0.0, 1.1]).round(6)
     array([0.5, 0. , 0.1])
+    >>> spring.ends("position"), spring.ends("load")
+    ((-1.0, 1.0), (-inf, inf))
     """
 
     name: str
@@ -62,6 +67,50 @@ class EffectRange:
     direction: tuple = (-1.0, 1.0)
     depends: tuple = ()
     curved: bool = False
+
+    def ends(self, quantity):
+        """Between which values the effect follows a signal of its joint.
+
+        Parameters
+        ----------
+        quantity : {"position", "speed", "load"}
+            Which signal; a speed stands for the velocity.
+
+        Returns
+        -------
+        tuple of (float, float)
+            Range of the fit, of velocities up to its fastest speed both ways; infinite
+            where the range is not known or the effect does not depend on the signal.
+        """
+        low, high = getattr(self, quantity)
+        if quantity not in self.depends or np.isnan(high - low):
+            return -np.inf, np.inf
+        return (-high, high) if quantity == "speed" else (low, high)
+
+    def within(self, motion):
+        """Hold the signals that the effect depends on within its range.
+
+        Parameters
+        ----------
+        motion : Motion
+            Signals of all joints.
+
+        Returns
+        -------
+        Motion
+            The same, with position, velocity or load of the effect's joint at the
+            nearest `ends` where they lie outside: the effect's columns from it stay as
+            they are at the edge.
+        """
+        held = {}
+        for quantity, name in HELD.items():
+            low, high = self.ends(quantity)
+            values = getattr(motion, name)
+            if values is None or low == -np.inf == -high:
+                continue
+            held[name] = values.copy()
+            held[name][:, self.joint] = np.clip(values[:, self.joint], low, high)
+        return replace(motion, **held, _speeds={}) if held else motion
 
     def excess(self, quantity, values):
         """How far values lie outside the range of a quantity.
@@ -104,6 +153,16 @@ class EffectRange:
         return share * sides * (high - low) + ROUNDING * max(abs(low), abs(high))
 
 
+def own_motions(effects, ranges, motion):
+    """Return the `Motion` that each effect's columns are made from, a list.
+
+    ranges : `EffectRange` of each effect, or empty, which holds nothing.
+    """
+    held = ranges or [None] * len(effects)
+    pairs = zip(effects, held, strict=True)
+    return [motion if one is None else one.within(motion) for _, one in pairs]
+
+
 @dataclass(frozen=True, kw_only=True)
 class OutsideRange:
     """Motion outside the range that effects of a joint were fitted on.
@@ -111,7 +170,7 @@ class OutsideRange:
     Attributes
     ----------
     names : tuple of str
-        Effects whose torque is extrapolated.
+        Effects that were not fitted there.
     joint : int
         Joint, from zero.
     quantity : {"position", "speed", "load", "direction"}

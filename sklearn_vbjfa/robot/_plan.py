@@ -62,6 +62,8 @@ class Plan:
     tangents : bool
         Whether effects that are in the model have the derivatives by their values for
         columns; they have zeros otherwise, as the model holds the values.
+    ranges : tuple of EffectRange
+        For each effect, what its motion is held within; empty for a fit.
     """
 
     dt: float | None
@@ -75,6 +77,7 @@ class Plan:
     fastest_period: np.ndarray | None = None
     time: tuple | None = None
     tangents: bool = False
+    ranges: tuple = ()
 
     @property
     def smoother(self):

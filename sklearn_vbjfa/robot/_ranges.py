@@ -139,7 +139,13 @@ def outside_text(found, names, prismatic):
             f"{names[one.joint]}: {_PLURALS[one.quantity]} to {one.reached:.3g} {unit},"
             f" fitted on {low:.3g} to {high:.3g} {unit} {rows}"
         )
-    return "; ".join(said)
+    said = ["; ".join(said)]
+    if any(one.quantity != "direction" for one in found):
+        said.append(
+            "Torques of effects are held at the edges of these ranges, those of "
+            "declared friction are not"
+        )
+    return ". ".join(said)
 
 
 def warn_outside(messages, stacklevel):

@@ -48,6 +48,42 @@ def test_excess_is_the_distance_from_the_range(quantity, value, expected):
     assert_allclose(SPRING.excess(quantity, [value]), [expected], atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("depends", "name", "expected"),
+    [
+        (("position",), "q", [-1.0, 0.5, 3.0]),
+        (("speed",), "v", [-2.0, 0.5, 2.0]),
+        (("load", "direction"), "load", [-4.0, 0.5, 6.0]),
+    ],
+)
+def test_a_motion_is_held_within_the_range(depends, name, expected):
+    x = np.array([[-9.0, -9.0], [0.5, 0.5], [9.0, 9.0]])
+    motion = effects.Motion(q=x, v=x, a=x, load=x, torque=x)
+    held = dataclasses.replace(SPRING, depends=depends).within(motion)
+    for other in ("q", "v", "a", "load", "torque"):
+        values = getattr(held, other)
+        assert_array_equal(values[:, 0], x[:, 0])
+        assert_array_equal(values[:, 1], expected if other == name else x[:, 1])
+    assert_array_equal(x[:, 1], [-9.0, 0.5, 9.0])
+    assert held.speed(1) == np.quantile(np.abs(held.v[:, 1]), 0.995)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"depends": ()},
+        {"depends": ("direction",)},
+        {"position": (NAN, NAN)},
+        {"depends": ("load",)},
+    ],
+)
+def test_what_is_not_known_or_not_used_holds_nothing(given):
+    x = np.array([[-9.0, -9.0], [9.0, 9.0]])
+    # Without a load.
+    motion = effects.Motion(q=x, v=x, a=x)
+    assert dataclasses.replace(SPRING, **given).within(motion) is motion
+
+
 def test_margin_is_a_share_of_the_width():
     assert_allclose(SPRING.margin("position"), 0.2 * 4.0, rtol=1e-6)
     # Both directions.

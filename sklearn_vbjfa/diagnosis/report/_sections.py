@@ -462,6 +462,9 @@ def _outside(outcome, verdict):
     return Section(
         heading=f"{title}, on untouched data",
         sentences=sentences,
+        note="Torques of the effects are held at the edges of their ranges there."
+        if any(one.quantity != "direction" for one in outcome.outside)
+        else "",
         terminal=_terminal([f"{title}: {sentence}." for sentence in sentences], ()),
     )
 

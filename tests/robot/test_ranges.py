@@ -231,7 +231,8 @@ def test_residuals_of_other_motion_are_those_of_a_prediction():
 
 
 def test_the_deviation_of_a_held_torque_is_that_at_the_edge():
-    fitted = robot(SPRING).fit(STATES, TORQUE)
+    noise = 0.1 * np.random.default_rng(0).normal(size=TORQUE.shape)
+    fitted = robot(SPRING).fit(STATES, TORQUE + noise)
     high = fitted.effect_ranges_[-1].position[1]
     rows = STATES[[100, 700, 900]].copy()
     rows[:, 1] = high + np.array([0.0, 0.05, 5.0])
@@ -246,6 +247,8 @@ def test_the_deviation_of_a_held_torque_is_that_at_the_edge():
     C, phi = known.covariance[np.ix_(told, told)], phi[:, told]
     variance = np.einsum("nk,kl,nl->n", phi, C, phi) + known.rest[1]
     assert_allclose(std[:, 1], np.sqrt(variance), rtol=1e-6)
+    free = replace(predictor_of(fitted), ranges=()).predict(rows, return_std=True)
+    assert free[1][2, 1] > 2 * std[2, 1]
 
 
 def test_a_fit_holds_nothing():

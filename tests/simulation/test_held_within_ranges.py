@@ -281,7 +281,8 @@ def test_derivatives_are_those_of_the_held_torque(name, twin):
 
     def needed(q, v):
         state = np.array([q]), np.array([v]), np.zeros(1)
-        return -(dynamics.mass @ dynamics.accelerate(*state, mode, stuck))[0]
+        a = dynamics.accelerate(*state, mode, stuck)
+        return -(dynamics.mass @ a)[0]
 
     for far in (0.1, 0.2 - 1e-3, 0.3, 5.0, -0.15, -4.0, 1.0):
         q, v = (far, 0.3) if quantity == "position" else (0.0, 2.0 * far)

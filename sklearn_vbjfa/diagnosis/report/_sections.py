@@ -459,12 +459,12 @@ def _outside(outcome, verdict):
     """Say where the untouched part leaves what effects were fitted on."""
     sentences = ranges.outside_sentences(outcome)
     title = "Outside the range of the fit"
+    held = ()
+    if any(one.quantity != "direction" for one in outcome.outside):
+        held = ("Torques of effects are held at the edges of their ranges there.",)
     return Section(
         heading=f"{title}, on untouched data",
-        sentences=sentences,
-        note="Torques of the effects are held at the edges of their ranges there."
-        if any(one.quantity != "direction" for one in outcome.outside)
-        else "",
+        sentences=(*sentences, *held),
         terminal=_terminal([f"{title}: {sentence}." for sentence in sentences], ()),
     )
 

@@ -832,7 +832,7 @@ def test_untouched_data_outside_of_the_fit_are_marked():
         ) in shown
         assert "joint 1: speed reaches 2.04, fitted on 0.5 to 1 rad/s" in shown
     for page in formats(report)[1:]:
-        assert "effects are held at the edges of their ranges there" in page
+        assert "Torques of effects are held at the edges of their ranges" in page
     assert report.to_dict()["outside"][0]["reached"] == 2.04
     inside = formats(Report(make_outcome()))
     assert not any("Outside the range" in shown for shown in inside)

@@ -41,8 +41,9 @@ class EffectRange:
         (1, 1) forward only.
     depends : tuple of {"position", "speed", "load", "direction"}
         Those of them that the effect's columns go on changing with. Of a prediction
-        outside the range its torque is that at the edge, see `within`; a direction
-        that was not fitted is predicted all the same.
+        outside the range its torque is that at the edge, see `within`, unless the
+        effect is `bounded`: that one goes on by its law. A direction that was not
+        fitted is predicted all the same.
     curved : bool
         Whether they do so in another way than along a straight line.
 
@@ -79,13 +80,17 @@ class EffectRange:
         Returns
         -------
         tuple of (float, float)
-            Range of the fit, of velocities up to its fastest speed both ways; infinite
-            where the range is not known or the effect does not depend on the signal.
+            Range of the fit, of velocities and loads up to the largest both ways;
+            infinite where the range is not known or the effect does not depend on the
+            signal.
         """
         low, high = getattr(self, quantity)
         if quantity not in self.depends or np.isnan(high - low):
             return -np.inf, np.inf
-        return (-high, high) if quantity == "speed" else (low, high)
+        if quantity == "position":
+            return low, high
+        largest = max(abs(low), abs(high))
+        return -largest, largest
 
     def within(self, motion):
         """Hold the signals that the effect depends on within its range.
@@ -156,7 +161,7 @@ class EffectRange:
 def own_motions(effects, ranges, motion):
     """Return the `Motion` that each effect's columns are made from, a list.
 
-    ranges : `EffectRange` of each effect, or empty, which holds nothing.
+    ranges : `EffectRange` of each effect, None where nothing is held, or empty.
     """
     held = ranges or [None] * len(effects)
     pairs = zip(effects, held, strict=True)
@@ -171,6 +176,8 @@ class OutsideRange:
     ----------
     names : tuple of str
         Effects that were not fitted there.
+    held : tuple of str
+        Those of them whose torque is held at the edge; the others go on by their law.
     joint : int
         Joint, from zero.
     quantity : {"position", "speed", "load", "direction"}
@@ -189,38 +196,42 @@ class OutsideRange:
     fitted: tuple
     reached: float
     share: float
+    held: tuple = ()
 
 
-def outside(ranges, signals, counts):
+def outside(ranges, held, signals, counts):
     """Find what lies outside the ranges of effects, a tuple of `OutsideRange`.
 
     Parameters
     ----------
-    ranges : iterable of EffectRange
+    ranges : sequence of EffectRange
         Of all effects.
+    held : sequence of bool
+        Whether predictions hold each effect within its range.
     signals : dict of str to ndarray of shape (n, nv)
         Positions, speeds and loads by quantity.
     counts : dict of str to ndarray of shape (n, nv), bool
         Rows to judge, by quantity.
     """
     found = {}
-    for one in ranges:
+    for one, holds in zip(ranges, held, strict=True):
         for quantity in one.depends:
             joint = one.joint
             values = signals[quantity][counts[quantity][:, joint], joint]
-            said = _outside(one, quantity, values)
+            said = _outside(one, holds, quantity, values)
             if said is not None:
                 found.setdefault((joint, quantity), []).append(said)
     return tuple(
         replace(
             max(several, key=lambda one: one.share),
             names=tuple(dict.fromkeys(name for one in several for name in one.names)),
+            held=tuple(dict.fromkeys(name for one in several for name in one.held)),
         )
         for _, several in sorted(found.items())
     )
 
 
-def _outside(one, quantity, values):
+def _outside(one, holds, quantity, values):
     """Judge values (n,) by one effect's range; None if they are inside."""
     excess = one.excess(quantity, values)
     far = excess > one.margin(quantity)
@@ -228,6 +239,9 @@ def _outside(one, quantity, values):
         return None
     order = np.argsort(excess, kind="stable")
     last = order[far.size - 1 - int(OUTLIERS * far.size)]
+    # Slower motion and the other direction are outside, but not beyond an edge.
+    low, high = one.ends(quantity)
+    beyond = (values[far] < low) | (values[far] > high)
     return OutsideRange(
         names=(one.name,),
         joint=one.joint,
@@ -235,4 +249,5 @@ def _outside(one, quantity, values):
         fitted=getattr(one, quantity),
         reached=float(values[last]),
         share=float(far.mean()),
+        held=(one.name,) if holds and beyond.any() else (),
     )

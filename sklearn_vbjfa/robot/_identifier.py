@@ -973,8 +973,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             If the motion leaves what effects were fitted on (`effect_ranges_`), once
             for all of them: a joint's position, speed or load that one of its effects
             `depends` on lies outside by more than a fifth of the range's width (a tenth
-            where the effect is curved) in more than 0.5 % of the rows. Torques of
-            `effects_` are held at the edge there, see Notes. The same warning
+            where the effect is curved) in more than 0.5 % of the rows. It says which
+            torques are held at the edge there, see Notes. The same warning
             tells of effects of time outside the time of the fit, by more than a tenth
             of its duration, what they add there and its standard deviation
             (`effects_of_time`), and of recorded signals that leave their range in the
@@ -1003,8 +1003,9 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
         Outside of what it was fitted on an effect of `effects_` has the torque at the
         edge: its columns are made from its joint's position, speed or load (those that
-        it `depends` on) at the nearest value in `effect_ranges_`. Rigid bodies and
-        declared friction go on with the motion. The equations of a fit hold nothing.
+        it `depends` on) at the nearest value in `effect_ranges_`. Rigid bodies,
+        declared friction and effects whose law is `bounded` (ripple, counterbalance) go
+        on with the motion. The equations of a fit hold nothing.
 
         Effects of time use what is known: after the last time of the fit a drift fades
         on, towards what remains when warm, and a payload stays; before the first time

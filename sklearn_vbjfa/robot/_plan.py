@@ -62,8 +62,9 @@ class Plan:
     tangents : bool
         Whether effects that are in the model have the derivatives by their values for
         columns; they have zeros otherwise, as the model holds the values.
-    ranges : tuple of EffectRange
-        For each effect, what its motion is held within; empty for a fit.
+    ranges : tuple of EffectRange or None
+        For each effect, what its motion is held within, None where nothing is held;
+        empty for a fit.
     """
 
     dt: float | None

@@ -120,8 +120,8 @@ class TorquePredictor:
     load : ndarray or None
         Parameters that the load of the effects is made with; see `make_motion`.
     ranges : tuple of EffectRange
-        What each effect was fitted on: first friction by joint, then the effects, which
-        are held within theirs. Empty, or for all of them.
+        What each effect was fitted on: first friction by joint, then the effects, of
+        which those that are not `bounded` are held within theirs. Empty, or for all.
     signal_ends : mapping of str to (float, float)
         Lowest and highest value of each recorded signal in the fit.
     spreads : tuple of Spread
@@ -157,12 +157,15 @@ class TorquePredictor:
 
     @property
     def held(self):
-        """Ranges that the effects in use are held within, tuple of EffectRange."""
-        return self.ranges[len(self.ranges) - len(self.effects) :]
+        """Ranges that the effects in use are held within, None where they are not."""
+        own = self.ranges[len(self.ranges) - len(self.effects) :]
+        return tuple(
+            None if effect.bounded else one for effect, one in zip(self.effects, own)
+        )
 
     @property
     def held_plan(self):
-        """The plan for predictions: every effect is held within its range."""
+        """The plan for predictions, with what effects are held within."""
         return replace(self.plan, ranges=self.held)
 
     # -- parameters by what they belong to ------------------------------------------
@@ -291,7 +294,9 @@ class TorquePredictor:
         if any("load" in one.depends for one in self.ranges):
             inertial = self.inertial()
         signals = asked.signals(self.features, inertial)
-        return outside(self.ranges, signals, asked.counts(self.plan.standstill))
+        held = [one is not None for one in self.held]
+        held = [False] * (len(self.ranges) - len(held)) + held
+        return outside(self.ranges, held, signals, asked.counts(self.plan.standstill))
 
     def said_outside(self, asked):
         """Say where a `Query` leaves what was fitted, a list of str."""

@@ -54,8 +54,8 @@ class TorqueModel:
     coefficients : tuple of ndarray
         Linear coefficients of each effect; of one in the model its values, which act
         through `model` and `gains` alone.
-    ranges : tuple of EffectRange
-        What each effect is held within; empty holds nothing.
+    ranges : tuple of EffectRange or None
+        What each effect is held within, None where nothing is held; empty holds none.
     gains : ndarray of shape (nv,)
         What each torque channel reads over the true torque.
     load : Load or None

@@ -22,14 +22,15 @@ SPRING = EffectRange(
 )
 
 
-def judged(ranges, values, quantity="position", joint=1, counts=None):
+def judged(ranges, values, quantity="position", joint=1, counts=None, held=None):
     """Judge the values of one joint of two, the other far outside."""
     values = np.asarray(values, dtype=float)
     both = np.full((values.size, 2), 1e3)
     both[:, joint] = values
     if counts is None:
         counts = np.ones(both.shape, dtype=bool)
-    return outside(ranges, {quantity: both}, {quantity: counts})
+    held = len(ranges) * [True] if held is None else held
+    return outside(ranges, held, {quantity: both}, {quantity: counts})
 
 
 @pytest.mark.parametrize(
@@ -53,7 +54,7 @@ def test_excess_is_the_distance_from_the_range(quantity, value, expected):
     [
         (("position",), "q", [-1.0, 0.5, 3.0]),
         (("speed",), "v", [-2.0, 0.5, 2.0]),
-        (("load", "direction"), "load", [-4.0, 0.5, 6.0]),
+        (("load", "direction"), "load", [-6.0, 0.5, 6.0]),
     ],
 )
 def test_a_motion_is_held_within_the_range(depends, name, expected):
@@ -127,6 +128,7 @@ def test_what_is_outside_is_told_with_its_size():
             fitted=(-1.0, 3.0),
             reached=-2.0,
             share=0.25,
+            held=("spring",),
         ),
     )
 
@@ -155,7 +157,9 @@ def test_effects_of_a_joint_are_told_together():
     (found,) = judged([SPRING, ripple], np.full(10, 3.6))
     assert found.names == ("ripple",)
     (found,) = judged([SPRING, ripple], np.full(10, 3.9))
-    assert found.names == ("spring", "ripple")
+    assert found.names == found.held == ("spring", "ripple")
+    (found,) = judged([SPRING, ripple], np.full(10, 3.9), held=[True, False])
+    assert (found.names, found.held) == (("spring", "ripple"), ("spring",))
 
 
 def test_one_speed_only_is_known_at_that_speed_only():
@@ -164,7 +168,18 @@ def test_one_speed_only_is_known_at_that_speed_only():
     )
     assert judged([viscous], [1.0, 0.985, 1.015], "speed") == ()
     (slower,) = judged([viscous], np.full(3, 0.5), "speed")
-    assert slower.reached == 0.5
+    assert (slower.reached, slower.held) == (0.5, ())
+    (faster,) = judged([viscous], np.full(3, 1.5), "speed")
+    assert (faster.reached, faster.held) == (1.5, ("viscous",))
+
+
+def test_a_load_the_other_way_is_held_beyond_the_largest():
+    friction = dataclasses.replace(
+        SPRING, name="load_friction", depends=("load",), load=(0.0, 10.0)
+    )
+    for load, held in ((-9.0, ()), (-11.0, ("load_friction",))):
+        (found,) = judged([friction], np.full(3, load), "load")
+        assert (found.reached, found.held) == (load, held)
 
 
 def test_the_unit_does_not_matter():
@@ -201,6 +216,7 @@ def test_the_other_direction_is_outside():
     assert judged([coulomb], [0.0, 1.0, 1.0], "direction") == ()
     (found,) = judged([coulomb], [1.0, 1.0, -1.0, -1.0], "direction")
     assert (found.quantity, found.reached, found.share) == ("direction", -1.0, 0.5)
+    assert found.held == ()
     for one_way, both in (((1.0, 1.0), 1), ((-1.0, 1.0), 0), ((-1.0, -1.0), 1)):
         own = dataclasses.replace(coulomb, direction=one_way)
         assert len(judged([own], [1.0, -1.0], "direction")) == both
@@ -258,5 +274,57 @@ def test_straight_lines_are_straight_and_others_are_not():
                 assert straight != effect.curved, name
 
 
+def motion_over(x):
+    """Motion of two joints with positions, speeds and loads of the same size."""
+    x = np.column_stack([x, x])
+    return effects.Motion(q=x, v=x, a=x, load=x, torque=x)
+
+
+TURN = np.linspace(-np.pi, np.pi, 2001)
+# Largest column of each bounded effect: that of a sine, and by the law of sines that of
+# sin x / l in a triangle with the sides 1 and l, the sine of the angle opposite to 1.
+LARGEST = {
+    "ripple": [({"period": period}, [1, 1]) for period in (0.04, 0.7)],
+    "counterbalance": [
+        ({}, [1, 1, 1, 1, 1]),
+        *(
+            ({"form": "linkage", "ratio": ratio, "angle": 0.4}, [1, 1])
+            for ratio in (0.1, 0.9)
+        ),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_depends_on_the_motion_is_bounded_or_held(name):
+    (effect,) = effects.resolve(name)
+    moves = set(effect.depends) & set(QUANTITIES)
+    assert effect.bounded == (name in LARGEST)
+    assert moves or not effect.bounded
+    if not moves:
+        return
+    for shape, largest in LARGEST.get(name, [({}, None)]):
+        own = effect.set_params(joint=0, **shape)
+        # A hundred times wider, and not on the same angles.
+        turn, wide = (own.columns(motion_over(x)) for x in (TURN, 100.3 * TURN))
+        if effect.bounded:
+            assert_allclose(abs(turn).max(axis=0), largest, rtol=0.01)
+            assert (abs(wide).max(axis=0) <= np.array(largest) + 1e-9).all()
+            continue
+        assert abs(wide).max() > 50 * abs(turn).max()
+        ends = (-np.pi, np.pi)
+        known = dataclasses.replace(
+            SPRING,
+            joint=0,
+            position=ends,
+            load=ends,
+            speed=(0.0, np.pi),
+            depends=effect.depends,
+        )
+        held = own.columns(known.within(motion_over(100.3 * TURN)))
+        assert_allclose(abs(held).max(axis=0), abs(turn).max(axis=0), rtol=1e-12)
+
+
 def test_an_effect_of_ones_own_says_nothing_by_default():
     assert effects.Effect.depends == ()
+    assert not effects.Effect.bounded

@@ -32,6 +32,7 @@ EXACT = {
     "standstill": None,
 }
 SPRING = effects.Spring(joint=1)
+RIPPLE = effects.Ripple(joint=1, period=0.3)
 
 
 def robot(*used, **given):
@@ -194,8 +195,16 @@ def test_one_warning_names_joint_and_range(fitted):
 
 def test_what_is_held_is_said(fitted):
     (message,) = said(fitted, 2.0 * STATES)
-    held = "Torques of effects are held at the edges of these ranges"
-    assert f"). {held}, those of declared friction are not." in message
+    edge, law = "Held at the edge of the range", "Going on by the law"
+    assert f"). {edge}: spring. {law}: viscous." in message
+    # Only of what is outside.
+    slow = STATES * np.repeat([2.0, 1.0, 1.0], 3)
+    (message,) = said(fitted, slow)
+    assert f"). {edge}: spring." in message
+    assert law not in message
+    (message,) = said(robot(RIPPLE).fit(Q, TORQUE), slow)
+    assert f"). {law}: ripple." in message
+    assert edge not in message
 
 
 # -- torques outside
@@ -221,6 +230,24 @@ def test_a_spring_is_held_and_declared_friction_is_not(tmp_path):
     assert_array_equal(read.predict(far), exact.predict(far))
     one = [read.step(*row.reshape(3, -1)) for row in far[::50]]
     assert_allclose(one, springy(far)[::50], atol=1e-8)
+
+
+@pytest.mark.filterwarnings("ignore:Predicted outside:UserWarning")
+def test_a_ripple_is_followed_beyond_its_range(tmp_path):
+    def law(states):
+        torque = inverse_dynamics(MODEL, states)
+        torque += np.array([0.8, 0.5, 0.3]) * states[:, 3:6]
+        torque[:, 1] += 0.7 * np.sin(2 * np.pi / 0.3 * states[:, 1])
+        return torque
+
+    far = 2.0 * STATES
+    exact = robot(RIPPLE, **EXACT).fit(STATES, law(STATES))
+    assert_allclose(exact.predict(far), law(far), atol=1e-7)
+    exact.save(tmp_path / "robot.json")
+    read = load_identified(tmp_path / "robot.json")
+    assert_array_equal(read.predict(far), exact.predict(far))
+    one = [read.step(*row.reshape(3, -1)) for row in far[::50]]
+    assert_allclose(one, law(far)[::50], atol=1e-7)
 
 
 def test_residuals_of_other_motion_are_those_of_a_prediction():

@@ -1,4 +1,4 @@
-"""Outside the range of the fit a torque stays at its value on the edge."""
+"""Outside the range of the fit a torque stays as at the edge, or follows its law."""
 
 from dataclasses import replace
 
@@ -10,12 +10,15 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects  # noqa: E402
 from sklearn_vbjfa.effects import (  # noqa: E402
+    Counterbalance,
     Effect,
     EffectRange,
     LoadFriction,
+    Ripple,
     Spring,
     ViscousQuadratic,
 )
+from sklearn_vbjfa.robot._sensitivities import slopes  # noqa: E402
 from sklearn_vbjfa.simulation import _dynamics  # noqa: E402
 from sklearn_vbjfa.simulation._simulate import simulate  # noqa: E402
 from sklearn_vbjfa.simulation._stepper import Stepper  # noqa: E402
@@ -31,6 +34,7 @@ DEPENDENT = [
     for name in effects.available()
     if set(effects.resolve([name])[0].depends) - {"direction"}
 ]
+BOUNDED = [name for name in DEPENDENT if effects.resolve([name])[0].bounded]
 
 
 class Cubic(Effect):
@@ -101,7 +105,11 @@ LAWS = [
         [0.8],
         lambda x, ends, s: 0.8 * s * np.minimum(abs(x), ends[1]) ** 2,
     ),
-    (LoadFriction(1), [0.1], lambda x, ends, s: 0.1 * s * abs(np.clip(x, *ends))),
+    (
+        LoadFriction(1),
+        [0.1],
+        lambda x, ends, s: 0.1 * s * np.minimum(abs(x), abs(ends).max()),
+    ),
 ]
 
 
@@ -112,7 +120,8 @@ def test_a_prediction_is_the_torque_at_the_edge(effect, coef, law):
     (quantity, *_) = effect.depends
     load = load_of(free, X)[:, 1]
     values = {"position": X[:, 1], "speed": X[:, 4], "load": load}[quantity]
-    ends = np.quantile(abs(values) if quantity == "speed" else values, [0.3, 0.7])
+    own = abs(values) if quantity == "speed" else values
+    ends = np.quantile(own, [0.3, 0.7])
     own = held(free, **{quantity: tuple(ends)})
     bare = replace(own, theta=np.r_[own.theta[: -len(coef)], np.zeros(len(coef))])
     alone = torques(own, X) - torques(bare, X)
@@ -127,23 +136,90 @@ def test_a_prediction_is_the_torque_at_the_edge(effect, coef, law):
     assert np.abs(torques(own, X) - unheld)[~inside].max() > 1e-3
 
 
+# Torques of bounded laws by the position.
+FOLLOWED = [
+    (
+        Ripple(1, period=0.4),
+        [0.6, -0.3],
+        lambda q: 0.6 * np.cos(5 * np.pi * q) - 0.3 * np.sin(5 * np.pi * q),
+    ),
+    (
+        Counterbalance(1),
+        [2.0, 1.0, -0.5, 0.3, 0.1],
+        lambda q: (
+            2.0 * np.cos(q)
+            + np.sin(q)
+            - 0.5 * np.cos(2 * q)
+            + 0.3 * np.sin(2 * q)
+            + 0.1
+        ),
+    ),
+    (
+        Counterbalance(1, form="linkage", ratio=0.6, angle=0.3),
+        [-4.0, 1.5],
+        lambda q: np.sin(q - 0.3) * (1.5 - 4.0 / np.sqrt(1.36 - 1.2 * np.cos(q - 0.3))),
+    ),
+]
+
+
+@pytest.mark.parametrize(("effect", "coef", "law"), FOLLOWED)
+def test_a_bounded_law_is_followed_beyond_the_range(effect, coef, law):
+    rng = np.random.default_rng(2)
+    own, X = held(with_effect(rng, effect, coef)), random_motion(rng, 3)
+    X[:, 1] *= 20.0
+    assert np.mean((X[:, 1] < -0.2) | (X[:, 1] > 0.25)) > 0.9
+    bare = replace(own, theta=np.r_[own.theta[: -len(coef)], np.zeros(len(coef))])
+    for answer in (torques, stepped):
+        alone = answer(own, X) - answer(bare, X)
+        assert_allclose(alone[:, 1], law(X[:, 1]), rtol=0, atol=1e-10)
+        assert_array_equal(alone[:, [0, 2]], 0.0)
+
+
+def test_sensitivities_are_those_of_what_is_held_and_what_is_followed():
+    rng = np.random.default_rng(2)
+    free, X = with_effect(rng, Spring(1), [3.0, 0.4]), random_motion(rng, 3)
+    both = replace(
+        free,
+        plan=replace(free.plan, effects=(Spring(1), Ripple(1, period=0.4))),
+        theta=np.r_[free.theta, 0.6, 0.0],
+        load=np.r_[free.load, 0.6, 0.0],
+    )
+    own = held(both)
+    bare = replace(own, theta=np.r_[own.theta[:-4], np.zeros(4)])
+    found, without = (slopes(one, own.ask(X).recording, X) for one in (own, bare))
+    q = X[:, 1]
+    spring = 3.0 * ((q > -0.2) & (q < 0.25))
+    assert 10 < np.count_nonzero(spring) < len(q) - 10
+    assert_allclose(
+        (found.stiffness - without.stiffness)[:, 1, 1],
+        spring - 0.6 * 5 * np.pi * np.sin(5 * np.pi * q),
+        rtol=0,
+        atol=1e-6,
+    )
+    columns = np.cos(5 * np.pi * q), np.sin(5 * np.pi * q)
+    expected = np.column_stack([np.clip(q, -0.2, 0.25), np.ones_like(q), *columns])
+    assert_allclose(found.Phi[:, 1, -4:], expected, rtol=0, atol=1e-12)
+
+
+def stepped(predictor, X):
+    stepper = Stepper(predictor.torque_model())
+    return np.array([stepper.step(*row.reshape(3, -1)) for row in X])
+
+
 @pytest.mark.parametrize("name", DEPENDENT)
 @pytest.mark.parametrize("seed", range(3))
 def test_states_one_by_one_have_the_torques_of_all(name, seed):
     rng = np.random.default_rng(seed)
     predictor = held(random_predictor(rng, 3, [name, "load_friction"]))
     X = random_motion(rng, 3)
-    stepper = Stepper(predictor.torque_model())
-    found = [stepper.step(*row.reshape(3, -1)) for row in X]
-    assert_allclose(found, torques(predictor, X), atol=1e-11)
+    assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
 
 
 def test_an_effect_of_ones_own_one_by_one():
     rng = np.random.default_rng(0)
     predictor = held(with_effect(rng, Cubic(1), [3.0]))
-    X, stepper = random_motion(rng, 3), Stepper(predictor.torque_model())
-    found = [stepper.step(*row.reshape(3, -1)) for row in X]
-    assert_allclose(found, torques(predictor, X), atol=1e-11)
+    X = random_motion(rng, 3)
+    assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
 
 
 @pytest.fixture(params=["compiled", "plain"])
@@ -184,8 +260,12 @@ def test_a_simulation_has_the_predicted_torques(name, twin):
     size = np.abs(tau).max()
     assert last > 5
     assert_allclose(own[:last], tau[:last], rtol=0, atol=1e-9 * size)
-    free = torques(replace(predictor, ranges=()), X)
-    assert np.abs(own - free)[:last].max() > 1e-4
+    beyond = np.abs(own - torques(replace(predictor, ranges=()), X))[:last].max()
+    if name in BOUNDED:
+        assert np.ptp(X[:last, predictor.effects[0].joint]) > 0.45
+        assert beyond == 0.0
+    else:
+        assert beyond > 1e-4
 
 
 # -- closed forms of the motion
@@ -240,11 +320,11 @@ def test_beyond_its_edge_load_friction_is_coulomb_friction(twin, smoothing):
     friction = LoadFriction(0, smoothing)
     own = (range_of(friction, load=(-1.0, high)),)
     robot = slider(mass, effects=[(friction, [mu])], ranges=own)
-    force = np.array([2.0, 4.5, 9.0, 30.0, -0.5, -3.0])
-    # m a + mu |m a| = F inside, for velocities forward.
+    force = np.array([2.0, 4.5, 9.0, 30.0, -0.5, -3.0, -30.0])
+    # m a + mu |m a| = F inside, for velocities forward; ends are alike both ways.
     load = np.where(force > 0, force / (1 + mu), force / (1 - mu))
     load = np.where(load > high, force - mu * high, load)
-    load = np.where(load < -1.0, force - mu * 1.0, load)
+    load = np.where(load < -high, force - mu * high, load)
     dynamics = _dynamics.ForwardDynamics(robot)
     still, moves = np.zeros(1), np.array([5.0])
     dynamics.start(still)

@@ -148,18 +148,16 @@ def test_names_in_api_are_where_it_says():
 
 def constants_of_the_loop():
     """Phrases of the guide with the numbers that the code has."""
+    from sklearn_vbjfa.diagnosis.explain import _gaps, _judgement, _split
+    from sklearn_vbjfa.diagnosis.explain import _intervals as intervals
     from sklearn_vbjfa.diagnosis.search import (
         _blocks,
         _cosines,
-        _gaps,
         _held_out,
-        _judgement,
         _path,
         _problem,
         _refine,
-        _split,
     )
-    from sklearn_vbjfa.diagnosis.search import _intervals as intervals
     from sklearn_vbjfa.effects import _base
     from sklearn_vbjfa.robot import _joint_moments
 

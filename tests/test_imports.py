@@ -159,6 +159,17 @@ def test_rooms_import_one_way():
     assert offenders(forbidden_rooms) == {}
 
 
+def explaining(path):
+    """Return what the search imports of what follows from it."""
+    if ".diagnosis.search" not in name_of(path):
+        return []
+    return [name for name in imports(path) if ".diagnosis.explain" in name]
+
+
+def test_the_search_knows_nothing_of_what_follows_from_it():
+    assert offenders(explaining) == {}
+
+
 def test_every_room_has_its_place():
     assert {room_of(name_of(path)) for path in MODULES} == set(ROOMS)
 

@@ -65,7 +65,7 @@ def run(arguments):
     """Close the loop on a user's recording and write the files."""
     from sklearn_vbjfa import effects
     from sklearn_vbjfa.diagnosis import Report
-    from sklearn_vbjfa.diagnosis.search._findings import Provenance
+    from sklearn_vbjfa.diagnosis.explain._findings import Provenance
     from sklearn_vbjfa.effects import _declared
     from sklearn_vbjfa.physical import ProjectionError
 

@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
+from scipy.linalg import lapack
 from scipy.special import digamma
 
 from sklearn_vbjfa._core._moments import SquareRoot
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._scaled_eigen import ROUNDING, scaled_eigen
 from sklearn_vbjfa._core._solver import (
     PlainSteps,
     Solution,
@@ -121,7 +122,7 @@ def expect_latent(moments, latent, state):
         + n * (P - q * np.outer(k, k))
     )  # [C6]
     S_ty = H @ xy + k * (yy - c @ xy)  # [C7]
-    cost = np.einsum("ij,ji->", latent.H.T @ state.beta_cov @ H, S) / s2
+    cost = np.vdot(state.beta_cov, HS @ latent.H.T) / s2
     value = -0.5 * (n * (_LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)  # [C12]
     return LatentSums(S_tt=0.5 * (S_tt + S_tt.T), S_ty=S_ty, bound=float(value))
 
@@ -274,18 +275,23 @@ def _prior_bound(state, shape0, rate0, logdet_cov, shared):
 def square_root(S, xy, yy):
     """Square root of second moments, without the rounding of their null space.
 
-    Eigenvalues below rounding are set to zero: otherwise they would act as information
-    once the noise is small enough.
+    What is left of the diagonal below rounding is set to zero: otherwise it would act
+    as information once the noise is small enough.
     """
-    eigen = scaled_eigen(S, scale=1.0)
-    R = eigen.root()
-    # y in the coordinates of R, whose rows are orthogonal
-    z = (R @ xy) / eigen.known_values
+    d = xy.size
+    largest = np.abs(np.diagonal(S)).max(initial=0.0)
+    # With pivots, what rounding leaves comes last.
+    factor, pivots, rank, _ = lapack.dpstrf(S, tol=d * ROUNDING * largest)
+    order = pivots - 1
+    R = np.empty((rank, d))
+    R[:, order] = np.triu(factor[:rank])
+    z = linalg.solve_triangular(factor[:rank, :rank], xy[order[:rank]], trans="T")
     return SquareRoot(R=R, z=z, rest=max(yy - z @ z, 0.0))
 
 
 # Where rounding of S_tt / s2 stays below this share of the prior precision, the
-# Cholesky factor of the posterior precision is safe; beyond, the square root is used.
+# Cholesky factor of the posterior precision is safe; beyond, it is made from the square
+# root by orthogonal steps, while rounding of that stays below the same share.
 _SAFE_ROUNDING = 1e-8
 _HALF_DIGITS = np.sqrt(np.finfo(float).eps)
 
@@ -308,20 +314,35 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
     """
     prior = 1.0 / np.sqrt(alpha)
     d = prior.size
-    A = S_tt * np.outer(prior, prior) / s2
-    rounding = np.finfo(float).eps * d * np.diagonal(A).max()
-    if rounding < _SAFE_ROUNDING and not always:
+    largest = (np.diagonal(S_tt) / alpha).max() / s2
+    rounding = np.finfo(float).eps * d * np.array([largest, np.sqrt(largest)])
+    safe = (rounding < _SAFE_ROUNDING) & (not always)
+    if safe[0]:
+        A = S_tt * np.outer(prior, prior) / s2
         A[np.diag_indices_from(A)] += 1.0
-        factor = linalg.cholesky(A, lower=True)
-        inverse = linalg.solve_triangular(factor, np.eye(d), lower=True)
-        scaled = inverse * prior
-        cov = scaled.T @ scaled  # [C8]
-        mean = prior * linalg.cho_solve((factor, True), prior * S_ty) / s2  # [C9]
+        factor = linalg.cholesky(A)
+        scaled = prior[:, None] * linalg.solve_triangular(factor, np.eye(d))
+        cov = scaled @ scaled.T  # [C8]
+        mean = scaled @ (scaled.T @ S_ty) / s2  # [C9]
         logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
         squares = yy - 2 * mean @ S_ty + mean @ S_tt @ mean
         squares += np.einsum("ij,ij->", cov, S_tt)  # [C11]
+    elif safe[1]:
+        # The same factor from the rows of S_tt = R'R and of the prior.
+        root = square_root()
+        rows = np.eye(root.z.size + d, d + 1, -root.z.size)
+        rows[: root.z.size, :d] = root.R * (prior / np.sqrt(s2))
+        rows[: root.z.size, d] = root.z / np.sqrt(s2)
+        factor = linalg.qr(rows, mode="r", check_finite=False)[0][:d]
+        factor, z = factor[:, :d], factor[:, d]
+        scaled = prior[:, None] * linalg.solve_triangular(factor, np.eye(d))
+        cov = scaled @ scaled.T  # [C8]
+        mean = scaled @ z  # [C9]
+        logdet = -2 * np.log(np.abs(np.diagonal(factor))).sum() - np.log(alpha).sum()
+        squares = root.rest + np.sum((root.z - root.R @ mean) ** 2)
+        squares += np.sum((root.R @ scaled) ** 2)  # [C11]
     else:
-        # The same with S_tt = R'R, in whose singular coordinates nothing cancels.
+        # The same in the singular coordinates of R, where nothing cancels.
         root = square_root()
         U, sv, Vt = linalg.svd(root.R * prior, full_matrices=False)
         # Singular values at rounding level are set to zero: with hardly any noise they

@@ -44,20 +44,21 @@ def gain(frequency, dt, cutoff):
     amplitude [Hz].
     """
     h = knot_step(dt, cutoff) * dt
-    lam = _penalty(dt, cutoff)
-    below = 1.0 / (1.0 + lam * _difference_gain(np.minimum(frequency, 0.5 / h), h))
+    below = frequency < 0.5 / h
+    loss = np.empty(np.shape(frequency))
+    loss[below] = _penalty(dt, cutoff) * _difference_gain(frequency[below], h)
     # Above the knots' own Nyquist frequency the least-squares fit averages the samples
     # between knots; the continuous form bounds the remainder.
-    beyond = 1.0 / (1.0 + (frequency / cutoff) ** (2 * _ORDER))
-    return np.where(frequency < 0.5 / h, below, beyond)
+    loss[~below] = ((frequency[~below] / cutoff) ** 2) ** _ORDER
+    return 1.0 / (1.0 + loss)
 
 
 def _difference_gain(frequency, h):
     # third differences of spline coefficients against the spline's own amplitude
-    w = 2 * np.pi * frequency * h
-    half = 0.5 * w
-    b_spline = (33 + 26 * np.cos(w) + np.cos(2 * w)) / 60.0
-    return (2 * np.sin(half)) ** (2 * _ORDER) / b_spline**2
+    square = np.sin(np.pi * frequency * h) ** 2
+    cosine = 1 - 2 * square  # of the whole angle
+    b_spline = (16 + 13 * cosine + cosine**2) / 30.0
+    return (4 * square) ** _ORDER / b_spline**2
 
 
 def _penalty(dt, cutoff):

@@ -7,15 +7,15 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit, added_effects
+from sklearn_vbjfa.diagnosis.explain._judgement import Models, judge
+from sklearn_vbjfa.diagnosis.explain._outcome import make_outcome
+from sklearn_vbjfa.diagnosis.explain._split import split_in_time
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
-from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, added_effects
-from sklearn_vbjfa.diagnosis.search._judgement import Models, judge
-from sklearn_vbjfa.diagnosis.search._outcome import make_outcome
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import search
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
-from sklearn_vbjfa.diagnosis.search._split import split_in_time
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect, TorqueGain, resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms
@@ -345,7 +345,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             say(len(found.effects), "final model")
             self.judged_ = self.plain_
             if found.effects:
-                self.judged_ = _fitted(self._with(found.effects), part)
+                again = self._with(found.effects)._after(self.plain_)
+                self.judged_ = _fitted(again, part)
             models = Models(
                 declared=self.declared_, plain=self.plain_, judged=self.judged_
             )
@@ -470,7 +471,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["standstill"] = self.judged_.standstill_
         view = RecordingView(self.plain_, whole, silent)
         effects = tuned_on(view, found.effects, found.settings)
-        self.identifier_ = _fitted(self._with(effects).set_params(**band), whole)
+        again = self._with(effects).set_params(**band)._after(self.judged_)
+        self.identifier_ = _fitted(again, whole)
         effects = added_effects(self.identifier_, len(effects))
         final = FinalFit(self.plain_, self.identifier_, view, effects)
         tell_spreads(self.identifier_, final.effect_estimates)

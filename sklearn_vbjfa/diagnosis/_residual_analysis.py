@@ -6,11 +6,12 @@ import numpy as np
 from sklearn.base import clone
 from sklearn.utils.validation import check_array
 
+from sklearn_vbjfa.diagnosis.explain._dependence import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import text_table
 from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
-from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
-from sklearn_vbjfa.diagnosis.search._held_out import held_out_rows
+from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
+from sklearn_vbjfa.diagnosis.search._problem import declared_alone
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording._recording import check_clock, take_arrays
 from sklearn_vbjfa.recording._signals import check_given, check_useful
@@ -164,7 +165,9 @@ def analyse_residuals(
     )
     check_useful(recording.signals, recording)
     view = RecordingView(identifier, recording)
-    return _collect(identifier, view, *held_out_rows(view))
+    fit = declared_alone(view)
+    left_out = HeldOut(view, view.blocks.fold).fitted(fit, None)
+    return _collect(identifier, view, left_out.residual, fit.theta)
 
 
 def _collect(identifier, view, residual, theta):

@@ -302,25 +302,31 @@ class _Trial:
         self._names, self._reads = joint_names(model), _reads(model)
         equations = ChannelEquations(model, signals)
         self._features = equations.features
-        self._known = {}
-        fits = self._fits(_correction((), kind="as recorded"))
+        self._known = {ChannelEquations.fit: {}, ChannelEquations.least_errors: {}}
+        fits = self._errors(_correction((), kind="as recorded"))
         self._now = total(fits)
         errors = [fit.error[0] for fit in fits.values()]
         self._lost = np.median(errors) > _NO_FIT
         self._likely = _likely(equations, signals, joints)
         self._poor = _worst(fits)
 
-    def _fits(self, correction):
-        """Fits of all informative joints with a correction, joint -> `ChannelFit`."""
+    def _errors(self, correction, how=ChannelEquations.fit):
+        """Errors of all informative joints with a correction, joint -> of each.
+
+        how : method of `ChannelEquations`, `fit` or `least_errors`.
+        """
         signals = correction.put_right(self._signals)
         readings = self._readings(correction)
+        # Fits that were made already are the best of bounds.
+        known = self._known[how] | self._known[ChannelEquations.fit]
         told = np.flatnonzero(signals.informative())
-        new = {int(j) for j in told if readings[j] not in self._known}
+        new = [j for j in told if readings[j] not in known]
         if new:
             equations = ChannelEquations(self._model, signals, self._features)
-            for j, fit in fits_of(equations, signals, new).items():
-                self._known[readings[j]] = fit
-        return {int(j): self._known[readings[j]] for j in told}
+            made = {readings[j]: how(equations, j, signals.now[:, [j]]) for j in new}
+            self._known[how].update(made)
+            known.update(made)
+        return {int(j): known[readings[j]] for j in told}
 
     def _readings(self, correction):
         """Return what each joint's fit depends on, list of tuple."""
@@ -336,23 +342,29 @@ class _Trial:
             (j, int(torque[j]), *(motion[k] for k in self._reads[j])) for j in range(nv)
         ]
 
-    def _gain(self, correction):
-        """Gain over all joints, also in standard errors; zero if too few rows count."""
-        fits = self._fits(correction)
-        if len(fits) < len(self._joints):
-            return 0.0, 0.0
-        return gain(total(fits), self._now)
+    def _gain(self, correction, least):
+        """Gain over all joints, also in standard errors.
+
+        Zero if too few rows count, or if it cannot be `least` whatever the fits are.
+        """
+        for how in (ChannelEquations.least_errors, ChannelEquations.fit):
+            errors = self._errors(correction, how)
+            if len(errors) < len(self._joints):
+                return 0.0, 0.0
+            found = gain(total(errors), self._now)
+            if found[0] < least:
+                return 0.0, 0.0
+        return found
 
     def _judge(self, moved, least=0.0, **how):
         """Return the correction if it is certain and gains `least` over all joints."""
-        better, better_t = self._gain(_correction(moved, **how))
-        if better < least:
-            return None
         # From the mean over all joints to that over the joints concerned.
-        better *= self._model.nv / max(len(moved), 2)
-        if not (better > _SWAP_GAIN and better_t > SURE):
+        share = self._model.nv / max(len(moved), 2)
+        least = max(least, _SWAP_GAIN / share)
+        better, better_t = self._gain(_correction(moved, **how), least)
+        if not (share * better > _SWAP_GAIN and better_t > SURE):
             return None
-        return Correction(joints=moved, gain=better, gain_t=better_t, **how)
+        return Correction(joints=moved, gain=share * better, gain_t=better_t, **how)
 
     def orders(self):
         """Swap the positions of two joints, or reorder whole joints."""
@@ -380,22 +392,26 @@ class _Trial:
         starts += [named, np.argsort(named)]
         if self._lost and nv <= _MOST_ORDERS:
             starts = [np.array(order) for order in permutations(range(nv))]
-        rated = [(self._rate(order), order) for order in starts]
-        best, order = max(rated, key=lambda x: x[0])
+        best, order = self._highest(starts, 0.0, np.arange(nv))
         # Each swap puts at least one joint in its place.
         for _ in range(nv):
             tried = [_exchanged(order, pair) for pair in self._poor]
-            better, other = max(((self._rate(x), x) for x in tried), key=lambda x: x[0])
-            if better < best + _CLIMB:
+            better, other = self._highest(tried, best + _CLIMB, None)
+            if other is None:
                 break
             best, order = better, other
         return order
 
-    def _rate(self, order):
-        """Gain over all joints by another order."""
-        if (order == np.arange(order.size)).all():
-            return 0.0
-        return self._gain(_correction((), kind="swapped_joints", order=order))[0]
+    def _highest(self, orders, best, order):
+        """Gain over all joints and order of the best of `orders`, or of what it has."""
+        for other in orders:
+            if (other == np.arange(other.size)).all():
+                continue
+            tried = _correction((), kind="swapped_joints", order=other)
+            better, _ = self._gain(tried, best)
+            if better > best:
+                best, order = better, other
+        return best, order
 
     def directions(self):
         """Reverse single joints."""

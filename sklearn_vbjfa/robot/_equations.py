@@ -24,7 +24,7 @@ from sklearn_vbjfa.effects._ranges import own_motions
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.physical._threads import one_blas_thread
-from sklearn_vbjfa.robot._joint_moments import Numbering, joint_moments, sum_moments
+from sklearn_vbjfa.robot._joint_moments import Numbering, piece_moments, sum_moments
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._ranges import SignalRanges
 
@@ -76,8 +76,8 @@ class Equations:
     ranges: SignalRanges | None = None
 
     def moments(self):
-        """Return the second moments, `JointMoments`."""
-        found = joint_moments(
+        """Return the second moments, for `sum_moments`."""
+        found = piece_moments(
             self.Phi, self.tau, self.weight, self.difference, self.blocks
         )
         return replace(found, ranges=self.ranges)

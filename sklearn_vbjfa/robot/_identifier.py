@@ -31,6 +31,7 @@ from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
     held_columns,
+    is_plain,
     joined,
     plain_coefficients,
     segments,
@@ -68,6 +69,7 @@ from sklearn_vbjfa.robot._plan import (
     check_effects,
     effect_names,
     make_plan,
+    needs_load,
     observe,
     resolve_standstill,
     takes_moments,
@@ -482,8 +484,11 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         relative = None
         if self.gains is not None:
             relative = self._first_gains(recording, states)
-        fitted = ()
-        for number, one in enumerate(self._plan.passes()):
+        fitted, passes = (), self._plan.passes()
+        self._load = self._load_before()
+        if self._load is not None:
+            passes = passes[1:]
+        for number, one in enumerate(passes):
             if number > 0:
                 self._load = self._known_torque(fitted)
             fitted = one.effects
@@ -534,6 +539,30 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         for name, value in kept.items():
             setattr(self, name, value)
         self.criteria_ = refined.criteria
+
+    # An identifier whose load the next fit begins with, in place of a first pass.
+    _before = None
+
+    def _after(self, fitted):
+        """Begin the next fit with the load of a fitted identifier, where it has one."""
+        self._before = fitted
+        return self
+
+    def _load_before(self):
+        """Known torque of `_before`; None if its effects that need no load differ."""
+        before, self._before = self._before, None
+        if before is None or not needs_load(self.effects_):
+            return None
+        if any(effect.in_model for effect in self.effects_):
+            return None
+
+        def known(fitted):
+            plain = [e for e in fitted.effects_ if is_plain(e)]
+            terms = [(type(e), e.joint, len(e.coefficients)) for e in plain]
+            return fitted.features_.friction_, terms
+
+        same = known(before) == known(self)
+        return before._known_torque(before.effects_) if same else None
 
     def _known_torque(self, effects):
         """Parameters that a fit with some effects gives the load of the next."""

@@ -276,13 +276,20 @@ def joint_moments(Phi, tau, weight, difference=None, parts=None):
     has the noise of both, their mean a quarter of its square. parts : blocks of time of
     the rows, see `Numbering.parts`.
     """
+    return sum_moments([piece_moments(Phi, tau, weight, difference, parts)])
+
+
+def piece_moments(Phi, tau, weight, difference=None, parts=None):
+    """Accumulate rows for `sum_moments`, see `joint_moments`.
+
+    G and noise hold the range of each joint's columns and the matrix of these: of many
+    joints whole matrices would be larger than the rows of a piece.
+    """
     root = np.sqrt(weight)
     keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
     made = _part_moments(Phi, tau, root, starts)
-    _, nv, p = Phi.shape
-    G, g = np.zeros((nv, p, p)), np.zeros((nv, p))
-    for j, (used, Gs, gs) in enumerate(made):
-        G[j, used, used] = Gs.sum(axis=0)
+    g = np.zeros(Phi.shape[1:])
+    for j, (used, _, gs) in enumerate(made):
         g[j, used] = gs.sum(axis=0)
     blocks = None
     if keys is not None:
@@ -292,10 +299,10 @@ def joint_moments(Phi, tau, weight, difference=None, parts=None):
     return JointMoments(
         n=weight.sum(axis=0),
         n_rows=(weight > 0).sum(axis=0),
-        G=G,
+        G=tuple((used, Gs.sum(axis=0)) for used, Gs, _ in made),
         g=g,
         yy=np.einsum("nj,nj->j", weight, tau**2),
-        noise=None if difference is None else 0.25 * _gram(difference, root),
+        noise=None if difference is None else _noise(difference, root),
         blocks=blocks,
     )
 
@@ -332,29 +339,25 @@ def _used(rows):
     return slice(int(columns[0]), int(columns[-1]) + 1) if columns.size else slice(0, 0)
 
 
-def _gram(Phi, root):
-    """Sum of root^2 phi phi' over the rows of each joint."""
-    _, nv, p = Phi.shape
-    G = np.zeros((nv, p, p))
-    for j in range(nv):
-        used = _used(Phi[:, j])
-        rows = Phi[:, j, used] * root[:, j, None]
-        G[j, used, used] = rows.T @ rows
-    return G
+def _noise(difference, root):
+    """Take a quarter of the moments of differences, see `piece_moments`."""
+    starts = np.zeros(1, dtype=int)
+    made = _part_moments(difference, np.zeros(root.shape), root, starts)
+    return tuple((used, 0.25 * Gs[0]) for used, Gs, _ in made)
 
 
 def sum_moments(several):
-    """Sum of `JointMoments` of disjoint rows; None if there are none."""
+    """Sum of `JointMoments` of disjoint rows, or of pieces; None if there are none."""
     total = None
     for moments in several:
         if total is None:
             # What is added to must not be anyone else's.
+            shape = (*moments.g.shape, moments.g.shape[1])
+            noise = moments.noise
             total = replace(
                 moments,
-                G=_added(np.zeros_like(moments.G), moments.G),
-                noise=moments.noise
-                if moments.noise is None
-                else _added(np.zeros_like(moments.noise), moments.noise),
+                G=_added(np.zeros(shape), moments.G),
+                noise=None if noise is None else _added(np.zeros(shape), noise),
             )
             continue
         total = replace(
@@ -372,10 +375,13 @@ def sum_moments(several):
 
 
 def _added(total, G):
-    """Add matrices (nv, p, p) in place, where they have power, and return the sum."""
+    """Add matrices (nv, p, p), or ranges and theirs, in place; return the sum."""
     for own, other in zip(total, G):
-        used = np.flatnonzero(np.diagonal(other))
-        if used.size:
-            part = slice(int(used[0]), int(used[-1]) + 1)
-            own[part, part] += other[part, part]
+        if isinstance(other, tuple):
+            part, other = other
+        else:
+            used = np.flatnonzero(np.diagonal(other))
+            part = slice(used[0], used[-1] + 1) if used.size else slice(0, 0)
+            other = other[part, part]
+        own[part, part] += other
     return total

@@ -296,7 +296,7 @@ def test_redundant_columns_with_noise_stay_finite():
 
 
 @pytest.mark.parametrize("n_samples", [60, 3])
-def test_both_forms_of_the_posterior_agree(monkeypatch, n_samples):
+def test_all_forms_of_the_posterior_agree(monkeypatch, n_samples):
     X, y, _, _ = make_problem(12, 4, n_samples)
     S, alpha, s2 = X.T @ X, np.array([0.1, 1.0, 10.0, 1e3]), 0.1
     args = S, X.T @ y, float(y @ y), s2, alpha
@@ -305,19 +305,38 @@ def test_both_forms_of_the_posterior_agree(monkeypatch, n_samples):
     assert root.shape[0] == min(n_samples, 4)
     assert_allclose(root.T @ root, S, atol=1e-13 * np.abs(S).max())
     assert_allclose(root.T @ square_root.z, X.T @ y, rtol=1e-10)
-    safe = _correlated.posterior_beta(*args, None)
-    monkeypatch.setattr(_correlated, "_SAFE_ROUNDING", 0.0)
-    rooted = _correlated.posterior_beta(*args, lambda: square_root)
+    results = [_correlated.posterior_beta(*args, None)]
+    # Between the rounding of S and that of its root: some 1e-11 and 1e-13.
+    for rounding in (1e-12, 0.0):
+        monkeypatch.setattr(_correlated, "_SAFE_ROUNDING", rounding)
+        results.append(_correlated.posterior_beta(*args, lambda: square_root))
     # S has a condition of 1e3, or no inverse; the prior is what keeps to 1e-9.
     cov = np.linalg.inv(S / s2 + np.diag(alpha))
     mean = cov @ X.T @ y / s2
     logdet = np.linalg.slogdet(cov)[1]
     residual = np.sum((y - X @ mean) ** 2) + np.trace(S @ cov)
-    for result in (safe, rooted):
+    for result in results:
         assert_allclose(result.mean, mean, atol=1e-9)
         assert_allclose(result.cov, cov, atol=1e-9 * np.abs(cov).max())
         assert_allclose(result.logdet, logdet, rtol=1e-9)
         assert_allclose(result.squares, residual, rtol=1e-9)
+
+
+def test_rounding_of_redundant_columns_is_no_information():
+    rng = np.random.default_rng(17)
+    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
+    values = np.array([3.0, 2.0, 1.0, 0.5, 0.0, 0.0])
+    S, beta, s2 = (Q * values) @ Q.T, rng.normal(size=6), 1e-10
+    sums = S, S @ beta, float(beta @ S @ beta)
+    found = _correlated.posterior_beta(
+        *sums, s2, np.full(6, 2.0), lambda: _correlated.square_root(*sums)
+    )
+    # Of the directions without information the prior is all that is known; the
+    # rounding of S over s2 is 1e-5 of it.
+    variance = 1.0 / (values / s2 + 2.0)
+    assert_allclose(Q.T @ found.cov @ Q, np.diag(variance), atol=1e-9)
+    assert_allclose(Q.T @ found.mean, variance * values / s2 * (Q.T @ beta), atol=1e-9)
+    assert_allclose(found.logdet, np.log(variance).sum(), rtol=1e-9)
 
 
 @pytest.mark.parametrize("d", [1, 3])

@@ -98,16 +98,34 @@ def test_fits_that_are_kept_are_those_made_anew(three_arms):
         correction = _geometry._correction((), **way)
         right = correction.put_right(signals)
         anew = fits_of(ChannelEquations(model, right), right)
-        kept = trial._fits(correction)
+        kept = trial._errors(correction)
         assert kept.keys() == anew.keys()
         for j, fit in anew.items():
             np.testing.assert_allclose(kept[j].log_error, fit.log_error)
+        # what rules a correction out before there are such fits
+        new = _geometry._Trial(model, signals, joints)
+        least = new._errors(correction, ChannelEquations.least_errors)
+        assert least.keys() == anew.keys()
+        for j, fit in anew.items():
+            np.testing.assert_allclose(least[j].log_variance, fit.log_variance)
+            assert (least[j].log_error <= fit.log_error + 1e-9).all()
     # one joint of one arm leaves the other two arms alone
-    count = len(trial._known)
+    known = trial._known[ChannelEquations.fit]
+    count = len(known)
     other = offset.copy()
     other[5] = -0.7
-    trial._fits(_geometry._correction((), kind="position_zero", offset=other))
-    assert len(trial._known) == count + len(AXES)
+    trial._errors(_geometry._correction((), kind="position_zero", offset=other))
+    assert len(known) == count + len(AXES)
+
+
+def test_most_corrections_are_ruled_out_by_one_fit_to_all_blocks(three_arms):
+    model, recording = three_arms
+    trial = _geometry._Trial(model, signals_of(recording), list(range(model.nv)))
+    assert trial.directions() == trial.zeros() == []
+    made = len(trial._known[ChannelEquations.fit]) - model.nv
+    # Directions and seven zeros of each joint, each read by the four joints of its arm.
+    assert len(trial._known[ChannelEquations.least_errors]) == model.nv * (1 + 7) * 4
+    assert made < model.nv * (1 + 7) * 4 / 3
 
 
 @pytest.mark.parametrize("count", [1, 3])

@@ -261,6 +261,27 @@ def test_load_friction_is_a_fixed_point(monkeypatch):
     assert coefficients(robot)[0] == pytest.approx(coefficients(settled)[0], rel=0.01)
 
 
+def test_a_fit_after_another_has_its_load():
+    mu = 0.15
+    added = on_joint(1, mu * np.abs(LOAD[:, 1]) * np.sign(V[:, 1]))
+    late = RobotIdentifier(MODEL, effects=(effects.LoadFriction(1),), **EXACT)
+
+    def after(fitted):
+        return clone(late)._after(fitted).fit(STATES, DECLARED + added)
+
+    alone = clone(late).fit(STATES, DECLARED + added)
+    # The fit without it is the first pass; with another plain effect it is not.
+    assert_array_equal(after(fit(added)).theta_, alone.theta_)
+    assert_array_equal(after(fit(added, effects.Coulomb(1))).theta_, alone.theta_)
+    # Of a fit that has it already the load is better.
+    again = after(alone)
+    errors = [abs(coefficients(one)[0] / mu - 1) for one in (again, alone)]
+    assert errors[0] < 0.3 * errors[1]
+    # Once only.
+    again.fit(STATES, DECLARED + added)
+    assert_array_equal(again.theta_, alone.theta_)
+
+
 def test_load_friction_takes_plain_effects_along():
     sign = np.sign(V[:, 1])
     added = on_joint(1, (0.15 * np.abs(LOAD[:, 1]) + 1.5) * sign)

@@ -3,7 +3,11 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from sklearn_vbjfa.robot._joint_moments import joint_moments, sum_moments
+from sklearn_vbjfa.robot._joint_moments import (
+    joint_moments,
+    piece_moments,
+    sum_moments,
+)
 
 
 def pieces(rng, sizes=(30, 1, 20)):
@@ -25,5 +29,8 @@ def test_the_sum_is_that_of_all_rows():
     # what is added up stays as it is
     assert_allclose(each[0].G, first[0], rtol=0)
     assert_allclose(each[0].noise, first[1], rtol=0)
+    in_ranges = sum_moments(piece_moments(*part) for part in parts)
+    for name in ("n", "n_rows", "G", "g", "yy", "noise"):
+        assert_allclose(getattr(in_ranges, name), getattr(whole, name), atol=1e-12)
     assert sum_moments([]) is None
     assert sum_moments(joint_moments(*p[:3]) for p in parts).noise is None

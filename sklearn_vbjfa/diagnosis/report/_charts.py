@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.explain._drawn import extremes
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.search._drawn import extremes
 
 WIDTH, HEIGHT = 400, 200
 # Most steps of an axis.

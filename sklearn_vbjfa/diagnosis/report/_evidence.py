@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.explain._findings import Provenance
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._charts import (
     About,
@@ -16,7 +17,6 @@ from sklearn_vbjfa.diagnosis.report._charts import (
     torque_figure,
 )
 from sklearn_vbjfa.diagnosis.report._mathml import mathml
-from sklearn_vbjfa.diagnosis.search._findings import Provenance
 from sklearn_vbjfa.effects import available
 
 _KNOWN = {

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.explain._gaps import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import (
     _evidence,
     _gains,
@@ -26,7 +27,6 @@ from sklearn_vbjfa.diagnosis.report._pictures import (
     residual_picture,
     time_axis,
 )
-from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED
 from sklearn_vbjfa.robot._ranges import held_text
 
@@ -61,8 +61,6 @@ class Table:
         Heads of the columns; empty for none.
     rows : tuple of tuple
         Cells.
-    details : tuple of tuple of str
-        What a page unfolds below each row; empty for nothing.
     links : tuple of str
         Where on its page the effect of each row leads; empty for nowhere.
     numbers : bool
@@ -71,7 +69,6 @@ class Table:
 
     heads: tuple = ()
     rows: tuple
-    details: tuple = ()
     links: tuple = ()
     numbers: bool = False
 

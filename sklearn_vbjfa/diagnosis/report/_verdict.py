@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.explain._gaps import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _remains
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._limits import contradiction
-from sklearn_vbjfa.diagnosis.search._gaps import ABOVE_FLOOR
 
 # A refit moves the errors of all joints; a rise below this factor is no harm.
 _WORSE = 1.05

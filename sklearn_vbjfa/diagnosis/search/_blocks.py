@@ -111,6 +111,52 @@ def _integrated(phi):
     return float(1.0 / (rest**2 * flat[0]))
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Bridge:
+    """Straight lines over rows that are missing.
+
+    Attributes
+    ----------
+    low, high : ndarray of shape (m,), int
+        Rows before and after each.
+    share : ndarray of shape (m,)
+        Its place between them.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    share: np.ndarray
+
+    @classmethod
+    def of(cls, used, starts):
+        """Bridge rows (m,) that are not used, in each part; None if none is missing.
+
+        A part without any stays as it is at its first row.
+        """
+        if used.all() or not used.any():
+            return None
+        m = used.size
+        low, high = np.empty(m, int), np.empty(m, int)
+        for a, b in itertools.pairwise([*starts, m]):
+            there = a + np.flatnonzero(used[a:b])
+            if there.size == 0:
+                low[a:b] = high[a:b] = a
+                continue
+            rows = np.arange(a, b)
+            at = np.searchsorted(there, rows, side="right") - 1
+            low[a:b] = there[np.maximum(at, 0)]
+            after = np.searchsorted(there, rows, side="left")
+            high[a:b] = there[np.minimum(after, there.size - 1)]
+        width = high - low
+        share = np.where(width > 0, (np.arange(m) - low) / np.maximum(width, 1), 0.0)
+        return cls(low=low, high=high, share=share)
+
+    def __call__(self, x):
+        """Bridge rows (m, ...)."""
+        share = self.share.reshape((-1,) + (1,) * (x.ndim - 1))
+        return (1.0 - share) * x[self.low] + share * x[self.high]
+
+
 class Whitening:
     """Rows of all joints without what the residuals' past predicts.
 
@@ -139,7 +185,7 @@ class Whitening:
         self._stride = max(1, int(np.ceil(0.5 / (cutoff * step) - 1e-9)))
         self._root, self._starts = root, np.asarray(starts)
         self._used = root > 0
-        self._gaps = [self._bridges(used) for used in self._used.T]
+        self._gaps = [Bridge.of(used, self._starts) for used in self._used.T]
         self.memory = []
         for j, own in enumerate(residual):
             used = self._used[:, j]
@@ -161,9 +207,7 @@ class Whitening:
             phi, root = self.memory[j].phi, self._root[:, j]
             x = rows[i] / np.where(root > 0, root, 1.0).reshape(shape)
             if self._gaps[j] is not None:
-                low, high, share = self._gaps[j]
-                share = share.reshape(shape)
-                x = (1.0 - share) * x[low] + share * x[high]
+                x = self._gaps[j](x)
             out[i] = x
             edges = [*self._starts, x.shape[0]]
             for a, b in itertools.pairwise(edges):
@@ -173,26 +217,6 @@ class Whitening:
                     out[i, a : a + past] -= coefficient * x[a]
             out[i] *= root.reshape(shape)
         return out
-
-    def _bridges(self, used):
-        """Rows before and after each missing row and its place between them."""
-        if used.all() or not used.any():
-            return None
-        m = used.size
-        low, high = np.empty(m, int), np.empty(m, int)
-        edges = [*self._starts, m]
-        for a, b in itertools.pairwise(edges):
-            there = a + np.flatnonzero(used[a:b])
-            if there.size == 0:
-                low[a:b] = high[a:b] = a
-                continue
-            at = np.searchsorted(there, np.arange(a, b), side="right") - 1
-            low[a:b] = there[np.maximum(at, 0)]
-            after = np.searchsorted(there, np.arange(a, b), side="left")
-            high[a:b] = there[np.minimum(after, there.size - 1)]
-        width = high - low
-        place = np.where(width > 0, (np.arange(m) - low) / np.maximum(width, 1), 0.0)
-        return low, high, place
 
 
 # A block is this many times longer than the residual stays correlated.
@@ -237,14 +261,14 @@ class Blocks:
         """Number of folds."""
         return int(self.fold.max()) + 1
 
-    def folds(self):
-        """Rows of each fold, list of ndarray."""
-        return [np.flatnonzero(self.fold == k) for k in range(self.n_folds)]
+    @property
+    def starts(self):
+        """First row of each block."""
+        return np.r_[0, np.flatnonzero(np.diff(self.label)) + 1]
 
     def sums(self, values):
         """Sum rows (m, ...) over each block."""
-        starts = np.r_[0, np.flatnonzero(np.diff(self.label)) + 1]
-        return np.add.reduceat(values, starts, axis=0)
+        return np.add.reduceat(values, self.starts, axis=0)
 
 
 def correlation_time(residual, weight, step, starts):

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, special
 
+from sklearn_vbjfa.diagnosis.search._blocks import Bridge
+
 # Bands of frequency in an octave, and the fewest cosines in one.
 _PER_OCTAVE, _FEWEST = 2, 2
 # Spectral density below this share of the largest is rounding.
@@ -29,7 +31,9 @@ class Cosines:
     Attributes
     ----------
     band : ndarray of shape (n,)
-        Band of frequency of each cosine, from the slowest.
+        Band of frequency of each cosine, by which they are sorted, from the slowest.
+    edges : ndarray of shape (n_bands + 1,)
+        Where each band begins, and the last one ends.
     octave : ndarray of shape (n_bands,)
         Middle of each band, logarithm of base 2 of the frequency.
     fill : ndarray of shape (nv,)
@@ -41,14 +45,17 @@ class Cosines:
         self._parts = list(itertools.pairwise([*view.starts, m]))
         used = view.root > 0
         self.fill = used.mean(axis=0)
-        self._bridges = [_bridge(own, self._parts) for own in used.T]
+        self._bridges = [Bridge.of(own, view.starts) for own in used.T]
         frequency = np.empty(m)
         for a, b in self._parts:
             frequency[a:b] = np.arange(b - a) / (2.0 * (b - a) * view.step)
         cutoff = view.robot.cutoff_
-        self._kept = frequency <= (cutoff if np.isfinite(cutoff) else np.inf)
+        kept = np.flatnonzero(frequency <= (cutoff if np.isfinite(cutoff) else np.inf))
         longest = max(b - a for a, b in self._parts) * view.step
-        self.band, self.octave = _bands(frequency[self._kept], 0.5 / longest)
+        band, self.octave = _bands(frequency[kept], 0.5 / longest)
+        order = np.argsort(band, kind="stable")
+        self.band, self._kept, self._n_rows = band[order], kept[order], m
+        self.edges = np.searchsorted(self.band, np.arange(self.octave.size + 1))
 
     def __call__(self, rows, joints):
         """Cosines (nj, n, ...) of rows (nj, m, ...) of some joints."""
@@ -57,9 +64,7 @@ class Cosines:
         for i, j in enumerate(joints):
             x = rows[i]
             if self._bridges[j] is not None:
-                low, high, share = self._bridges[j]
-                share = share.reshape((-1,) + (1,) * (x.ndim - 1))
-                x = (1.0 - share) * x[low] + share * x[high]
+                x = self._bridges[j](x)
             for a, b in self._parts:
                 whole[a:b] = fft.dct(x[a:b], axis=0, norm="ortho")
             out[i] = whole[self._kept]
@@ -67,34 +72,13 @@ class Cosines:
 
     def rows(self, cosines):
         """Rows (nj, m, ...) that cosines (nj, n, ...) stand for."""
-        out = np.empty((cosines.shape[0], self._kept.size, *cosines.shape[2:]))
+        out = np.empty((cosines.shape[0], self._n_rows, *cosines.shape[2:]))
         whole = np.zeros(out.shape[1:])
         for i, own in enumerate(cosines):
             whole[self._kept] = own
             for a, b in self._parts:
                 out[i, a:b] = fft.idct(whole[a:b], axis=0, norm="ortho")
         return out
-
-
-def _bridge(used, parts):
-    """Rows before and after each missing row and its place between; None if none is."""
-    if used.all() or not used.any():
-        return None
-    low = high = np.arange(used.size)
-    low, high = low.copy(), high.copy()
-    for a, b in parts:
-        there = a + np.flatnonzero(used[a:b])
-        if there.size == 0:
-            low[a:b] = high[a:b] = a
-            continue
-        rows = np.arange(a, b)
-        at = np.searchsorted(there, rows, side="right") - 1
-        low[a:b] = there[np.maximum(at, 0)]
-        after = np.searchsorted(there, rows, side="left")
-        high[a:b] = there[np.minimum(after, there.size - 1)]
-    width = high - low
-    share = np.where(width > 0, (np.arange(used.size) - low) / np.maximum(width, 1), 0)
-    return low, high, share
 
 
 def _bands(frequency, lowest):
@@ -167,9 +151,9 @@ class Spectrum:
             log_prior -= 0.5 * float(((bend @ smooth) ** 2).sum())
         return cls(variance=variance, log_prior=log_prior)
 
-    def weights(self, band, fill):
-        """Weights of the cosines (nv, n); those of a bridged recording count less."""
-        return (fill[:, None] / self.variance)[:, band]
+    def weights(self, fill):
+        """Weights by band (nv, n_bands); those of a bridged recording count less."""
+        return fill[:, None] / self.variance
 
 
 def _bends(octave):

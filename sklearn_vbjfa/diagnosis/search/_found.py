@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import expit, ndtr
 
+from sklearn_vbjfa.diagnosis.search._held_out import Worth
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
@@ -12,32 +13,16 @@ from sklearn_vbjfa.effects import Effect, Motion
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evidence:
+class Evidence(Worth):
     """What speaks for an effect beside the others of its model.
 
     Attributes
     ----------
     log_odds : float
         Logarithm of the posterior odds that the model lacks it.
-    gain : float
-        Share of the squared error on stretches of time that were not fitted that it
-        saves.
-    gain_std : float
-        Its standard error, from the scatter between stretches.
-    errors : float
-        What it saves there over the standard error.
-    n_blocks : int
-        Stretches in which it changes anything.
-    helped : float
-        Share of those in which it helps.
     """
 
     log_odds: float
-    gain: float
-    gain_std: float
-    errors: float
-    n_blocks: int
-    helped: float
 
     @property
     def probability(self):
@@ -129,10 +114,6 @@ class FoundModel:
     motion: Motion
     residual: np.ndarray
     fit: Fit | None = None
-
-    def residuals(self):
-        """Residuals (nv, m) of rows that were not fitted; see `residual`."""
-        return self.residual
 
     def memory_seconds(self):
         """How long the residual of each joint stays correlated, list [s]."""

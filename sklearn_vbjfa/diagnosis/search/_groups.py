@@ -1,5 +1,6 @@
 """Evidence for a group of columns: its scale is integrated, its shapes are averaged."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -103,7 +104,7 @@ class Groups:
 
     def integrated(self, scale, own):
         """Log evidence (c,) over that with the prior deviation `own` alone."""
-        value, rest = self._spectral()
+        value, rest, _ = self._spectral
         s2 = own**2
         at = 0.5 * rest**2 * s2 / (1 + s2 * value) - 0.5 * np.log1p(s2 * value)
         return self.evidence(scale) - at.sum(axis=1)
@@ -114,7 +115,7 @@ class Groups:
 
     def _along(self, scale):
         """Log evidence times prior at each scale, (n_scales, c)."""
-        value, rest = self._spectral()
+        value, rest, _ = self._spectral
         s2 = (_SCALES**2)[:, None, None]
         gain = (0.5 * rest**2 * s2 / (1 + s2 * value)).sum(axis=2)
         if np.isfinite(self.freedom):
@@ -124,29 +125,29 @@ class Groups:
         volume = 0.5 * np.log1p(s2 * value).sum(axis=2)
         return gain - volume + np.log(prior / prior.sum())[:, None]
 
+    @functools.cached_property
     def _spectral(self):
-        """Eigenvalues (c, k) of the scaled blocks, and the products along them."""
+        """Eigenvalues (c, k) of the scaled blocks, products along them, directions.
+
+        Zero along directions of which too little is left.
+        """
         H = self.H * self.unit[:, :, None] * self.unit[:, None]
         value, vectors = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
         rest = np.einsum("cab,ca->cb", vectors, self.q * self.unit)
         seen = value > _SPAN * (self.own * self.unit**2).max(axis=1, keepdims=True)
-        return np.where(seen, value, 0.0), np.where(seen, rest, 0.0)
+        return np.where(seen, value, 0.0), np.where(seen, rest, 0.0), vectors
 
     def shown(self):
         """Whether anything of a group (c,) is left beside the model."""
-        return self._spectral()[0].any(axis=1)
+        return self._spectral[0].any(axis=1)
 
     def coefficients(self):
         """Coefficients (c, k) of least squares, of what is seen of each group."""
-        H = self.H * self.unit[:, :, None] * self.unit[:, None]
-        value, vectors = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
-        rest = np.einsum("cab,ca->cb", vectors, self.q * self.unit)
-        seen = value > _SPAN * (self.own * self.unit**2).max(axis=1, keepdims=True)
-        inside = np.where(seen, rest / np.where(seen, value, 1.0), 0.0)
+        value, rest, vectors = self._spectral
+        inside = rest / np.where(value > 0, value, 1.0)
         return np.einsum("cab,cb->ca", vectors, inside) * self.unit
 
     def gain(self):
         """Fall (c,) of the weighted squared error by least squares."""
-        value, rest = self._spectral()
-        seen = value > 0
-        return (np.where(seen, rest, 0.0) ** 2 / np.where(seen, value, 1.0)).sum(axis=1)
+        value, rest, _ = self._spectral
+        return (rest**2 / np.where(value > 0, value, 1.0)).sum(axis=1)

@@ -87,9 +87,7 @@ class HeldOut:
         self.view = view
         self.heard = np.flatnonzero(view.precision > 0)
         self.fold = fold_of(view) if fold is None else fold
-        self._edges = np.r_[
-            0, np.flatnonzero(np.diff(view.blocks.label)) + 1, view.index.size
-        ]
+        self._edges = np.r_[view.blocks.starts, view.index.size]
         # A block lies in one fold, but for the one in which a fold ends.
         self._of_block = self.fold[self._edges[:-1]]
         self._known = {}
@@ -218,24 +216,3 @@ def fold_of(view):
         own = np.flatnonzero(view.origin == origin)
         fold[own] = k * pieces + np.arange(own.size) * pieces // own.size
     return fold
-
-
-def held_out_rows(view):
-    """Residuals (nv, m) of the declared model on folds of time that were not fitted.
-
-    Scaled by the root of the weights; the coefficients of all rows (r,) beside them.
-    """
-    root = np.sqrt(view.precision)[:, None, None]
-    rows, right = view.Z * root, view.target * root[:, :, 0]
-    total = np.einsum("jma,jmb->ab", rows, rows, optimize=True)
-    total += (
-        _RIDGE * max(np.trace(total) / max(len(total), 1), 1.0) * np.eye(len(total))
-    )
-    g = np.einsum("jma,jm->a", rows, right, optimize=True)
-    residual = np.empty_like(view.target)
-    for fold in view.blocks.folds():
-        part, own = rows[:, fold], right[:, fold]
-        left = total - np.einsum("jma,jmb->ab", part, part, optimize=True)
-        theta = np.linalg.solve(left, g - np.einsum("jma,jm->a", part, own))
-        residual[:, fold] = view.target[:, fold] - view.Z[:, fold] @ theta
-    return residual, np.linalg.solve(total, g)

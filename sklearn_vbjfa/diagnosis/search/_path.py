@@ -13,7 +13,9 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Family,
     Fit,
     Problem,
+    declared_alone,
     spectrum_of,
+    together,
     weighed,
 )
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
@@ -294,22 +296,12 @@ class Path:
 
     def _member(self, fit, offer):
         """Return an offer as a member, its shape searched between the grid's."""
-        scale = self.settings.scale
-
-        def evidence(effect):
-            family = self._single(effect)
-            return float(fit.groups(family).evidence(scale)[0])
-
         effect = offer.effect
         if effect.continuous:
-            groups = fit.groups(offer.family)
-            effect = refined(
-                starts(offer.family.effects, groups.evidence(scale), effect),
-                evidence,
-                self.motion,
-            )
+            evidence = fit.groups(offer.family).evidence(self.settings.scale)
+            effect = self._refined(fit, starts(offer.family.effects, evidence, effect))
         family = self._single(effect)
-        best = fit.groups(family).best_scale(scale)[0]
+        best = fit.groups(family).best_scale(self.settings.scale)[0]
         return family.member(0, float(best))
 
     def _single(self, effect):
@@ -317,18 +309,22 @@ class Path:
         columns = self.view.columns([effect], self.motion)
         return Family.of(self.problem, (effect,), columns)
 
-    def refined(self, fit):
-        """Search the shapes of all members again, each beside the others."""
-        scale = self.settings.scale
+    def _refined(self, fit, effects):
+        """Search the shape of an effect beside a fit, from one or several."""
+
+        def evidence(one):
+            groups = fit.groups(self._single(one))
+            return float(groups.evidence(self.settings.scale)[0])
+
+        return refined(effects, evidence, self.motion)
+
+    def refined(self, fit, joint=None):
+        """Search the shapes of members again, of all joints or one."""
         for i, member in enumerate(fit.members):
-            if not member.effect.continuous:
+            elsewhere = joint is not None and member.effect.joint != joint
+            if elsewhere or not member.effect.continuous:
                 continue
-            base = fit.without(i)
-
-            def evidence(one, base=base):
-                return float(base.groups(self._single(one)).evidence(scale)[0])
-
-            found = refined([member.effect], evidence, self.motion)
+            found = self._refined(fit.without(i), [member.effect])
             members = list(fit.members)
             members[i] = self._single(found).member(0, member.scale)
             fit = Fit(fit.base, members)
@@ -340,8 +336,7 @@ class Path:
         member = fit.members[i]
         family = Family(
             effects=(member.effect,),
-            joints=member.joints,
-            columns=member.columns,
+            moments=member.moments,
             unit=member.unit[None],
         )
         coef = fit.coefficients(i) + member.done
@@ -424,7 +419,7 @@ class Path:
             self._held = HeldOut(self.view)
         return self._held.fitted(fit, self.motion)
 
-    def _climb(self, fit):
+    def _climb(self, fit, turn):
         """Add, drop, refine and exchange until nothing is more probable."""
         self._moved()
         been, tuned, self._gone = {keys_of(fit)}, None, set()
@@ -445,6 +440,8 @@ class Path:
                 new = self._pruned(self.refined(fit))
             else:
                 new = self._exchanged(fit, been)
+                if new is None and (turn or not fit.members):
+                    new = self._together(fit, been)
             if new is None:
                 return fit
             fit = new
@@ -467,7 +464,7 @@ class Path:
                 if o.effect.key() != offer.effect.key()
             ),
         )
-        new = self._scaled(Fit(fit.base, [*fit.members, member]))
+        new = self._scaled(fit.beside(member))
         if not self.held_out(new).worth(len(fit.members)).helps:
             # What predicts other motion no better is refused beside this model.
             return fit
@@ -500,7 +497,7 @@ class Path:
             if offer is not None
         ]
         for offer in offers:
-            alone = self._scaled(Fit(fit.base, [*rest, self._member(base, offer)]))
+            alone = self._scaled(base.beside(self._member(base, offer)))
             own, both, none = (
                 self.held_out(one).error_of(joint) for one in (alone, fit, base)
             )
@@ -594,6 +591,80 @@ class Path:
                 return new
         return None
 
+    def _together(self, fit, been):
+        """Begin with everything on a joint and drop what is not needed, or None.
+
+        What hides another, or shows beside it alone, does not come one by one.
+        """
+        for joint in self.candidates:
+            new = self._needed(fit, joint)
+            # One that comes alone, or in place of another, was asked before.
+            if keys_of(new) in been or len(keys_of(new) - keys_of(fit)) < 2:
+                continue
+            been.add(keys_of(new))
+            steps = len(self.steps)
+            new = self._pruned(self.refined(new, joint))
+            del self.steps[steps:]
+            if len(keys_of(new) - keys_of(fit)) < 2 or self._excluded(new):
+                continue
+            if self.max_effects is not None and len(new.members) > self.max_effects:
+                continue
+            before, left_out = keys_of(fit), self.held_out(new)
+            surest = min(
+                own
+                for own, m in zip(self.log_odds(new), new.members)
+                if m.effect.key() not in before
+            )
+            if surest < self.least + self.settings.rivals:
+                continue
+            if left_out.error() > self.held_out(fit).error():
+                continue
+            if all(left_out.worth(i).helps for i in range(len(new.members))):
+                self._note(fit, new)
+                self._moved()
+                return new
+        return None
+
+    def _needed(self, fit, joint):
+        """Return a fit with what is probable of a joint beside all the rest."""
+        taken, within = self._taken(fit), self._contained(fit, joint)
+        scale, offered = self.settings.scale, []
+        for family in self.candidates[joint]:
+            first = family.effects[0]
+            if first.in_model or first.whole_robot or first.name in within:
+                continue
+            groups = fit.groups(family)
+            free = groups.shown() & [e.key() not in taken for e in family.effects]
+            if free.any():
+                evidence = np.where(free, groups.evidence(scale), -np.inf)
+                offered.append(family.member(int(np.argmax(evidence)), scale))
+        others = [m for m in fit.members if m.joints != (joint,)]
+        offered += [m for m in fit.members if m.joints == (joint,)]
+        rest = Fit(fit.base, others)
+        odds = self.log_prior - np.log([self._shapes(m) for m in offered])
+        kept = together(rest, offered, odds - self.least, scale)
+        return self._scaled(Fit(fit.base, [*others, *kept]))
+
+    def _excluded(self, fit):
+        """Whether a member of a fit excludes another."""
+        return any(
+            m.effect.key() in self._taken(fit.without(i))
+            for i, m in enumerate(fit.members)
+        )
+
+    def _note(self, fit, new):
+        """Note what came and went between two fits."""
+        before, after = keys_of(fit), keys_of(new)
+        odds = self.log_odds(new)
+        for member in fit.members:
+            if member.effect.key() not in after:
+                gone = Step(action="drop", effect=member.effect, log_odds=np.nan)
+                self.steps.append(gone)
+        for member, own in zip(new.members, odds):
+            if member.effect.key() not in before:
+                came = Step(action="add", effect=member.effect, log_odds=float(own))
+                self.steps.append(came)
+
     # -- the whole ------------------------------------------------------------------
 
     def _spectrum(self, fit):
@@ -619,12 +690,9 @@ class Path:
 
     def begin(self):
         """Fit the declared columns alone, with the load that they give."""
-        view = self.view
-        self.problem = Problem(view)
-        flat = view.precision * self.problem.cosines.fill
-        weights = np.repeat(flat[:, None], self.problem.y.shape[1], axis=1)
-        fit = Fit(Base(self.problem, weights))
-        self.motion = view.motion(fit.theta)
+        fit = declared_alone(self.view)
+        self.problem = fit.problem
+        self.motion = self.view.motion(fit.theta)
         return fit
 
     def placed(self, effects):
@@ -645,13 +713,12 @@ class Path:
                 self._candidates()
             start = [self._again(m) for m in fit.members]
             base = self._spectrum(Fit(fit.base, start))
-            fit = self._climb(self._scaled(Fit(base, start)))
+            fit = self._climb(self._scaled(Fit(base, start)), turn)
             names = keys_of(fit)
             if names == seen or not fit.members:
                 break
             seen = names
             fit = self._anew(fit)
-        self.fit = fit
         return fit
 
     def _again(self, member):
@@ -673,7 +740,7 @@ class Path:
         self.view = before.corrected(tuple(effects))
         if self.view is not before:
             self.problem = Problem(self.view, self.problem.cosines)
-            base = Base(self.problem, base.weights)
+            base = Base(self.problem, base.density)
             plain = [m for m in members if not m.effect.in_model]
             theta = Fit(base, plain).theta
         self.motion = self.view.motion(

@@ -46,41 +46,12 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
         What was found.
     """
     path = Path(view, library, settings, max_effects, on_progress)
-    fit = path.run()
     needed = float(np.log((1.0 - alpha) / alpha))
-    odds = path.own_odds(fit)
-    # What the spectrum of the whole model makes improbable goes, what predicts other
-    # motion worse, and what has a sign or size that it cannot have.
-    while len(odds):
-        worst = int(np.argmin(odds))
-        if odds[worst] > path.least:
-            found = path.held_out(fit)
-            gains = [
-                own.gain
-                if member.effect.natural(fit.coefficients(i))
-                # In most blocks as well, or nobody would call it probable.
-                and ndtr(own.errors) >= settings.undecided
-                else -np.inf
-                for i, member in enumerate(fit.members)
-                for own in [found.worth(i)]
-            ]
-            worst = int(np.argmin(gains))
-            if gains[worst] > 0:
-                break
-        fit = path.dropped(fit, worst, float(odds[worst]))
-        odds = path.own_odds(fit)
-    found, usual = path.held_out(fit), path.log_odds(fit, usual=True)
+    fit, odds, worths = _settled(path, path.run())
+    usual = path.log_odds(fit, usual=True)
     findings = []
-    for i, (member, own) in enumerate(zip(fit.members, odds)):
-        worth = found.worth(i)
-        evidence = Evidence(
-            log_odds=float(own),
-            gain=worth.gain,
-            gain_std=worth.gain_std,
-            errors=worth.errors,
-            n_blocks=worth.n_blocks,
-            helped=worth.helped,
-        )
+    for i, (member, own, worth) in enumerate(zip(fit.members, odds, worths)):
+        evidence = Evidence(log_odds=float(own), **vars(worth))
         rivals = tuple(
             Rival(effect=o.effect, log_odds=o.order)
             for o in path.rivals(fit, i)
@@ -111,6 +82,33 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
         settings=settings,
         library=tuple(library),
     )
+
+
+def _settled(path, fit):
+    """Drop what speaks against the whole; the rest with its log odds and `Worth`.
+
+    What the spectrum of the whole model makes improbable goes, what predicts other
+    motion worse, and what has a sign or size that it cannot have.
+    """
+    while True:
+        odds, left_out = path.own_odds(fit), path.held_out(fit)
+        worths = [left_out.worth(i) for i in range(odds.size)]
+        if not worths:
+            return fit, odds, worths
+        worst = int(np.argmin(odds))
+        if odds[worst] > path.least:
+            gains = [
+                own.gain
+                if member.effect.natural(fit.coefficients(i))
+                # In most blocks as well, or nobody would call it probable.
+                and ndtr(own.errors) >= path.settings.undecided
+                else -np.inf
+                for i, (member, own) in enumerate(zip(fit.members, worths))
+            ]
+            worst = int(np.argmin(gains))
+            if gains[worst] > 0:
+                return fit, odds, worths
+        fit = path.dropped(fit, worst, float(odds[worst]))
 
 
 def _doubt(member, evidence, settings, needed, path):

@@ -3,13 +3,15 @@
 import copy
 import functools
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import fft, linalg
 
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._groups import Excess, Groups
+from sklearn_vbjfa.diagnosis.search._moments import Moments, products
 from sklearn_vbjfa.effects import Effect
 
 # One in so many cosines of the scores is slow; and the slowest of them.
@@ -26,10 +28,8 @@ class Member:
     ----------
     effect : Effect
         With its shape.
-    joints : tuple of int
-        Joints that its columns act on.
-    columns : ndarray of shape (nj, n, 1, k)
-        Their cosines, not weighted.
+    moments : Moments
+        Of its columns (nj, n, 1, k), not weighted.
     unit : ndarray of shape (k,)
         See `Groups`.
     scale : float
@@ -37,10 +37,19 @@ class Member:
     """
 
     effect: Effect
-    joints: tuple
-    columns: np.ndarray
+    moments: Moments
     unit: np.ndarray
     scale: float = 1.0
+
+    @property
+    def joints(self):
+        """Joints that its columns act on, tuple of int."""
+        return self.moments.joints
+
+    @property
+    def columns(self):
+        """Their cosines (nj, n, 1, k)."""
+        return self.moments.columns
 
     @property
     def width(self):
@@ -75,6 +84,8 @@ class Problem:
         Root mean square of the varying torque of each joint, in weighted rows.
     """
 
+    _root = None
+
     def __init__(self, view, cosines=None):
         self.view = view
         self.cosines = Cosines(view) if cosines is None else cosines
@@ -87,19 +98,45 @@ class Problem:
         self.torque = np.sqrt((rest**2).sum(axis=1) / view.target.shape[1])
         self.heard = view.precision > 0
 
+    @property
+    def root(self):
+        """The problem with the same columns and the torques of the view."""
+        return self if self._root is None else self._root
+
+    @functools.cached_property
+    def gram(self):
+        """Products of the declared columns by joint and band, (nv, n_bands, r, r)."""
+        edges = self.cosines.edges
+        return np.array([products(edges, Z, Z) for Z in self.Z])
+
+    @functools.cached_property
+    def right(self):
+        """Products of these with the torques, (nv, n_bands, r)."""
+        edges = self.cosines.edges
+        return np.array(
+            [products(edges, Z, y)[:, :, 0] for Z, y in zip(self.Z, self.y)]
+        )
+
+    @functools.cached_property
+    def power(self):
+        """Square sums of the torques, (nv, n_bands)."""
+        return np.add.reduceat(self.y**2, self.cosines.edges[:-1], axis=1)
+
+    def with_torques(self, y):
+        """Return the same problem with other torques."""
+        other = copy.copy(self)
+        other.y, other._root = y, self.root
+        # What is made of the columns alone stays.
+        for name in ("right", "power"):
+            other.__dict__.pop(name, None)
+        return other
+
     def family(self, effect, motion):
         """Members (joints, effects, columns (nj, n, c, k), unit (c, k)) of a family."""
         found = self.view.family(effect, motion)
         if not found.effects:
             return None
         return Family.of(self, found.effects, found.columns)
-
-    def member(self, effect, motion, scale=1.0):
-        """Return an effect as a `Member`."""
-        family = Family.of(
-            self, (effect,), self.view.columns_of(effect, motion)[:, :, None]
-        )
-        return family.member(0, scale)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,18 +147,25 @@ class Family:
     ----------
     effects : tuple of Effect
         One for each shape.
-    joints : tuple of int
-        Joints.
-    columns : ndarray of shape (nj, n, c, k)
-        Cosines of their columns, not weighted.
+    moments : Moments
+        Of their columns (nj, n, c, k), not weighted.
     unit : ndarray of shape (c, k)
         See `Groups`; zero for columns that are zero.
     """
 
     effects: tuple
-    joints: tuple
-    columns: np.ndarray
+    moments: Moments
     unit: np.ndarray
+
+    @property
+    def joints(self):
+        """Joints that the columns act on, tuple of int."""
+        return self.moments.joints
+
+    @property
+    def columns(self):
+        """Their cosines (nj, n, c, k)."""
+        return self.moments.columns
 
     @classmethod
     def of(cls, problem, effects, columns):
@@ -135,8 +179,7 @@ class Family:
         unit = np.where(largest > 0, 1.0 / np.where(largest > 0, largest, 1.0), 0.0)
         return cls(
             effects=tuple(effects),
-            joints=joints,
-            columns=problem.cosines(columns, joints),
+            moments=Moments(joints, problem.cosines(columns, joints)),
             unit=unit,
         )
 
@@ -152,8 +195,9 @@ class Family:
         return [
             Family(
                 effects=tuple(self.effects[c] for c in own),
-                joints=self.joints,
-                columns=np.ascontiguousarray(self.columns[:, :, own]),
+                moments=Moments(
+                    self.joints, np.ascontiguousarray(self.columns[:, :, own])
+                ),
                 unit=self.unit[own],
             )
             for own in uses.values()
@@ -162,10 +206,10 @@ class Family:
     def member(self, c, scale=1.0):
         """Return one of the shapes as a `Member`."""
         k = len(self.effects[c].coefficients)
+        own = np.ascontiguousarray(self.columns[:, :, c : c + 1, :k])
         return Member(
             effect=self.effects[c],
-            joints=self.joints,
-            columns=np.ascontiguousarray(self.columns[:, :, c : c + 1, :k]),
+            moments=Moments(self.joints, own),
             unit=self.unit[c, :k],
             scale=scale,
         )
@@ -178,8 +222,8 @@ class Base:
     ----------
     problem : Problem
         Equations.
-    weights : ndarray of shape (nv, n)
-        Weights of the cosines.
+    density : ndarray of shape (nv, n_bands)
+        Weights of the cosines of each band.
     log_prior : float
         Logarithm of the prior density of the spectrum that they are from.
 
@@ -191,20 +235,25 @@ class Base:
         L^-1 times their products with the torques.
     """
 
-    def __init__(self, problem, weights, log_prior=0.0):
-        self.problem, self.weights = problem, weights
+    def __init__(self, problem, density, log_prior=0.0):
+        self.problem, self.density = problem, density
         self.log_prior = log_prior
-        r = problem.Z.shape[2]
-        G, g = np.zeros((r, r)), np.zeros(r)
-        for Z, y, w in zip(problem.Z, problem.y, weights):
-            own = Z * w[:, None]
-            G += own.T @ Z
-            g += own.T @ y
+        G = np.tensordot(density, problem.gram, 2)
         # Of each column itself: weights make some of them a thousand times the others.
         G += np.diag(_RIDGE * np.maximum(np.diagonal(G), 1.0))
         self.L = linalg.cholesky(G, lower=True)
-        self.t = self.solved(g)
-        self._known = {}
+        self.t = self.solved(np.tensordot(density, problem.right, 2))
+        self._known = WeakKeyDictionary()
+
+    @functools.cached_property
+    def weights(self):
+        """Weights of the cosines, (nv, n)."""
+        return self.density[:, self.problem.cosines.band]
+
+    @functools.cached_property
+    def inverse(self):
+        """Inverse of the Gram matrix, (r, r)."""
+        return linalg.cho_solve((self.L, True), np.eye(self.L.shape[0]))
 
     def solved(self, right):
         """L^-1 times a right-hand side (r, ...)."""
@@ -215,39 +264,42 @@ class Base:
         done = member.done
         if not done.any():
             return self
-        problem, other = copy.copy(self.problem), copy.copy(self)
-        problem.y = problem.y.copy()
+        y, other = self.problem.y.copy(), copy.copy(self)
         for i, j in enumerate(member.joints):
-            problem.y[j] += member.columns[i, :, 0] @ done
-        other.problem, other._known = problem, {}
-        other.t = self.t + self.beside(member.joints, member.columns).T @ done
+            y[j] += member.columns[i, :, 0] @ done
+        other.problem = self.problem.with_torques(y)
+        other._known = WeakKeyDictionary()
+        other.t = self.t + self.beside(member.moments).T @ done
         return other
 
-    def beside(self, joints, columns):
-        """Moments of columns (nj, n, c, k) beside the declared ones, `Beside`."""
-        key = id(columns)
-        if key not in self._known:
-            # The columns are held, so that no other ones get their number.
-            self._known[key] = columns, self._beside(joints, columns)
-        return self._known[key][1]
+    def over(self, joints, products):
+        """Sum products by joint and band (nj, n_bands, ...) with their weights."""
+        return np.tensordot(self.density[list(joints)], products, 2)
 
-    def _beside(self, joints, columns):
-        _, n, c, k = columns.shape
-        cross, right = np.zeros((self.L.shape[0], c * k)), np.zeros(c * k)
-        gram = np.zeros((c, k, k))
-        for i, j in enumerate(joints):
-            own = columns[i].reshape(n, c * k) * self.weights[j][:, None]
-            cross += self.problem.Z[j].T @ own
-            right += self.problem.y[j] @ own
-            F = columns[i].transpose(1, 2, 0)
-            gram += own.reshape(n, c, k).transpose(1, 2, 0) @ F.transpose(0, 2, 1)
-        T = self.solved(cross)
-        return Beside(
-            T=T,
-            gram=gram,
-            H=gram - _blocks(T, c, k),
-            q=(right - self.t @ T).reshape(c, k),
+    def between(self, one, other):
+        """Weighted products of two `Moments`, (p, q)."""
+        found = one.between(other, self.problem.cosines.edges)
+        width = [m.columns.shape[2] * m.columns.shape[3] for m in (one, other)]
+        return sum(
+            (np.tensordot(self.density[j], own, 1) for j, own in found.items()),
+            np.zeros(width),
         )
+
+    def beside(self, moments):
+        """Moments of groups of columns beside the declared ones, `Beside`."""
+        if moments not in self._known:
+            own, problem = moments.joints, self.problem
+            _, _, c, k = moments.columns.shape
+            T = self.solved(self.over(own, moments.declared(problem)))
+            right = self.over(own, moments.right(problem))
+            gram = self.over(own, moments.gram(problem.cosines.edges))
+            self._known[moments] = Beside(
+                T=T,
+                gram=gram,
+                H=gram - _blocks(T, c, k),
+                q=(right - self.t @ T).reshape(c, k),
+            )
+        return self._known[moments]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -308,7 +360,7 @@ class Fit:
         )
         self.prior = np.zeros(p)
         for place, member in zip(self.places, self.members):
-            own = base.beside(member.joints, member.columns)
+            own = base.beside(member.moments)
             self._B[:, place] = own.T
             used = member.unit > 0
             deviation = np.where(used, member.scale * member.unit, 1.0)
@@ -316,7 +368,7 @@ class Fit:
             right[place] = own.q[0] - self.prior[place] * member.done
             S[place, place] = own.gram[0]
         for a, b in itertools.combinations(range(len(self.members)), 2):
-            product = self._product(self.members[a], self.members[b])
+            product = base.between(self.members[a].moments, self.members[b].moments)
             S[self.places[a], self.places[b]] = product
             S[self.places[b], self.places[a]] = product.T
         S += np.diag(self.prior) - self._B.T @ self._B
@@ -347,15 +399,6 @@ class Fit:
             return right
         return linalg.solve_triangular(self._factor, right, lower=True)
 
-    def _product(self, one, other):
-        """Weighted products of the columns of two members, (k, l)."""
-        found = np.zeros((one.width, other.width))
-        for i, j in enumerate(one.joints):
-            if j in other.joints:
-                own = one.columns[i, :, 0] * self.base.weights[j][:, None]
-                found += own.T @ other.columns[other.joints.index(j), :, 0]
-        return found
-
     @functools.cached_property
     def residual(self):
         """Residuals of the cosines, (nv, n)."""
@@ -380,35 +423,38 @@ class Fit:
 
     def powers(self):
         """Residual powers and freedom left by joint and band, two (nv, n_bands)."""
-        cosines = self.problem.cosines
-        bands = cosines.octave.size
-        power, taken = np.zeros((2, self.problem.view.nv, bands))
-        for j in np.flatnonzero(self.problem.heard):
-            root = np.sqrt(self.base.weights[j])
-            T = self.base.solved((self.problem.Z[j] * root[:, None]).T)
-            D = self._reduced((self.rows_of(j) * root[:, None]).T - self._B.T @ T)
-            size = (T**2).sum(axis=0) + (D**2).sum(axis=0)
-            taken[j] = np.bincount(cosines.band, size, bands)
-            power[j] = np.bincount(cosines.band, self.residual[j] ** 2, bands)
-        count = np.bincount(cosines.band, minlength=bands)
-        fill = cosines.fill[:, None]
-        return fill * power, np.maximum(fill * count - taken, 0.0)
+        problem, base = self.problem, self.base
+        cosines = problem.cosines
+        edges, fill = cosines.edges, cosines.fill[:, None]
+        power = np.add.reduceat(self.residual**2, edges[:-1], axis=1)
+        # What the fit takes: products by band with the covariance of all coefficients.
+        covariance, cross = self._covariance, np.zeros((base.L.shape[0], 0))
+        if self.members:
+            E = linalg.solve_triangular(base.L, self._B, lower=True, trans="T")
+            cross = E @ covariance
+            whole = base.inverse + cross @ E.T
+        else:
+            whole = base.inverse
+        taken = np.tensordot(problem.gram, whole, 2)
+        for place, member in zip(self.places, self.members):
+            own = member.moments.declared(problem)
+            taken[list(member.joints)] -= 2.0 * np.tensordot(own, cross[:, place], 2)
+        pairs = itertools.product(zip(self.places, self.members), repeat=2)
+        for (a, one), (b, other) in pairs:
+            for j, own in one.moments.between(other.moments, edges).items():
+                taken[j] += np.tensordot(own, covariance[a, b], 2)
+        taken *= base.density
+        return fill * power, np.maximum(fill * np.diff(edges) - taken, 0.0)
 
     def groups(self, family):
         """Second moments of a family's shapes beside this model, `Groups`."""
-        _, n, c, k = family.columns.shape
-        own = self.base.beside(family.joints, family.columns)
+        _, _, c, k = family.columns.shape
+        own = self.base.beside(family.moments)
         H, q = own.H, own.q
         if self.members:
             cross = -self._B.T @ own.T
             for place, member in zip(self.places, self.members):
-                for i, j in enumerate(member.joints):
-                    if j in family.joints:
-                        F = family.columns[family.joints.index(j)].reshape(n, c * k)
-                        weighted = (
-                            member.columns[i, :, 0] * self.base.weights[j][:, None]
-                        )
-                        cross[place] += weighted.T @ F
+                cross[place] += self.base.between(member.moments, family.moments)
             D = self._reduced(cross)
             H = H - _blocks(D, c, k)
             q = q - (self._t @ D).reshape(c, k)
@@ -506,7 +552,7 @@ class Fit:
             prior = np.diag(self.prior[place])
             H = inverse - prior
             q = inverse @ self._coef[place] + inverse @ member.done
-            gram = self.base.beside(member.joints, member.columns).gram
+            gram = self.base.beside(member.moments).gram
             found.append(
                 Groups(
                     H=H[None],
@@ -522,26 +568,23 @@ class Fit:
 
         Of members with their scales, and of the spectrum that the weights are from.
         """
-        problem, weights = self.problem, self.base.weights
-        heard = problem.heard
-        fill = problem.cosines.fill[heard, None]
-        density = 0.5 * (fill * np.log(weights[heard])).sum()
-        power = (weights[heard] * problem.y[heard] ** 2).sum()
+        problem, density = self.problem, self.base.density
+        heard, cosines = problem.heard, problem.cosines
+        count = cosines.fill[heard, None] * np.diff(cosines.edges)
+        volume_of_noise = 0.5 * (count * np.log(density[heard])).sum()
+        power = (density[heard] * problem.power[heard]).sum()
         power -= self.base.t @ self.base.t + self._t @ self._t
         power += self.prior @ self.done**2
         volume = np.log(np.diagonal(self.base.L)).sum()
         if self.members:
             volume += np.log(np.diagonal(self._factor)).sum()
             volume -= 0.5 * np.log(self.prior).sum()
-        return float(density - 0.5 * power - volume + self.base.log_prior)
+        rest = 0.5 * power + volume - self.base.log_prior
+        return float(volume_of_noise - rest)
 
     def coefficients(self, i):
         """Posterior mean of a member's coefficients, (k,)."""
         return self._coef[self.places[i]]
-
-    def deviations(self, i):
-        """Their posterior deviations, (k,)."""
-        return np.sqrt(np.diagonal(self._covariance)[self.places[i]])
 
     def beside(self, member):
         """Fit with one more member."""
@@ -553,6 +596,60 @@ class Fit:
         return Fit(base, (*self.members[:i], *self.members[i + 1 :]))
 
 
+def together(fit, members, prior, scale):
+    """Put members of one joint beside a fit and drop the least probable, one by one.
+
+    `prior` are their log odds before the data (n,), `scale` that of `Groups.evidence`.
+    """
+    if not members:
+        return []
+    joints = members[0].joints
+    whole = Moments(joints, np.concatenate([m.columns for m in members], axis=3))
+    place = np.repeat(np.arange(len(members)), [m.width for m in members])
+    unit = np.concatenate([m.unit for m in members])
+    effects = (members[0].effect,)
+    found = fit.groups(Family(effects=effects, moments=whole, unit=unit[None]))
+    widest = max(m.width for m in members)
+    scales = np.array([m.scale for m in members])
+    kept = np.arange(len(members))
+    while kept.size:
+        used = np.isin(place, kept) & (unit > 0)
+        rows = np.flatnonzero(used)
+        precision = 1.0 / (scales[place[rows]] * unit[rows]) ** 2
+        A = found.H[0][np.ix_(rows, rows)] + np.diag(precision)
+        covariance = np.linalg.inv(A)
+        mean = covariance @ found.q[0][rows]
+        H, q = np.zeros((kept.size, widest, widest)), np.zeros((kept.size, widest))
+        units, own = np.zeros((2, kept.size, widest))
+        for i, member in enumerate(kept):
+            at = np.flatnonzero(place[rows] == member)
+            k = at.size
+            inverse = np.linalg.inv(covariance[np.ix_(at, at)])
+            H[i, :k, :k] = inverse - np.diag(precision[at])
+            q[i, :k] = inverse @ mean[at]
+            units[i, :k], own[i, :k] = unit[rows[at]], found.own[0][rows[at]]
+        groups = Groups(H=H, q=q, own=own, unit=units)
+        odds = groups.evidence(scale) + prior[kept]
+        scales[kept] = groups.best_scale(scale)
+        worst = int(np.argmin(odds))
+        if odds[worst] > 0:
+            break
+        kept = np.delete(kept, worst)
+    return [replace(members[i], scale=float(scales[i])) for i in kept]
+
+
+def declared_alone(view):
+    """Fit the declared columns, joints weighted as in the fit of the robot."""
+    problem = Problem(view)
+    return Fit(_flat(problem, view.precision * problem.cosines.fill))
+
+
+def _flat(problem, weights):
+    """Make the base under one weight for each joint (nv,)."""
+    bands = problem.cosines.octave.size
+    return Base(problem, np.repeat(weights[:, None], bands, axis=1))
+
+
 def spectrum_of(fit, settings, rounds=3):
     """Return a fit under weights by the spectrum of its residual."""
     problem = fit.problem
@@ -560,8 +657,8 @@ def spectrum_of(fit, settings, rounds=3):
         power, freedom = fit.powers()
         cosines = problem.cosines
         spectrum = Spectrum.of(power, freedom, cosines.octave, settings.smoothness)
-        weights = spectrum.weights(cosines.band, cosines.fill)
-        fit = Fit(Base(problem, weights, spectrum.log_prior), fit.members)
+        density = spectrum.weights(cosines.fill)
+        fit = Fit(Base(problem, density, spectrum.log_prior), fit.members)
     return fit
 
 
@@ -571,5 +668,4 @@ def weighed(fit):
     power = (fit.residual**2).mean(axis=1)
     heard = problem.heard & (power > 0)
     own = np.where(heard, problem.cosines.fill / np.where(heard, power, 1.0), 0.0)
-    weights = np.repeat(own[:, None], problem.y.shape[1], axis=1)
-    return Fit(Base(problem, weights), fit.members)
+    return Fit(_flat(problem, own), fit.members)

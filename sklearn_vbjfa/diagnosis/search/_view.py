@@ -26,6 +26,8 @@ from sklearn_vbjfa.robot._identifier import (
 
 # Directions of the scaled Gram matrix below this are never used.
 _RANK = 1e-12
+# Full-rate numbers of the columns that are filtered together.
+_AT_ONCE = 1 << 18
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
 
@@ -117,7 +119,7 @@ class RecordingView:
         self.signals = recording.signals
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
         self._begins = begins
-        self._families, self._columns = {}, {}
+        self._families = {}
         self._given = recording, leave_out
         self._root, self._corrections, self._corrected = self, frozenset(), {}
         self._set_equations()
@@ -150,7 +152,7 @@ class RecordingView:
             other.robot, other._corrections = corrected(root.robot, wanted), key
             if (other.gains != root.gains).any():
                 # Columns are multiplied with what channels read.
-                other._families, other._columns = {}, {}
+                other._families = {}
             other._set_equations()
             other._set_coordinates()
             root._corrected[key] = other
@@ -285,7 +287,9 @@ class RecordingView:
 
     def filtered(self, columns):
         """Filter full-rate columns (n, ...) as the torques were."""
-        return np.concatenate([self._lowpass(columns[part]) for part in self.parts])
+        return np.concatenate(
+            [_lowpass.decimate(self._lowpass, columns[part]) for part in self.parts]
+        )
 
     def joints_of(self, effect):
         """Joints whose torque an effect changes."""
@@ -296,12 +300,21 @@ class RecordingView:
         joints = self.joints_of(effects[0])
         k = _width(effects)
         out = np.zeros((len(joints), self.index.size, len(effects), k))
-        for c, effect in enumerate(effects):
-            filtered = self.filtered(self._made(effect, motion))
+        n = motion.q.shape[0]
+        at_once = max(1, _AT_ONCE // (n * k * len(joints)))
+        for first in range(0, len(effects), at_once):
+            some = effects[first : first + at_once]
+            # Beside each other (n, nj, c, k), those with fewer columns with zeros.
+            made = np.zeros((n, len(joints), len(some), k))
+            for c, effect in enumerate(some):
+                own = self._made(effect, motion)
+                made[:, :, c, : own.shape[-1]] = own.reshape(n, len(joints), -1)
+            filtered = self.filtered(made.reshape(n, -1))
+            filtered = filtered.reshape(-1, *made.shape[1:])
             for i, j in enumerate(joints):
-                own = filtered[:, j] if effect.whole_robot else filtered
-                scale = self.gains[j] * self.root[:, j, None]
-                out[i, :, c, : own.shape[1]] = own * scale
+                scale = self.gains[j] * self.root[:, j]
+                own = out[i, :, first : first + at_once]
+                np.multiply(filtered[:, i], scale[:, None, None], out=own)
         return out
 
     def _made(self, effect, motion):
@@ -320,16 +333,6 @@ class RecordingView:
             raise ValueError(
                 f"{named} has columns that are not finite in {rows} of {n} samples."
             )
-        return columns
-
-    def columns_of(self, effect, motion):
-        """Columns of one effect, (nj, m, k); kept until the load is another."""
-        key = (effect.name, tuple(effect.get_params().items()))
-        made_from, columns = self._columns.get(key, (None, None))
-        stale = "load" in effect.needs and made_from is not motion
-        if columns is None or stale:
-            columns = self.columns([effect], motion)[:, :, 0]
-            self._columns[key] = motion, columns
         return columns
 
     def in_equations(self, effect, motion):

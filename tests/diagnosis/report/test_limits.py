@@ -6,6 +6,13 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.diagnosis.explain._contradictions import (
+    Cause,
+    Contradiction,
+    Contradictions,
+)
+from sklearn_vbjfa.diagnosis.explain._motion import MotionLimit
+from sklearn_vbjfa.diagnosis.explain._price import ProjectionPrice, Pushed
 from sklearn_vbjfa.diagnosis.report._limits import (
     band_sentences,
     contradiction_sentences,
@@ -14,13 +21,6 @@ from sklearn_vbjfa.diagnosis.report._limits import (
     projection_sentences,
 )
 from sklearn_vbjfa.diagnosis.report._verdict import judge
-from sklearn_vbjfa.diagnosis.search._contradictions import (
-    Cause,
-    Contradiction,
-    Contradictions,
-)
-from sklearn_vbjfa.diagnosis.search._motion import MotionLimit
-from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice, Pushed
 from sklearn_vbjfa.robot._known import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome
 

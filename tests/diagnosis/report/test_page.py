@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.diagnosis.report import _charts, _evidence, _render
-from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._mathml import mathml
-from sklearn_vbjfa.diagnosis.report._sections import _scale
-from sklearn_vbjfa.diagnosis.search import _drawn
-from sklearn_vbjfa.diagnosis.search._drawn import (
+from sklearn_vbjfa.diagnosis.explain import _drawn
+from sklearn_vbjfa.diagnosis.explain._drawn import (
     TimeLine,
     TorqueCurves,
     curves_over,
 )
-from sklearn_vbjfa.diagnosis.search._findings import Provenance
-from sklearn_vbjfa.diagnosis.search._identified import ParameterValue, RecordedMotion
+from sklearn_vbjfa.diagnosis.explain._findings import Provenance
+from sklearn_vbjfa.diagnosis.explain._identified import ParameterValue, RecordedMotion
+from sklearn_vbjfa.diagnosis.report import _charts, _evidence, _render
+from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._mathml import mathml
+from sklearn_vbjfa.diagnosis.report._sections import _scale
 from sklearn_vbjfa.effects import Ripple, resolve
 from tests.diagnosis.report._outcomes import make_outcome
 from tests.diagnosis.report.test_report import parsed

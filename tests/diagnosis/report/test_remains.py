@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.diagnosis.explain._ceiling import Map
+from sklearn_vbjfa.diagnosis.explain._findings import Ceiling
 from sklearn_vbjfa.diagnosis.report._pictures import HEIGHT, WIDTH, map_picture
-from sklearn_vbjfa.diagnosis.search._ceiling import Map
-from sklearn_vbjfa.diagnosis.search._findings import Ceiling
 from tests.diagnosis.report._outcomes import make_outcome
 
 NAN = float("nan")

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
+from sklearn_vbjfa.diagnosis.explain._findings import Hidden
 from sklearn_vbjfa.diagnosis.report import _render
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis.report._sections import sections
 from sklearn_vbjfa.diagnosis.report._verdict import judge
-from sklearn_vbjfa.diagnosis.search._findings import Hidden
 from sklearn_vbjfa.diagnosis.search._posterior import SMALL
 from sklearn_vbjfa.effects import Coulomb, Effect, available
 from sklearn_vbjfa.effects._ranges import OutsideRange

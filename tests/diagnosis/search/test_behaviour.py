@@ -6,7 +6,7 @@ from scipy.signal import lfilter
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.search import _split
+from sklearn_vbjfa.diagnosis.explain import _split
 from tests.diagnosis._recordings import named, record
 
 ONE = record("Y", seed=0, duration=24.0)

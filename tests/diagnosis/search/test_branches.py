@@ -12,8 +12,8 @@ import pinocchio as pin
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.diagnosis.explain._price import _concerned
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
-from sklearn_vbjfa.diagnosis.search._price import _concerned
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Coupling, Effect, resolve
 

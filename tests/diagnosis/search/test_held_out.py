@@ -10,7 +10,6 @@ from sklearn_vbjfa.diagnosis.search._held_out import (
     HeldOut,
     Worth,
     fold_of,
-    held_out_rows,
 )
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.effects import Coulomb, Spring
@@ -42,7 +41,7 @@ def literal(fit, left_out, members, block_fold=None):
         own = fit.members[i]
         X = np.zeros((view.nv, view.index.size, own.width))
         (joint,) = own.joints
-        X[joint] = view.columns_of(own.effect, left_out.held.motion)[0]
+        X[joint] = view.columns([own.effect], left_out.held.motion)[0, :, 0]
         columns.append(X)
         precision.append(1.0 / (own.scale * own.unit) ** 2)
     A = np.concatenate(columns, axis=2)
@@ -148,18 +147,3 @@ def test_worth_by_hand():
     nothing = Worth.of(before, before)
     assert (nothing.gain, nothing.errors, nothing.n_blocks) == (0.0, 0.0, 0)
     assert Worth.of(np.zeros(4), np.zeros(4)).gain == 0.0
-
-
-def test_rows_of_the_declared_model_are_left_out_by_folds_of_blocks():
-    view = search(TORQUE, []).view
-    residual, theta = held_out_rows(view)
-    root = np.sqrt(view.precision)[:, None]
-    A = (view.Z * root[:, :, None]).reshape(-1, view.Z.shape[2])
-    exact = np.linalg.lstsq(A, (view.target * root).ravel(), rcond=None)[0]
-    assert_allclose(theta, exact, rtol=1e-5, atol=1e-8)
-    for fold in view.blocks.folds():
-        rest = np.setdiff1d(np.arange(view.index.size), fold)
-        A = (view.Z[:, rest] * root[:, :, None]).reshape(-1, view.Z.shape[2])
-        exact = np.linalg.lstsq(A, (view.target[:, rest] * root).ravel(), rcond=None)[0]
-        wrong = view.target[:, fold] - view.Z[:, fold] @ exact
-        assert_allclose(residual[:, fold], wrong, rtol=1e-4, atol=1e-6)

@@ -264,9 +264,6 @@ def torque_of(signal):
     return CLEAN.torque(joint_1=lambda r: signal[: r.t.size])
 
 
-@pytest.mark.xfail(
-    strict=True, reason="effects come one by one, what shows only in pairs does not"
-)
 def test_two_effects_that_are_worth_nothing_alone():
     """The difference of two that hide each other."""
     now = search(torque_of(0.12 * SIGNAL), COVERED).run()
@@ -277,9 +274,6 @@ def test_no_pair_in_what_has_no_effect():
     assert search(torque_of(0.12 * OTHER), COVERED).run().effects == ()
 
 
-@pytest.mark.xfail(
-    strict=True, reason="effects come one by one, what shows only in pairs does not"
-)
 def test_two_in_place_of_one_that_was_taken_for_them():
     """What comes first is a mixture in a wrong proportion."""
     library = [

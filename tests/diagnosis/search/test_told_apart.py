@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.search._gaps import _inseparable
+from sklearn_vbjfa.diagnosis.explain._gaps import _inseparable
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from tests.diagnosis._faulty import with_faults
 from tests.diagnosis._recordings import record

@@ -5,8 +5,8 @@ import pytest
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
-from sklearn_vbjfa.diagnosis.search._contradictions import contradictions
-from sklearn_vbjfa.diagnosis.search._intervals import FinalFit
+from sklearn_vbjfa.diagnosis.explain._contradictions import contradictions
+from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import LoadFriction
 from sklearn_vbjfa.recording._recording import take_arrays

@@ -5,13 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
-from sklearn_vbjfa.diagnosis.search._dependence import dependences, motion_signals
-from sklearn_vbjfa.diagnosis.search._findings import (
+from sklearn_vbjfa.diagnosis.explain._dependence import dependences, motion_signals
+from sklearn_vbjfa.diagnosis.explain._findings import (
     Hidden,
     Unexplained,
     named_beside,
 )
+from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
 from sklearn_vbjfa.diagnosis.search._found import Found
 from sklearn_vbjfa.effects._library import closure
 from sklearn_vbjfa.robot._equations import make_motion
@@ -38,7 +38,7 @@ def unexplained(model, names, spread, floors, errors):
     and the errors on the untouched part over the spread, nan where there is none.
     """
     view = model.view
-    residual = model.residuals() / np.where(view.root.T > 0, view.root.T, np.inf)
+    residual = model.residual / np.where(view.root.T > 0, view.root.T, np.inf)
     signals = motion_signals(model.motion, names)
     seen = {key: view.filtered(value[:, None])[:, 0] for key, value in signals.items()}
     found = []

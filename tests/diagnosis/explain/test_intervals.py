@@ -10,13 +10,13 @@ from scipy import signal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.diagnosis.search._intervals import (
+from sklearn_vbjfa.diagnosis.explain._intervals import (
     NEXT_SECONDS,
     EffectEstimate,
     FinalFit,
     error_intervals,
 )
-from sklearn_vbjfa.diagnosis.search._outcome import _named
+from sklearn_vbjfa.diagnosis.explain._outcome import _named
 from sklearn_vbjfa.effects import AsymmetricFriction
 from sklearn_vbjfa.robot import TorqueResiduals
 from tests.diagnosis._recordings import named, record

@@ -7,8 +7,8 @@ import pytest
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis.search import _drawn
-from sklearn_vbjfa.diagnosis.search._intervals import FinalFit, added_effects
+from sklearn_vbjfa.diagnosis.explain import _drawn
+from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit, added_effects
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Coulomb, Drift, Effect, Signal, Spring, resolve
 from sklearn_vbjfa.recording._recording import take_arrays

@@ -9,8 +9,8 @@ from scipy import signal
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.search._ceiling import Signals, ceilings, since_reversal
-from sklearn_vbjfa.diagnosis.search._flexible import Stretches
+from sklearn_vbjfa.diagnosis.explain._ceiling import Signals, ceilings, since_reversal
+from sklearn_vbjfa.diagnosis.explain._flexible import Stretches
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.recording._recording import take_arrays
 from tests._quick import checkered
@@ -27,13 +27,14 @@ class Left:
 
     view: object
     motion: object
-    residual: np.ndarray
+    torque: np.ndarray
 
-    def residuals(self):
-        return self.residual * self.view.root.T
+    @property
+    def residual(self):
+        return self.torque * self.view.root.T
 
     def memory_seconds(self):
-        return [m.time for m in self.view.whitening(self.residuals()).memory]
+        return [m.time for m in self.view.whitening(self.residual).memory]
 
 
 def viewed(seeds, duration, weight=1.0):

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.search._evidence import compare
+from sklearn_vbjfa.diagnosis.explain._evidence import compare
 
 # Bins of a signal, and those of time: coarse enough to be filled, fine enough to bend.
 _BINS = 12

@@ -9,10 +9,10 @@ import sklearn
 from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis.search._ceiling import ceilings
-from sklearn_vbjfa.diagnosis.search._contradictions import contradictions
-from sklearn_vbjfa.diagnosis.search._drawn import effect_curves, time_line
-from sklearn_vbjfa.diagnosis.search._findings import (
+from sklearn_vbjfa.diagnosis.explain._ceiling import ceilings
+from sklearn_vbjfa.diagnosis.explain._contradictions import contradictions
+from sklearn_vbjfa.diagnosis.explain._drawn import effect_curves, time_line
+from sklearn_vbjfa.diagnosis.explain._findings import (
     Afterwards,
     DiscoveredEffect,
     Outcome,
@@ -20,13 +20,13 @@ from sklearn_vbjfa.diagnosis.search._findings import (
     Trial,
     named_beside,
 )
-from sklearn_vbjfa.diagnosis.search._gaps import hidden, too_short, unexplained
-from sklearn_vbjfa.diagnosis.search._identified import (
+from sklearn_vbjfa.diagnosis.explain._gaps import hidden, too_short, unexplained
+from sklearn_vbjfa.diagnosis.explain._identified import (
     parameter_values,
     recorded_motion,
 )
-from sklearn_vbjfa.diagnosis.search._intervals import NEXT_SECONDS, quantile
-from sklearn_vbjfa.diagnosis.search._motion import motion_limits
+from sklearn_vbjfa.diagnosis.explain._intervals import NEXT_SECONDS, quantile
+from sklearn_vbjfa.diagnosis.explain._motion import motion_limits
 from sklearn_vbjfa.diagnosis.search._posterior import UNKNOWN, UNSURE
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms

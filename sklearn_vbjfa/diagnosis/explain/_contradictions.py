@@ -12,7 +12,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
-from sklearn_vbjfa.diagnosis.search._evidence import p_value
+from sklearn_vbjfa.diagnosis.explain._evidence import p_value
 from sklearn_vbjfa.effects import Coulomb, Offset, Payload, Viscous
 
 # Parts into which a recording is divided, each predicted without it, and the fewest.

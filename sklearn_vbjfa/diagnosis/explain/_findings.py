@@ -4,12 +4,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.search._band import Band
-from sklearn_vbjfa.diagnosis.search._contradictions import Contradictions
-from sklearn_vbjfa.diagnosis.search._dependence import Dependence
+from sklearn_vbjfa.diagnosis.explain._band import Band
+from sklearn_vbjfa.diagnosis.explain._contradictions import Contradictions
+from sklearn_vbjfa.diagnosis.explain._dependence import Dependence
+from sklearn_vbjfa.diagnosis.explain._identified import ParameterValue, RecordedMotion
+from sklearn_vbjfa.diagnosis.explain._price import ProjectionPrice
 from sklearn_vbjfa.diagnosis.search._found import Evidence
-from sklearn_vbjfa.diagnosis.search._identified import ParameterValue, RecordedMotion
-from sklearn_vbjfa.diagnosis.search._price import ProjectionPrice
 from sklearn_vbjfa.effects import EffectRange
 from sklearn_vbjfa.robot._corrections import Corrections
 from sklearn_vbjfa.robot._gains import ChannelGains

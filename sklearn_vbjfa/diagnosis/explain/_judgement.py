@@ -4,18 +4,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.search._band import Band, measure_band
-from sklearn_vbjfa.diagnosis.search._intervals import (
+from sklearn_vbjfa.diagnosis.explain._band import Band, measure_band
+from sklearn_vbjfa.diagnosis.explain._intervals import (
     FinalFit,
     added_effects,
     error_intervals,
 )
-from sklearn_vbjfa.diagnosis.search._price import (
+from sklearn_vbjfa.diagnosis.explain._price import (
     ProjectionPrice,
     price_of,
     without_constraints,
 )
-from sklearn_vbjfa.diagnosis.search._split import FEWEST_VALUES
+from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.recording._signals import OfferedSignals
 from sklearn_vbjfa.robot._identifier import RobotIdentifier, outside_of
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread

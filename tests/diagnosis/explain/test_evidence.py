@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from sklearn_vbjfa.diagnosis.search._evidence import (
+from sklearn_vbjfa.diagnosis.explain._evidence import (
     SMALLEST_GAIN,
     Comparison,
     compare,

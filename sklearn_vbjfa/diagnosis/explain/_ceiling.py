@@ -12,9 +12,9 @@ import numpy as np
 from sklearn.utils import check_random_state
 from threadpoolctl import threadpool_limits
 
-from sklearn_vbjfa.diagnosis.search._evidence import SMALLEST_GAIN, compare
-from sklearn_vbjfa.diagnosis.search._findings import Ceiling
-from sklearn_vbjfa.diagnosis.search._flexible import (
+from sklearn_vbjfa.diagnosis.explain._evidence import SMALLEST_GAIN, compare
+from sklearn_vbjfa.diagnosis.explain._findings import Ceiling
+from sklearn_vbjfa.diagnosis.explain._flexible import (
     FEWEST_VALUES,
     FlexibleFunction,
     Stretches,
@@ -78,7 +78,7 @@ def ceilings(model, joints, names, alpha, random_state=None):
     rng = check_random_state(0 if random_state is None else random_state)
     seed = int(rng.randint(2**31 - 1))
     root = view.root.T
-    residual = model.residuals() / np.where(root > 0, root, np.inf)
+    residual = model.residual / np.where(root > 0, root, np.inf)
     seconds, signals = model.memory_seconds(), Signals.of(model)
     for j in joints:
         if _values(view, j) < FEWEST_VALUES:

@@ -1,0 +1,1 @@
+"""What a search leaves to be said: intervals, errors, limits, remains, pictures."""

@@ -189,11 +189,11 @@ class Effect(TransformerMixin, BaseEstimator):
         sign is something else.
     depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint that its columns go on changing with however large they
-        become: predictions hold them within the range of the fit, outside of which its
-        torque stays as at the edge, unless it is `bounded`; see `EffectRange`. What
-        saturates or fades with them (a sign, a Stribeck curve) has its value outside
-        the range as well and is left out; a sign depends on the direction, for a joint
-        that never reversed.
+        become: predictions follow them up to the margin of the range of the fit, beyond
+        which its torque stays as it is there, unless it is `bounded`; see
+        `EffectRange`. What saturates or fades with them (a sign, a Stribeck curve) has
+        its value outside the range as well and is left out; a sign depends on the
+        direction, for a joint that never reversed.
     bounded : bool
         Whether the law has a largest torque, however far out what it `depends` on, so
         that predictions follow it outside the range of the fit as well.

@@ -40,15 +40,16 @@ class EffectRange:
         Directions of motion, -1 is backward and 1 forward: (-1, 1) is both, (0, 1) or
         (1, 1) forward only.
     depends : tuple of {"position", "speed", "load", "direction"}
-        Those of them that the effect's columns go on changing with. Of a prediction
-        outside the range its torque is that at the edge, see `within`, unless the
-        effect is `bounded`: that one goes on by its law. A direction that was not
-        fitted is predicted all the same.
+        Those of them that the effect's columns go on changing with. A prediction
+        follows them up to the `margin`, beyond which the torque stays as at its end,
+        see `within`, unless the effect is `bounded`: that one goes on by its law. A
+        direction that was not fitted is predicted all the same.
     curved : bool
         Whether they do so in another way than along a straight line.
 
     Examples
     --------
+    >>> import numpy as np
     >>> from sklearn_vbjfa.effects import EffectRange
     >>> spring = EffectRange(
     ...     name="spring", joint=0, position=(-1.0, 1.0), speed=(0.1, 2.0),
@@ -56,8 +57,8 @@ class EffectRange:
     ... )
     >>> spring.excess("position", [-1.5, 0.0, 1.1]).round(6)
     array([0.5, 0. , 0.1])
-    >>> spring.ends("position"), spring.ends("load")
-    ((-1.0, 1.0), (-inf, inf))
+    >>> np.round(spring.ends("position"), 6), spring.ends("load")
+    (array([-1.4,  1.4]), (-inf, inf))
     """
 
     name: str
@@ -80,20 +81,21 @@ class EffectRange:
         Returns
         -------
         tuple of (float, float)
-            Range of the fit, of velocities and loads up to the largest both ways;
-            infinite where the range is not known or the effect does not depend on the
-            signal.
+            Range of the fit, of velocities and loads up to the largest both ways, and
+            the `margin` on both sides, so that what is held counts as outside; infinite
+            where the range is not known or the effect does not depend on the signal.
         """
         low, high = getattr(self, quantity)
         if quantity not in self.depends or np.isnan(high - low):
             return -np.inf, np.inf
+        margin = self.margin(quantity)
         if quantity == "position":
-            return low, high
-        largest = max(abs(low), abs(high))
+            return low - margin, high + margin
+        largest = max(abs(low), abs(high)) + margin
         return -largest, largest
 
     def within(self, motion):
-        """Hold the signals that the effect depends on within its range.
+        """Hold the signals that the effect depends on between its `ends`.
 
         Parameters
         ----------
@@ -104,8 +106,8 @@ class EffectRange:
         -------
         Motion
             The same, with position, velocity or load of the effect's joint at the
-            nearest `ends` where they lie outside: the effect's columns from it stay as
-            they are at the edge.
+            nearest end where they lie beyond: the effect's columns from it stay as they
+            are there.
         """
         held = {}
         for quantity, name in HELD.items():
@@ -138,7 +140,7 @@ class EffectRange:
         return np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
 
     def margin(self, quantity):
-        """How far outside a prediction still counts as inside.
+        """How far outside a prediction still counts as inside, and follows the law.
 
         Parameters
         ----------
@@ -177,7 +179,8 @@ class OutsideRange:
     names : tuple of str
         Effects that were not fitted there.
     held : tuple of str
-        Those of them whose torque is held at the edge; the others go on by their law.
+        Those of them whose torque is held beyond the margin; the others go on by their
+        law.
     joint : int
         Joint, from zero.
     quantity : {"position", "speed", "load", "direction"}
@@ -239,7 +242,7 @@ def _outside(one, holds, quantity, values):
         return None
     order = np.argsort(excess, kind="stable")
     last = order[far.size - 1 - int(OUTLIERS * far.size)]
-    # Slower motion and the other direction are outside, but not beyond an edge.
+    # Slower motion and the other direction are outside, but not beyond an end.
     low, high = one.ends(quantity)
     beyond = (values[far] < low) | (values[far] > high)
     return OutsideRange(

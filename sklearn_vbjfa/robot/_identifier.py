@@ -1003,7 +1003,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             for all of them: a joint's position, speed or load that one of its effects
             `depends` on lies outside by more than a fifth of the range's width (a tenth
             where the effect is curved) in more than 0.5 % of the rows. It says which
-            torques are held at the edge there, see Notes. The same warning
+            torques are held beyond that margin, see Notes. The same warning
             tells of effects of time outside the time of the fit, by more than a tenth
             of its duration, what they add there and its standard deviation
             (`effects_of_time`), and of recorded signals that leave their range in the
@@ -1030,11 +1030,12 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         acceleration is large, w therefore small, and the sign is kept. The rule uses
         one row at a time: states may come one by one.
 
-        Outside of what it was fitted on an effect of `effects_` has the torque at the
-        edge: its columns are made from its joint's position, speed or load (those that
-        it `depends` on) at the nearest value in `effect_ranges_`. Rigid bodies,
-        declared friction and effects whose law is `bounded` (ripple, counterbalance) go
-        on with the motion. The equations of a fit hold nothing.
+        Beyond the margin from which on the motion counts as outside, the torque of an
+        effect of `effects_` stays as it is there: its columns are made from its joint's
+        position, speed or load (those that it `depends` on) at the nearest of
+        `EffectRange.ends`. Rigid bodies, declared friction and effects whose law is
+        `bounded` (ripple, counterbalance) go on with the motion. The equations of a fit
+        hold nothing.
 
         Effects of time use what is known: after the last time of the fit a drift fades
         on, towards what remains when warm, and a payload stays; before the first time
@@ -1216,8 +1217,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         changed, as plainly as that four degrees are to be subtracted. It also names
         bodies whose masses the recording does not determine, and lists what the file
         does not have. Torques of the written robot are the true ones, at true
-        positions; damping that an effect found has no end at the fastest speed of the
-        fit, where `predict` holds it. Of an MJCF file the joints and bodies are written
+        positions; damping that an effect found has no end, though `predict` holds it
+        outside the speeds of the fit. Of an MJCF file the joints and bodies are written
         as a URDF.
 
         Parameters
@@ -1312,8 +1313,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         gravity, an encoder's zero in ``ref``. Couplings that two joints have of each
         other are fixed tendons with the same attributes. Each joint has a motor of its
         name, whose control is what the torque channel reads; constant torques are its
-        bias. Torques of springs and dampers have no end at the range of the fit, where
-        `predict` holds those of `effects_`.
+        bias. Torques of springs and dampers have no end, though `predict` holds those
+        of `effects_` outside the range of the fit.
 
         Parameters
         ----------

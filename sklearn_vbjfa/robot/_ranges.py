@@ -143,14 +143,14 @@ def outside_text(found, names, prismatic):
 
 
 def held_text(found, label=str):
-    """Say which effects are held at the edge and which go on; empty for directions.
+    """Say which effects are held and which go on; empty for directions.
 
     label : name of an effect -> what to call it.
     """
     found = [one for one in found if one.quantity != "direction"]
     held = [name for one in found for name in one.held]
     others = [name for one in found for name in one.names if name not in one.held]
-    told = {"Held at the edge of the range": held, "Going on by the law": others}
+    told = {"Held beyond the margin": held, "Going on by the law": others}
     return ". ".join(
         f"{what}: {', '.join(label(name) for name in dict.fromkeys(names))}"
         for what, names in told.items()

@@ -49,24 +49,48 @@ def test_excess_is_the_distance_from_the_range(quantity, value, expected):
     assert_allclose(SPRING.excess(quantity, [value]), [expected], atol=1e-12)
 
 
+@pytest.mark.parametrize("curved", [False, True])
 @pytest.mark.parametrize(
-    ("depends", "name", "expected"),
+    ("depends", "name", "low", "high", "width"),
     [
-        (("position",), "q", [-1.0, 0.5, 3.0]),
-        (("speed",), "v", [-2.0, 0.5, 2.0]),
-        (("load", "direction"), "load", [-6.0, 0.5, 6.0]),
+        (("position",), "q", -1.0, 3.0, 4.0),
+        (("speed",), "v", -2.0, 2.0, 2 * 1.5),
+        (("load", "direction"), "load", -6.0, 6.0, 10.0),
     ],
 )
-def test_a_motion_is_held_within_the_range(depends, name, expected):
-    x = np.array([[-9.0, -9.0], [0.5, 0.5], [9.0, 9.0]])
+def test_a_motion_is_held_within_range_and_margin(
+    depends, name, low, high, width, curved
+):
+    margin = (0.1 if curved else 0.2) * width
+    inside = [low - 0.99 * margin, 0.5, high + 0.99 * margin]
+    x = np.repeat([[-19.0], *([value] for value in inside), [19.0]], 2, axis=1)
+    given = x.copy()
     motion = effects.Motion(q=x, v=x, a=x, load=x, torque=x)
-    held = dataclasses.replace(SPRING, depends=depends).within(motion)
+    own = dataclasses.replace(SPRING, depends=depends, curved=curved)
+    held = own.within(motion)
     for other in ("q", "v", "a", "load", "torque"):
         values = getattr(held, other)
         assert_array_equal(values[:, 0], x[:, 0])
-        assert_array_equal(values[:, 1], expected if other == name else x[:, 1])
-    assert_array_equal(x[:, 1], [-9.0, 0.5, 9.0])
+        if other != name:
+            assert_array_equal(values[:, 1], x[:, 1])
+            continue
+        assert_array_equal(values[1:-1, 1], inside)
+        assert_allclose(values[[0, -1], 1], [low - margin, high + margin], rtol=1e-8)
+    assert_array_equal(x, given)
     assert held.speed(1) == np.quantile(np.abs(held.v[:, 1]), 0.995)
+
+
+@pytest.mark.parametrize("curved", [False, True])
+@pytest.mark.parametrize("quantity", ["position", "speed", "load"])
+def test_what_is_held_counts_as_outside(quantity, curved):
+    own = dataclasses.replace(SPRING, depends=(quantity,), curved=curved)
+    low, high = own.ends(quantity)
+    for factor, counts in ((1 - 1e-9, False), (1 + 1e-9, True)):
+        found = judged([own], np.full(3, factor * high), quantity)
+        assert [one.held for one in found] == counts * [("spring",)]
+    if quantity != "speed":
+        (found,) = judged([own], np.full(3, (1 + 1e-9) * low), quantity)
+        assert found.held == ("spring",)
 
 
 @pytest.mark.parametrize(
@@ -177,7 +201,8 @@ def test_a_load_the_other_way_is_held_beyond_the_largest():
     friction = dataclasses.replace(
         SPRING, name="load_friction", depends=("load",), load=(0.0, 10.0)
     )
-    for load, held in ((-9.0, ()), (-11.0, ("load_friction",))):
+    # The margin is 2, on either side.
+    for load, held in ((-3.0, ()), (-11.9, ()), (-12.1, ("load_friction",))):
         (found,) = judged([friction], np.full(3, load), "load")
         assert (found.reached, found.held) == (load, held)
 
@@ -320,9 +345,12 @@ def test_what_depends_on_the_motion_is_bounded_or_held(name):
             load=ends,
             speed=(0.0, np.pi),
             depends=effect.depends,
+            curved=effect.curved,
         )
         held = own.columns(known.within(motion_over(100.3 * TURN)))
-        assert_allclose(abs(held).max(axis=0), abs(turn).max(axis=0), rtol=1e-12)
+        # A fifth or a tenth of two widths from zero on either side.
+        most = own.columns(motion_over((1.2 if effect.curved else 1.4) * TURN))
+        assert_allclose(abs(held).max(axis=0), abs(most).max(axis=0), rtol=1e-8)
 
 
 def test_an_effect_of_ones_own_says_nothing_by_default():

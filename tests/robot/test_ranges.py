@@ -195,7 +195,7 @@ def test_one_warning_names_joint_and_range(fitted):
 
 def test_what_is_held_is_said(fitted):
     (message,) = said(fitted, 2.0 * STATES)
-    edge, law = "Held at the edge of the range", "Going on by the law"
+    edge, law = "Held beyond the margin", "Going on by the law"
     assert f"). {edge}: spring. {law}: viscous." in message
     # Only of what is outside.
     slow = STATES * np.repeat([2.0, 1.0, 1.0], 3)
@@ -211,8 +211,10 @@ def test_what_is_held_is_said(fitted):
 
 
 def springy(states):
-    """Torque of `TORQUE` for other states, the spring held at the range of `Q`."""
-    held = np.clip(states[:, 1], *ends(Q[:, 1]))
+    """Torque of `TORQUE` for other states, the spring held beyond the range of `Q`."""
+    low, high = ends(Q[:, 1])
+    margin = 0.2 * (high - low) + 1e-9 * max(abs(low), abs(high))
+    held = np.clip(states[:, 1], low - margin, high + margin)
     own = inverse_dynamics(MODEL, states) + np.array([0.8, 0.5, 0.3]) * states[:, 3:6]
     own[:, 1] += 3.0 * held
     return own
@@ -250,6 +252,21 @@ def test_a_ripple_is_followed_beyond_its_range(tmp_path):
     assert_allclose(one, law(far)[::50], atol=1e-7)
 
 
+def test_a_spring_within_the_margin_follows_its_law_and_nobody_is_warned():
+    exact = robot(SPRING, **EXACT).fit(STATES, TORQUE)
+    low, high = ends(Q[:, 1])
+    rows = STATES[[np.argmin(Q[:, 1]), np.argmax(Q[:, 1])]]
+    rows[:, 1] = low - 0.19 * (high - low), high + 0.19 * (high - low)
+    law = inverse_dynamics(MODEL, rows) + np.array([0.8, 0.5, 0.3]) * rows[:, 3:6]
+    law[:, 1] += 3.0 * rows[:, 1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert_allclose(exact.predict(rows), law, atol=1e-8)
+    rows[:, 1] = high + 0.21 * (high - low)
+    (message,) = said(exact, rows)
+    assert "Held beyond the margin: spring." in message
+
+
 def test_residuals_of_other_motion_are_those_of_a_prediction():
     far = 2.0 * STATES
     exact = robot(SPRING, **EXACT).fit(STATES, TORQUE)
@@ -257,17 +274,18 @@ def test_residuals_of_other_motion_are_those_of_a_prediction():
     assert_allclose(found.residual, 0.0, atol=1e-8)
 
 
-def test_the_deviation_of_a_held_torque_is_that_at_the_edge():
+def test_the_deviation_of_a_held_torque_is_that_at_the_end():
     noise = 0.1 * np.random.default_rng(0).normal(size=TORQUE.shape)
     fitted = robot(SPRING).fit(STATES, TORQUE + noise)
-    high = fitted.effect_ranges_[-1].position[1]
+    low, high = fitted.effect_ranges_[-1].position
+    high += 0.2 * (high - low) + 1e-9 * max(abs(low), abs(high))
     rows = STATES[[100, 700, 900]].copy()
     rows[:, 1] = high + np.array([0.0, 0.05, 5.0])
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torque, std = fitted.predict(rows, return_std=True)
-    edge = np.tile([high, 1.0], (3, 1))
-    phi = np.hstack([fitted.features_.matrices(rows)[:, 1], edge])
+    end = np.tile([high, 1.0], (3, 1))
+    phi = np.hstack([fitted.features_.matrices(rows)[:, 1], end])
     known = predictor_of(fitted).spread
     assert_allclose(torque[:, 1], phi @ fitted.theta_, rtol=1e-9)
     told = np.isfinite(np.diagonal(known.covariance))

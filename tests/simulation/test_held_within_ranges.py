@@ -1,4 +1,4 @@
-"""Outside the range of the fit a torque stays as at the edge, or follows its law."""
+"""Beyond range and margin a torque stays as at their end, or follows its law."""
 
 from dataclasses import replace
 
@@ -60,6 +60,12 @@ def range_of(effect, position=(-0.2, 0.25), speed=(0.05, 0.7), load=(-1.5, 2.0))
     )
 
 
+def widened(low, high, share):
+    """Return the ends of a range widened on both sides by a share of its width."""
+    margin = share * (high - low) + 1e-9 * max(abs(low), abs(high))
+    return low - margin, high + margin
+
+
 def held(predictor, **ends):
     """Return the same predictor, its effects held, all signs taken as they are."""
     nv = predictor.features.n_joints_
@@ -96,25 +102,29 @@ def load_of(predictor, X):
     return np.array([pin.rnea(model, data, *row.reshape(3, -1)) for row in X])
 
 
-# Torques by the signal that is held, its ends, and the sign of the velocity.
+# Margin as a share of the width, and torques by the signal that is held, its ends, and
+# the sign of the velocity. Speeds have both directions, and twice the width.
 LAWS = [
-    (Spring(1), [3.0, 0.4], lambda x, ends, s: 3.0 * np.clip(x, *ends) + 0.4),
-    (Cubic(1), [3.0], lambda x, ends, s: 3.0 * np.clip(x, *ends) ** 3),
+    (Spring(1), [3.0, 0.4], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) + 0.4),
+    (Cubic(1), [3.0], 0.1, lambda x, ends, s: 3.0 * np.clip(x, *ends) ** 3),
     (
         ViscousQuadratic(1),
         [0.8],
+        2 * 0.1,
         lambda x, ends, s: 0.8 * s * np.minimum(abs(x), ends[1]) ** 2,
     ),
     (
         LoadFriction(1),
         [0.1],
-        lambda x, ends, s: 0.1 * s * np.minimum(abs(x), abs(ends).max()),
+        0.2,
+        # That end of the load that is farther out, both ways.
+        lambda x, ends, s: 0.1 * s * np.minimum(abs(x), np.abs(ends).max()),
     ),
 ]
 
 
-@pytest.mark.parametrize(("effect", "coef", "law"), LAWS)
-def test_a_prediction_is_the_torque_at_the_edge(effect, coef, law):
+@pytest.mark.parametrize(("effect", "coef", "share", "law"), LAWS)
+def test_a_prediction_is_the_torque_at_the_end(effect, coef, share, law):
     rng = np.random.default_rng(4)
     free, X = with_effect(rng, effect, coef), random_motion(rng, 3)
     (quantity, *_) = effect.depends
@@ -123,6 +133,7 @@ def test_a_prediction_is_the_torque_at_the_edge(effect, coef, law):
     own = abs(values) if quantity == "speed" else values
     ends = np.quantile(own, [0.3, 0.7])
     own = held(free, **{quantity: tuple(ends)})
+    ends = widened(*ends, share)
     bare = replace(own, theta=np.r_[own.theta[: -len(coef)], np.zeros(len(coef))])
     alone = torques(own, X) - torques(bare, X)
     expected = law(values, ends, np.sign(X[:, 4]))
@@ -167,7 +178,7 @@ def test_a_bounded_law_is_followed_beyond_the_range(effect, coef, law):
     rng = np.random.default_rng(2)
     own, X = held(with_effect(rng, effect, coef)), random_motion(rng, 3)
     X[:, 1] *= 20.0
-    assert np.mean((X[:, 1] < -0.2) | (X[:, 1] > 0.25)) > 0.9
+    assert np.mean((X[:, 1] < -0.25) | (X[:, 1] > 0.3)) > 0.9
     bare = replace(own, theta=np.r_[own.theta[: -len(coef)], np.zeros(len(coef))])
     for answer in (torques, stepped):
         alone = answer(own, X) - answer(bare, X)
@@ -188,7 +199,8 @@ def test_sensitivities_are_those_of_what_is_held_and_what_is_followed():
     bare = replace(own, theta=np.r_[own.theta[:-4], np.zeros(4)])
     found, without = (slopes(one, own.ask(X).recording, X) for one in (own, bare))
     q = X[:, 1]
-    spring = 3.0 * ((q > -0.2) & (q < 0.25))
+    low, high = widened(-0.2, 0.25, 0.2)
+    spring = 3.0 * ((q > low) & (q < high))
     assert 10 < np.count_nonzero(spring) < len(q) - 10
     assert_allclose(
         (found.stiffness - without.stiffness)[:, 1, 1],
@@ -197,7 +209,7 @@ def test_sensitivities_are_those_of_what_is_held_and_what_is_followed():
         atol=1e-6,
     )
     columns = np.cos(5 * np.pi * q), np.sin(5 * np.pi * q)
-    expected = np.column_stack([np.clip(q, -0.2, 0.25), np.ones_like(q), *columns])
+    expected = np.column_stack([np.clip(q, low, high), np.ones_like(q), *columns])
     assert_allclose(found.Phi[:, 1, -4:], expected, rtol=0, atol=1e-12)
 
 
@@ -273,33 +285,37 @@ def test_a_simulation_has_the_predicted_torques(name, twin):
 
 @pytest.mark.parametrize("k", [50.0, 2e4])
 @pytest.mark.parametrize(("long", "error"), [(0.01, 1e-6), (1.2, 3e-5)])
-def test_beyond_its_edge_a_spring_is_a_constant_force(twin, k, long, error):
+def test_beyond_its_end_a_spring_is_a_constant_force(twin, k, long, error):
     # Steps between rows are explicit, or so long that they are implicit; the bend at
-    # the edge is no event, and costs the step across it some of its order.
+    # the end is no event, and costs the step across it some of its order.
     mass, v0 = 2.0, 1.5
     rate = np.sqrt(k / mass)
-    edge, dt = 0.5 * v0 / rate, long / rate
-    own = (range_of(Spring(), position=(-edge, edge)),)
+    end, dt = 0.5 * v0 / rate, long / rate
+    fitted = end / (1.4 + 1e-9)
+    assert widened(-fitted, fitted, 0.2) == pytest.approx((-end, end), rel=1e-15)
+    own = (range_of(Spring(), position=(-fitted, fitted)),)
     robot = slider(mass, effects=[(Spring(), [k, 0.0])], ranges=own, dt=dt)
     t = np.arange(0.0, 2.5 / rate, dt)
     found = simulate(robot, np.zeros((t.size, 1)), [0.0], [v0])
-    leaves = np.arcsin(edge * rate / v0) / rate
-    left = np.sqrt(v0**2 - (rate * edge) ** 2)
+    leaves = np.arcsin(end * rate / v0) / rate
+    left = np.sqrt(v0**2 - (rate * end) ** 2)
     later = t - leaves
     q = np.where(
         later < 0,
         v0 / rate * np.sin(rate * t),
-        edge + left * later - 0.5 * k * edge / mass * later**2,
+        end + left * later - 0.5 * k * end / mass * later**2,
     )
     assert (later < 0).any()
     assert (later > 0).sum() > 1
     assert_allclose(found[:, 0], q, rtol=0, atol=error * q.max())
-    assert_allclose(found[later > 0, 2], -k * edge / mass, rtol=1e-12)
+    assert_allclose(found[later > 0, 2], -k * end / mass, rtol=1e-12)
 
 
-def test_beyond_its_edge_quadratic_friction_is_a_constant_force(twin):
+def test_beyond_its_end_quadratic_friction_is_a_constant_force(twin):
     mass, F2, fast, dt = 2.0, 3.0, 0.8, 0.01
-    own = (range_of(ViscousQuadratic(), speed=(0.0, fast)),)
+    fitted = fast / (1.2 + 1e-9)
+    assert widened(0.0, fitted, 2 * 0.1)[1] == pytest.approx(fast, rel=1e-15)
+    own = (range_of(ViscousQuadratic(), speed=(0.0, fitted)),)
     used = [(ViscousQuadratic(), [F2])]
     robot = slider(mass, effects=used, ranges=own, dt=dt)
     t = dt * np.arange(200)
@@ -315,10 +331,11 @@ def test_beyond_its_edge_quadratic_friction_is_a_constant_force(twin):
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 0.01])
-def test_beyond_its_edge_load_friction_is_coulomb_friction(twin, smoothing):
-    mass, mu, high = 2.0, 0.2, 4.0
+def test_beyond_its_end_load_friction_is_coulomb_friction(twin, smoothing):
+    mass, mu = 2.0, 0.2
     friction = LoadFriction(0, smoothing)
-    own = (range_of(friction, load=(-1.0, high)),)
+    own = (range_of(friction, load=(-1.0, 4.0)),)
+    _, high = widened(-1.0, 4.0, 0.2)
     robot = slider(mass, effects=[(friction, [mu])], ranges=own)
     force = np.array([2.0, 4.5, 9.0, 30.0, -0.5, -3.0, -30.0])
     # m a + mu |m a| = F inside, for velocities forward; ends are alike both ways.
@@ -341,9 +358,10 @@ def test_two_frictions_over_the_load_of_a_joint_have_their_own_ends(twin):
         range_of(effect, load=(-high, high)) for (effect, _), high in zip(used, (4, 6))
     )
     robot = slider(2.0, effects=used, ranges=own)
+    (_, one), (_, other) = (widened(-high, high, 0.2) for high in (4, 6))
     states = simulate(robot, np.full((20, 1), 12.0), [0.0], [5.0])
     # Both beyond their ends.
-    assert_allclose(states[:, 2], (12.0 - 0.2 * 4 - 0.1 * 6) / 2.0, rtol=1e-9)
+    assert_allclose(states[:, 2], (12.0 - 0.2 * one - 0.1 * other) / 2.0, rtol=1e-9)
 
 
 @pytest.mark.parametrize("name", [n for n in DEPENDENT if n != "load_friction"])

@@ -836,7 +836,7 @@ def test_untouched_data_outside_of_the_fit_are_marked():
         ) in shown
         assert "joint 1: speed reaches 2.04, fitted on 0.5 to 1 rad/s" in shown
     for page in formats(report)[1:]:
-        assert "Held at the edge of the range: spring. Going on by the law: " in page
+        assert "Held beyond the margin: spring. Going on by the law: " in page
         assert "by the law: torque ripple, viscous friction." in page
     assert report.to_dict()["outside"][0]["reached"] == 2.04
     inside = formats(Report(make_outcome()))

@@ -189,10 +189,14 @@ class Effect(TransformerMixin, BaseEstimator):
         sign is something else.
     depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint that its columns go on changing with however large they
-        become, so that outside the range of the fit its torque is extrapolated; see
+        become: predictions follow them up to the margin of the range of the fit, beyond
+        which its torque stays as it is there, unless it is `bounded`; see
         `EffectRange`. What saturates or fades with them (a sign, a Stribeck curve) has
         its value outside the range as well and is left out; a sign depends on the
         direction, for a joint that never reversed.
+    bounded : bool
+        Whether the law has a largest torque, however far out what it `depends` on, so
+        that predictions follow it outside the range of the fit as well.
     curved : bool
         Whether the columns do so in another way than along a straight line, so that
         less lies between what is known and what is not.
@@ -254,6 +258,7 @@ class Effect(TransformerMixin, BaseEstimator):
     positive = ()
     nonnegative = ()
     depends = ()
+    bounded = False
     curved = False
     seen_over = ""
     with_motion = False

@@ -156,6 +156,7 @@ class Counterbalance(Effect):
     contains = ("offset", "spring")
     cyclic = ("angle",)
     depends = ("position",)
+    bounded = True
     curved = True
     seen_over = "position"
     visible = "a range of positions of some 60 degrees"
@@ -279,6 +280,7 @@ class Ripple(Effect):
     continuous = ("period",)
     positive = ("period",)
     depends = ("position",)
+    bounded = True
     curved = True
     seen_over = "position"
     visible = "motion across several periods, slow enough for the low-pass"

@@ -13,6 +13,8 @@ STRAIGHT, CURVED = 0.2, 0.1
 OUTLIERS = 0.005
 # Share of a value by which two computations of the same motion may differ.
 ROUNDING = 1e-9
+# Signals of a motion that are held within ranges.
+HELD = {"position": "q", "speed": "v", "load": "load"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,13 +40,16 @@ class EffectRange:
         Directions of motion, -1 is backward and 1 forward: (-1, 1) is both, (0, 1) or
         (1, 1) forward only.
     depends : tuple of {"position", "speed", "load", "direction"}
-        Those of them that the effect's columns go on changing with, so that its torque
-        is extrapolated outside the range; see `Effect`.
+        Those of them that the effect's columns go on changing with. A prediction
+        follows them up to the `margin`, beyond which the torque stays as at its end,
+        see `within`, unless the effect is `bounded`: that one goes on by its law. A
+        direction that was not fitted is predicted all the same.
     curved : bool
         Whether they do so in another way than along a straight line.
 
     Examples
     --------
+    >>> import numpy as np
     >>> from sklearn_vbjfa.effects import EffectRange
     >>> spring = EffectRange(
     ...     name="spring", joint=0, position=(-1.0, 1.0), speed=(0.1, 2.0),
@@ -52,6 +57,8 @@ class EffectRange:
     ... )
     >>> spring.excess("position", [-1.5, 0.0, 1.1]).round(6)
     array([0.5, 0. , 0.1])
+    >>> np.round(spring.ends("position"), 6), spring.ends("load")
+    (array([-1.4,  1.4]), (-inf, inf))
     """
 
     name: str
@@ -62,6 +69,55 @@ class EffectRange:
     direction: tuple = (-1.0, 1.0)
     depends: tuple = ()
     curved: bool = False
+
+    def ends(self, quantity):
+        """Between which values the effect follows a signal of its joint.
+
+        Parameters
+        ----------
+        quantity : {"position", "speed", "load"}
+            Which signal; a speed stands for the velocity.
+
+        Returns
+        -------
+        tuple of (float, float)
+            Range of the fit, of velocities and loads up to the largest both ways, and
+            the `margin` on both sides, so that what is held counts as outside; infinite
+            where the range is not known or the effect does not depend on the signal.
+        """
+        low, high = getattr(self, quantity)
+        if quantity not in self.depends or np.isnan(high - low):
+            return -np.inf, np.inf
+        margin = self.margin(quantity)
+        if quantity == "position":
+            return low - margin, high + margin
+        largest = max(abs(low), abs(high)) + margin
+        return -largest, largest
+
+    def within(self, motion):
+        """Hold the signals that the effect depends on between its `ends`.
+
+        Parameters
+        ----------
+        motion : Motion
+            Signals of all joints.
+
+        Returns
+        -------
+        Motion
+            The same, with position, velocity or load of the effect's joint at the
+            nearest end where they lie beyond: the effect's columns from it stay as they
+            are there.
+        """
+        held = {}
+        for quantity, name in HELD.items():
+            low, high = self.ends(quantity)
+            values = getattr(motion, name)
+            if values is None or low == -np.inf == -high:
+                continue
+            held[name] = values.copy()
+            held[name][:, self.joint] = np.clip(values[:, self.joint], low, high)
+        return replace(motion, **held, _speeds={}) if held else motion
 
     def excess(self, quantity, values):
         """How far values lie outside the range of a quantity.
@@ -84,7 +140,7 @@ class EffectRange:
         return np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
 
     def margin(self, quantity):
-        """How far outside a prediction still counts as inside.
+        """How far outside a prediction still counts as inside, and follows the law.
 
         Parameters
         ----------
@@ -104,6 +160,16 @@ class EffectRange:
         return share * sides * (high - low) + ROUNDING * max(abs(low), abs(high))
 
 
+def own_motions(effects, ranges, motion):
+    """Return the `Motion` that each effect's columns are made from, a list.
+
+    ranges : `EffectRange` of each effect, None where nothing is held, or empty.
+    """
+    held = ranges or [None] * len(effects)
+    pairs = zip(effects, held, strict=True)
+    return [motion if one is None else one.within(motion) for _, one in pairs]
+
+
 @dataclass(frozen=True, kw_only=True)
 class OutsideRange:
     """Motion outside the range that effects of a joint were fitted on.
@@ -111,7 +177,10 @@ class OutsideRange:
     Attributes
     ----------
     names : tuple of str
-        Effects whose torque is extrapolated.
+        Effects that were not fitted there.
+    held : tuple of str
+        Those of them whose torque is held beyond the margin; the others go on by their
+        law.
     joint : int
         Joint, from zero.
     quantity : {"position", "speed", "load", "direction"}
@@ -130,38 +199,42 @@ class OutsideRange:
     fitted: tuple
     reached: float
     share: float
+    held: tuple = ()
 
 
-def outside(ranges, signals, counts):
+def outside(ranges, held, signals, counts):
     """Find what lies outside the ranges of effects, a tuple of `OutsideRange`.
 
     Parameters
     ----------
-    ranges : iterable of EffectRange
+    ranges : sequence of EffectRange
         Of all effects.
+    held : sequence of bool
+        Whether predictions hold each effect within its range.
     signals : dict of str to ndarray of shape (n, nv)
         Positions, speeds and loads by quantity.
     counts : dict of str to ndarray of shape (n, nv), bool
         Rows to judge, by quantity.
     """
     found = {}
-    for one in ranges:
+    for one, holds in zip(ranges, held, strict=True):
         for quantity in one.depends:
             joint = one.joint
             values = signals[quantity][counts[quantity][:, joint], joint]
-            said = _outside(one, quantity, values)
+            said = _outside(one, holds, quantity, values)
             if said is not None:
                 found.setdefault((joint, quantity), []).append(said)
     return tuple(
         replace(
             max(several, key=lambda one: one.share),
             names=tuple(dict.fromkeys(name for one in several for name in one.names)),
+            held=tuple(dict.fromkeys(name for one in several for name in one.held)),
         )
         for _, several in sorted(found.items())
     )
 
 
-def _outside(one, quantity, values):
+def _outside(one, holds, quantity, values):
     """Judge values (n,) by one effect's range; None if they are inside."""
     excess = one.excess(quantity, values)
     far = excess > one.margin(quantity)
@@ -169,6 +242,9 @@ def _outside(one, quantity, values):
         return None
     order = np.argsort(excess, kind="stable")
     last = order[far.size - 1 - int(OUTLIERS * far.size)]
+    # Slower motion and the other direction are outside, but not beyond an end.
+    low, high = one.ends(quantity)
+    beyond = (values[far] < low) | (values[far] > high)
     return OutsideRange(
         names=(one.name,),
         joint=one.joint,
@@ -176,4 +252,5 @@ def _outside(one, quantity, values):
         fitted=getattr(one, quantity),
         reached=float(values[last]),
         share=float(far.mean()),
+        held=(one.name,) if holds and beyond.any() else (),
     )

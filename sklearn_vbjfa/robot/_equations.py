@@ -20,6 +20,7 @@ from sklearn_vbjfa._core._lowpass import (
 )
 from sklearn_vbjfa.effects import Motion
 from sklearn_vbjfa.effects import _declared as _friction
+from sklearn_vbjfa.effects._ranges import own_motions
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.physical._threads import one_blas_thread
@@ -111,6 +112,7 @@ def make_motion(
     effects=(),
     since=None,
     signals=None,
+    ranges=(),
 ):
     """Build the `Motion` that effects are computed from.
 
@@ -118,7 +120,8 @@ def make_motion(
     parameters of the features (p,), for the load, and behind them what
     `plain_coefficients` picks of the effects' coefficients, for the whole torque;
     bandwidth : cut-off of the low-pass [Hz]; rest : velocity signs at rest; since :
-    first time of the fit [s]; signals : recorded beside the motion; see `Motion`.
+    first time of the fit [s]; signals : recorded beside the motion; see `Motion`;
+    ranges : what the effects' motion is held within, see `Plan`.
     """
     nv = features.n_joints_
     load = torque = rigid = derivatives = None
@@ -165,10 +168,11 @@ def make_motion(
     )
     if torque is not None and coefs.size:
         # The torque is the motion's own array.
-        for effect in filter(is_plain, effects):
-            own, coefs = np.split(coefs, [len(effect.coefficients)])
-            which = slice(None) if effect.whole_robot else effect.joint
-            torque[:, which] += effect.columns(motion) @ own
+        for effect, held in zip(effects, own_motions(effects, ranges, motion)):
+            if is_plain(effect):
+                own, coefs = np.split(coefs, [len(effect.coefficients)])
+                which = slice(None) if effect.whole_robot else effect.joint
+                torque[:, which] += effect.columns(held) @ own
     return motion
 
 
@@ -237,9 +241,9 @@ class RegressorRows:
 
     @classmethod
     def with_effects(
-        cls, features, states, effects, motion, rest=None, *, tangents=False
+        cls, features, states, effects, motion, rest=None, *, tangents=False, ranges=()
     ):
-        """Compute the columns of effects (n rows) from a motion.
+        """Compute the columns of effects (n rows) from a motion, held within ranges.
 
         Those of effects that are in the model are zero unless their `tangents` are
         wanted.
@@ -254,13 +258,14 @@ class RegressorRows:
                 )
         n, nv = motion.q.shape
 
-        def columns(effect):
+        def columns(effect, held):
             if effect.in_model and not tangents:
                 shape = (n, nv) if effect.whole_robot else (n,)
                 return np.broadcast_to(0.0, (*shape, len(effect.coefficients)))
-            return effect.columns(motion)
+            return effect.columns(held)
 
-        made = [(effect, columns(effect)) for effect in effects]
+        held = own_motions(effects, ranges, motion)
+        made = [(effect, columns(effect, own)) for effect, own in zip(effects, held)]
         return cls(features, states, made, rest)
 
     def part(self, rows):
@@ -347,7 +352,13 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
     whole = np.concatenate([own[:] for own in states])
     motion = motion_of(recording, whole, plan, features, theta=theta, rest=rest)
     rows = RegressorRows.with_effects(
-        features, whole, plan.effects, motion, rest, tangents=plan.tangents
+        features,
+        whole,
+        plan.effects,
+        motion,
+        rest,
+        tangents=plan.tangents,
+        ranges=plan.ranges,
     )
     return [rows.part(part) for part in recording.segments]
 
@@ -365,6 +376,7 @@ def motion_of(recording, states, plan, features, *, theta=None, rest=None):
         plan.effects,
         None if plan.time is None else plan.time[0],
         recording.signals,
+        plan.ranges,
     )
 
 

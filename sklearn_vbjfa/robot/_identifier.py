@@ -1002,7 +1002,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             If the motion leaves what effects were fitted on (`effect_ranges_`), once
             for all of them: a joint's position, speed or load that one of its effects
             `depends` on lies outside by more than a fifth of the range's width (a tenth
-            where the effect is curved) in more than 0.5 % of the rows. The same warning
+            where the effect is curved) in more than 0.5 % of the rows. It says which
+            torques are held beyond that margin, see Notes. The same warning
             tells of effects of time outside the time of the fit, by more than a tenth
             of its duration, what they add there and its standard deviation
             (`effects_of_time`), and of recorded signals that leave their range in the
@@ -1028,6 +1029,13 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         v / w up to w and the sign itself beyond. At rest s = 0; at a reversal the
         acceleration is large, w therefore small, and the sign is kept. The rule uses
         one row at a time: states may come one by one.
+
+        Beyond the margin from which on the motion counts as outside, the torque of an
+        effect of `effects_` stays as it is there: its columns are made from its joint's
+        position, speed or load (those that it `depends` on) at the nearest of
+        `EffectRange.ends`. Rigid bodies, declared friction and effects whose law is
+        `bounded` (ripple, counterbalance) go on with the motion. The equations of a fit
+        hold nothing.
 
         Effects of time use what is known: after the last time of the fit a drift fades
         on, towards what remains when warm, and a payload stays; before the first time
@@ -1159,8 +1167,9 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
         Notes
         -----
-        Rows with weight are predicted with the columns of the fit. Where a joint is at
-        rest (zero weight), dry friction has its mean, as in `predict`.
+        Rows with weight are predicted with the columns of the fit, effects held within
+        their ranges as in `predict`. Where a joint is at rest (zero weight), dry
+        friction has its mean, as there.
         """
         predictor = self._predictor()
         X, signals = predictor.checked(X, signals)
@@ -1185,7 +1194,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             made = segments(
                 recording,
                 states,
-                replace(self._plan, repeats=False),
+                replace(predictor.held_plan, repeats=False),
                 self.features_,
                 theta=self._load,
                 rest=rest,
@@ -1208,7 +1217,9 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         changed, as plainly as that four degrees are to be subtracted. It also names
         bodies whose masses the recording does not determine, and lists what the file
         does not have. Torques of the written robot are the true ones, at true
-        positions. Of an MJCF file the joints and bodies are written as a URDF.
+        positions; damping that an effect found has no end, though `predict` holds it
+        outside the speeds of the fit. Of an MJCF file the joints and bodies are written
+        as a URDF.
 
         Parameters
         ----------
@@ -1302,7 +1313,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         gravity, an encoder's zero in ``ref``. Couplings that two joints have of each
         other are fixed tendons with the same attributes. Each joint has a motor of its
         name, whose control is what the torque channel reads; constant torques are its
-        bias.
+        bias. Torques of springs and dampers have no end, though `predict` holds those
+        of `effects_` outside the range of the fit.
 
         Parameters
         ----------

@@ -427,7 +427,12 @@ def _saved(file, classes):
         plan=_plan(file, effects),
         theta=np.array([row["value"].number() for row in rows]),
         load=_load(rows),
-        ranges=tuple(_read_range(one, names) for one in file["ranges"].items()),
+        ranges=tuple(
+            _read_range(one, names)
+            for one in file["ranges"].items(
+                len(names) * len(features.friction_) + len(effects)
+            )
+        ),
         signal_ends={
             name: (
                 file["signals"][name]["lowest"].number(),

@@ -62,6 +62,9 @@ class Plan:
     tangents : bool
         Whether effects that are in the model have the derivatives by their values for
         columns; they have zeros otherwise, as the model holds the values.
+    ranges : tuple of EffectRange or None
+        For each effect, what its motion is held within, None where nothing is held;
+        empty for a fit.
     """
 
     dt: float | None
@@ -75,6 +78,7 @@ class Plan:
     fastest_period: np.ndarray | None = None
     time: tuple | None = None
     tangents: bool = False
+    ranges: tuple = ()
 
     @property
     def smoother(self):

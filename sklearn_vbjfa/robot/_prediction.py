@@ -5,12 +5,12 @@ A fitted `RobotIdentifier` and a robot that was read from a file predict with th
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from sklearn.utils.validation import check_array
 
-from sklearn_vbjfa.effects._ranges import outside
+from sklearn_vbjfa.effects._ranges import outside, own_motions
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
 from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.recording._columns import (
@@ -120,7 +120,8 @@ class TorquePredictor:
     load : ndarray or None
         Parameters that the load of the effects is made with; see `make_motion`.
     ranges : tuple of EffectRange
-        What each effect was fitted on.
+        What each effect was fitted on: first friction by joint, then the effects, of
+        which those that are not `bounded` are held within theirs. Empty, or for all.
     signal_ends : mapping of str to (float, float)
         Lowest and highest value of each recorded signal in the fit.
     spreads : tuple of Spread
@@ -153,6 +154,19 @@ class TorquePredictor:
     def effects(self):
         """Effects in use, tuple of Effect."""
         return self.plan.effects
+
+    @property
+    def held(self):
+        """Ranges that the effects in use are held within, None where they are not."""
+        own = self.ranges[len(self.ranges) - len(self.effects) :]
+        return tuple(
+            None if effect.bounded else one for effect, one in zip(self.effects, own)
+        )
+
+    @property
+    def held_plan(self):
+        """The plan for predictions, with what effects are held within."""
+        return replace(self.plan, ranges=self.held)
 
     # -- parameters by what they belong to ------------------------------------------
 
@@ -268,7 +282,7 @@ class TorquePredictor:
         return regressor_rows(
             recording,
             own,
-            self.plan,
+            self.held_plan,
             self.features,
             theta=self.load,
             rest=asked.rest,
@@ -280,7 +294,9 @@ class TorquePredictor:
         if any("load" in one.depends for one in self.ranges):
             inertial = self.inertial()
         signals = asked.signals(self.features, inertial)
-        return outside(self.ranges, signals, asked.counts(self.plan.standstill))
+        held = [one is not None for one in self.held]
+        held = [False] * (len(self.ranges) - len(held)) + held
+        return outside(self.ranges, held, signals, asked.counts(self.plan.standstill))
 
     def said_outside(self, asked):
         """Say where a `Query` leaves what was fitted, a list of str."""
@@ -297,12 +313,13 @@ class TorquePredictor:
             return ()
         known = {"theta": self.load, "rest": asked.rest}
         motion = motion_of(
-            asked.recording, asked.states, self.plan, self.features, **known
+            asked.recording, asked.states, self.held_plan, self.features, **known
         )
-        coefs = self.split(self.theta)
+        motions = own_motions(self.effects, self.held, motion)
+        known = self.effects, self.split(self.theta), self.spreads, motions
         return tuple(
-            effect_of_time(effect, coef, spread, motion, self.plan.time)
-            for effect, coef, spread in zip(self.effects, coefs, self.spreads)
+            effect_of_time(effect, coef, spread, own, self.plan.time)
+            for effect, coef, spread, own in zip(*known)
             if effect.slow
         )
 
@@ -318,6 +335,7 @@ class TorquePredictor:
             friction=bodies[:, 10:].copy(),
             effects=self.effects,
             coefficients=tuple(own.copy() for own in self.split(self.theta)),
+            ranges=self.held,
             gains=self.features.gains_.copy(),
             load=self._load(),
             rest=self.plan.rest(np.zeros(nv)),

@@ -139,7 +139,23 @@ def outside_text(found, names, prismatic):
             f"{names[one.joint]}: {_PLURALS[one.quantity]} to {one.reached:.3g} {unit},"
             f" fitted on {low:.3g} to {high:.3g} {unit} {rows}"
         )
-    return "; ".join(said)
+    return ". ".join(filter(None, ["; ".join(said), held_text(found)]))
+
+
+def held_text(found, label=str):
+    """Say which effects are held and which go on; empty for directions.
+
+    label : name of an effect -> what to call it.
+    """
+    found = [one for one in found if one.quantity != "direction"]
+    held = [name for one in found for name in one.held]
+    others = [name for one in found for name in one.names if name not in one.held]
+    told = {"Held beyond the margin": held, "Going on by the law": others}
+    return ". ".join(
+        f"{what}: {', '.join(label(name) for name in dict.fromkeys(names))}"
+        for what, names in told.items()
+        if names
+    )
 
 
 def warn_outside(messages, stacklevel):

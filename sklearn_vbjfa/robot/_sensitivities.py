@@ -22,10 +22,12 @@ turning causes, the ratio of the accelerations after and before.
 """
 
 from dataclasses import dataclass
+from itertools import compress
 
 import numpy as np
 
 from sklearn_vbjfa.effects import _declared as _friction
+from sklearn_vbjfa.effects._ranges import own_motions
 from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.robot._equations import motion_of, regressor_rows
 from sklearn_vbjfa.simulation._dynamics import with_bodies
@@ -67,7 +69,7 @@ def slopes(predictor, recording, states):
     rows = regressor_rows(
         recording,
         [states[part] for part in recording.segments],
-        predictor.plan,
+        predictor.held_plan,
         predictor.features,
         theta=predictor.load,
     )
@@ -116,24 +118,18 @@ def _beside_bodies(predictor, recording, states):
     own = predictor.bodies(predictor.theta)[:, 10:]
     columns = _friction.columns(features.friction_, v, a)
     torque = np.einsum("njk,jk->nj", columns, own)
-    moving = _moving_effects(predictor)
-    if moving:
-        known = {"theta": predictor.load}
-        motion = motion_of(recording, states, predictor.plan, features, **known)
-        for effect, coef in moving:
-            which = slice(0, nv) if effect.whole_robot else effect.joint
-            torque[:, which] += effect.columns(motion) @ coef
-    return torque
-
-
-def _moving_effects(predictor):
-    """Return effects whose torque depends on the state alone, and coefficients."""
+    # Effects whose torque depends on the state alone.
     out = (*CHANNELS, *LEFT_OUT)
-    return [
-        (effect, coef)
-        for effect, coef in zip(predictor.effects, predictor.split(predictor.theta))
-        if not (effect.in_model or isinstance(effect, out))
-    ]
+    moving = [not (e.in_model or isinstance(e, out)) for e in predictor.effects]
+    if any(moving):
+        known = {"theta": predictor.load}
+        motion = motion_of(recording, states, predictor.held_plan, features, **known)
+        held = own_motions(predictor.effects, predictor.held, motion)
+        coefs = predictor.split(predictor.theta)
+        for effect, coef, one in compress(zip(predictor.effects, coefs, held), moving):
+            which = slice(0, nv) if effect.whole_robot else effect.joint
+            torque[:, which] += effect.columns(one) @ coef
+    return torque
 
 
 def _differences(predictor, recording, states):

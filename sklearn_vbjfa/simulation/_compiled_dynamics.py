@@ -17,9 +17,10 @@ _add_terms = _compiled(_terms.add_terms)
 remember = _compiled(_terms.remember)
 step_error = _compiled(_steps.step_error)
 is_stiff = _compiled(_steps.is_stiff)
+load_size = _compiled(_steps.load_size)
 directions = _compiled(_steps.directions)
 past_events = _compiled(_steps.past_events)
-# Times that the signs of loads are found anew, for friction in proportion to them.
+# Times that it is found anew how friction follows the loads.
 _MOST_SIGNS = 8
 
 
@@ -94,8 +95,9 @@ def accelerate(
         True torques, state, signs of dry friction, joints that stick.
     of_load : bool
         Whether friction depends on the load.
-    lines : ndarray of shape (5, nv)
-        Viscous friction, constant torque, stiffness, dry friction, that over the load.
+    lines : ndarray of shape (6, nv)
+        Viscous friction, constant torque, dry friction, that over the load, and the
+        ends of the load that it follows.
     inertia, coupling : ndarray of shape (nv, nv)
         Torque by acceleration and velocity, see `Terms`.
     kinds, joints, numbers, memory : ndarray
@@ -112,9 +114,9 @@ def accelerate(
         Power of torques that do not dissipate [W].
     """
     nv = q.size
-    placed, smooth = lines[1] + lines[2] * q, lines[0] * v
-    dry, load_smooth = lines[3].copy(), np.zeros(nv)
-    by_position, by_velocity = lines[2].copy(), lines[0].copy()
+    placed, smooth = lines[1].copy(), lines[0] * v
+    dry, load_smooth = lines[2].copy(), np.zeros(nv)
+    by_position, by_velocity = np.zeros(nv), lines[0].copy()
     load_by_velocity = np.zeros(nv)
     for i in range(nv):
         for j in range(nv):
@@ -143,33 +145,35 @@ def accelerate(
     a = rhs.copy()
     limit = dry
     if of_load:
-        L, sign, size = hL.copy(), np.empty(nv), np.empty(nv)
+        L, size = hL.copy(), np.empty(nv)
         for i in range(nv):
             for j in range(nv):
                 L[i] += ML[i, j] * before[j]
-            size[i] = lines[4, i] * mode[i] + load_smooth[i]
+            size[i] = lines[3, i] * mode[i] + load_smooth[i]
+        constant, slope = load_size(L, lines[4], lines[5])
+        pressed = constant + slope * L
         for _ in range(_MOST_SIGNS):
-            sign = np.sign(L)
             B = A.copy()
             for i in range(nv):
-                way = size[i] * sign[i]
+                way = size[i] * slope[i]
                 for j in range(nv):
                     B[i, j] += way * ML[i, j]
-                a[i] = rhs[i] - way * hL[i]
+                a[i] = rhs[i] - way * hL[i] - size[i] * constant[i]
             _hold(B, a, stuck)
             _eliminate(B, a)
-            again = False
             for i in range(nv):
                 L[i] = hL[i]
                 for j in range(nv):
                     L[i] += ML[i, j] * a[j]
-                again = again or sign[i] * L[i] < 0
-            if not again:
+            supposed = constant + slope * L
+            constant, slope = load_size(L, lines[4], lines[5])
+            pressed = constant + slope * L
+            if (pressed == supposed).all():
                 break
         for i in range(nv):
-            rhs[i] -= size[i] * abs(L[i])
-            limit[i] += lines[4, i] * abs(L[i])
-            by_velocity[i] += load_by_velocity[i] * abs(L[i])
+            rhs[i] -= size[i] * pressed[i]
+            limit[i] += lines[3, i] * pressed[i]
+            by_velocity[i] += load_by_velocity[i] * pressed[i]
     else:
         B = A.copy()
         _hold(B, a, stuck)

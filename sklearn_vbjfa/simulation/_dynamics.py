@@ -10,7 +10,7 @@ from sklearn_vbjfa.model._regressor import describe
 from sklearn_vbjfa.simulation import _steps
 from sklearn_vbjfa.simulation._terms import Terms, add_terms, remember
 
-# Times that the signs of loads are found anew, for friction in proportion to them.
+# Times that it is found anew how friction follows the loads.
 _MOST_SIGNS = 8
 # Times that other effects are linearised anew, up to this change of accelerations.
 _MOST_TANGENTS, _SETTLED = 20, 1e-11
@@ -286,7 +286,7 @@ class ForwardDynamics:
         lines = terms.lines
         if dry is not None and dry.any():
             lines = lines.copy()
-            lines[3] += dry
+            lines[2] += dry
         if self._fast is None:
             return self._solved_plain(q, v, tau, mode, stuck, M, h, ML, hL, lines)
         out = np.empty((5, q.size))
@@ -298,16 +298,14 @@ class ForwardDynamics:
 
     def _solved_plain(self, q, v, tau, mode, stuck, M, h, ML, hL, lines):
         terms = self.terms
-        dry = lines[3]
-        placed = terms.stiffness * q + terms.constant
-        smooth = terms.viscous * v
+        dry, none = lines[2], np.zeros(v.size)
+        placed, smooth = terms.constant, terms.viscous * v
         load_smooth = None
-        by_position, by_velocity = terms.stiffness, terms.viscous
+        by_position, by_velocity = none, terms.viscous
         if not self._plain:
             # A coupling need not take energy: its work is counted with the drives'.
-            placed += terms.coupling @ v
+            placed = placed + terms.coupling @ v
             by_velocity = by_velocity + terms.coupling.diagonal()
-            none = np.zeros(v.size)
             lists = [placed, smooth, dry, none, by_position, by_velocity, none]
             lists = [values.tolist() for values in lists]
             table = self._kinds, self._joints, self._rows, self._memory
@@ -321,18 +319,21 @@ class ForwardDynamics:
             size = terms.load_dry * mode
             if load_smooth is not None:
                 size = size + load_smooth
-            sign = np.sign(ML @ self.a + hL)
+            constant, slope = _steps.load_size(ML @ self.a + hL, *terms.load_ends)
             for _ in range(_MOST_SIGNS):
-                way = size * sign
-                a = _solve(A + way[:, None] * ML, rhs - way * hL, stuck)
+                way = size * slope
+                known = rhs - way * hL - size * constant
+                a = _solve(A + way[:, None] * ML, known, stuck)
                 L = ML @ a + hL
-                if (sign * L >= 0).all():
+                supposed = constant + slope * L
+                constant, slope = _steps.load_size(L, *terms.load_ends)
+                pressed = constant + slope * L
+                if (pressed == supposed).all():
                     break
-                sign = np.sign(L)
-            rhs = rhs - size * np.abs(L)
-            limit = dry + terms.load_dry * np.abs(L)
+            rhs = rhs - size * pressed
+            limit = dry + terms.load_dry * pressed
             if load_smooth is not None:
-                by_velocity = by_velocity + load_by_velocity * np.abs(L)
+                by_velocity = by_velocity + load_by_velocity * pressed
         else:
             a = _solve(A, rhs, stuck)
         moved = tau - placed

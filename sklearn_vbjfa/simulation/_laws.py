@@ -10,6 +10,8 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from sklearn_vbjfa.effects import (
     AsymmetricFriction,
     Backlash,
@@ -30,6 +32,7 @@ from sklearn_vbjfa.effects import (
     Viscous,
     ViscousQuadratic,
 )
+from sklearn_vbjfa.effects._ranges import HELD
 
 _TINY = 2.2250738585072014e-308
 _LOG_2 = math.log(2.0)
@@ -355,3 +358,29 @@ def law_of(effect, rest):
     """
     law = _LAWS.get(type(effect))
     return None if law is None else law(effect, rest)
+
+
+def held_columns(columns, held):
+    """Return columns of a `Row` in which an `EffectRange` holds the signals."""
+    if held is None:
+        return columns
+    for quantity, name in HELD.items():
+        ends = held.ends(quantity)
+        if np.isfinite(ends).any():
+            columns = _holding(columns, name, held.joint, *ends)
+    return columns
+
+
+def _holding(columns, name, j, low, high):
+    """Return the same columns with a signal of joint j between two ends."""
+
+    def held(row):
+        signal = getattr(row, name)
+        value = signal[j]
+        signal[j] = min(max(value, low), high)
+        found = columns(row)
+        # Others see it as it is.
+        signal[j] = value
+        return found
+
+    return held

@@ -8,7 +8,7 @@ import numpy as np
 from sklearn_vbjfa.effects import Drift, LoadFriction, Motion, Payload, Signal, Stribeck
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
 from sklearn_vbjfa.model._regressor import TreeRegressor
-from sklearn_vbjfa.simulation._laws import Row, law_of, sign_of
+from sklearn_vbjfa.simulation._laws import Row, held_columns, law_of, sign_of
 
 # Parameters of a body that are off by more than this, beside its largest, when they
 # have been written as mass, centre and inertia, are no solid body's.
@@ -71,6 +71,7 @@ def causal(model):
         model,
         effects=tuple(model.effects[k] for k in kept),
         coefficients=tuple(model.coefficients[k] for k in kept),
+        ranges=tuple(model.held[k] for k in kept),
         load=load,
     )
     return found, tuple(
@@ -106,11 +107,12 @@ class Stepper:
         model = self._model
         self._names, self._nv = model.joint_names, model.n_joints
         # Effects in the model act through it and the gains alone.
+        every = zip(
+            model.effects, model.coefficients, _of_load(model), model.held, strict=True
+        )
         pairs = [
-            (effect, np.asarray(coefs, dtype=float), own)
-            for effect, coefs, own in zip(
-                model.effects, model.coefficients, _of_load(model)
-            )
+            (effect, np.asarray(coefs, dtype=float), own, held)
+            for effect, coefs, own, held in every
             if not effect.in_model
         ]
         own = [effect for effect, *_ in pairs]
@@ -150,8 +152,9 @@ class Stepper:
         """Forget the motion: the next state is the first one of a recording."""
         self._n, self._last = 0, None
         self._plain, self._of_load = [], []
-        for effect, coefs, own in self._pairs:
-            one = _Term(self._columns_of(effect), effect, coefs.tolist(), own.tolist())
+        for effect, coefs, own, held in self._pairs:
+            columns = held_columns(self._columns_of(effect), held)
+            one = _Term(columns, effect, coefs.tolist(), own.tolist())
             (self._of_load if "load" in effect.needs else self._plain).append(one)
 
     def _columns_of(self, effect):
@@ -386,7 +389,7 @@ class _Rigid:
         self._bodies = []
         for instant in [-math.inf, *instants]:
             carried = np.array(bodies, dtype=float)
-            for effect, *coefs in payloads:
+            for effect, *coefs, _ in payloads:
                 if effect.instant <= instant:
                     carried[-1] += effect.inertial(coefs[which])
             self._bodies.append(_inverse_dynamics(model.model, carried))

@@ -23,6 +23,14 @@ def is_stiff(h, mass, by_position, by_velocity, stuck, most):
     return h * max(rate, np.sqrt(np.max(np.abs(by_position) * free))) > most
 
 
+def load_size(L, low, high):
+    """Sizes of loads L (nv,) that ends hold, as constants and slopes by the loads."""
+    held = np.minimum(np.maximum(L, low), high)
+    inside = held == L
+    constant = np.where(inside, 0.0, np.abs(held))
+    return constant, np.where(inside, np.sign(L), 0.0)
+
+
 def directions(v, a):
     """Ways that joints go (nv,): signs of velocities, or of accelerations at rest."""
     return np.where(v != 0.0, np.sign(v), np.sign(a))

@@ -44,16 +44,18 @@ from sklearn_vbjfa.effects import (
     Viscous,
     ViscousQuadratic,
 )
+from sklearn_vbjfa.effects._ranges import HELD, own_motions
 from sklearn_vbjfa.model._loading import is_prismatic
 
 # Kinds of terms in the table.
 _STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH = 0, 1, 2, 3, 4
 _HARMONICS, _LINKAGE, _RIPPLE, _PRESLIDING, _BACKLASH = 5, 6, 7, 8, 9
-_COUPLED_DRY, _LEVEL, _LEVEL_DRY, _LEVEL_VISCOUS = 10, 11, 12, 13
+_COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = 10, 11, 12, 13, 14
 _FRICTION = (_STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH, _PRESLIDING)
-_FRICTION += (_LEVEL_DRY, _LEVEL_VISCOUS)
-# Parameters of a term in the table.
-_WIDTH = 5
+_FRICTION += (_LEVEL_DRY, _VISCOUS)
+# Parameters of a term in the table; the two behind them are its ends.
+_WIDTH = 4
+_ENDLESS = (-math.inf, math.inf)
 # Torques of the channels, before the robot; and what a simulation cannot do.
 CHANNELS = (Delay, TorqueFilter)
 LEFT_OUT = {
@@ -76,9 +78,11 @@ class Terms:
 
     Attributes
     ----------
-    viscous, constant, stiffness, dry, load_dry, armature : ndarray of shape (nv,)
-        Viscous friction, constant torque, stiffness, Coulomb friction, dry friction
-        over the load, and rotor inertia: what needs no table.
+    viscous, constant, dry, load_dry, armature : ndarray of shape (nv,)
+        Viscous friction, constant torque, Coulomb friction, dry friction over the load,
+        and rotor inertia: what needs no table.
+    load_ends : ndarray of shape (2, nv)
+        Lowest and highest load that friction over the load follows.
     inertia : ndarray of shape (nv, nv)
         Torque of joint (row) by acceleration of joint (column), beside rigid bodies
         and rotors.
@@ -86,8 +90,9 @@ class Terms:
         Torque of joint (row) by velocity of joint (column), beside `viscous`.
     kinds, joints : ndarray of shape (n_terms,), int
         The table: laws, and the joints that they act on.
-    numbers : ndarray of shape (n_terms, 5)
-        Parameters of each law.
+    numbers : ndarray of shape (n_terms, 6)
+        Parameters of each law, and the ends between which it follows its joint's
+        position or velocity, whichever it is a law of.
     levels : tuple of callable
         For each term that changes with time or a signal, its size: (t, signals) ->
         float.
@@ -105,9 +110,9 @@ class Terms:
 
     viscous: np.ndarray
     constant: np.ndarray
-    stiffness: np.ndarray
     dry: np.ndarray
     load_dry: np.ndarray
+    load_ends: np.ndarray
     armature: np.ndarray
     inertia: np.ndarray
     coupling: np.ndarray
@@ -133,11 +138,11 @@ class Terms:
 
     @property
     def lines(self):
-        """What needs no table, ndarray (5, nv)."""
+        """What needs no table, ndarray (6, nv)."""
         return self._lines
 
     def __post_init__(self):
-        lines = [self.viscous, self.constant, self.stiffness, self.dry, self.load_dry]
+        lines = self.viscous, self.constant, self.dry, self.load_dry, *self.load_ends
         object.__setattr__(self, "_lines", np.array(lines))
 
     def dry_terms(self):
@@ -172,11 +177,12 @@ class Terms:
                 "give it in effects."
             )
         others = []
-        for effect, coef in zip(robot.effects, robot.coefficients):
+        every = zip(robot.effects, robot.coefficients, robot.held, strict=True)
+        for effect, coef, held in every:
             if effect.in_model or isinstance(effect, (*CHANNELS, *LEFT_OUT)):
                 continue
-            if not made.take(effect, coef):
-                others.append((effect, np.asarray(coef)))
+            if not made.take(effect, coef, held):
+                others.append((effect, np.asarray(coef), held))
         return made.finished(
             OtherEffects(robot, others, known or {}) if others else None
         )
@@ -199,28 +205,38 @@ class _Table:
     """Collects the terms of a robot."""
 
     def __init__(self, nv, slow, since):
-        self.viscous, self.constant, self.stiffness, self.dry = np.zeros((4, nv))
+        self.viscous, self.constant, self.dry = np.zeros((3, nv))
         self.load_dry, self.armature = np.zeros((2, nv))
+        self.load_ends, self.ends = {}, _ENDLESS
         self.inertia, self.coupling = np.zeros((2, nv, nv))
         self.rows, self.levels, self.leveled, self.payloads = [], [], [], []
         self.slow, self.since = slow, since
 
     def add(self, kind, joint, *numbers):
-        self.rows.append((kind, joint, numbers + (0.0,) * (_WIDTH - len(numbers))))
+        left = (0.0,) * (_WIDTH - len(numbers))
+        self.rows.append((kind, joint, (*numbers, *left, *self.ends)))
 
     def add_level(self, joint, of, level):
         """Add a torque, dry or viscous friction whose size changes with time."""
-        kind = {"offset": _LEVEL, "coulomb": _LEVEL_DRY, "viscous": _LEVEL_VISCOUS}[of]
+        kind = {"offset": _LEVEL, "coulomb": _LEVEL_DRY, "viscous": _VISCOUS}[of]
         self.leveled.append(len(self.rows))
         self.levels.append(level)
         self.add(kind, joint)
 
-    def take(self, effect, coef):
-        """Take an effect of the library; False if it is none."""
+    def take(self, effect, coef, held):
+        """Take an effect of the library, held by an `EffectRange`; False if it is none.
+
+        Nor is friction over the load, if that of the joint is held within other ends.
+        """
         found = _LAWS.get(type(effect))
         if found is None:
             return False
         effect.check()
+        self.ends = _ends(held)
+        if found is _load_friction:
+            ends = self.load_ends.setdefault(effect.joint, self.ends)
+            if ends != self.ends:
+                return False
         found(self, effect, effect.joint, *map(float, coef))
         return True
 
@@ -230,18 +246,19 @@ class _Table:
         remembers, bends = np.zeros((2, self.dry.size), dtype=bool)
         remembers[joints[np.isin(kinds, (_PRESLIDING, _BACKLASH))]] = True
         bends[joints[np.isin(kinds, (_ABSOLUTE, _TANH, _LOAD_TANH))]] = True
+        every = [self.load_ends.get(j, _ENDLESS) for j in range(self.dry.size)]
         return Terms(
             viscous=self.viscous,
             constant=self.constant,
-            stiffness=self.stiffness,
             dry=self.dry,
             load_dry=self.load_dry,
+            load_ends=np.transpose(every),
             armature=self.armature,
             inertia=self.inertia,
             coupling=self.coupling,
             kinds=kinds,
             joints=joints,
-            numbers=np.array(numbers, dtype=float).reshape(-1, _WIDTH),
+            numbers=np.array(numbers, dtype=float).reshape(-1, _WIDTH + 2),
             levels=tuple(self.levels),
             leveled=tuple(self.leveled),
             others=others,
@@ -251,11 +268,20 @@ class _Table:
         )
 
 
+def _ends(held):
+    """Return the ends of the one signal that a law of the library depends on."""
+    for quantity in HELD if held is not None else ():
+        ends = held.ends(quantity)
+        if ends != _ENDLESS:
+            return ends
+    return _ENDLESS
+
+
 # -- effects of the library ------------------------------------------------------------
 
 
 def _viscous(table, effect, j, Fv):
-    table.viscous[j] += Fv
+    table.add(_VISCOUS, j, Fv)
 
 
 def _coulomb(table, effect, j, Fc):
@@ -300,7 +326,7 @@ def _offset(table, effect, j, c):
 
 
 def _spring(table, effect, j, k, c):
-    table.stiffness[j] += k
+    table.add(_SPRING, j, k)
     table.constant[j] += c
 
 
@@ -398,7 +424,7 @@ def add_terms(
     Parameters
     ----------
     kinds, joints, numbers : sequence
-        Columns of the table.
+        Columns of the table. Beyond its ends a term is as it is there.
     memory : sequence of shape (n_terms, 2)
         Position at which each term was last looked at, and its state there; the joint
         has not turned since.
@@ -416,15 +442,19 @@ def add_terms(
         kind, j = kinds[i], joints[i]
         row = numbers[i]
         size = row[0]
+        x, u = min(max(q[j], row[4]), row[5]), min(max(v[j], row[4]), row[5])
+        # Derivatives by what is beyond its ends are zero.
+        moves_x = 1.0 if x == q[j] else 0.0
+        moves_u = 1.0 if u == v[j] else 0.0
         if kind == 0:  # Stribeck
-            x = abs(v[j]) / row[1]
-            dry[j] += size * math.exp(-x if row[2] == 1 else -x * x)
+            r = abs(v[j]) / row[1]
+            dry[j] += size * math.exp(-r if row[2] == 1 else -r * r)
         elif kind == 1:  # quadratic
-            smooth[j] += size * v[j] * abs(v[j])
-            by_velocity[j] += 2.0 * size * abs(v[j])
+            smooth[j] += size * u * abs(u)
+            by_velocity[j] += moves_u * 2.0 * size * abs(u)
         elif kind == 2:  # absolute
-            smooth[j] += size * abs(v[j])
-            by_velocity[j] += size * (1.0 if v[j] > 0 else -1.0)
+            smooth[j] += size * abs(u)
+            by_velocity[j] += moves_u * size * (1.0 if v[j] > 0 else -1.0)
         elif kind == 3:  # tanh
             s = math.tanh(v[j] / row[1])
             smooth[j] += size * s
@@ -434,23 +464,24 @@ def add_terms(
             load_smooth[j] += size * s
             load_by_velocity[j] += size * (1.0 - s * s) / row[1]
         elif kind == 5:  # two harmonics
-            c, s = math.cos(q[j]), math.sin(q[j])
+            c, s = math.cos(x), math.sin(x)
             c2, s2 = c * c - s * s, 2.0 * s * c
             placed[j] += size * c + row[1] * s + row[2] * c2 + row[3] * s2
-            by_position[j] += row[1] * c - size * s + 2.0 * (row[3] * c2 - row[2] * s2)
+            slope = row[1] * c - size * s + 2.0 * (row[3] * c2 - row[2] * s2)
+            by_position[j] += moves_x * slope
         elif kind == 6:  # linkage
-            x, ratio = q[j] - row[3], row[2]
-            c, s = math.cos(x), math.sin(x)
+            ratio = row[2]
+            c, s = math.cos(x - row[3]), math.sin(x - row[3])
             square = 1.0 + ratio * ratio - 2.0 * ratio * c
             length = math.sqrt(square)
             placed[j] += (size / length + row[1]) * s
-            by_position[j] += (size / length + row[1]) * c
-            by_position[j] -= size * ratio * s * s / (square * length)
+            slope = (size / length + row[1]) * c
+            slope -= size * ratio * s * s / (square * length)
+            by_position[j] += moves_x * slope
         elif kind == 7:  # ripple
-            x = row[2] * q[j]
-            c, s = math.cos(x), math.sin(x)
+            c, s = math.cos(row[2] * x), math.sin(row[2] * x)
             placed[j] += size * c + row[1] * s
-            by_position[j] += row[2] * (row[1] * c - size * s)
+            by_position[j] += moves_x * row[2] * (row[1] * c - size * s)
         elif kind == 8:  # presliding
             gone = q[j] - memory[i][0]
             way = 1.0 if gone > 0 else -1.0
@@ -458,10 +489,10 @@ def add_terms(
             smooth[j] += size * (way + left)
             by_position[j] += size * abs(left) / row[1]
         elif kind == 9:  # backlash
-            p = max(min(memory[i][1], q[j] + row[1]), q[j] - row[1])
+            p = max(min(memory[i][1], x + row[1]), x - row[1])
             placed[j] += size * p
             if p != memory[i][1]:
-                by_position[j] += size
+                by_position[j] += moves_x * size
         elif kind == 10:  # dry friction of a coupled speed
             w = v[int(row[1])] + row[2] * v[j]
             placed[j] += size * max(min(w / row[3], 1.0), -1.0)
@@ -471,9 +502,12 @@ def add_terms(
             placed[j] += size
         elif kind == 12:  # dry friction that changes with time
             dry[j] += size
-        elif kind == 13:  # viscous friction that changes with time
-            smooth[j] += size * v[j]
-            by_velocity[j] += size
+        elif kind == 13:  # viscous, which may change with time
+            smooth[j] += size * u
+            by_velocity[j] += moves_u * size
+        elif kind == 14:  # spring
+            placed[j] += size * x
+            by_position[j] += moves_x * size
 
 
 def remember(kinds, joints, numbers, memory, q):
@@ -487,8 +521,9 @@ def remember(kinds, joints, numbers, memory, q):
             memory[i][1] = way + left
             memory[i][0] = q[j]
         elif kind == 9:
-            half = numbers[i][1]
-            memory[i][1] = max(min(memory[i][1], q[j] + half), q[j] - half)
+            half, low, high = numbers[i][1], numbers[i][4], numbers[i][5]
+            x = min(max(q[j], low), high)
+            memory[i][1] = max(min(memory[i][1], x + half), x - half)
             memory[i][0] = q[j]
 
 
@@ -503,8 +538,8 @@ class OtherEffects:
     ----------
     robot : TorqueModel
         Robot.
-    effects : sequence of (Effect, ndarray)
-        Effects and their coefficients.
+    effects : sequence of (Effect, ndarray, EffectRange or None)
+        Effects, their coefficients, and what they are held within.
     known : mapping of str to float
         Values of recorded signals, one of each.
 
@@ -524,8 +559,8 @@ class OtherEffects:
         q, v, a, load = rng.normal(size=(4, _ROWS, self._nv))
         t = _PERIOD * np.arange(_ROWS) + (robot.since or 0.0)
         tried = q, v, a, t, load, known
-        self._effects, left_out = [], []
-        for effect, coef in effects:
+        self._effects, self._held, left_out, ranges = [], (), [], []
+        for effect, coef, held in effects:
             reason = effect.applies(self._motion(*tried))
             if reason:
                 raise ValueError(
@@ -535,6 +570,7 @@ class OtherEffects:
                 left_out.append((effect, "its torque depends on other rows"))
             else:
                 self._effects.append((effect, coef))
+                ranges.append(held)
         self.left_out = tuple(left_out)
         one = [values[0] for values in (q, v)]
         torque = self._torque(*one, a[0], t[0], load[0], known)
@@ -548,6 +584,8 @@ class OtherEffects:
                 sides.append(self._torque(q[0], v[0], a[0], t[0], load[0], known)[j])
             far, near = sides[3] - sides[0], sides[2] - sides[1]
             self.jumps[j] = abs(near) > _JUMP * abs(far)
+        # What they depend on was looked at without.
+        self._held = tuple(ranges)
 
     def _motion(self, q, v, a, t, load, known):
         """Make a `Motion` of rows."""
@@ -579,8 +617,9 @@ class OtherEffects:
             q[None], v[None], a[None], np.array([t]), load[None], known
         )
         out = np.zeros(self._nv)
-        for effect, coef in self._effects:
-            torque = effect.columns(motion)[0] @ coef
+        held = own_motions(self._effects, self._held, motion)
+        for (effect, coef), own in zip(self._effects, held):
+            torque = effect.columns(own)[0] @ coef
             if effect.whole_robot:
                 out += torque
             else:

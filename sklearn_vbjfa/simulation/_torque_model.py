@@ -54,6 +54,8 @@ class TorqueModel:
     coefficients : tuple of ndarray
         Linear coefficients of each effect; of one in the model its values, which act
         through `model` and `gains` alone.
+    ranges : tuple of EffectRange or None
+        What each effect is held within, None where nothing is held; empty holds none.
     gains : ndarray of shape (nv,)
         What each torque channel reads over the true torque.
     load : Load or None
@@ -72,11 +74,17 @@ class TorqueModel:
     friction: np.ndarray
     effects: tuple = ()
     coefficients: tuple = ()
+    ranges: tuple = ()
     gains: np.ndarray
     load: Load | None = None
     rest: Rest | None = None
     since: float | None = None
     dt: float | None = None
+
+    @property
+    def held(self):
+        """Range of each effect, a tuple of EffectRange or None."""
+        return self.ranges or (None,) * len(self.effects)
 
     @property
     def n_joints(self):

@@ -22,14 +22,15 @@ SPRING = EffectRange(
 )
 
 
-def judged(ranges, values, quantity="position", joint=1, counts=None):
+def judged(ranges, values, quantity="position", joint=1, counts=None, held=None):
     """Judge the values of one joint of two, the other far outside."""
     values = np.asarray(values, dtype=float)
     both = np.full((values.size, 2), 1e3)
     both[:, joint] = values
     if counts is None:
         counts = np.ones(both.shape, dtype=bool)
-    return outside(ranges, {quantity: both}, {quantity: counts})
+    held = len(ranges) * [True] if held is None else held
+    return outside(ranges, held, {quantity: both}, {quantity: counts})
 
 
 @pytest.mark.parametrize(
@@ -46,6 +47,66 @@ def judged(ranges, values, quantity="position", joint=1, counts=None):
 )
 def test_excess_is_the_distance_from_the_range(quantity, value, expected):
     assert_allclose(SPRING.excess(quantity, [value]), [expected], atol=1e-12)
+
+
+@pytest.mark.parametrize("curved", [False, True])
+@pytest.mark.parametrize(
+    ("depends", "name", "low", "high", "width"),
+    [
+        (("position",), "q", -1.0, 3.0, 4.0),
+        (("speed",), "v", -2.0, 2.0, 2 * 1.5),
+        (("load", "direction"), "load", -6.0, 6.0, 10.0),
+    ],
+)
+def test_a_motion_is_held_within_range_and_margin(
+    depends, name, low, high, width, curved
+):
+    margin = (0.1 if curved else 0.2) * width
+    inside = [low - 0.99 * margin, 0.5, high + 0.99 * margin]
+    x = np.repeat([[-19.0], *([value] for value in inside), [19.0]], 2, axis=1)
+    given = x.copy()
+    motion = effects.Motion(q=x, v=x, a=x, load=x, torque=x)
+    own = dataclasses.replace(SPRING, depends=depends, curved=curved)
+    held = own.within(motion)
+    for other in ("q", "v", "a", "load", "torque"):
+        values = getattr(held, other)
+        assert_array_equal(values[:, 0], x[:, 0])
+        if other != name:
+            assert_array_equal(values[:, 1], x[:, 1])
+            continue
+        assert_array_equal(values[1:-1, 1], inside)
+        assert_allclose(values[[0, -1], 1], [low - margin, high + margin], rtol=1e-8)
+    assert_array_equal(x, given)
+    assert held.speed(1) == np.quantile(np.abs(held.v[:, 1]), 0.995)
+
+
+@pytest.mark.parametrize("curved", [False, True])
+@pytest.mark.parametrize("quantity", ["position", "speed", "load"])
+def test_what_is_held_counts_as_outside(quantity, curved):
+    own = dataclasses.replace(SPRING, depends=(quantity,), curved=curved)
+    low, high = own.ends(quantity)
+    for factor, counts in ((1 - 1e-9, False), (1 + 1e-9, True)):
+        found = judged([own], np.full(3, factor * high), quantity)
+        assert [one.held for one in found] == counts * [("spring",)]
+    if quantity != "speed":
+        (found,) = judged([own], np.full(3, (1 + 1e-9) * low), quantity)
+        assert found.held == ("spring",)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"depends": ()},
+        {"depends": ("direction",)},
+        {"position": (NAN, NAN)},
+        {"depends": ("load",)},
+    ],
+)
+def test_what_is_not_known_or_not_used_holds_nothing(given):
+    x = np.array([[-9.0, -9.0], [9.0, 9.0]])
+    # Without a load.
+    motion = effects.Motion(q=x, v=x, a=x)
+    assert dataclasses.replace(SPRING, **given).within(motion) is motion
 
 
 def test_margin_is_a_share_of_the_width():
@@ -91,6 +152,7 @@ def test_what_is_outside_is_told_with_its_size():
             fitted=(-1.0, 3.0),
             reached=-2.0,
             share=0.25,
+            held=("spring",),
         ),
     )
 
@@ -119,7 +181,9 @@ def test_effects_of_a_joint_are_told_together():
     (found,) = judged([SPRING, ripple], np.full(10, 3.6))
     assert found.names == ("ripple",)
     (found,) = judged([SPRING, ripple], np.full(10, 3.9))
-    assert found.names == ("spring", "ripple")
+    assert found.names == found.held == ("spring", "ripple")
+    (found,) = judged([SPRING, ripple], np.full(10, 3.9), held=[True, False])
+    assert (found.names, found.held) == (("spring", "ripple"), ("spring",))
 
 
 def test_one_speed_only_is_known_at_that_speed_only():
@@ -128,7 +192,19 @@ def test_one_speed_only_is_known_at_that_speed_only():
     )
     assert judged([viscous], [1.0, 0.985, 1.015], "speed") == ()
     (slower,) = judged([viscous], np.full(3, 0.5), "speed")
-    assert slower.reached == 0.5
+    assert (slower.reached, slower.held) == (0.5, ())
+    (faster,) = judged([viscous], np.full(3, 1.5), "speed")
+    assert (faster.reached, faster.held) == (1.5, ("viscous",))
+
+
+def test_a_load_the_other_way_is_held_beyond_the_largest():
+    friction = dataclasses.replace(
+        SPRING, name="load_friction", depends=("load",), load=(0.0, 10.0)
+    )
+    # The margin is 2, on either side.
+    for load, held in ((-3.0, ()), (-11.9, ()), (-12.1, ("load_friction",))):
+        (found,) = judged([friction], np.full(3, load), "load")
+        assert (found.reached, found.held) == (load, held)
 
 
 def test_the_unit_does_not_matter():
@@ -165,6 +241,7 @@ def test_the_other_direction_is_outside():
     assert judged([coulomb], [0.0, 1.0, 1.0], "direction") == ()
     (found,) = judged([coulomb], [1.0, 1.0, -1.0, -1.0], "direction")
     assert (found.quantity, found.reached, found.share) == ("direction", -1.0, 0.5)
+    assert found.held == ()
     for one_way, both in (((1.0, 1.0), 1), ((-1.0, 1.0), 0), ((-1.0, -1.0), 1)):
         own = dataclasses.replace(coulomb, direction=one_way)
         assert len(judged([own], [1.0, -1.0], "direction")) == both
@@ -222,5 +299,60 @@ def test_straight_lines_are_straight_and_others_are_not():
                 assert straight != effect.curved, name
 
 
+def motion_over(x):
+    """Motion of two joints with positions, speeds and loads of the same size."""
+    x = np.column_stack([x, x])
+    return effects.Motion(q=x, v=x, a=x, load=x, torque=x)
+
+
+TURN = np.linspace(-np.pi, np.pi, 2001)
+# Largest column of each bounded effect: that of a sine, and by the law of sines that of
+# sin x / l in a triangle with the sides 1 and l, the sine of the angle opposite to 1.
+LARGEST = {
+    "ripple": [({"period": period}, [1, 1]) for period in (0.04, 0.7)],
+    "counterbalance": [
+        ({}, [1, 1, 1, 1, 1]),
+        *(
+            ({"form": "linkage", "ratio": ratio, "angle": 0.4}, [1, 1])
+            for ratio in (0.1, 0.9)
+        ),
+    ],
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_what_depends_on_the_motion_is_bounded_or_held(name):
+    (effect,) = effects.resolve(name)
+    moves = set(effect.depends) & set(QUANTITIES)
+    assert effect.bounded == (name in LARGEST)
+    assert moves or not effect.bounded
+    if not moves:
+        return
+    for shape, largest in LARGEST.get(name, [({}, None)]):
+        own = effect.set_params(joint=0, **shape)
+        # A hundred times wider, and not on the same angles.
+        turn, wide = (own.columns(motion_over(x)) for x in (TURN, 100.3 * TURN))
+        if effect.bounded:
+            assert_allclose(abs(turn).max(axis=0), largest, rtol=0.01)
+            assert (abs(wide).max(axis=0) <= np.array(largest) + 1e-9).all()
+            continue
+        assert abs(wide).max() > 50 * abs(turn).max()
+        ends = (-np.pi, np.pi)
+        known = dataclasses.replace(
+            SPRING,
+            joint=0,
+            position=ends,
+            load=ends,
+            speed=(0.0, np.pi),
+            depends=effect.depends,
+            curved=effect.curved,
+        )
+        held = own.columns(known.within(motion_over(100.3 * TURN)))
+        # A fifth or a tenth of two widths from zero on either side.
+        most = own.columns(motion_over((1.2 if effect.curved else 1.4) * TURN))
+        assert_allclose(abs(held).max(axis=0), abs(most).max(axis=0), rtol=1e-8)
+
+
 def test_an_effect_of_ones_own_says_nothing_by_default():
     assert effects.Effect.depends == ()
+    assert not effects.Effect.bounded

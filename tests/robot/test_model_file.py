@@ -418,6 +418,7 @@ BAD = {
         r"'parameters\[0\]\.name' is 'joint_2:m' where 'joint_1:m' is expected",
     ),
     "too few": (delete("parameters", -1), "'parameters' must hold 72 values"),
+    "too few ranges": (delete("ranges", -1), r"'ranges' must hold \d+ values, not"),
     "no list": (assign("parameters", value=3), "'parameters' must hold a list"),
     "no object": (assign("fit", value=[]), "'fit' must hold an object"),
     "broken URDF": (assign("urdf", 0, value="<robot"), "'urdf' holds no such robot"),

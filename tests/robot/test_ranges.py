@@ -6,13 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier, effects
+from sklearn_vbjfa import RobotIdentifier, effects, load_identified
+from sklearn_vbjfa.robot._prediction import predictor_of
 from sklearn_vbjfa.robot._ranges import SignalRanges
 from tests.effects._arms import arm, inverse_dynamics, motion
 
@@ -31,6 +32,7 @@ EXACT = {
     "standstill": None,
 }
 SPRING = effects.Spring(joint=1)
+RIPPLE = effects.Ripple(joint=1, period=0.3)
 
 
 def robot(*used, **given):
@@ -189,6 +191,122 @@ def test_one_warning_names_joint_and_range(fitted):
     for j in range(3):
         assert f"joint_{j + 1}: speeds to" in message
     assert "coulomb" not in message
+
+
+def test_what_is_held_is_said(fitted):
+    (message,) = said(fitted, 2.0 * STATES)
+    edge, law = "Held beyond the margin", "Going on by the law"
+    assert f"). {edge}: spring. {law}: viscous." in message
+    # Only of what is outside.
+    slow = STATES * np.repeat([2.0, 1.0, 1.0], 3)
+    (message,) = said(fitted, slow)
+    assert f"). {edge}: spring." in message
+    assert law not in message
+    (message,) = said(robot(RIPPLE).fit(Q, TORQUE), slow)
+    assert f"). {law}: ripple." in message
+    assert edge not in message
+
+
+# -- torques outside
+
+
+def springy(states):
+    """Torque of `TORQUE` for other states, the spring held beyond the range of `Q`."""
+    low, high = ends(Q[:, 1])
+    margin = 0.2 * (high - low) + 1e-9 * max(abs(low), abs(high))
+    held = np.clip(states[:, 1], low - margin, high + margin)
+    own = inverse_dynamics(MODEL, states) + np.array([0.8, 0.5, 0.3]) * states[:, 3:6]
+    own[:, 1] += 3.0 * held
+    return own
+
+
+@pytest.mark.filterwarnings("ignore:Predicted outside:UserWarning")
+def test_a_spring_is_held_and_declared_friction_is_not(tmp_path):
+    far = 2.0 * STATES
+    exact = robot(SPRING, **EXACT).fit(STATES, TORQUE)
+    assert_allclose(exact.predict(STATES), TORQUE, atol=1e-8)
+    assert_allclose(exact.predict(far), springy(far), atol=1e-8)
+    # Equal to rounding in the file as well.
+    exact.save(tmp_path / "robot.json")
+    read = load_identified(tmp_path / "robot.json")
+    assert_array_equal(read.predict(far), exact.predict(far))
+    one = [read.step(*row.reshape(3, -1)) for row in far[::50]]
+    assert_allclose(one, springy(far)[::50], atol=1e-8)
+
+
+@pytest.mark.filterwarnings("ignore:Predicted outside:UserWarning")
+def test_a_ripple_is_followed_beyond_its_range(tmp_path):
+    def law(states):
+        torque = inverse_dynamics(MODEL, states)
+        torque += np.array([0.8, 0.5, 0.3]) * states[:, 3:6]
+        torque[:, 1] += 0.7 * np.sin(2 * np.pi / 0.3 * states[:, 1])
+        return torque
+
+    far = 2.0 * STATES
+    exact = robot(RIPPLE, **EXACT).fit(STATES, law(STATES))
+    assert_allclose(exact.predict(far), law(far), atol=1e-7)
+    exact.save(tmp_path / "robot.json")
+    read = load_identified(tmp_path / "robot.json")
+    assert_array_equal(read.predict(far), exact.predict(far))
+    one = [read.step(*row.reshape(3, -1)) for row in far[::50]]
+    assert_allclose(one, law(far)[::50], atol=1e-7)
+
+
+def test_a_spring_within_the_margin_follows_its_law_and_nobody_is_warned():
+    exact = robot(SPRING, **EXACT).fit(STATES, TORQUE)
+    low, high = ends(Q[:, 1])
+    rows = STATES[[np.argmin(Q[:, 1]), np.argmax(Q[:, 1])]]
+    rows[:, 1] = low - 0.19 * (high - low), high + 0.19 * (high - low)
+    law = inverse_dynamics(MODEL, rows) + np.array([0.8, 0.5, 0.3]) * rows[:, 3:6]
+    law[:, 1] += 3.0 * rows[:, 1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert_allclose(exact.predict(rows), law, atol=1e-8)
+    rows[:, 1] = high + 0.21 * (high - low)
+    (message,) = said(exact, rows)
+    assert "Held beyond the margin: spring." in message
+
+
+def test_residuals_of_other_motion_are_those_of_a_prediction():
+    far = 2.0 * STATES
+    exact = robot(SPRING, **EXACT).fit(STATES, TORQUE)
+    found = exact.residuals(far, springy(far), cutoff=None)
+    assert_allclose(found.residual, 0.0, atol=1e-8)
+
+
+def test_the_deviation_of_a_held_torque_is_that_at_the_end():
+    noise = 0.1 * np.random.default_rng(0).normal(size=TORQUE.shape)
+    fitted = robot(SPRING).fit(STATES, TORQUE + noise)
+    low, high = fitted.effect_ranges_[-1].position
+    high += 0.2 * (high - low) + 1e-9 * max(abs(low), abs(high))
+    rows = STATES[[100, 700, 900]].copy()
+    rows[:, 1] = high + np.array([0.0, 0.05, 5.0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        torque, std = fitted.predict(rows, return_std=True)
+    end = np.tile([high, 1.0], (3, 1))
+    phi = np.hstack([fitted.features_.matrices(rows)[:, 1], end])
+    known = predictor_of(fitted).spread
+    assert_allclose(torque[:, 1], phi @ fitted.theta_, rtol=1e-9)
+    told = np.isfinite(np.diagonal(known.covariance))
+    C, phi = known.covariance[np.ix_(told, told)], phi[:, told]
+    variance = np.einsum("nk,kl,nl->n", phi, C, phi) + known.rest[1]
+    assert_allclose(std[:, 1], np.sqrt(variance), rtol=1e-6)
+    free = replace(predictor_of(fitted), ranges=()).predict(rows, return_std=True)
+    assert free[1][2, 1] > 2 * std[2, 1]
+
+
+def test_a_fit_holds_nothing():
+    # Equations of a fit are those of a robot with an effect without `depends`.
+    class Everywhere(effects.Spring):
+        depends = ()
+
+    rows = slice(0, 1200)
+    one, other = (
+        robot(effect).fit(Q[rows], TORQUE[rows])
+        for effect in (SPRING, Everywhere(joint=1))
+    )
+    assert_array_equal(one.theta_, other.theta_)
 
 
 def test_positions_matter_to_the_joint_that_has_the_spring(fitted):

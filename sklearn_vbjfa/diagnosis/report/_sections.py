@@ -28,6 +28,7 @@ from sklearn_vbjfa.diagnosis.report._pictures import (
     time_axis,
 )
 from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED
+from sklearn_vbjfa.robot._ranges import held_text
 
 # Entries of a list that a terminal shows as sentences; each further one is a row.
 _SENTENCES = 6
@@ -456,9 +457,10 @@ def _outside(outcome, verdict):
     """Say where the untouched part leaves what effects were fitted on."""
     sentences = ranges.outside_sentences(outcome)
     title = "Outside the range of the fit"
+    held = held_text(outcome.outside, lambda name: words.effect_label(outcome, name))
     return Section(
         heading=f"{title}, on untouched data",
-        sentences=sentences,
+        sentences=(*sentences, *([f"{held}."] if held else [])),
         terminal=_terminal([f"{title}: {sentence}." for sentence in sentences], ()),
     )
 

@@ -768,6 +768,7 @@ def outside(joint=1, quantity="position", **given):
             "fitted": (-1.25, 1.5),
             "reached": 2.04,
             "share": 0.125,
+            "held": ("spring",),
             **given,
         }
     )
@@ -796,13 +797,15 @@ def test_effects_say_what_they_were_fitted_on():
 def test_one_direction_only_is_told():
     (effect,) = make_outcome(n_effects=1).effects
     ranges = replace(effect.ranges, direction=(0.0, 1.0), depends=("direction",))
-    found = outside(0, "direction", fitted=(0.0, 1.0), reached=-1.0, names=("coulomb",))
+    backward = {"fitted": (0.0, 1.0), "reached": -1.0}
+    found = outside(0, "direction", names=("coulomb",), held=(), **backward)
     changed = {"effects": (replace(effect, ranges=ranges),), "outside": (found,)}
     text, *others = formats(Report(make_outcome(**changed)))
     assert "fitted on forward motion only" in text
     for shown in (text, *others):
         assert "forward motion only" in shown
         assert "joint 1: moves backward, fitted on the other direction only" in shown
+        assert "by the law" not in shown
 
 
 def test_ranges_of_a_slider_are_in_metres():
@@ -823,7 +826,8 @@ def test_ranges_that_are_not_known_are_not_shown():
 
 
 def test_untouched_data_outside_of_the_fit_are_marked():
-    found = (outside(), outside(0, "speed", fitted=(0.5, 1.0), names=("viscous",)))
+    viscous = {"fitted": (0.5, 1.0), "names": ("viscous",), "held": ()}
+    found = (outside(), outside(0, "speed", **viscous))
     report = Report(make_outcome(outside=found))
     for shown in formats(report):
         assert (
@@ -831,6 +835,9 @@ def test_untouched_data_outside_of_the_fit_are_marked():
             "(12.5 % of the rows; torque ripple and spring)"
         ) in shown
         assert "joint 1: speed reaches 2.04, fitted on 0.5 to 1 rad/s" in shown
+    for page in formats(report)[1:]:
+        assert "Held beyond the margin: spring. Going on by the law: " in page
+        assert "by the law: torque ripple, viscous friction." in page
     assert report.to_dict()["outside"][0]["reached"] == 2.04
     inside = formats(Report(make_outcome()))
     assert not any("Outside the range" in shown for shown in inside)

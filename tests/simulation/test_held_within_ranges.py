@@ -1,0 +1,392 @@
+"""Beyond range and margin a torque stays as at their end, or follows its law."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import effects  # noqa: E402
+from sklearn_vbjfa.effects import (  # noqa: E402
+    Counterbalance,
+    Effect,
+    EffectRange,
+    LoadFriction,
+    Ripple,
+    Spring,
+    ViscousQuadratic,
+)
+from sklearn_vbjfa.robot._sensitivities import slopes  # noqa: E402
+from sklearn_vbjfa.simulation import _dynamics  # noqa: E402
+from sklearn_vbjfa.simulation._simulate import simulate  # noqa: E402
+from sklearn_vbjfa.simulation._stepper import Stepper  # noqa: E402
+from tests.simulation._machines import slider  # noqa: E402
+from tests.simulation._random_robots import (  # noqa: E402
+    DT,
+    random_motion,
+    random_predictor,
+)
+
+DEPENDENT = [
+    name
+    for name in effects.available()
+    if set(effects.resolve([name])[0].depends) - {"direction"}
+]
+BOUNDED = [name for name in DEPENDENT if effects.resolve([name])[0].bounded]
+
+
+class Cubic(Effect):
+    """Stiffness that grows with the square of the position."""
+
+    name, coefficients, units = "cubic", ("k3",), (("N m/rad^3", "N/m^3"),)
+    depends, curved = ("position",), True
+
+    def columns(self, motion):
+        """Cube of the position."""
+        return motion.q[:, [self.joint]] ** 3
+
+
+def range_of(effect, position=(-0.2, 0.25), speed=(0.05, 0.7), load=(-1.5, 2.0)):
+    return EffectRange(
+        name=effect.name,
+        joint=effect.joint,
+        position=position,
+        speed=speed,
+        load=load,
+        depends=effect.depends,
+        curved=effect.curved,
+    )
+
+
+def widened(low, high, share):
+    """Return the ends of a range widened on both sides by a share of its width."""
+    margin = share * (high - low) + 1e-9 * max(abs(low), abs(high))
+    return low - margin, high + margin
+
+
+def held(predictor, **ends):
+    """Return the same predictor, its effects held, all signs taken as they are."""
+    nv = predictor.features.n_joints_
+    unknown = range_of(Spring(), *3 * [(np.nan, np.nan)])
+    own = (range_of(effect, **ends) for effect in predictor.effects)
+    declared = nv * len(predictor.features.friction_) * [unknown]
+    plan = replace(predictor.plan, standstill=np.full(nv, -1.0))
+    return replace(predictor, plan=plan, ranges=(*declared, *own))
+
+
+def with_effect(rng, effect, coef):
+    """Predictor of a random robot of three joints with one effect."""
+    predictor = random_predictor(rng, 3, [])
+    return replace(
+        predictor,
+        plan=replace(predictor.plan, effects=(effect,)),
+        theta=np.r_[predictor.theta, coef],
+        load=np.r_[predictor.load, () if "load" in effect.needs else coef],
+    )
+
+
+def torques(predictor, X):
+    return predictor.torques(predictor.ask(X))
+
+
+def load_of(predictor, X):
+    """Torques of the bodies that load the joints, by Pinocchio."""
+    bodies = predictor.bodies(predictor.load[: predictor.features.n_parameters_])
+    model = predictor.features.model_.copy()
+    model.armature = np.zeros(model.nv)
+    for j, body in enumerate(bodies):
+        model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body[:10].copy())
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *row.reshape(3, -1)) for row in X])
+
+
+# Margin as a share of the width, and torques by the signal that is held, its ends, and
+# the sign of the velocity. Speeds have both directions, and twice the width.
+LAWS = [
+    (Spring(1), [3.0, 0.4], 0.2, lambda x, ends, s: 3.0 * np.clip(x, *ends) + 0.4),
+    (Cubic(1), [3.0], 0.1, lambda x, ends, s: 3.0 * np.clip(x, *ends) ** 3),
+    (
+        ViscousQuadratic(1),
+        [0.8],
+        2 * 0.1,
+        lambda x, ends, s: 0.8 * s * np.minimum(abs(x), ends[1]) ** 2,
+    ),
+    (
+        LoadFriction(1),
+        [0.1],
+        0.2,
+        # That end of the load that is farther out, both ways.
+        lambda x, ends, s: 0.1 * s * np.minimum(abs(x), np.abs(ends).max()),
+    ),
+]
+
+
+@pytest.mark.parametrize(("effect", "coef", "share", "law"), LAWS)
+def test_a_prediction_is_the_torque_at_the_end(effect, coef, share, law):
+    rng = np.random.default_rng(4)
+    free, X = with_effect(rng, effect, coef), random_motion(rng, 3)
+    (quantity, *_) = effect.depends
+    load = load_of(free, X)[:, 1]
+    values = {"position": X[:, 1], "speed": X[:, 4], "load": load}[quantity]
+    own = abs(values) if quantity == "speed" else values
+    ends = np.quantile(own, [0.3, 0.7])
+    own = held(free, **{quantity: tuple(ends)})
+    ends = widened(*ends, share)
+    bare = replace(own, theta=np.r_[own.theta[: -len(coef)], np.zeros(len(coef))])
+    alone = torques(own, X) - torques(bare, X)
+    expected = law(values, ends, np.sign(X[:, 4]))
+    assert_allclose(alone[:, 1], expected, rtol=0, atol=1e-11)
+    assert_array_equal(alone[:, [0, 2]], 0.0)
+    low, high = own.ranges[-1].ends(quantity)
+    inside = (values >= low) & (values <= high)
+    assert 10 < inside.sum() < len(X) - 10
+    unheld = torques(replace(own, ranges=()), X)
+    assert_array_equal(torques(own, X)[inside], unheld[inside])
+    assert np.abs(torques(own, X) - unheld)[~inside].max() > 1e-3
+
+
+# Torques of bounded laws by the position.
+FOLLOWED = [
+    (
+        Ripple(1, period=0.4),
+        [0.6, -0.3],
+        lambda q: 0.6 * np.cos(5 * np.pi * q) - 0.3 * np.sin(5 * np.pi * q),
+    ),
+    (
+        Counterbalance(1),
+        [2.0, 1.0, -0.5, 0.3, 0.1],
+        lambda q: (
+            2.0 * np.cos(q)
+            + np.sin(q)
+            - 0.5 * np.cos(2 * q)
+            + 0.3 * np.sin(2 * q)
+            + 0.1
+        ),
+    ),
+    (
+        Counterbalance(1, form="linkage", ratio=0.6, angle=0.3),
+        [-4.0, 1.5],
+        lambda q: np.sin(q - 0.3) * (1.5 - 4.0 / np.sqrt(1.36 - 1.2 * np.cos(q - 0.3))),
+    ),
+]
+
+
+@pytest.mark.parametrize(("effect", "coef", "law"), FOLLOWED)
+def test_a_bounded_law_is_followed_beyond_the_range(effect, coef, law):
+    rng = np.random.default_rng(2)
+    own, X = held(with_effect(rng, effect, coef)), random_motion(rng, 3)
+    X[:, 1] *= 20.0
+    assert np.mean((X[:, 1] < -0.25) | (X[:, 1] > 0.3)) > 0.9
+    bare = replace(own, theta=np.r_[own.theta[: -len(coef)], np.zeros(len(coef))])
+    for answer in (torques, stepped):
+        alone = answer(own, X) - answer(bare, X)
+        assert_allclose(alone[:, 1], law(X[:, 1]), rtol=0, atol=1e-10)
+        assert_array_equal(alone[:, [0, 2]], 0.0)
+
+
+def test_sensitivities_are_those_of_what_is_held_and_what_is_followed():
+    rng = np.random.default_rng(2)
+    free, X = with_effect(rng, Spring(1), [3.0, 0.4]), random_motion(rng, 3)
+    both = replace(
+        free,
+        plan=replace(free.plan, effects=(Spring(1), Ripple(1, period=0.4))),
+        theta=np.r_[free.theta, 0.6, 0.0],
+        load=np.r_[free.load, 0.6, 0.0],
+    )
+    own = held(both)
+    bare = replace(own, theta=np.r_[own.theta[:-4], np.zeros(4)])
+    found, without = (slopes(one, own.ask(X).recording, X) for one in (own, bare))
+    q = X[:, 1]
+    low, high = widened(-0.2, 0.25, 0.2)
+    spring = 3.0 * ((q > low) & (q < high))
+    assert 10 < np.count_nonzero(spring) < len(q) - 10
+    assert_allclose(
+        (found.stiffness - without.stiffness)[:, 1, 1],
+        spring - 0.6 * 5 * np.pi * np.sin(5 * np.pi * q),
+        rtol=0,
+        atol=1e-6,
+    )
+    columns = np.cos(5 * np.pi * q), np.sin(5 * np.pi * q)
+    expected = np.column_stack([np.clip(q, low, high), np.ones_like(q), *columns])
+    assert_allclose(found.Phi[:, 1, -4:], expected, rtol=0, atol=1e-12)
+
+
+def stepped(predictor, X):
+    stepper = Stepper(predictor.torque_model())
+    return np.array([stepper.step(*row.reshape(3, -1)) for row in X])
+
+
+@pytest.mark.parametrize("name", DEPENDENT)
+@pytest.mark.parametrize("seed", range(3))
+def test_states_one_by_one_have_the_torques_of_all(name, seed):
+    rng = np.random.default_rng(seed)
+    predictor = held(random_predictor(rng, 3, [name, "load_friction"]))
+    X = random_motion(rng, 3)
+    assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
+
+
+def test_an_effect_of_ones_own_one_by_one():
+    rng = np.random.default_rng(0)
+    predictor = held(with_effect(rng, Cubic(1), [3.0]))
+    X = random_motion(rng, 3)
+    assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
+
+
+@pytest.fixture(params=["compiled", "plain"])
+def twin(request, monkeypatch):
+    """Both ways to compute accelerations."""
+    if request.param == "plain":
+        monkeypatch.setattr(_dynamics, "compiled", lambda: None)
+    else:
+        pytest.importorskip("numba")
+
+
+@pytest.mark.parametrize("name", [*DEPENDENT, "cubic"])
+def test_a_simulation_has_the_predicted_torques(name, twin):
+    rng = np.random.default_rng(3)
+    if name == "cubic":
+        predictor = with_effect(rng, Cubic(1), [3.0])
+    else:
+        predictor = random_predictor(rng, 3, [name])
+        # Positive, so that friction brakes.
+        at = predictor.features.n_parameters_
+        predictor.theta[at:] = 0.1 + abs(predictor.theta[at:])
+        predictor = replace(predictor, load=predictor.load.copy())
+    # What is simulated loads the joints as well.
+    bodies = predictor.features.n_parameters_
+    predictor.load[:bodies] = predictor.theta[:bodies]
+    predictor = held(predictor, load=(-0.3, 0.5))
+    t = DT * np.arange(40)
+    tau = torques(predictor, np.zeros((1, 9))) + 4.0 * np.sin(
+        np.outer(t, rng.uniform(5, 9, 3)) + rng.uniform(0, 6, 3)
+    )
+    start = np.zeros(3), rng.choice([-2.0, 2.0], size=3)
+    X = simulate(predictor.torque_model(), tau, *start)
+    v = X[:, 3:6]
+    # Where a joint turned between two rows its memory turned there, not in a row.
+    turned = np.abs(np.diff(np.sign(v), axis=0)).sum(axis=1) > 0
+    last = np.argmax(turned) + 1 if turned.any() else len(t)
+    own = torques(predictor, X)
+    size = np.abs(tau).max()
+    assert last > 5
+    assert_allclose(own[:last], tau[:last], rtol=0, atol=1e-9 * size)
+    beyond = np.abs(own - torques(replace(predictor, ranges=()), X))[:last].max()
+    if name in BOUNDED:
+        assert np.ptp(X[:last, predictor.effects[0].joint]) > 0.45
+        assert beyond == 0.0
+    else:
+        assert beyond > 1e-4
+
+
+# -- closed forms of the motion
+
+
+@pytest.mark.parametrize("k", [50.0, 2e4])
+@pytest.mark.parametrize(("long", "error"), [(0.01, 1e-6), (1.2, 3e-5)])
+def test_beyond_its_end_a_spring_is_a_constant_force(twin, k, long, error):
+    # Steps between rows are explicit, or so long that they are implicit; the bend at
+    # the end is no event, and costs the step across it some of its order.
+    mass, v0 = 2.0, 1.5
+    rate = np.sqrt(k / mass)
+    end, dt = 0.5 * v0 / rate, long / rate
+    fitted = end / (1.4 + 1e-9)
+    assert widened(-fitted, fitted, 0.2) == pytest.approx((-end, end), rel=1e-15)
+    own = (range_of(Spring(), position=(-fitted, fitted)),)
+    robot = slider(mass, effects=[(Spring(), [k, 0.0])], ranges=own, dt=dt)
+    t = np.arange(0.0, 2.5 / rate, dt)
+    found = simulate(robot, np.zeros((t.size, 1)), [0.0], [v0])
+    leaves = np.arcsin(end * rate / v0) / rate
+    left = np.sqrt(v0**2 - (rate * end) ** 2)
+    later = t - leaves
+    q = np.where(
+        later < 0,
+        v0 / rate * np.sin(rate * t),
+        end + left * later - 0.5 * k * end / mass * later**2,
+    )
+    assert (later < 0).any()
+    assert (later > 0).sum() > 1
+    assert_allclose(found[:, 0], q, rtol=0, atol=error * q.max())
+    assert_allclose(found[later > 0, 2], -k * end / mass, rtol=1e-12)
+
+
+def test_beyond_its_end_quadratic_friction_is_a_constant_force(twin):
+    mass, F2, fast, dt = 2.0, 3.0, 0.8, 0.01
+    fitted = fast / (1.2 + 1e-9)
+    assert widened(0.0, fitted, 2 * 0.1)[1] == pytest.approx(fast, rel=1e-15)
+    own = (range_of(ViscousQuadratic(), speed=(0.0, fitted)),)
+    used = [(ViscousQuadratic(), [F2])]
+    robot = slider(mass, effects=used, ranges=own, dt=dt)
+    t = dt * np.arange(200)
+    found = simulate(robot, np.zeros((200, 1)), [0.0], [-2.0])
+    reaches = (2.0 - fast) / (F2 * fast**2 / mass)
+    speed = np.where(
+        t < reaches,
+        2.0 - F2 * fast**2 / mass * t,
+        fast / (1 + F2 * fast / mass * np.maximum(t - reaches, 0.0)),
+    )
+    assert 50 < (t < reaches).sum() < 150
+    assert_allclose(found[:, 1], -speed, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 0.01])
+def test_beyond_its_end_load_friction_is_coulomb_friction(twin, smoothing):
+    mass, mu = 2.0, 0.2
+    friction = LoadFriction(0, smoothing)
+    own = (range_of(friction, load=(-1.0, 4.0)),)
+    _, high = widened(-1.0, 4.0, 0.2)
+    robot = slider(mass, effects=[(friction, [mu])], ranges=own)
+    force = np.array([2.0, 4.5, 9.0, 30.0, -0.5, -3.0, -30.0])
+    # m a + mu |m a| = F inside, for velocities forward; ends are alike both ways.
+    load = np.where(force > 0, force / (1 + mu), force / (1 - mu))
+    load = np.where(load > high, force - mu * high, load)
+    load = np.where(load < -high, force - mu * high, load)
+    dynamics = _dynamics.ForwardDynamics(robot)
+    still, moves = np.zeros(1), np.array([5.0])
+    dynamics.start(still)
+    mode, stuck = np.ones(1), np.zeros(1, dtype=bool)
+    found = [
+        dynamics.accelerate(still, moves, np.array([F]), mode, stuck)[0] for F in force
+    ]
+    assert_allclose(found, load / mass, rtol=1e-12)
+
+
+def test_two_frictions_over_the_load_of_a_joint_have_their_own_ends(twin):
+    used = [(LoadFriction(0, s), [mu]) for s, mu in ((0.0, 0.2), (0.01, 0.1))]
+    own = tuple(
+        range_of(effect, load=(-high, high)) for (effect, _), high in zip(used, (4, 6))
+    )
+    robot = slider(2.0, effects=used, ranges=own)
+    (_, one), (_, other) = (widened(-high, high, 0.2) for high in (4, 6))
+    states = simulate(robot, np.full((20, 1), 12.0), [0.0], [5.0])
+    # Both beyond their ends.
+    assert_allclose(states[:, 2], (12.0 - 0.2 * one - 0.1 * other) / 2.0, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", [n for n in DEPENDENT if n != "load_friction"])
+def test_derivatives_are_those_of_the_held_torque(name, twin):
+    rng = np.random.default_rng(1)
+    predictor = held(random_predictor(rng, 1, [name], gravity=np.zeros(3)))
+    if name == "counterbalance" and not predictor.effects:
+        pytest.skip("the joint slides")
+    dynamics = _dynamics.ForwardDynamics(predictor.torque_model())
+    dynamics.start(np.zeros(1))
+    mode, stuck = np.zeros(1), np.zeros(1, dtype=bool)
+    (effect,) = predictor.effects
+    (quantity, *_) = effect.depends
+    step = 1e-6
+
+    def needed(q, v):
+        state = np.array([q]), np.array([v]), np.zeros(1)
+        a = dynamics.accelerate(*state, mode, stuck)
+        return -(dynamics.mass @ a)[0]
+
+    for far in (0.1, 0.2 - 1e-3, 0.3, 5.0, -0.15, -4.0, 1.0):
+        q, v = (far, 0.3) if quantity == "position" else (0.0, 2.0 * far)
+        by = {"position": (step, 0.0), "speed": (0.0, step)}[quantity]
+        rise = needed(q + by[0], v + by[1]) - needed(q - by[0], v - by[1])
+        needed(q, v)
+        slope = dynamics.by_position if quantity == "position" else dynamics.by_velocity
+        expected = rise / (2 * step)
+        assert_allclose(slope, expected, rtol=1e-5, atol=1e-5)

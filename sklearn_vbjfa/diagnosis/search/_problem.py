@@ -527,8 +527,11 @@ class Fit:
         if not (effect.slow or effect.trend or effect.jumping):
             return Excess(ratio=usual, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.
-        ratio = float(max(usual, power[:_SLOWEST].mean()))
-        return Excess(ratio=ratio, freedom=float(slow.size), usual=usual)
+        # Of these the effect has taken one, and one more if its shape was searched.
+        taken = 1 + bool(effect.continuous or effect.jumping)
+        left = power[:_SLOWEST].sum() / max(_SLOWEST - taken, 1)
+        freedom = float(max(slow.size - taken, 1))
+        return Excess(ratio=float(max(usual, left)), freedom=freedom, usual=usual)
 
     @functools.cached_property
     def _covariance(self):

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.fft import dct
 
 pytest.importorskip("pinocchio")
 
@@ -19,7 +20,14 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     spectrum_of,
 )
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
-from sklearn_vbjfa.effects import Coulomb, JointZero, Offset, Spring
+from sklearn_vbjfa.effects import (
+    Coulomb,
+    Drift,
+    JointZero,
+    Offset,
+    Payload,
+    Spring,
+)
 from tests.diagnosis._recordings import record
 from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring, view_of
 
@@ -307,7 +315,7 @@ def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(fitted):
         assert_allclose(power[j], cosines.fill[j] * squares, rtol=1e-9)
 
 
-def literal_scores(fit, own, coef):
+def literal_scores(fit, own, coef, noise=None):
     """Scores by block of a direction beside a fit, and what moments promise."""
     made, view = fit.problem, fit.problem.view
     nv, n = made.y.shape
@@ -322,7 +330,8 @@ def literal_scores(fit, own, coef):
     left = (x * root) - A @ np.linalg.solve(flat.T @ flat + penalty, right)
     used = view.root.T > 0
     rows = np.where(used, made.cosines.rows(left), 0.0)
-    noise = np.where(used, made.cosines.rows(fit.residual * root), 0.0)
+    if noise is None:
+        noise = np.where(used, made.cosines.rows(fit.residual * root), 0.0)
     # What the direction itself explains of it is no noise.
     noise = noise - rows * (rows * noise).sum() / (rows**2).sum()
     product = (rows * noise).sum(axis=0)
@@ -364,6 +373,28 @@ def test_an_effect_that_comes_and_goes_is_worth_less(path, fitted):
     slow *= rows.std() / slow[1].std()
     white = fitted.excess(own, 0, coef, rows)
     assert fitted.excess(own, 0, coef, slow).ratio > 3.0 * white.ratio
+
+
+@pytest.mark.parametrize(
+    ("effect", "taken"), [(Drift(1), 2), (Payload(1, instant=9.0), 2)], ids=["D", "P"]
+)
+def test_functions_of_time_are_told_by_the_slowest_changes(path, fitted, effect, taken):
+    """Their mean power, but for those that the effect has taken itself."""
+    own = path._single(effect)
+    coef = np.ones(len(effect.coefficients))
+    rng = np.random.default_rng(0)
+    walk = np.cumsum(rng.normal(size=fitted.scores.shape), axis=1)
+    noise = fitted.scores * walk
+    found = fitted.excess(own, 0, coef, noise)
+    scores, promised = literal_scores(fitted, own.member(0), coef, noise)
+    order = fitted.problem.view.block_order
+    power = dct(scores[order], norm="ortho")[1:] ** 2 * scores.size / promised
+    slow = max(power.size // 4, 1)
+    usual = max(1.0, power.mean(), power[:slow].mean())
+    assert found.usual == pytest.approx(usual, rel=1e-6)
+    expected = max(usual, power[:4].sum() / (4 - taken))
+    assert found.ratio == pytest.approx(expected, rel=1e-6)
+    assert found.freedom == slow - taken
 
 
 def test_a_view_without_joints_that_are_heard_has_nothing_to_find():

@@ -527,8 +527,8 @@ class Fit:
         if not (effect.slow or effect.trend or effect.jumping):
             return Excess(ratio=usual, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.
-        # Of these the effect has taken one, and one more if its shape was searched.
-        taken = 1 + bool(effect.continuous or effect.jumping)
+        # Of these the effect has taken one, and one more if its course was searched.
+        taken = 1 + bool(set(effect.continuous) - set(effect.jumping))
         left = power[:_SLOWEST].sum() / max(_SLOWEST - taken, 1)
         freedom = float(max(slow.size - taken, 1))
         return Excess(ratio=float(max(usual, left)), freedom=freedom, usual=usual)

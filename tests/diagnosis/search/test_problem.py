@@ -376,7 +376,7 @@ def test_an_effect_that_comes_and_goes_is_worth_less(path, fitted):
 
 
 @pytest.mark.parametrize(
-    ("effect", "taken"), [(Drift(1), 2), (Payload(1, instant=9.0), 2)], ids=["D", "P"]
+    ("effect", "taken"), [(Drift(1), 2), (Payload(1, instant=9.0), 1)], ids=["D", "P"]
 )
 def test_functions_of_time_are_told_by_the_slowest_changes(path, fitted, effect, taken):
     """Their mean power, but for those that the effect has taken itself."""

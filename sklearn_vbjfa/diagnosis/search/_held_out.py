@@ -2,9 +2,12 @@
 
 import functools
 from dataclasses import dataclass
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import linalg
+
+from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
 
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8
@@ -87,74 +90,74 @@ class HeldOut:
         self.view = view
         self.heard = np.flatnonzero(view.precision > 0)
         self.fold = fold_of(view) if fold is None else fold
-        self._edges = np.r_[view.blocks.starts, view.index.size]
+        edges = np.r_[view.blocks.starts, view.index.size]
+        self.declared = Declared(view.Z, view.target, edges)
         # A block lies in one fold, but for the one in which a fold ends.
-        self._of_block = self.fold[self._edges[:-1]]
-        self._known = {}
+        self.of_block = self.fold[edges[:-1]]
+        self._known = WeakKeyDictionary()
 
-    def _rows(self, members):
-        """All columns and the torque of the heard joints, (nj, m, r + p + 1)."""
-        view = self.view
-        width = sum(m.width for m in members)
-        rows = np.zeros((self.heard.size, view.index.size, width))
-        at = 0
-        for member, own in zip(members, self._columns(members)):
-            for i, j in enumerate(self.heard):
-                if j in member.joints:
-                    place = slice(at, at + member.width)
-                    rows[i, :, place] = own[member.joints.index(j)]
-            at += member.width
-        target = view.target[self.heard, :, None]
-        return np.concatenate([view.Z[self.heard], rows, target], axis=2)
-
-    def _columns(self, members):
-        """Columns (nj, m, k) of each member, row by row."""
-        for member in members:
-            key = id(member.columns)
-            if key not in self._known:
-                made = self.view.columns([member.effect], self.motion)[:, :, 0]
-                self._known[key] = member.columns, made
-            yield self._known[key][1]
+    def moments(self, member):
+        """Moments of a member's columns, row by row."""
+        if member.moments not in self._known:
+            columns = self.view.columns([member.effect], self.motion)
+            edges = self.declared.edges
+            self._known[member.moments] = Moments(member.joints, columns, edges)
+        return self._known[member.moments]
 
     def fitted(self, fit, motion):
         """Leave out each fold of a `Fit`; returns a `HeldOutFit`."""
         self.motion = motion
-        return HeldOutFit(self, fit, self._rows(fit.members))
+        return HeldOutFit(self, fit)
 
 
 class HeldOutFit:
     """A model on folds of time that were not fitted; see `HeldOut`."""
 
-    def __init__(self, held, fit, rows):
-        self.held, self.fit, self._given = held, fit, rows
-        view = held.view
-        p = rows.shape[2] - 1
-        r = p - fit.n_coefficients
+    def __init__(self, held, fit):
+        self.held, self.fit = held, fit
+        view, r = held.view, held.declared.Z.shape[2]
+        p = r + fit.n_coefficients
         self._places = [slice(r + s.start, r + s.stop) for s in fit.places]
-        # Block, joint, column, column.
-        self._moments = np.array(
-            [
-                rows[:, a:b].transpose(0, 2, 1) @ rows[:, a:b]
-                for a, b in zip(held._edges[:-1], held._edges[1:])
-            ]
-        )
+        self._members = [held.moments(member) for member in fit.members]
+        self._moments = self._assembled(r, p)
         # What the joints weigh with the members there.
         power = (fit.residual[held.heard] ** 2).sum(axis=1)
         least = _TINY**2 * (view.target[held.heard] ** 2).sum(axis=1)
         self.weight = weight = view.rows[held.heard] / np.maximum(power, least)
-        self._weighted = np.einsum("j,bjpq->bpq", weight, self._moments)
-        total = self._weighted.sum(axis=0)
+        weighted = np.einsum("j,bjpq->bpq", weight, self._moments)
+        total = weighted.sum(axis=0)
         ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
         prior = np.r_[np.full(r, ridge), fit.prior]
         self._done = np.r_[np.zeros(r), fit.done]
         self._folds = []
-        for k in np.unique(held._of_block):
-            blocks = held._of_block == k
-            left = total - self._weighted[blocks].sum(axis=0)
+        for k in np.unique(held.of_block):
+            blocks = held.of_block == k
+            left = total - weighted[blocks].sum(axis=0)
             G = left[:p, :p] + np.diag(prior)
             factor = linalg.cho_factor(G)
             theta = linalg.cho_solve(factor, left[:p, p] - prior * self._done)
             self._folds.append((blocks, factor, theta))
+
+    def _assembled(self, r, p):
+        """Products of all columns and torques, (n_blocks, nj, p + 1, p + 1)."""
+        held, declared = self.held, self.held.declared
+        out = np.zeros((held.of_block.size, held.heard.size, p + 1, p + 1))
+        out[:, :, :r, :r] = declared.gram[held.heard].swapaxes(0, 1)
+        out[:, :, :r, p] = declared.right[held.heard].swapaxes(0, 1)
+        out[:, :, p, p] = declared.power[held.heard].T
+        for a, (place, own) in enumerate(zip(self._places, self._members)):
+            cross, right = own.declared(declared), own.right(declared)
+            for i, j in enumerate(held.heard):
+                if j in own.joints:
+                    out[:, i, :r, place] = cross[own.joints.index(j)]
+                    out[:, i, place, p] = right[own.joints.index(j)]
+            for other_place, other in zip(self._places[a:], self._members[a:]):
+                between = own.between(other)
+                for i, j in enumerate(held.heard):
+                    if j in between:
+                        out[:, i, place, other_place] = between[j]
+        # What is below the diagonal stands above it.
+        return np.triu(out) + np.triu(out, 1).swapaxes(2, 3)
 
     def _squares(self, blocks, theta):
         """Squared errors (n, nj) of some blocks."""
@@ -196,12 +199,17 @@ class HeldOutFit:
     @property
     def residual(self):
         """Residuals (nv, m) of rows that were not fitted, scaled by their roots."""
-        held = self.held
+        held, r = self.held, self.held.declared.Z.shape[2]
         out = np.zeros_like(held.view.target)
         for blocks, _, theta in self._folds:
             rows = np.isin(held.view.blocks.label, np.flatnonzero(blocks))
-            own = self._given[:, rows]
-            out[np.ix_(held.heard, rows)] = own[..., -1] - own[..., :-1] @ theta
+            for j in held.heard:
+                own = held.view.target[j, rows] - held.view.Z[j, rows] @ theta[:r]
+                for place, member in zip(self._places, self._members):
+                    if j in member.joints:
+                        columns = member.columns[member.joints.index(j), rows, 0]
+                        own -= columns @ theta[place]
+                out[j, rows] = own
         return out
 
 

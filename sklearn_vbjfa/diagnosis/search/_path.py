@@ -521,8 +521,10 @@ class Path:
         before = self.view, self.problem, self.motion
         for _ in range(_TURNS):
             fit = self._anew(fit)
+            sure = self.log_odds(fit)[-1] > self.least
+            if not sure:
+                break
         last = fit.members[-1]
-        sure = self.log_odds(fit)[-1] > self.least
         natural = last.effect.natural(fit.coefficients(len(fit.members) - 1))
         self.view, self.problem, self.motion = before
         return sure and natural

@@ -11,7 +11,7 @@ from scipy import fft, linalg
 
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._groups import Excess, Groups
-from sklearn_vbjfa.diagnosis.search._moments import Moments, products
+from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
 from sklearn_vbjfa.effects import Effect
 
 # One in so many cosines of the scores is slow; and the slowest of them.
@@ -74,7 +74,7 @@ class Member(Columns):
         return self.effect.values - np.asarray(self.effect.idle)
 
 
-class Problem:
+class Problem(Declared):
     """Weighted equations of all joints in frequency.
 
     Parameters
@@ -94,52 +94,17 @@ class Problem:
         Root mean square of the varying torque of each joint, in weighted rows.
     """
 
-    _root = None
-
     def __init__(self, view, cosines=None):
         self.view = view
         self.cosines = Cosines(view) if cosines is None else cosines
         joints = range(view.nv)
-        self.Z = self.cosines(view.Z, joints)
-        self.y = self.cosines(view.target, joints)
+        Z, y = self.cosines(view.Z, joints), self.cosines(view.target, joints)
+        super().__init__(Z, y, self.cosines.edges)
         rows = np.maximum(view.rows, np.finfo(float).tiny)
         mean = (view.target * view.root.T).sum(axis=1) / rows
         rest = view.target - mean[:, None] * view.root.T
         self.torque = np.sqrt((rest**2).sum(axis=1) / view.target.shape[1])
         self.heard = view.precision > 0
-
-    @property
-    def root(self):
-        """The problem with the same columns and the torques of the view."""
-        return self if self._root is None else self._root
-
-    @functools.cached_property
-    def gram(self):
-        """Products of the declared columns by joint and band, (nv, n_bands, r, r)."""
-        edges = self.cosines.edges
-        return np.array([products(edges, Z, Z) for Z in self.Z])
-
-    @functools.cached_property
-    def right(self):
-        """Products of these with the torques, (nv, n_bands, r)."""
-        edges = self.cosines.edges
-        return np.array(
-            [products(edges, Z, y)[:, :, 0] for Z, y in zip(self.Z, self.y)]
-        )
-
-    @functools.cached_property
-    def power(self):
-        """Square sums of the torques, (nv, n_bands)."""
-        return np.add.reduceat(self.y**2, self.cosines.edges[:-1], axis=1)
-
-    def with_torques(self, y):
-        """Return the same problem with other torques."""
-        made = copy.copy(self)
-        made.y, made._root = y, self.root
-        # What is made of the columns alone stays.
-        for name in ("right", "power"):
-            made.__dict__.pop(name, None)
-        return made
 
     def family(self, effect, motion):
         """Members (joints, effects, columns (nj, n, c, k), unit (c, k)) of a family."""
@@ -173,7 +138,7 @@ class Family(Columns):
         unit = np.where(largest > 0, 1.0 / np.where(largest > 0, largest, 1.0), 0.0)
         return cls(
             effects=tuple(effects),
-            moments=Moments(joints, problem.cosines(columns, joints)),
+            moments=Moments(joints, problem.cosines(columns, joints), problem.edges),
             unit=unit,
         )
 
@@ -189,9 +154,7 @@ class Family(Columns):
         return [
             Family(
                 effects=tuple(self.effects[c] for c in own),
-                moments=Moments(
-                    self.joints, np.ascontiguousarray(self.columns[:, :, own])
-                ),
+                moments=self.moments.of(np.ascontiguousarray(self.columns[:, :, own])),
                 unit=self.unit[own],
             )
             for own in uses.values()
@@ -203,7 +166,7 @@ class Family(Columns):
         own = np.ascontiguousarray(self.columns[:, :, c : c + 1, :k])
         return Member(
             effect=self.effects[c],
-            moments=Moments(self.joints, own),
+            moments=self.moments.of(own),
             unit=self.unit[c, :k],
             scale=scale,
         )
@@ -272,7 +235,7 @@ class Base:
 
     def between(self, one, other):
         """Weighted products of two `Moments`, (p, q)."""
-        found = one.between(other, self.problem.cosines.edges)
+        found = one.between(other)
         width = [m.columns.shape[2] * m.columns.shape[3] for m in (one, other)]
         return sum(
             (np.tensordot(self.density[j], own, 1) for j, own in found.items()),
@@ -286,7 +249,7 @@ class Base:
             _, _, c, k = moments.columns.shape
             T = self.solved(self.over(own, moments.declared(problem)))
             right = self.over(own, moments.right(problem))
-            gram = self.over(own, moments.gram(problem.cosines.edges))
+            gram = self.over(own, moments.gram)
             self._known[moments] = Beside(
                 T=T,
                 gram=gram,
@@ -435,7 +398,7 @@ class Fit:
             taken[list(member.joints)] -= 2.0 * np.tensordot(own, cross[:, place], 2)
         pairs = itertools.product(zip(self.places, self.members), repeat=2)
         for (a, one), (b, other) in pairs:
-            for j, own in one.moments.between(other.moments, edges).items():
+            for j, own in one.moments.between(other.moments).items():
                 taken[j] += np.tensordot(own, covariance[a, b], 2)
         taken *= base.density
         return fill * power, np.maximum(fill * np.diff(edges) - taken, 0.0)
@@ -600,8 +563,8 @@ def together(fit, members, prior, scale):
     """
     if not members:
         return []
-    joints = members[0].joints
-    whole = Moments(joints, np.concatenate([m.columns for m in members], axis=3))
+    columns = np.concatenate([m.columns for m in members], axis=3)
+    whole = members[0].moments.of(columns)
     place = np.repeat(np.arange(len(members)), [m.width for m in members])
     unit = np.concatenate([m.unit for m in members])
     effects = (members[0].effect,)

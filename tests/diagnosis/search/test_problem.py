@@ -10,7 +10,7 @@ from scipy.fft import dct
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.search._moments import Moments
+from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
 from sklearn_vbjfa.diagnosis.search._problem import (
     Base,
     Family,
@@ -39,8 +39,9 @@ class Made(Problem):
     """Equations that are made up, each cosine a band of its own."""
 
     def __init__(self, Z, y, heard):
-        self.Z, self.y, self.heard = Z, y, heard
         bands = np.arange(N + 1)
+        Declared.__init__(self, Z, y, bands)
+        self.heard = heard
         self.cosines = SimpleNamespace(
             fill=np.ones(NV), band=bands[:-1], edges=bands, octave=bands[:-1]
         )
@@ -65,7 +66,9 @@ def member(effect, joints, k, seed, scale=0.5):
     rng = np.random.default_rng(seed)
     return Member(
         effect=effect,
-        moments=Moments(joints, rng.normal(size=(len(joints), N, 1, k))),
+        moments=Moments(
+            joints, rng.normal(size=(len(joints), N, 1, k)), np.arange(N + 1)
+        ),
         unit=np.linspace(0.5, 2.0, k),
         scale=scale,
     )
@@ -263,9 +266,7 @@ def test_shapes_of_a_family_do_not_know_of_each_other(path, fitted):
     for c in (0, len(whole.effects) // 2, len(whole.effects) - 1):
         own = Family(
             effects=whole.effects[c : c + 1],
-            moments=Moments(
-                whole.joints, np.ascontiguousarray(whole.columns[:, :, c : c + 1])
-            ),
+            moments=whole.moments.of(whole.columns[:, :, c : c + 1].copy()),
             unit=whole.unit[c : c + 1],
         )
         alone = fitted.groups(own)

@@ -8,6 +8,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy import fft, linalg
+from scipy.linalg import lapack
 
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._groups import Excess, Groups
@@ -172,6 +173,13 @@ class Family(Columns):
         )
 
 
+def _lower(L, right, turned=False):
+    """Solve a lower triangular system (r, ...), or that of its transpose."""
+    # SciPy's own function checks for longer than such small systems take.
+    found, _ = lapack.dtrtrs(L, right, lower=1, trans=int(turned))
+    return found if right.ndim > 1 else found.ravel()
+
+
 class Base:
     """The declared columns alone under given weights, and what families are beside it.
 
@@ -214,7 +222,7 @@ class Base:
 
     def solved(self, right):
         """L^-1 times a right-hand side (r, ...)."""
-        return linalg.solve_triangular(self.L, right, lower=True)
+        return _lower(self.L, right)
 
     def undone(self, member):
         """Return the same before a member's corrections, as far as these are linear."""
@@ -331,14 +339,8 @@ class Fit:
         S += np.diag(self.prior) - self._B.T @ self._B
         self._factor = linalg.cholesky(S, lower=True) if p else S
         self._t = self._reduced(right)
-        self._coef = (
-            linalg.solve_triangular(self._factor, self._t, lower=True, trans="T")
-            if p
-            else right
-        )
-        self.theta = linalg.solve_triangular(
-            base.L, base.t - self._B @ self._coef, lower=True, trans="T"
-        )
+        self._coef = _lower(self._factor, self._t, turned=True) if p else right
+        self.theta = _lower(base.L, base.t - self._B @ self._coef, turned=True)
 
     @property
     def problem(self):
@@ -354,7 +356,7 @@ class Fit:
         """Solve the members' factor for a right-hand side (p, ...)."""
         if not self.members:
             return right
-        return linalg.solve_triangular(self._factor, right, lower=True)
+        return _lower(self._factor, right)
 
     @functools.cached_property
     def residual(self):
@@ -387,7 +389,7 @@ class Fit:
         # What the fit takes: products by band with the covariance of all coefficients.
         covariance, cross = self._covariance, np.zeros((base.L.shape[0], 0))
         if self.members:
-            E = linalg.solve_triangular(base.L, self._B, lower=True, trans="T")
+            E = _lower(base.L, self._B, turned=True)
             cross = E @ covariance
             whole = base.inverse + cross @ E.T
         else:
@@ -465,10 +467,8 @@ class Fit:
         D = self._reduced(own - self._B.T @ T)
         members = D
         if self.members:
-            members = linalg.solve_triangular(self._factor, D, lower=True, trans="T")
-        declared = linalg.solve_triangular(
-            base.L, T - self._B @ members, lower=True, trans="T"
-        )
+            members = _lower(self._factor, D, turned=True)
+        declared = _lower(base.L, T - self._B @ members, turned=True)
         left = -(problem.Z @ declared)
         for place, member in zip(self.places, self.members):
             for i, j in enumerate(member.joints):

@@ -11,8 +11,8 @@ class SearchSettings:
     """Numbers that decide what `EffectDiscovery` names, keeps and predicts.
 
     None of them has a unit of the robot: torques count in shares of the joint's torque,
-    evidence in nats (natural logarithms of odds). What halving and doubling each of
-    them does is measured in the guide, "Numbers that decide".
+    evidence in nats (natural logarithms of odds). The guide has them under "Numbers
+    that decide".
 
     Parameters
     ----------

@@ -588,8 +588,8 @@ def report(verdicts, old=()):
         f"open; sizes of {SIZES[0]:g} to {SIZES[1]:g} times the residual's root mean "
         "square outside what the declared model can mimic; found: by name or as a "
         f"rival of the one named. Seeds {min(seeds)} to {max(seeds)}; seconds of a "
-        f"recording: {', '.join(seconds)}. Targets: at most {100 * ALPHA:.0f} % false "
-        "alarms pooled and 7.5 % in a cell, at most 3 points of power lost."
+        f"recording: {', '.join(seconds)}. Targets: at most 2 % false alarms pooled "
+        "and 5 % in a cell."
     )
     parts = [text, rst_table(rows(verdicts, old), HEADERS)]
     kinds = [row for row in by_kind(verdicts, old) if row[1]]

@@ -14,6 +14,7 @@ from sklearn_vbjfa.regression._joint_factor import (
     fit_moments,
 )
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
+from sklearn_vbjfa.robot._bodies import around, as_described
 from sklearn_vbjfa.robot._following import nominal_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter, sum_moments
 from sklearn_vbjfa.robot._weights import (
@@ -65,6 +66,12 @@ class Estimate:
         The fitted projector.
     block_factors : list of ndarray of shape (n, nv) or None
         Relative precision of each row's noise, piece by piece.
+    bodies : BodyPosterior or None
+        What the description added, where bodies have a prior.
+    wider : ndarray of shape (p,)
+        Factors by which residuals correlated in time widen the deviations.
+    pooled : float
+        Factor of the variance in the mean of all directions.
     """
 
     theta: np.ndarray
@@ -78,11 +85,21 @@ class Estimate:
     covariance: np.ndarray | None = None
     projector: object = None
     block_factors: list | None = None
+    bodies: object = None
+    wider: np.ndarray | None = None
+    pooled: float = 1.0
 
     @property
     def identifiable(self):
         """Parameters determined individually by the data, (p,), bool."""
         return identifiable(self.metric)
+
+    @property
+    def posterior_metric(self):
+        """`metric` with what the description adds in the same units, (p, p)."""
+        if self.bodies is None:
+            return self.metric
+        return self.metric + self.bodies.noise * self.bodies.prior
 
     def noise(self):
         """Residual deviations (nv,) due to input noise, and the rest [N m or N]."""
@@ -175,6 +192,8 @@ def estimate(
         moments=replace(moments, blocks=None),
         regressor=regressor,
         block_factors=factors,
+        wider=wider,
+        pooled=pooled,
     )
 
 
@@ -192,16 +211,52 @@ def plain_estimate(moments, joint_weights="auto"):
     metric = total.S_xx if noise is None else denoised(total, noise)
     found = scaled_eigen(metric, IDENTIFIABLE)
     theta = found.solve(total.S_xy)
-    count = moments.n_rows[weight > 0].sum()
-    squares = weight @ moments.residual_squares(theta)
-    # Weights may be fractions of a row; only the count knows what was estimated.
-    variance = squares / total.n_samples * count / max(count - found.rank, 1)
+    variance = _noise_variance(moments, weight, theta, found.rank)
     wider, _ = _correlation(moments, weight, theta)
     return PlainEstimate(
         theta=theta,
         covariance=found.inverse() * variance * np.outer(wider, wider),
         known=identifiable(metric),
         eigen=found,
+    )
+
+
+def _noise_variance(moments, weight, theta, rank):
+    """Weighted mean square of the noise, of which a fit took `rank` directions."""
+    used = weight > 0
+    count = moments.n_rows[used].sum()
+    squares = weight @ moments.residual_squares(theta)
+    # Weights may be fractions of a row; only the count knows what was estimated.
+    return squares / moments.n[used].sum() * count / max(count - rank, 1)
+
+
+def beside_description(found, description, bodies="prior"):
+    """Return an `Estimate` with the bodies around their description, or as described.
+
+    The likelihood is worth what its scatter between blocks of time leaves of it.
+    """
+    moments, weight = found.moments, found.joint_weights
+    total = moments.total(weight)
+    rank = scaled_eigen(found.metric, IDENTIFIABLE).rank
+    start = found.theta_unconstrained
+    noise = _noise_variance(moments, weight, start, rank) * max(found.pooled, 1.0)
+    way = around if bodies == "prior" else as_described
+    posterior = way(description, found.metric / noise, total.S_xy / noise)
+    # Deviations: what the prior leaves, and the noise as it scatters in time.
+    covariance = posterior.covariance
+    finite = np.where(np.isfinite(covariance), covariance, 0.0)
+    of_prior = np.einsum("ij,jk,ki->i", finite, posterior.prior, finite)
+    of_noise = np.einsum("ij,jk,ki->i", finite, found.metric / noise, finite)
+    wider = found.wider**2 / max(found.pooled, 1.0)
+    std = np.sqrt(of_prior + np.maximum(of_noise, 0.0) * wider)
+    std = np.where(np.isfinite(np.diagonal(covariance)), std, np.inf)
+    return replace(
+        found,
+        theta=posterior.theta,
+        theta_unconstrained=posterior.theta,
+        std=std,
+        covariance=covariance,
+        bodies=replace(posterior, noise=noise),
     )
 
 
@@ -363,7 +418,7 @@ def project(found, projector, features):
         projector,
         features.model_,
         found.theta_unconstrained,
-        found.metric,
+        found.posterior_metric,
         features.friction_,
         nominal_followers(features),
     )

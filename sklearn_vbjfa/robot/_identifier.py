@@ -24,6 +24,7 @@ from sklearn_vbjfa.recording._recording import (
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot import _model_file
+from sklearn_vbjfa.robot._bodies import described_bodies
 from sklearn_vbjfa.robot._closed_loop import refine_controlled
 from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._controller import check_reference
@@ -37,7 +38,12 @@ from sklearn_vbjfa.robot._equations import (
     segments,
     unexcited_entries,
 )
-from sklearn_vbjfa.robot._estimate import estimate, min_eigenvalues, project
+from sklearn_vbjfa.robot._estimate import (
+    beside_description,
+    estimate,
+    min_eigenvalues,
+    project,
+)
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._following import refuse_followers, with_followers
 from sklearn_vbjfa.robot._gains import (
@@ -381,6 +387,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         criterion="torque",
         window="auto",
         controller=None,
+        bodies="prior",
     ):
         self.model = model
         self.dt = dt
@@ -403,6 +410,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.criterion = criterion
         self.window = window
         self.controller = controller
+        self.bodies = bodies
 
     def fit(
         self,
@@ -710,6 +718,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.parameter_names_ = self.features_.parameter_names_ + names
         self.parameter_units_ = self.features_.parameter_units_ + units
         self._load, self._signal_ends = None, {}
+        self._description = described_bodies(self)
 
     def _take(self, X, y, groups, sample_weight, t, signals):
         """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
@@ -805,6 +814,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             rows=[one.zeroed(zeros) for one in rows],
             block_noise=self.block_noise,
         )
+        if self._description is not None:
+            found = beside_description(found, self._description, self.bodies)
         return project(found, self.projector, self.features_)
 
     def _set(self, found):
@@ -821,6 +832,11 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.theta_, self.theta_unconstrained_ = found.theta, found.theta_unconstrained
         self.theta_std_, self.projector_ = found.std, found.projector
         self.identifiable_ = found.identifiable
+        known = found.bodies
+        self.from_description_ = (
+            np.zeros(found.theta.size, dtype=bool) if known is None else known.described
+        )
+        self.departures_ = () if known is None else known.departures
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
         self._torque_spread = TorqueSpread.of_estimate(found)

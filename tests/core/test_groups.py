@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import integrate, special, stats
 
-from sklearn_vbjfa.diagnosis.search._groups import Groups
+from sklearn_vbjfa._core._groups import Groups
 
 ROWS = 30
 

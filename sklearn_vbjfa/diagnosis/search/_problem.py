@@ -10,8 +10,8 @@ import numpy as np
 from scipy import fft, linalg
 from scipy.linalg import lapack
 
+from sklearn_vbjfa._core._groups import Excess, Groups
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
-from sklearn_vbjfa.diagnosis.search._groups import Excess, Groups
 from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
 from sklearn_vbjfa.effects import Effect
 

@@ -1,0 +1,393 @@
+"""Bodies around their description: a prior whose scale is found body by body."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+from scipy.special import softmax
+
+from sklearn_vbjfa._core._groups import SCALES, Groups
+from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa.model._loading import nominal_parameters, solid_bodies
+from sklearn_vbjfa.physical import pseudo_inertia
+
+# How far a description is expected to be off: a body's distance from it in each of ten
+# directions, as a share of the body; half-Cauchy, so that a body may be off by much.
+DESCRIBED = 0.2
+# A parameter is from the description if its deviation is more than this share of that
+# before the data.
+_LITTLE = 0.7
+# What departs as probably as the most probable body, within so many nats, is its rival.
+_RIVALS = 3.0
+# Scales beyond which no description is off, and the share of the usual precision that
+# a body keeps.
+_FARTHEST, _LEAST = 3.0, 1e-4
+# Passes over all bodies, and the change of a mean in deviations that ends them.
+_PASSES, _STAYS = 100, 1e-3
+# Directions of the Gram matrix below this are never used.
+_RANK = 1e-12
+WAYS = ("prior", "free", "fixed")
+
+
+@dataclass(frozen=True)
+class Departure:
+    """Bodies of which one is heavier or lighter than the description has it.
+
+    Attributes
+    ----------
+    bodies : tuple of str
+        Joints that carry them, the most probable first: another size of any of them
+        explains the torques about as well, within three nats.
+    factors : tuple of float
+        How many times the body of the description each of them would be.
+    stds : tuple of float
+        Standard deviations of the factors.
+    log_odds : float
+        Logarithm of the odds that the first of them departs further than descriptions
+        usually do, over that none does.
+    """
+
+    bodies: tuple[str, ...]
+    factors: tuple[float, ...]
+    stds: tuple[float, ...]
+    log_odds: float
+
+
+def _rounder(P):
+    """Pseudo-inertia of a body to which its mean extension is added on all sides.
+
+    A thin rod whose description has its centre a little beside it is not far off.
+    """
+    first, mass = P[:3, 3], P[3, 3]
+    about = P[:3, :3] - np.outer(first, first) / mass
+    out = P.copy()
+    out[:3, :3] += np.trace(about) / 3.0 * np.eye(3)
+    return out
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Description:
+    """Bodies of a description as the centre of a prior.
+
+    The distance of a body from its description is tr((P0^-1 dP)^2) with its
+    pseudo-inertia P0, which does not depend on the frame and is the metric of [1]_ at
+    P0; below one, the body is consistent.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Joints that carry the bodies.
+    places : ndarray of shape (n, 10)
+        Where their parameters are among all.
+    centre : ndarray of shape (n, 10)
+        Their parameters.
+    root : ndarray of shape (n, 10, 10)
+        Of upper triangular R with distance |R d|^2 for a change d of a body.
+
+    References
+    ----------
+    .. [1] T. Lee, P. Wensing, F. Park, "Geometric robot dynamic identification: a
+       convex programming approach", IEEE Trans. Robotics 36(2), 2020.
+       :doi:`10.1109/TRO.2019.2926491`
+    """
+
+    names: tuple[str, ...]
+    places: np.ndarray
+    centre: np.ndarray
+    root: np.ndarray
+
+    @classmethod
+    def of(cls, model, per_joint):
+        """Take the bodies of a model that have mass and extension; None without any.
+
+        Bodies that have none are left free, as nothing is said of them.
+        """
+        bodies = nominal_parameters(model)
+        solid = np.flatnonzero(solid_bodies(bodies))
+        if not solid.size:
+            return None
+        directions = pseudo_inertia(np.eye(10))
+        roots = []
+        for body in bodies[solid]:
+            made = np.linalg.solve(_rounder(pseudo_inertia(body)), directions)
+            metric = np.einsum("iab,jba->ij", made, made)
+            roots.append(linalg.cholesky(0.5 * (metric + metric.T)))
+        return cls(
+            names=tuple(model.names[int(k) + 1] for k in solid),
+            places=solid[:, None] * per_joint + np.arange(10),
+            centre=bodies[solid],
+            root=np.array(roots),
+        )
+
+    def vector(self, p):
+        """Parameters (p,) with the description in their places, zero elsewhere."""
+        out = np.zeros(p)
+        out[self.places] = self.centre
+        return out
+
+    def deviation(self):
+        """Deviations (n, 10) of the parameters before the data, by the usual scale."""
+        inverse = np.linalg.inv(self.root)
+        return DESCRIBED * np.sqrt((inverse**2).sum(axis=2))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodyPosterior:
+    """Parameters that torques and a description determine together.
+
+    Attributes
+    ----------
+    theta : ndarray of shape (p,)
+        Posterior mean.
+    covariance : ndarray of shape (p, p)
+        Posterior covariance; infinite on the diagonal where nothing tells a parameter.
+    prior : ndarray of shape (p, p)
+        Precision of the prior.
+    described : ndarray of shape (p,), bool
+        Parameters of which the torques say little beyond the description.
+    departures : tuple of Departure
+        Bodies that are not as described, or what they cannot be told apart from.
+    noise : float
+        Variance of the noise that the normal equations were divided by.
+    """
+
+    theta: np.ndarray
+    covariance: np.ndarray
+    prior: np.ndarray
+    described: np.ndarray
+    departures: tuple[Departure, ...] = ()
+    noise: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class _Site:
+    """What the prior of a body says in a Gaussian model: precision and its product."""
+
+    precision: np.ndarray
+    right: np.ndarray
+
+    @classmethod
+    def of_scale(cls, scale):
+        """Site of a body with a given scale."""
+        return cls(np.eye(10) / scale**2, np.zeros(10))
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """Gaussian posterior of the change from a description."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Normal equations A theta = b in units of the noise, beside a description.
+
+    Bodies are seen in coordinates in which their prior is round.
+    """
+
+    description: Description
+    A: np.ndarray
+    b: np.ndarray
+
+    def precision(self, sites):
+        """Precision (p, p) of the prior with some sites."""
+        out = np.zeros(self.A.shape)
+        known = zip(self.description.places, self.description.root, sites)
+        for at, root, site in known:
+            out[np.ix_(at, at)] = root.T @ site.precision @ root
+        return out
+
+    def solved(self, sites):
+        """Return the `_Solution` with some sites."""
+        right = self.b - self.A @ self.description.vector(self.b.size)
+        known = zip(self.description.places, self.description.root, sites)
+        for at, root, site in known:
+            right[at] += root.T @ site.right
+        # A direction that neither torques nor description tell stays where it is.
+        eigen = scaled_eigen(self.A + self.precision(sites), _RANK)
+        return _Solution(eigen.solve(right), eigen.inverse())
+
+    def marginal(self, solution, k):
+        """Precision and its product with the mean of a body, everything in."""
+        at, root = self.description.places[k], self.description.root[k]
+        around = root @ solution.covariance[np.ix_(at, at)] @ root.T
+        inverse = linalg.inv(0.5 * (around + around.T))
+        return 0.5 * (inverse + inverse.T), inverse @ (root @ solution.mean[at])
+
+    def sites(self):
+        """Sites by expectation propagation: they match mean and covariance [1]_.
+
+        References
+        ----------
+        .. [1] T. Minka, "Expectation propagation for approximate Bayesian inference",
+           UAI 2001; for scale mixtures M. Seeger, "Bayesian inference and optimal
+           design for the sparse linear model", J. Machine Learning Research 9, 2008.
+        """
+        sites = [_Site.of_scale(DESCRIBED)] * len(self.description.names)
+        for number in range(_PASSES):
+            solution = self.solved(sites)
+            share, moved, new = (0.5 if number else 1.0), 0.0, []
+            for k, site in enumerate(sites):
+                precision, product = self.marginal(solution, k)
+                found, step = _matched(precision, product, site)
+                moved = max(moved, step)
+                new.append(
+                    _Site(
+                        site.precision + share * (found.precision - site.precision),
+                        site.right + share * (found.right - site.right),
+                    )
+                )
+            sites = new
+            if moved < _STAYS:
+                break
+        return sites
+
+    def departures(self):
+        """Bodies that are larger or smaller than descriptions usually err, one by one.
+
+        Everything else is as far off as usual: where all scales are open, each body
+        takes over a part of what another one lacks.
+        """
+        names, root = self.description.names, self.description.root
+        # The direction of a body that is more or less of the same.
+        size = np.einsum("kij,kj->ki", root, self.description.centre)
+        length = np.linalg.norm(size, axis=1)
+        size /= length[:, None]
+        sites, open_ = [_Site.of_scale(DESCRIBED)] * len(names), np.ones(len(names))
+        found = []
+        while open_.any():
+            solution = self.solved(sites)
+            H, q = np.zeros((len(names), 1, 1)), np.zeros((len(names), 1))
+            for k, along in enumerate(size):
+                precision, product = self.marginal(solution, k)
+                variance = along @ np.linalg.solve(precision, along)
+                q[k] = along @ np.linalg.solve(precision, product) / variance
+                own = along @ sites[k].precision @ along
+                H[k] = max(1.0 / variance - own, 0.0)
+            groups = Groups(H=H, q=q, own=H[:, 0], unit=np.ones(q.shape))
+            odds = groups.integrated(DESCRIBED, DESCRIBED) - np.log(len(names))
+            odds = np.where(open_, odds, -np.inf)
+            first = int(np.argmax(odds))
+            if odds[first] <= 0:
+                break
+            near = np.flatnonzero(odds > odds[first] - _RIVALS)
+            near = near[np.argsort(-odds[near], kind="stable")]
+            wide = groups.best_scale(DESCRIBED)
+            left = H[near, 0, 0] + wide[near] ** -2
+            found.append(
+                Departure(
+                    bodies=tuple(names[k] for k in near),
+                    factors=tuple((1.0 + q[near, 0] / left / length[near]).tolist()),
+                    stds=tuple((1.0 / np.sqrt(left) / length[near]).tolist()),
+                    log_odds=float(odds[first]),
+                )
+            )
+            along = size[first]
+            opened = np.outer(along, along) * (wide[first] ** -2 - DESCRIBED**-2)
+            usual = sites[first]
+            sites = list(sites)
+            sites[first] = _Site(usual.precision + opened, usual.right)
+            open_[near] = 0.0
+        return tuple(found)
+
+
+def _matched(precision, product, site):
+    """Site with which a body has the mean and covariance of its scale mixture.
+
+    precision, product : of the body with its present site. Returns the site and how
+    far the mean moves, in deviations.
+    """
+    value, vectors = np.linalg.eigh(precision - site.precision)
+    value = np.maximum(value, 0.0)
+    rest = vectors.T @ (product - site.right)
+    s2 = (SCALES[SCALES <= _FARTHEST] ** 2)[:, None]
+    ratio = np.sqrt(s2[:, 0]) / DESCRIBED
+    along = 0.5 * rest**2 * s2 / (1 + s2 * value) - 0.5 * np.log1p(s2 * value)
+    weight = softmax(along.sum(axis=1) + np.log(ratio / (1 + ratio**2)))
+    variance = s2 / (1 + s2 * value)
+    means = rest * variance
+    mean = weight @ means
+    away = means - mean
+    covariance = np.diag(weight @ variance) + (away.T * weight) @ away
+    size, axes = np.linalg.eigh(covariance)
+    inverse = (axes / np.maximum(size, 1e-12 * size[-1])) @ axes.T
+    # A prior takes no precision away.
+    left, turned = np.linalg.eigh(inverse - np.diag(value))
+    own = (turned * np.maximum(left, _LEAST / DESCRIBED**2)) @ turned.T
+    right = (own + np.diag(value)) @ mean - rest
+    before = vectors.T @ np.linalg.solve(precision, product)
+    step = np.abs(mean - before) / np.sqrt(np.diagonal(covariance))
+    made = _Site(vectors @ own @ vectors.T, vectors @ right)
+    return made, float(step.max())
+
+
+def around(description, A, b):
+    """Estimate parameters from normal equations and a description.
+
+    Parameters
+    ----------
+    description : Description
+        Bodies.
+    A, b : ndarray of shape (p, p) and (p,)
+        Gram matrix and right-hand side, in units of the noise.
+
+    Returns
+    -------
+    BodyPosterior
+        Parameters; those without a prior are free.
+    """
+    problem = _Problem(description, A, b)
+    sites = problem.sites()
+    solution, prior = problem.solved(sites), problem.precision(sites)
+    p = b.size
+    covariance = solution.covariance
+    told = np.diagonal(A) + np.diagonal(prior) > 0
+    covariance[~told, ~told] = np.inf
+    described = np.zeros(p, dtype=bool)
+    std = np.sqrt(np.diagonal(covariance))[description.places]
+    described[description.places] = std > _LITTLE * description.deviation()
+    return BodyPosterior(
+        theta=description.vector(p) + solution.mean,
+        covariance=covariance,
+        prior=prior,
+        described=described,
+        departures=problem.departures(),
+    )
+
+
+def as_described(description, A, b):
+    """Estimate what is not in a description, with its bodies as they are in it.
+
+    Parameters and result as of `around`.
+    """
+    p = b.size
+    free = np.ones(p, dtype=bool)
+    free[description.places] = False
+    theta = description.vector(p)
+    found = scaled_eigen(A[np.ix_(free, free)], _RANK)
+    theta[free] = found.solve((b - A @ theta)[free])
+    covariance = np.zeros((p, p))
+    covariance[np.ix_(free, free)] = found.inverse()
+    lost = np.flatnonzero(free)[np.diagonal(A)[free] <= 0]
+    covariance[lost, lost] = np.inf
+    return BodyPosterior(
+        theta=theta,
+        covariance=covariance,
+        prior=np.zeros((p, p)),
+        described=~free,
+    )
+
+
+def described_bodies(settings):
+    """Description that an identifier's bodies are near, `Description`; None if free."""
+    bodies, features = settings.bodies, settings.features_
+    if not isinstance(bodies, str) or bodies not in WAYS:
+        raise ValueError(
+            f"bodies must be one of {', '.join(map(repr, WAYS))}; got {bodies!r}."
+        )
+    if bodies == "free" or settings.gains is not None or settings.regressor is not None:
+        return None
+    per_joint = features.n_parameters_ // features.n_joints_
+    return Description.of(features.model_, per_joint)

@@ -92,6 +92,7 @@ def _in_words(error, arguments):
 # Options of the command line, by the arguments of `read_recording`.
 _OPTIONS = {
     "acceleration": "--acceleration",
+    "base_orientation": "--base-orientation",
     "columns": "--columns",
     "dt": "--dt",
     "duration": "--duration",

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _exit_codes, _input
+from sklearn_vbjfa._cli import _exit_codes, _input, _options
 from sklearn_vbjfa._cli._identify import say_warnings
 from sklearn_vbjfa._cli._stopping import undisturbed
 
@@ -43,6 +43,7 @@ def add_to(commands):
         metavar="FILE",
         help="description of the robot; with --report, by default that of the report",
     )
+    _options.add_base(parser)
     parser.add_argument(
         "--report",
         default=None,
@@ -382,7 +383,7 @@ def _described(arguments, found, folder):
     if not joints and found is not None:
         # Those that close-loop held have no place in its report.
         joints = tuple(found["joint_names"])
-    urdf, held = _input.robot(given, joints, folder)
+    urdf, held = _input.robot(given, joints, folder, arguments.base_orientation)
     known = replace(KnownRobot.of(str(urdf)), description=str(given))
     return _Robot(
         known=known,
@@ -398,6 +399,9 @@ def _identified(arguments, path, found, folder):
     from sklearn_vbjfa import load_identified
     from sklearn_vbjfa.design._known_robot import KnownRobot
 
+    _options.refuse_given(
+        arguments, ("base_orientation",), f"is that of {path}; leave it out"
+    )
     robot = load_identified(path)
     names, model = robot.joint_names_, robot.features_.nominal_
     joints = _input.joint_names(arguments.joints)

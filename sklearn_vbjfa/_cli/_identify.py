@@ -12,7 +12,7 @@ from sklearn_vbjfa._cli import _exit_codes, _input, _options
 
 # What is identified of a recording of one's own, where no option says so.
 _DEFAULTS = {"friction": _options.FRICTION, "cutoff": "auto"}
-_OF_RECORDING = (*_options.OF_READING, *_DEFAULTS, "urdf")
+_OF_RECORDING = (*_options.OF_READING, *_DEFAULTS, "urdf", "base_orientation")
 _OF_SETS = ("data", "data_home")
 
 

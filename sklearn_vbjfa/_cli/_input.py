@@ -62,28 +62,29 @@ class Taken:
 def taken(arguments, gains, folder):
     """Read a recording and its robot; what is written of the robot goes to `folder`."""
     urdf, joints = path(arguments.urdf), joint_names(arguments.joints)
-    urdf, held = robot(urdf, joints, folder)
+    urdf, held = robot(urdf, joints, folder, arguments.base_orientation)
     recording = read(arguments, urdf, joints, gains)
     urdf, held = hold_others(urdf, recording, held, folder)
     return Taken(recording=recording, urdf=urdf, held=tuple(held))
 
 
-def robot(urdf, joints, folder):
+def robot(urdf, joints, folder, base_orientation=None):
     """Check a description; write one to `folder` in which unrecorded joints are fixed.
 
-    Returns the path to use and the names of the fixed joints.
+    base_orientation : of a free base, a text. Returns the path to use and the names of
+    the fixed joints.
     """
     from sklearn_vbjfa.model import _loading
 
     if not urdf.is_file():
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
-    said = []
+    said, base = [], _quaternion(base_orientation)
     try:
         with _parser_messages(said):
             if joints:
-                _loading.load_reduced(urdf, joints)
+                _loading.load_reduced(urdf, joints, base)
             else:
-                _loading.load_model(urdf)
+                _loading.load_model(urdf, base)
     except ValueError as error:
         where = "" if repr(str(urdf)) in str(error) else f"{urdf}: "
         reason = f" ({said[0]})" if said else ""
@@ -92,13 +93,25 @@ def robot(urdf, joints, folder):
     lost = [line for line in said if "nerti" in line]
     if lost:
         raise ValueError(f"{urdf}: {'; '.join(lost)}; correct the description.")
-    if not joints:
+    if not joints and base is None:
         return urdf, ()
-    reduced = folder / urdf.name
-    held = _loading.write_reduced(urdf, reduced, joints)
+    reduced, joints = folder / urdf.name, joints or _loading.movable_joints(urdf)
+    held = _loading.write_reduced(urdf, reduced, joints, base)
     # Files written from this copy get the permissions of the original.
     reduced.chmod(urdf.stat().st_mode & 0o666)
     return reduced, held
+
+
+def _quaternion(text):
+    """Return the numbers in a comma-separated list, None for None."""
+    if text is None:
+        return None
+    try:
+        return [float(x) for x in text.split(",")]
+    except ValueError as error:
+        raise ValueError(
+            f"--base-orientation must be four numbers W,X,Y,Z, got {text!r}."
+        ) from error
 
 
 def joint_names(text):

@@ -42,8 +42,21 @@ def add_optional_file(parser):
     )
 
 
+def add_base(parser):
+    """Add the orientation of a base that is free in the description."""
+    parser.add_argument(
+        "--base-orientation",
+        default=None,
+        metavar="W,X,Y,Z",
+        help="orientation of a base that is free in the description (quadruped, "
+        "humanoid) and held, a quaternion in the world; by default that of the "
+        "description",
+    )
+
+
 def add_recording(parser, *, signals=True):
     """Add the options that say how a recording is read, and what is read beside it."""
+    add_base(parser)
     parser.add_argument(
         "--joints",
         default=None,

@@ -29,8 +29,14 @@ _SHARE = 0.7
 _JITTER = 0.01
 # Options of an identification, and what they are where none is given.
 _DEFAULTS = {"friction": _options.FRICTION, "effects": "none", "cutoff": "auto"}
-_OF_IDENTIFICATION = ("urdf", *_DEFAULTS, "known_mass")
-_OF_RECORDING = (*_options.OF_READING, "urdf", "model", "signals")
+_OF_IDENTIFICATION = ("urdf", "base_orientation", *_DEFAULTS, "known_mass")
+_OF_RECORDING = (
+    *_options.OF_READING,
+    "urdf",
+    "base_orientation",
+    "model",
+    "signals",
+)
 
 
 def add_to(commands):

@@ -15,7 +15,7 @@ from xml.parsers.expat import ExpatError
 
 import numpy as np
 
-from sklearn_vbjfa.model import _mjcf_reading, _urdf_tree
+from sklearn_vbjfa.model import _base, _mjcf_reading, _urdf_tree
 from sklearn_vbjfa.model._followers import Folded, Link, fold, foldable
 from sklearn_vbjfa.model._pinocchio import import_pinocchio
 from sklearn_vbjfa.physical import body_scales, min_eigenvalue
@@ -34,13 +34,18 @@ _AXIAL = ("revolute", "continuous", "prismatic")
 _MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
 
 
-def load_model(model):
+def load_model(model, base_orientation=None):
     """Return a pinocchio model whose joints all have one degree of freedom.
 
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
         Path of a URDF or MJCF file, or a model.
+    base_orientation : array-like of 4 floats, default=None
+        Orientation in the world of a base that is free, a quaternion w, x, y, z; by
+        default that of the description. A free joint that is the only one and carries
+        all other joints, as of a quadruped or a humanoid, is held: the base stands
+        still, and gravity pulls as it does in this orientation.
 
     Returns
     -------
@@ -57,8 +62,9 @@ def load_model(model):
     FileNotFoundError
         If the file does not exist.
     ValueError
-        If a joint has not exactly one degree of freedom, there is no joint, joints
-        close a loop, or a link has a negative mass.
+        If another joint has not exactly one degree of freedom, there is no joint,
+        joints close a loop, a link has a negative mass, or the orientation is no
+        quaternion or that of a base that is not free.
 
     Warns
     -----
@@ -68,18 +74,33 @@ def load_model(model):
         joints have none of the springs, damping, friction and tendons of an MJCF file,
         and a joint that follows another one and carries joints that do not counts as a
         joint of its own. What other joints that follow move is held where it is while
-        their leaders are at zero; `load_folded` has it apart.
+        their leaders are at zero. A base that is held is named with its orientation.
+
+    See Also
+    --------
+    sklearn_vbjfa.effects.BaseTilt : Identifies by how much a base is not level.
+
+    Examples
+    --------
+    >>> import pinocchio
+    >>> from sklearn_vbjfa.robot import load_model
+    >>> humanoid = pinocchio.buildSampleModelHumanoid()
+    >>> robot = load_model(humanoid, [1, 1, 0, 0])  # lies on its side
+    >>> humanoid.nv - robot.nv
+    6
     """
-    return load_folded(model).still
+    return load_folded(model, base_orientation).still
 
 
-def load_folded(model):
+def load_folded(model, base_orientation=None):
     """Return a robot without the joints that follow others, and their bodies.
 
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
         As for `load_model`; a model has no joints that follow.
+    base_orientation : array-like of 4 floats, default=None
+        As for `load_model`.
 
     Returns
     -------
@@ -89,16 +110,19 @@ def load_folded(model):
     pin = import_pinocchio()
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
-        return _from_description(pin, parse_description(path), path)
+        tree = parse_description(path)
+        return _from_description(pin, tree, path, base=base_orientation)
     if isinstance(model, pin.Model):
-        return Folded.without(_check_joints(model.copy()))
+        held, said = _held_model(pin, model, base_orientation)
+        _warn(said, model.name, stacklevel=4)
+        return Folded.without(_check_joints(held))
     raise TypeError(
         "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."
     )
 
 
-def load_reduced(path, moving):
+def load_reduced(path, moving, base_orientation=None):
     """Return the model of a description of which only some joints move.
 
     Parameters
@@ -109,31 +133,33 @@ def load_reduced(path, moving):
         Names of the joints that move, in any order; the others are held at zero, of
         whatever kind they are, and what they carry is one body with its parent. A joint
         that follows one of them is as in `load_model`, unless it is named.
+    base_orientation : array-like of 4 floats, default=None
+        As for `load_model`.
 
     Returns
     -------
     pinocchio.Model
         As from `load_model`.
     """
-    path = Path(path)
+    path, pin = Path(path), import_pinocchio()
     tree = parse_description(path)
-    if not _is_mjcf(tree, path):
-        _hold_others(tree, path, moving)
-    return _from_description(import_pinocchio(), tree, path, moving).still
+    return _from_description(pin, tree, path, moving, base_orientation).still
 
 
 def movable_joints(path):
     """Names of the joints that are neither fixed nor follow others, in file order.
 
-    Those that follow others are listed if they cannot be folded, see `load_model`.
+    Those that follow others are listed if they cannot be folded, see `load_model`; a
+    free joint that is held there is not.
     """
     path = Path(path)
     tree = parse_description(path)
     if _is_mjcf(tree, path):
-        robot = _mjcf_robot(tree, path)
+        robot, _ = _mjcf_robot(tree, path)
         names = [joint.name for joint in robot.joints]
         carriers, links = _mjcf_reading.carriers(robot), robot.links
     else:
+        _hold_base(tree, path)
         _fix_followers(tree, path)
         names = [
             joint.get("name")
@@ -145,7 +171,7 @@ def movable_joints(path):
     return tuple(name for name in names if name not in folded)
 
 
-def write_reduced(path, target, moving):
+def write_reduced(path, target, moving, base_orientation=None):
     """Write a copy of a description in which all but some joints are fixed at zero.
 
     Of an MJCF file the copy has the bodies and joints alone.
@@ -156,22 +182,25 @@ def write_reduced(path, target, moving):
         Files to read and to write.
     moving : sequence of str
         Names of the joints that move.
+    base_orientation : array-like of 4 floats, default=None
+        As for `load_model`.
 
     Returns
     -------
     tuple of str
-        Names of the joints that were fixed.
+        Names of the joints that were fixed, without that of a free base.
     """
     path = Path(path)
     tree = parse_description(path)
     if _is_mjcf(tree, path):
-        robot = _mjcf_robot(tree, path)
+        robot, _ = _mjcf_robot(tree, path, base_orientation)
         names = [joint.name for joint in robot.joints]
         reduced = _held_mjcf(robot, path, moving)
         _mjcf_reading.check_tree(reduced, path)
         _mjcf_reading.write_robot(reduced, target)
         still = [joint.name for joint in reduced.joints]
         return tuple(name for name in names if name not in still)
+    _hold_base(tree, path, base_orientation)
     held = _hold_others(tree, path, moving)
     tree.write(target, encoding="utf-8", xml_declaration=True)
     return held
@@ -188,9 +217,62 @@ def _is_mjcf(tree, path):
     return tag == "mujoco"
 
 
-def _mjcf_robot(tree, path):
-    """Read what an MJCF file describes, `MjcfRobot`."""
-    return _mjcf_reading.read_mjcf(tree.getroot(), path, parse_description)
+def _mjcf_robot(tree, path, base=None):
+    """Read what an MJCF file describes, `MjcfRobot`, and hold its base; what to say.
+
+    base : orientation of a free base, None for that of the file.
+    """
+    robot = _mjcf_reading.read_mjcf(tree.getroot(), path, parse_description)
+    free = [joint.name for joint in robot.joints if joint.kind == "free"]
+    name = _base.free_root(free, _mjcf_reading.carriers(robot))
+    _base.check_free(name, base, repr(str(path)))
+    if name is None:
+        return robot, []
+    turn = None if base is None else _base.rotation_of(base)
+    robot, turn = _mjcf_reading.hold_base(robot, name, turn)
+    return robot, [_base.said_of(name, turn)]
+
+
+def _hold_base(tree, path, base=None):
+    """Fix the free joint at the root of a URDF; what to say of it."""
+    kinds = {
+        joint.get("name"): joint.get("type")
+        for joint in tree.getroot().findall("joint")
+    }
+    free = [name for name, kind in kinds.items() if kind == "floating"]
+    name = _base.free_root(free, _urdf_tree.carriers(tree))
+    _base.check_free(name, base, repr(str(path)))
+    if name is None:
+        return []
+    turn = None if base is None else _base.rotation_of(base)
+    joint, turn = _urdf_tree.turn_base(tree, name, turn)
+    _fix(joint)
+    return [_base.said_of(name, turn)]
+
+
+def _held_model(pin, model, base=None):
+    """Return a copy of a model without a free joint at its root; what to say of it."""
+    names, joints = list(model.names), model.joints
+    carriers = {
+        name: names[above] if above else None
+        for name, above in zip(names[1:], model.parents.tolist()[1:])
+    }
+    free = [
+        name
+        for name, joint in zip(names, joints)
+        if joint.shortname() == "JointModelFreeFlyer"
+    ]
+    name = _base.free_root(free, carriers)
+    _base.check_free(name, base, f"The model {model.name!r}")
+    if name is None:
+        return model.copy(), []
+    at = names.index(name)
+    placed = model.jointPlacements[at].rotation
+    turn = placed if base is None else _base.rotation_of(base)
+    q = pin.neutral(model)
+    first = joints[at].idx_q + 3
+    q[first : first + 4] = pin.Quaternion(placed.T @ turn).coeffs()
+    return pin.buildReducedModel(model, [at], q), [_base.said_of(name, turn)]
 
 
 def _held_mjcf(robot, path, moving):
@@ -287,9 +369,10 @@ def _check_joints(loaded):
         raise ValueError(
             "Every joint must have one degree of freedom (nq == nv); got "
             + ", ".join(wrong)
-            + ". Fix the base (no floating base), split spherical joints into three "
-            "revolute ones, and lock what does not move with "
-            "pinocchio.buildReducedModel (command line: --joints)."
+            + ". A free joint is held only if there is no other one and it carries all "
+            "other joints. Split spherical joints into three revolute ones, and lock "
+            "what does not move with pinocchio.buildReducedModel (command line: "
+            "--joints)."
         )
     return loaded
 
@@ -439,38 +522,42 @@ def _check_known(moving, names, path):
         )
 
 
-def _from_description(pin, tree, path, moving=None):
+def _from_description(pin, tree, path, moving=None, base=None):
     """Build and check a robot, `Folded`; say what of it does not enter the model.
 
-    moving : joints of an MJCF file that are not held; None for all.
+    moving : joints that are not held, None for all; base : orientation of a free base.
     """
     if _is_mjcf(tree, path):
-        robot = _mjcf_robot(tree, path)
+        robot, held = _mjcf_robot(tree, path, base)
         if moving is not None:
             robot = _held_mjcf(robot, path, moving)
         _check_number(len(robot.joints), path)
         _mjcf_reading.check_tree(robot, path)
-        links, said = robot.links, robot.left_out()
+        links, said = robot.links, [*held, *robot.left_out()]
         folded = foldable(_mjcf_reading.carriers(robot), links, path)
         full, between = _mjcf_reading.to_pinocchio(robot), robot.massless
     else:
+        said = _hold_base(tree, path, base)
+        if moving is not None:
+            _hold_others(tree, path, moving)
         _check_masses(tree, path)
         _check_axes(tree, path)
         _urdf_tree.check_tree(tree, path)
         _fix_followers(tree, path)
-        links, said, between = _mimics(tree, path), [], ()
+        links, between = _mimics(tree, path), ()
         folded = foldable(_urdf_tree.carriers(tree), links, path)
         full = _build(pin, tree, path)
     found = fold(_check_joints(full), folded)
     apart = [name for name in links if name not in folded]
-    left_out = [*said, *_left_out(apart, full, between)]
-    if left_out:
-        warnings.warn(
-            f"{_LEFT_OUT} {path.name!r}: {'; '.join(left_out)}.",
-            UserWarning,
-            stacklevel=4,
-        )
+    _warn([*said, *_left_out(apart, full, between)], path.name)
     return found
+
+
+def _warn(said, name, stacklevel=5):
+    """Say in one warning what of a robot does not enter the model."""
+    if said:
+        text = f"{_LEFT_OUT} {name!r}: {'; '.join(said)}."
+        warnings.warn(text, UserWarning, stacklevel=stacklevel)
 
 
 def _check_masses(tree, path):

@@ -602,6 +602,41 @@ def held(robot, moving):
     return replace(robot, bodies=tuple(bodies))
 
 
+def hold_base(robot, name, turn=None):
+    """Hold the base of a robot.
+
+    Parameters
+    ----------
+    robot : MjcfRobot
+        Robot.
+    name : str
+        Free joint of the base, which nothing that moves carries.
+    turn : ndarray of shape (3, 3), default=None
+        Axes of the base in the world; None for those of the file.
+
+    Returns
+    -------
+    robot : MjcfRobot
+        Robot without that joint.
+    turn : ndarray of shape (3, 3)
+        Axes of the base in the world.
+    """
+    bodies = list(robot.bodies)
+    at = next(k for k, x in enumerate(bodies) if name in [j.name for j in x.joints])
+    base, above = bodies[at], np.eye(3)
+    parent = base.parent
+    while parent != _WORLD:
+        above = bodies[parent].placement.rotation @ above
+        parent = bodies[parent].parent
+    if turn is not None:
+        placement = base.placement.copy()
+        placement.rotation = above.T @ turn
+        base = bodies[at] = replace(base, placement=placement)
+    moving = {joint.name for joint in robot.joints} - {name}
+    robot = held(replace(robot, bodies=tuple(bodies)), moving)
+    return robot, above @ base.placement.rotation
+
+
 def check_tree(robot, path):
     """Refuse joints of other than one degree of freedom, and what closes loops.
 
@@ -618,8 +653,9 @@ def check_tree(robot, path):
     for joint in robot.joints:
         if joint.kind == "free":
             wrong.append(
-                f"joint {joint.name!r} lets its body float freely (take it out of the "
-                "file if the robot stands firm)"
+                f"joint {joint.name!r} lets its body float freely (a free joint is "
+                "held only if there is no other one and it carries all other joints; "
+                "take it out of the file if the body stands firm)"
             )
         elif joint.kind == "ball":
             wrong.append(

@@ -5,6 +5,12 @@ readers leave out in silence, or against the rules, which they refuse without a 
 """
 
 import re
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+
+from sklearn_vbjfa.model._pinocchio import import_pinocchio
+from sklearn_vbjfa.model._xml import numbers
 
 # Elements of simulators that join two links of the tree once more.
 _CLOSURES = (
@@ -90,6 +96,57 @@ def carriers(tree):
             link = above[link][0]
         found[name] = above[link][1] if link in above else None
     return found
+
+
+def turn_base(tree, name, turn=None):
+    """Turn the link that a joint carries.
+
+    Parameters
+    ----------
+    tree : xml.etree.ElementTree.ElementTree
+        Description, which is changed.
+    name : str
+        Joint of the base, which nothing that moves carries.
+    turn : ndarray of shape (3, 3), default=None
+        Axes of the base in the world; None for those of the file.
+
+    Returns
+    -------
+    joint : xml.etree.ElementTree.Element
+        The joint.
+    turn : ndarray of shape (3, 3)
+        Axes of the base in the world.
+    """
+    joints = {
+        _link(joint.find("child")): joint for joint in tree.getroot().findall("joint")
+    }
+    own = next(joint for joint in joints.values() if joint.get("name") == name)
+    above, link, seen = np.eye(3), _link(own.find("parent")), set()
+    while link in joints and link not in seen:
+        seen.add(link)
+        above = _turned(joints[link]) @ above
+        link = _link(joints[link].find("parent"))
+    if turn is not None:
+        origin = own.find("origin")
+        if origin is None:
+            origin = ElementTree.SubElement(own, "origin")
+        angles = import_pinocchio().rpy.matrixToRpy(above.T @ turn)
+        origin.set("rpy", numbers(angles))
+    return own, above @ _turned(own)
+
+
+def _turned(joint):
+    """Rotation (3, 3) of the origin of a joint, none where it cannot be read."""
+    origin = joint.find("origin")
+    text = "0 0 0" if origin is None else origin.get("rpy", "0 0 0")
+    try:
+        angles = np.array([float(x) for x in text.split()])
+    except ValueError:
+        angles = np.empty(0)
+    # The parser says what is wrong.
+    if angles.shape != (3,) or not np.isfinite(angles).all():
+        return np.eye(3)
+    return import_pinocchio().rpy.rpyToMatrix(angles)
 
 
 def _link(element):

@@ -13,10 +13,12 @@ import pinocchio as pin
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
+from sklearn_vbjfa.robot import load_model
 from tests.diagnosis._faulty import with_faults
 from tests.diagnosis._recordings import named, record
 from tests.diagnosis.search.test_branches import arms
 from tests.effects._arms import inverse_dynamics
+from tests.model._legs import legs_mjcf
 
 LIBRARY = ("base_tilt", "joint_zero", "joint_axis", "torque_gain")
 LIBRARY += ("spring", "viscous_quadratic")
@@ -91,6 +93,30 @@ def test_the_completed_model_holds_the_value(one_fault):
     text = " ".join(str(loop.report_).lower().split())
     assert f"{truth.label} " in text
     assert "was missing" in text
+
+
+@pytest.mark.filterwarnings("ignore:.*the base, which root")
+def test_a_free_base_that_was_held_askew(tmp_path):
+    path = tmp_path / "legs.xml"
+    path.write_text(legs_mjcf())
+    lean = np.deg2rad(3.0)
+    askew = load_model(path, [np.cos(lean / 2), np.sin(lean / 2), 0.0, 0.0])
+    recording = make_robot_recording(
+        askew,
+        duration=20.0,
+        dt=0.01,
+        frequency=1.0,
+        torque_noise=0.02,
+        random_state=0,
+    )
+    data = recording.q, recording.tau
+    told = RobotIdentifier(path, dt=recording.dt, effects=[BaseTilt()]).fit(*data)
+    # A base that leans has gravity turned the other way.
+    assert_allclose(told.effects_[0].values, [-lean, 0.0], atol=np.deg2rad(0.2))
+    declared = RobotIdentifier(path, dt=recording.dt)
+    loop = EffectDiscovery(declared, ceiling=False, random_state=0).fit(*data)
+    assert named(loop) == [("base_tilt", 0)]
+    assert_allclose(loop.effects_[0].parameters["roll"], -lean, atol=np.deg2rad(0.2))
 
 
 def test_a_robot_without_faults_has_none():

@@ -1,0 +1,82 @@
+"""A robot whose base is free, held: from the command line."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.robot import load_model
+from tests.model._legs import JOINTS, legs_mjcf
+
+ON_ITS_SIDE = (1.0, 1.0, 0.0, 0.0)
+GIVEN = ["--base-orientation", "1,1,0,0"]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return a folder with a robot and a recording of it that lies on its side."""
+    folder = tmp_path_factory.mktemp("legs")
+    (folder / "legs.xml").write_text(legs_mjcf())
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        held = load_model(folder / "legs.xml", ON_ITS_SIDE)
+    made = make_robot_recording(held, duration=15.0, dt=0.01, random_state=0)
+    heads = ["t", *(f"q_{name}" for name in JOINTS), *(f"tau_{x}" for x in JOINTS)]
+    columns = np.column_stack([made.t, made.q, made.tau])
+    np.savetxt(
+        folder / "legs.csv", columns, delimiter=",", header=",".join(heads), comments=""
+    )
+    return folder
+
+
+@pytest.fixture
+def run(folder, monkeypatch, tmp_path, capsys):
+    """Return the exit code and what was printed."""
+    monkeypatch.chdir(tmp_path)
+    files = [str(folder / "legs.csv"), "--urdf", str(folder / "legs.xml")]
+
+    def call(command, *options):
+        code = main([command, *files, *options])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+def test_the_orientation_is_that_of_the_loop(run, tmp_path):
+    argv = ["--effects", "spring", "--no-ceiling"]
+    after = {}
+    for name, more in (("level", []), ("side", GIVEN)):
+        code, out, err = run("close-loop", *argv, *more, "--out", name)
+        assert code in (0, 3)
+        assert "held at zero" not in out
+        (note,) = [x for x in err.splitlines() if "root leaves free" in x]
+        how = "level" if name == "level" else "turned by rpy 90 0 0 degrees"
+        assert note.startswith(
+            "note: The robot description 'legs.xml': the base, which root leaves free, "
+            f"is held {how} (base_orientation or --base-orientation turns it"
+        )
+        report = json.loads((tmp_path / name / "report.json").read_text())
+        after[name] = max(report["error_after"])
+    # Torque noise of 5 %; gravity from below is not that of the recording.
+    assert after["side"] < 0.08
+    assert after["level"] > 0.15
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1,1,0", "must be a quaternion of four finite numbers w, x, y, z"),
+        ("1,1,0,up", "--base-orientation must be four numbers W,X,Y,Z, got '1,1,0,up'"),
+    ],
+)
+def test_refuses_what_is_no_orientation(run, text, said):
+    code, out, err = run("inspect", "--base-orientation", text)
+    assert (code, out) == (2, "")
+    (line,) = err.splitlines()
+    assert said in line

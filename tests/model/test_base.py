@@ -1,0 +1,225 @@
+"""A base that is free in the description: held, in whatever orientation."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier, load_identified  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.model._loading import (  # noqa: E402
+    joint_names,
+    load_reduced,
+    movable_joints,
+    nominal_parameters,
+    write_reduced,
+)
+from sklearn_vbjfa.robot import load_model  # noqa: E402
+from tests.model._legs import JOINTS, legs_mjcf, legs_model, legs_urdf  # noqa: E402
+
+LEVEL = "ignore:.*the base, which root.* is held level"
+HALF = np.sqrt(0.5)
+# A quarter turn about x, and any turn; lengths do not matter.
+ON_ITS_SIDE = (HALF, HALF, 0.0, 0.0)
+ASKEW = (1.4, 0.6, -0.8, 1.0)
+# A link of 2 kg whose mass is 0.3 m below its hinge.
+SWING = '<inertial pos="0 0 -0.3" mass="2" diaginertia="0.1 0.1 0.1"/>'
+SWINGS = f"""<mujoco><worldbody><body name="base"><freejoint name="root"/>
+<inertial pos="0 0 0" mass="5" diaginertia="1 1 1"/>
+<body name="a"><joint name="about_x" axis="1 0 0"/>{SWING}</body>
+<body name="b"><joint name="about_y" axis="0 1 0"/>{SWING}</body>
+</body></worldbody></mujoco>"""
+
+
+def turned(orientation):
+    """Rotation (3, 3) of a quaternion, by the formula of Rodrigues."""
+    w, *xyz = np.asarray(orientation) / np.linalg.norm(orientation)
+    cross = np.cross(np.eye(3), xyz)
+    return np.eye(3) + 2 * w * cross + 2 * cross @ cross
+
+
+def torques(model, q, v, a):
+    data = model.createData()
+    return np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+
+
+@pytest.fixture(params=["mjcf", "urdf", "model"])
+def legs(request, tmp_path):
+    """Return the same robot as a file of either kind, and as a model."""
+    if request.param == "model":
+        return legs_model()
+    path = tmp_path / f"legs.{'xml' if request.param == 'mjcf' else 'urdf'}"
+    path.write_text(legs_mjcf() if request.param == "mjcf" else legs_urdf())
+    return path
+
+
+@pytest.fixture
+def write(tmp_path):
+    def to_file(text):
+        path = tmp_path / ("robot.urdf" if text.startswith("<robot") else "robot.xml")
+        path.write_text(text)
+        return path
+
+    return to_file
+
+
+@pytest.fixture
+def states():
+    return np.random.default_rng(0).normal(size=(3, 8, 6))
+
+
+@pytest.mark.filterwarnings("ignore:.*is held turned by rpy 90 0 0 degrees")
+@pytest.mark.filterwarnings(LEVEL)
+def test_gravity_of_two_pendulums_on_their_side(write):
+    q = np.linspace(-2, 2, 9)
+    still = np.zeros((9, 2))
+    weight = 2 * 9.81 * 0.3
+    path = write(SWINGS)
+    level = torques(load_model(path), np.column_stack([q, q]), still, still)
+    np.testing.assert_allclose(level, weight * np.sin([q, q]).T, atol=1e-12)
+    # What was below lies to the side of the pendulum about x; the axis of the other
+    # one stands upright.
+    side = load_model(path, ON_ITS_SIDE)
+    found = torques(side, np.column_stack([q, q]), still, still)
+    np.testing.assert_allclose(found[:, 0], weight * np.cos(q), atol=1e-12)
+    np.testing.assert_allclose(found[:, 1], 0.0, atol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore:.*the base, which root")
+@pytest.mark.parametrize("orientation", [ON_ITS_SIDE, ASKEW])
+def test_torques_are_those_of_gravity_turned_by_hand(legs, states, orientation):
+    held, by_hand = load_model(legs, orientation), load_model(legs)
+    assert joint_names(held) == JOINTS
+    gravity = by_hand.gravity.copy()
+    gravity.linear = turned(orientation).T @ gravity.linear
+    by_hand.gravity = gravity
+    rows = np.hstack(states)
+    Phi, expected = (
+        RigidBodyFeatures(model, friction=()).fit_transform(rows)
+        for model in (held, by_hand)
+    )
+    np.testing.assert_allclose(Phi, expected, atol=1e-11)
+    theta = nominal_parameters(held).ravel()
+    # The model whose base is free, with a base that does not move.
+    free = legs_model()
+    base = pin.Quaternion(turned(orientation)).coeffs()
+    nothing = np.zeros((8, 6))
+    q = np.hstack([np.zeros((8, 3)), np.tile(base, (8, 1)), states[0]])
+    v, a = (np.hstack([nothing, x]) for x in states[1:])
+    np.testing.assert_allclose(
+        Phi.reshape(8, 6, -1) @ theta, torques(free, q, v, a)[:, 6:], atol=1e-11
+    )
+
+
+@pytest.mark.filterwarnings("ignore:.*the base, which root")
+def test_the_orientation_of_the_file_holds_unless_another_is_given(write, states):
+    angles = (0.3, -0.2, 0.5)
+    rpy = " ".join(map(str, angles))
+    quat = pin.Quaternion(pin.rpy.rpyToMatrix(*angles))
+    expected = torques(load_model(legs_model(), quat.coeffs()[[3, 0, 1, 2]]), *states)
+    quat = " ".join(map(str, quat.coeffs()[[3, 0, 1, 2]]))
+    askew = torques(load_model(legs_model(), ASKEW), *states)
+    # The stand of a URDF may be turned as well, about the same axes here.
+    for text in (legs_mjcf(quat), legs_urdf(rpy), legs_urdf(mount=rpy)):
+        path = write(text)
+        np.testing.assert_allclose(torques(load_model(path), *states), expected)
+        np.testing.assert_allclose(torques(load_model(path, ASKEW), *states), askew)
+
+
+def test_what_was_done_is_said_once(legs):
+    level = r"the base, which root\w* leaves free, is held level \(base_orientation"
+    with pytest.warns(UserWarning, match=level) as said:
+        load_model(legs)
+    assert len(said) == 1
+    assert said[0].filename == __file__
+    with pytest.warns(UserWarning, match="held turned by rpy 90 0 0 degrees"):
+        load_model(legs, 3 * np.array(ON_ITS_SIDE))
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("text", [legs_mjcf(), legs_urdf()], ids=["mjcf", "urdf"])
+def test_a_reduced_file_has_a_base_that_stands(write, tmp_path, text):
+    path = write(text)
+    assert movable_joints(path) == JOINTS
+    target = tmp_path / f"held{path.suffix}"
+    assert write_reduced(path, target, JOINTS[:3], ASKEW) == JOINTS[3:]
+    written = load_model(target)
+    with pytest.warns(UserWarning, match="held turned by rpy"):
+        reduced = load_reduced(path, JOINTS[:3], ASKEW)
+    assert joint_names(written) == joint_names(reduced) == JOINTS[:3]
+    states = np.random.default_rng(1).normal(size=(3, 4, 3))
+    np.testing.assert_allclose(torques(written, *states), torques(reduced, *states))
+    with pytest.raises(ValueError, match="no movable joint 'root'; it has L_hip, L_th"):
+        load_reduced(path, ["root", *JOINTS])
+
+
+@pytest.mark.filterwarnings("ignore:The robot description")
+def test_what_is_written_of_the_robot_is_the_robot(legs, tmp_path):
+    source = load_model(legs, ASKEW) if isinstance(legs, pin.Model) else legs
+    recording = make_robot_recording(source, duration=4.0, random_state=0)
+    robot = RobotIdentifier(source, dt=recording.dt).fit(recording.q, recording.tau)
+    expected = robot.predict(recording.q)
+    robot.save(tmp_path / "robot.json")
+    again = load_identified(tmp_path / "robot.json")
+    np.testing.assert_allclose(again.predict(recording.q), expected, atol=1e-9)
+    again.to_urdf(tmp_path / "robot.urdf")
+    again.to_mjcf(tmp_path / "robot.xml")
+    bodies = [load_model(tmp_path / name) for name in ("robot.urdf", "robot.xml")]
+    states = np.random.default_rng(1).normal(size=(3, 4, 6))
+    np.testing.assert_allclose(*(torques(one, *states) for one in bodies), atol=1e-9)
+    np.testing.assert_allclose(
+        nominal_parameters(bodies[0]), robot.theta_.reshape(6, -1)[:, :10], atol=1e-9
+    )
+
+
+FLOATS = 'name="L_calf" type="floating"'
+TURNS = 'name="mount" type="continuous"'
+BALL = '<body><freejoint name="loose"/><geom size="0.1"/></body>'
+HINGE = '<joint name="turn" axis="0 0 1"/>'
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        (legs_mjcf(more=BALL), ["'root' lets", "'loose' lets"]),
+        (legs_mjcf(base=HINGE, more=BALL), ["'loose' lets"]),
+        (
+            legs_urdf().replace('name="L_calf" type="revolute"', FLOATS),
+            [r"root \(JointModelFreeFlyer", r"L_calf \(JointModelFreeFlyer"],
+        ),
+        (
+            legs_urdf().replace('name="mount" type="fixed"', TURNS),
+            [r"root \(JointModelFreeFlyer"],
+        ),
+    ],
+    ids=["a second body", "beside an arm", "two free joints", "not at the root"],
+)
+def test_other_free_joints_are_refused(write, text, named):
+    path = write(text)
+    with pytest.raises(ValueError, match="held only if there is no other one") as error:
+        load_model(path)
+    for one in named:
+        error.match(one)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "orientation", ["level", (1, 0, 0), (0, 0, 0, 0), (1, np.nan, 0, 0), np.eye(3)]
+)
+def test_refuses_what_is_no_orientation(legs, orientation):
+    with pytest.raises(ValueError, match="must be a quaternion of four finite numbers"):
+        load_model(legs, orientation)
+
+
+def test_refuses_the_orientation_of_a_base_that_is_not_free(write):
+    for robot in (write(legs_urdf(kind=None)), write(legs_mjcf(base=HINGE))):
+        with pytest.raises(ValueError, match="leave base_orientation out") as error:
+            load_model(robot, ON_ITS_SIDE)
+        assert robot.name in str(error.value)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        held = load_model(legs_model())
+    with pytest.raises(ValueError, match=r"^The model .* has no free joint that alone"):
+        load_model(held, ON_ITS_SIDE)

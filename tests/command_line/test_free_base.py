@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
+from sklearn_vbjfa import load_model
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import load_model
 from tests.model._legs import JOINTS, legs_mjcf
 
 ON_ITS_SIDE = (1.0, 1.0, 0.0, 0.0)
@@ -80,3 +80,19 @@ def test_refuses_what_is_no_orientation(run, text, said):
     assert (code, out) == (2, "")
     (line,) = err.splitlines()
     assert said in line
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (["identify", *GIVEN], "--base-orientation needs a RECORDING"),
+        (["simulate", *GIVEN], "--base-orientation needs a RECORDING"),
+        (
+            ["simulate", "a.csv", "--model", "a.json", *GIVEN],
+            "--base-orientation belongs to an identification",
+        ),
+    ],
+)
+def test_an_orientation_without_a_description_is_refused(argv, said, capsys):
+    assert main(argv) == 2
+    assert said in capsys.readouterr().err

@@ -96,3 +96,15 @@ def test_refuses_what_is_no_orientation(run, text, said):
 def test_an_orientation_without_a_description_is_refused(argv, said, capsys):
     assert main(argv) == 2
     assert said in capsys.readouterr().err
+
+
+def test_a_motion_is_designed_for_the_orientation(folder, tmp_path, capsys):
+    urdf = str(folder / "legs.xml")
+    limits = ["--velocity", "3", "--acceleration", "20", "--torque", "0.2"]
+    # Stretched out, the calf needs 0.35 N m; on its side it swings about the vertical.
+    calf = ["--joints", "L_calf", "--start", "1.57", "--duration", "4"]
+    argv = ["design", "--urdf", urdf, *limits, *calf, "--out", str(tmp_path / "a.csv")]
+    assert main(argv) == 2
+    assert "0.353" in capsys.readouterr().err
+    assert main([*argv, *GIVEN]) in (0, 3)
+    assert " --joints L_calf --base-orientation 1,1,0,0" in capsys.readouterr().out

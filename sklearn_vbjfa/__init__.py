@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
+    from sklearn_vbjfa.model._loading import load_model
     from sklearn_vbjfa.physical import PhysicalProjector
     from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
     from sklearn_vbjfa.regression._jfa import JFARegressor
@@ -36,6 +37,7 @@ __all__ = [
     "TotalLeastSquares",
     "VBJFARegressor",
     "load_identified",
+    "load_model",
     "replicate_noise",
 ]
 
@@ -57,6 +59,7 @@ _MODULES = {
     "TotalLeastSquares": "regression._total_least_squares",
     "VBJFARegressor": "regression._vbjfa",
     "load_identified": "robot._identified",
+    "load_model": "model._loading",
     "replicate_noise": "regression._replicates",
 }
 _ROOMS = (

@@ -698,9 +698,11 @@ def _next(arguments, robot, found):
         urdf = "ROBOT.urdf"
     else:
         urdf = robot.file
-    joints = []
+    options = []
     if robot.held:
-        joints = ["--joints", ",".join(robot.known.joint_names)]
+        options += ["--joints", ",".join(robot.known.joint_names)]
+    if arguments.base_orientation is not None:
+        options += ["--base-orientation", arguments.base_orientation]
     if found is None:
         steps = (f"Run {arguments.out} and record q and tau while it runs.",)
         words += ["recording.csv"]
@@ -711,7 +713,7 @@ def _next(arguments, robot, found):
             f"behind those of {before}, with a column segment (1 before, 2 new).",
         )
         words += ["both.csv"]
-    return (*steps, shlex.join([*words, "--urdf", urdf, *joints]))
+    return (*steps, shlex.join([*words, "--urdf", urdf, *options]))
 
 
 def _write(motion, page, out):

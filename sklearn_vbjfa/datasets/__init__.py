@@ -16,6 +16,7 @@ from sklearn_vbjfa.datasets._fetch import (
     fetch_staubli_tx40,
     fetch_tflex_1dof,
     fetch_tiago,
+    fetch_unitree_go2,
     fetch_ur5,
 )
 from sklearn_vbjfa.datasets._robot_recording import (
@@ -44,6 +45,7 @@ __all__ = [
     "fetch_staubli_tx40",
     "fetch_tflex_1dof",
     "fetch_tiago",
+    "fetch_unitree_go2",
     "fetch_ur5",
     "inspect_recording",
     "load_arm_model",

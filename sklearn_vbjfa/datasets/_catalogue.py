@@ -1,8 +1,8 @@
 """The catalogue of the measured sets: what each is, who reads it, how it is evaluated.
 
 A new set takes a reader, an entry here, its files in ``remote_files.txt`` (or the
-`source` of files that are not downloaded) and a public loader that carries its
-documentation.
+`source` of files that are converted, or for another reason not downloaded) and a public
+loader that carries its documentation.
 """
 
 from collections.abc import Callable
@@ -325,6 +325,35 @@ CATALOGUE = {
             "useful for arm_1 to arm_4 only."
         ),
         protocol=Protocol(cutoff=5.0),
+    ),
+    "unitree_go2": DataSet(
+        read=_readers.read_unitree_go2,
+        joint_names=tuple(
+            f"{leg}_{joint}_joint"
+            for leg in ("FL", "FR", "RL", "RR")
+            for joint in ("hip", "thigh", "calf")
+        ),
+        dt=_readers.GO2_PERIOD,
+        urdf=DataFiles.published_urdf,
+        source=(
+            "https://github.com/RX-00/sim2real-robot-identification/tree/1a22bd0 "
+            "(robot_model/go2/go2.xml; datasets/go2/traj_*.pt, which fetch_unitree_go2 "
+            "reads as run_*.npz, see there)"
+        ),
+        licence="BSD-3-Clause, (c) DLS Lab, Istituto Italiano di Tecnologia",
+        citation=(
+            "DLS Lab, Istituto Italiano di Tecnologia, repository "
+            "sim2real-robot-identification."
+        ),
+        description=(
+            "Unitree Go2 held in the air, all legs moving. The torque is the command "
+            "of a PD law, made of the measured positions and speeds themselves."
+        ),
+        # The automatic low-pass takes noise of the command, which is that of the
+        # encoders and so in both channels, for motion.
+        protocol=Protocol(
+            train=("run_0", "run_1"), test=("run_2", "run_3"), cutoff=10.0
+        ),
     ),
 }
 

@@ -105,7 +105,7 @@ class DataFiles:
         return Path(self.access.data_home).expanduser() / self.dataset
 
     def find(
-        self, wanted: Callable[[str], bool] = lambda path: not path.endswith(".urdf")
+        self, wanted: Callable[[str], bool] = lambda path: not _is_description(path)
     ) -> dict[str, Path]:
         """Local file of each wanted path in the repository, by default all data.
 
@@ -121,9 +121,9 @@ class DataFiles:
         return found
 
     def published_urdf(self) -> str | None:
-        """URDF published with the data; None if absent and not to be downloaded."""
+        """URDF or MJCF published with the data; None if absent and not downloaded."""
         try:
-            (local,) = self.find(lambda path: path.endswith(".urdf")).values()
+            (local,) = self.find(_is_description).values()
         except FileNotFoundError:
             return None
         return str(local.resolve())
@@ -152,6 +152,11 @@ class DataFiles:
             )
         download_file(remote, local, self.access)
         return local
+
+
+def _is_description(path: str) -> bool:
+    """Whether a file is the description of a robot, and holds no data."""
+    return path.endswith((".urdf", ".xml"))
 
 
 def find_file(remote: RemoteFile, folder: Path) -> Path | None:

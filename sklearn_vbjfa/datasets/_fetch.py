@@ -705,3 +705,69 @@ def fetch_tiago(
     """
     access = Access(data_home, download_if_missing, n_retries, delay)
     return load("tiago", access, rows=rows, resample=resample)
+
+
+def fetch_unitree_go2(
+    *,
+    data_home: str | PathLike | None = None,
+    download_if_missing: bool = True,
+) -> Recording:
+    """Load motor tests of a quadruped, Unitree Go2, that was held in the air.
+
+    Ten runs of 23.5 to 23.9 s at 200 Hz, in which all twelve joints follow a
+    chirp at once. The values are as recorded, the stamps uniform.
+
+    Parameters
+    ----------
+    data_home : path-like or None, default=None
+        Folder that holds the folder ``unitree_go2``; by default
+        ``sklearn_vbjfa`` in scikit-learn's data folder. In it are ``go2.xml``
+        and ``run_0.npz`` to ``run_9.npz``, see Notes.
+    download_if_missing : bool, default=True
+        Without effect: the files are converted, and not downloaded.
+
+    Returns
+    -------
+    recording : Recording
+        47065 samples of 12 joints, dt = 0.005 s, recordings "run_0" to
+        "run_9". `q` [rad] and `v` [rad/s] of the motors, `tau` [N m] what
+        the motors were told. Signals (n_samples, 12): "q_ref" [rad], "v_ref"
+        [rad/s] (zero throughout), the motion that was asked for. The model is
+        that of ``go2.xml``, whose base is free and is held level.
+
+    Raises
+    ------
+    OSError
+        If the files are absent.
+
+    Notes
+    -----
+    `tau` is a command and no measurement: kp (q_ref - q) + kd (v_ref - v) with
+    kp = 20, 20, 40 N m/rad and kd = 1, 1, 2 N m s/rad of hip, thigh and calf.
+    It shares its noise with the positions and speeds, with these known gains: an
+    error e of an encoder is -kp e of the torque, where regressions take the noise
+    of inputs and of outputs for independent. What the motor makes of the command
+    may come later, by an unknown delay, and may be less.
+
+    The legs are the same four times, mirrored left and right. Armature, damping
+    and friction in ``go2.xml`` were identified from such runs by somebody else and
+    are no truth. Whether the base was level is not known (`BaseTilt`).
+
+    Files: ``go2.xml`` is robot_model/go2/go2.xml of the repository; its meshes are
+    not needed. ``run_k.npz`` has the columns of datasets/go2/traj_k.pt as arrays t,
+    q, v, q_desired, v_desired, and kp and kd of each joint. Joints are in the order
+    FL, FR, RL, RR, each hip, thigh, calf. Licence: BSD-3-Clause.
+
+    References
+    ----------
+    .. [1] DLS Lab, Istituto Italiano di Tecnologia, repository
+       sim2real-robot-identification.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.datasets import fetch_unitree_go2
+    >>> go2 = fetch_unitree_go2()  # doctest: +SKIP
+    >>> go2.joint_names[:3]  # doctest: +SKIP
+    ('FL_hip_joint', 'FL_thigh_joint', 'FL_calf_joint')
+    """
+    return load("unitree_go2", Access(data_home, download_if_missing))

@@ -425,3 +425,29 @@ def tiago_arrays(files: dict[str, Path]) -> dict:
         # The three files have the same stamps.
         raw["t"] = table[:, 0]
     return raw
+
+
+# -- Unitree Go2 -----------------------------------------------------------------------
+
+GO2_PERIOD = 0.005  # [s]
+
+
+def read_unitree_go2(files: DataFiles) -> list[Log]:
+    """Return the runs of the quadruped, with the torques that its motors were told."""
+    logs = []
+    for path, local in files.find(lambda path: path.endswith(".npz")).items():
+        with np.load(local) as arrays:
+            raw = {key: arrays[key].astype(float) for key in arrays}
+        towards = raw["q_desired"] - raw["q"], raw["v_desired"] - raw["v"]
+        logs.append(
+            Log(
+                name=Path(path).stem,
+                # The stamps are sums in single precision and drift by 0.02 %.
+                t=GO2_PERIOD * np.arange(len(raw["t"])),
+                q=raw["q"],
+                v=raw["v"],
+                tau=raw["kp"] * towards[0] + raw["kd"] * towards[1],
+                signals={"q_ref": raw["q_desired"], "v_ref": raw["v_desired"]},
+            )
+        )
+    return logs

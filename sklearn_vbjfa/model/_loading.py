@@ -83,7 +83,7 @@ def load_model(model, base_orientation=None):
     Examples
     --------
     >>> import pinocchio
-    >>> from sklearn_vbjfa.robot import load_model
+    >>> from sklearn_vbjfa import load_model
     >>> humanoid = pinocchio.buildSampleModelHumanoid()
     >>> robot = load_model(humanoid, [1, 1, 0, 0])  # lies on its side
     >>> humanoid.nv - robot.nv

@@ -1,6 +1,5 @@
 """Robots: from recordings to states, equations, and an identified model."""
 
-from sklearn_vbjfa.model._loading import load_model
 from sklearn_vbjfa.robot._exports import LeftOut
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
@@ -19,5 +18,4 @@ __all__ = [
     "SimulationCriteria",
     "StateEstimator",
     "TorqueResiduals",
-    "load_model",
 ]

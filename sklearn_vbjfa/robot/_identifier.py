@@ -168,7 +168,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     ----------
     model : str, os.PathLike or pinocchio.Model
         Path of a URDF or MJCF file, or a model; a tree of one-degree-of-freedom
-        joints; a free base is held, see `robot.load_model`. Its inertias complete what
+        joints; a free base is held, see `load_model`. Its inertias complete what
         the data do not determine, see `theta_`.
     dt : float, default=None
         Sample period [s]; needed unless states are given and nothing is filtered.

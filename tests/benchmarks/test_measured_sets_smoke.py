@@ -19,7 +19,9 @@ def test_sets_are_ten_and_apart():
 
     development, confirmation = map(set, bench.SETS.values())
     assert not development & confirmation
-    assert development | confirmation == set(protocols()) - {"demo"}
+    # The Go2 came after the protocol of the ten was frozen.
+    later = {"demo", "unitree_go2"}
+    assert development | confirmation == set(protocols()) - later
 
 
 def test_methods_are_judged_beside_the_loop():

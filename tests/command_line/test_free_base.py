@@ -8,9 +8,9 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
+from sklearn_vbjfa import load_model
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import load_model
 from tests.model._legs import JOINTS, legs_mjcf
 
 ON_ITS_SIDE = (1.0, 1.0, 0.0, 0.0)
@@ -80,3 +80,31 @@ def test_refuses_what_is_no_orientation(run, text, said):
     assert (code, out) == (2, "")
     (line,) = err.splitlines()
     assert said in line
+
+
+@pytest.mark.parametrize(
+    ("argv", "said"),
+    [
+        (["identify", *GIVEN], "--base-orientation needs a RECORDING"),
+        (["simulate", *GIVEN], "--base-orientation needs a RECORDING"),
+        (
+            ["simulate", "a.csv", "--model", "a.json", *GIVEN],
+            "--base-orientation belongs to an identification",
+        ),
+    ],
+)
+def test_an_orientation_without_a_description_is_refused(argv, said, capsys):
+    assert main(argv) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_motion_is_designed_for_the_orientation(folder, tmp_path, capsys):
+    urdf = str(folder / "legs.xml")
+    limits = ["--velocity", "3", "--acceleration", "20", "--torque", "0.2"]
+    # Stretched out, the calf needs 0.35 N m; on its side it swings about the vertical.
+    calf = ["--joints", "L_calf", "--start", "1.57", "--duration", "4"]
+    argv = ["design", "--urdf", urdf, *limits, *calf, "--out", str(tmp_path / "a.csv")]
+    assert main(argv) == 2
+    assert "0.353" in capsys.readouterr().err
+    assert main([*argv, *GIVEN]) in (0, 3)
+    assert " --joints L_calf --base-orientation 1,1,0,0" in capsys.readouterr().out

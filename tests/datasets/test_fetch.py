@@ -35,6 +35,11 @@ CONTENT = {
     "staubli_tx40": ([45000], 6, 0.0002),
     "tflex_1dof": ([130716], 1, 0.001),
     "tiago": ([5872], 8, 0.0099959),
+    "unitree_go2": (
+        [4781, 4697, 4697, 4698, 4699, 4697, 4701, 4699, 4697, 4699],
+        12,
+        0.005,
+    ),
     "ur5": ([4475, 2605, 2482, 2831, 10264, 3470, 1964, 2707], 6, 0.008),
 }
 
@@ -89,6 +94,7 @@ def test_content(fetch, dataset):
         assert getattr(recording, text)
 
 
+@pytest.mark.filterwarnings("ignore:The robot description 'go2.xml'")
 @pytest.mark.parametrize("dataset", sorted(CONTENT))
 def test_robot_model_has_the_recorded_joints(fetch, dataset):
     pytest.importorskip("pinocchio")
@@ -237,6 +243,7 @@ def test_gravity_explains_loaded_joints(fetch, dataset, options, joints):
         assert 0.7 < np.polyfit(gravity[:, joint], tau, 1)[0] < 1.6
 
 
+@pytest.mark.filterwarnings("ignore:The robot description 'go2.xml'")
 @pytest.mark.parametrize(
     ("dataset", "options", "select", "cutoff", "min_speed", "limits"),
     [
@@ -245,6 +252,7 @@ def test_gravity_explains_loaded_joints(fetch, dataset, options, joints):
         ("franka_panda", {}, [0], 10.0, 0.0, [0.1, 0.02, 0.03, 0.04, 0.1, 0.05]),
         ("ur5", {}, ["No6"], 8.0, 0.03, [0.08, 0.06, 0.08, 0.25, 0.2, 0.3]),
         ("tiago", {}, [0], 5.0, 0.02, [1.0, 0.25, 0.3, 0.25, 0.2]),
+        ("unitree_go2", {}, ["run_0"], 10.0, 0.1, [0.2] * 12),
     ],
 )
 def test_rigid_body_regression_explains_the_torque(
@@ -343,7 +351,7 @@ def test_unknown_options_are_refused(dataset, options, message):
         getattr(datasets, f"fetch_{dataset}")(**options)
 
 
-@pytest.mark.parametrize("dataset", sorted(CONTENT))
+@pytest.mark.parametrize("dataset", sorted(set(CONTENT) - {"unitree_go2"}))
 def test_absent_set_is_refused_in_one_line(dataset, tmp_path):
     loader = getattr(datasets, f"fetch_{dataset}")
     with pytest.raises(FileNotFoundError, match=r"raw\.githubusercontent\.com") as info:
@@ -377,6 +385,67 @@ def test_lbr_recordings_can_be_joined(fetch, converted):
     assert lbr.group_names == ("measurements", "measurements_with_ext_tau_1")
     raw = converted("kuka_lbr_med7", "measurements_with_ext_tau_1")
     np.testing.assert_array_equal(lbr.select(1).tau, -raw["tau"])
+
+
+def test_go2_is_told_what_the_law_of_its_motors_says(fetch, converted):
+    go2 = fetch("unitree_go2")
+    assert go2.group_names == tuple(f"run_{k}" for k in range(10))
+    for label in (0, 9):
+        part, raw = go2.select(label), converted("unitree_go2", f"run_{label}")
+        np.testing.assert_array_equal(part.q, raw["q"])
+        np.testing.assert_array_equal(part.v, raw["v"])
+        spring = 4 * [20.0, 20.0, 40.0] * (part.signals["q_ref"] - part.q)
+        damper = 4 * [1.0, 1.0, 2.0] * (part.signals["v_ref"] - part.v)
+        np.testing.assert_allclose(part.tau, spring + damper, atol=1e-12)
+        np.testing.assert_array_equal(part.signals["q_ref"], raw["q_desired"])
+        assert not part.signals["v_ref"].any()
+        # Sums of 0.005 in single precision.
+        np.testing.assert_allclose(part.t, raw["t"], atol=0.006)
+
+
+def test_go2_speeds_are_those_of_its_positions(fetch):
+    # They have an offset, so that their integrals drift.
+    go2 = fetch("unitree_go2").select("run_3")
+    slope = np.gradient(go2.q, go2.dt, axis=0)
+    for j in range(12):
+        assert np.polyfit(go2.v[:, j], slope[:, j], 1)[0] == pytest.approx(1, abs=0.05)
+        assert np.corrcoef(go2.v[:, j], slope[:, j])[0, 1] > 0.95
+
+
+@pytest.mark.filterwarnings("ignore:The robot description 'go2.xml'")
+def test_go2_hangs_level_in_the_order_of_its_legs(fetch):
+    pytest.importorskip("pinocchio")
+    go2 = fetch("unitree_go2")
+    model = go2.robot_model()
+    hips = np.array([model.jointPlacements[k].translation for k in (1, 4, 7, 10)])
+    front, left = [1, 1, -1, -1], [1, -1, 1, -1]
+    np.testing.assert_array_equal(np.sign(hips[:, :2]), np.transpose([front, left]))
+    for k in (1, 4, 7, 10):
+        np.testing.assert_allclose(model.jointPlacements[k].rotation, np.eye(3))
+    np.testing.assert_allclose(model.gravity.linear, [0, 0, -9.81])
+    with pytest.warns(UserWarning, match="the base, which base_joint leaves free, is"):
+        go2.robot_model()
+
+
+def test_go2_says_where_its_files_come_from(tmp_path):
+    with pytest.raises(FileNotFoundError, match="put the files of the set there") as no:
+        datasets.fetch_unitree_go2(data_home=tmp_path)
+    said = str(no.value)
+    for part in (tmp_path / "unitree_go2", "github.com/RX-00", "fetch_unitree_go2"):
+        assert str(part) in said
+    assert "\n" not in said
+    assert "not downloaded" in said
+
+
+def test_go2_without_its_description(measured_data_home, tmp_path):
+    pytest.importorskip("pinocchio")
+    (tmp_path / "unitree_go2").mkdir()
+    run = measured_data_home / "unitree_go2" / "run_4.npz"
+    shutil.copy(run, tmp_path / "unitree_go2")
+    go2 = datasets.fetch_unitree_go2(data_home=tmp_path)
+    assert (go2.group_names, go2.urdf) == (("run_4",), None)
+    with pytest.raises(FileNotFoundError, match=r"dataclasses\.replace"):
+        go2.robot_model()
 
 
 def test_published_urdf_may_be_absent(measured_data_home, tmp_path, original):

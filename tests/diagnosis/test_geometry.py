@@ -10,10 +10,9 @@ pytest.importorskip("pinocchio")
 
 import pinocchio as pin
 
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, load_model
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
-from sklearn_vbjfa.robot import load_model
 from tests.diagnosis._faulty import with_faults
 from tests.diagnosis._recordings import named, record
 from tests.diagnosis.search.test_branches import arms

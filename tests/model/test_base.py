@@ -7,7 +7,12 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier, load_identified  # noqa: E402
+from sklearn_vbjfa import (  # noqa: E402
+    RigidBodyFeatures,
+    RobotIdentifier,
+    load_identified,
+    load_model,
+)
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model._loading import (  # noqa: E402
     joint_names,
@@ -16,7 +21,6 @@ from sklearn_vbjfa.model._loading import (  # noqa: E402
     nominal_parameters,
     write_reduced,
 )
-from sklearn_vbjfa.robot import load_model  # noqa: E402
 from tests.model._legs import JOINTS, legs_mjcf, legs_model, legs_urdf  # noqa: E402
 
 LEVEL = "ignore:.*the base, which root.* is held level"

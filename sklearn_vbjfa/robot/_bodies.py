@@ -21,7 +21,7 @@ _LITTLE = 0.7
 _RIVALS = 3.0
 # Scales beyond which no description is off, and the share of the usual precision that
 # a body keeps.
-_FARTHEST, _LEAST = 3.0, 1e-4
+_FARTHEST, _LEAST = 1.0, 1e-4
 # Passes over all bodies, and the change of a mean in deviations that ends them.
 _PASSES, _STAYS = 100, 1e-3
 # Directions of the Gram matrix below this are never used.
@@ -381,7 +381,7 @@ def as_described(description, A, b):
 
 
 def described_bodies(settings):
-    """Description that an identifier's bodies are near, `Description`; None if free."""
+    """Return the `Description` that an identifier's bodies are near; None if free."""
     bodies, features = settings.bodies, settings.features_
     if not isinstance(bodies, str) or bodies not in WAYS:
         raise ValueError(

@@ -1,6 +1,6 @@
 """Bodies around their description: a prior whose scale is found body by body."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
@@ -22,10 +22,14 @@ _RIVALS = 3.0
 # Scales beyond which no description is off, and the share of the usual precision that
 # a body keeps.
 _FARTHEST, _LEAST = 1.0, 1e-4
+# Deviations by which the common size of the bodies is another than one.
+_FAR_OFF = 3.0
 # Passes over all bodies, and the change of a mean in deviations that ends them.
 _PASSES, _STAYS = 100, 1e-3
 # Directions of the Gram matrix below this are never used.
 _RANK = 1e-12
+# Variances of a body below this share of its largest are rounding.
+_ROUNDING = 1e-15
 WAYS = ("prior", "free", "fixed")
 
 
@@ -125,6 +129,10 @@ class Description:
         out[self.places] = self.centre
         return out
 
+    def scaled(self, factor):
+        """Return the description of bodies that are so many times as heavy."""
+        return replace(self, centre=factor * self.centre, root=self.root / factor)
+
     def deviation(self):
         """Deviations (n, 10) of the parameters before the data, by the usual scale."""
         inverse = np.linalg.inv(self.root)
@@ -149,6 +157,8 @@ class BodyPosterior:
         Bodies that are not as described, or what they cannot be told apart from.
     noise : float
         Variance of the noise that the normal equations were divided by.
+    common, common_std : float
+        Size of all bodies together over the description, and its deviation.
     """
 
     theta: np.ndarray
@@ -157,6 +167,8 @@ class BodyPosterior:
     described: np.ndarray
     departures: tuple[Departure, ...] = ()
     noise: float = 1.0
+    common: float = 1.0
+    common_std: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,22 +186,34 @@ class _Site:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """Gaussian posterior of the change from a description."""
+    """Gaussian posterior of the change from a description, and of its common size.
+
+    The last entry is the share by which all of its bodies together are larger.
+    """
 
     mean: np.ndarray
     covariance: np.ndarray
+
+    def total(self, centre):
+        """Return mean and covariance of the change, common size included."""
+        mean = self.mean[:-1] + self.mean[-1] * centre
+        cross = np.outer(self.covariance[:-1, -1], centre)
+        covariance = self.covariance[:-1, :-1] + cross + cross.T
+        return mean, covariance + self.covariance[-1, -1] * np.outer(centre, centre)
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
     """Normal equations A theta = b in units of the noise, beside a description.
 
-    Bodies are seen in coordinates in which their prior is round.
+    Bodies are seen in coordinates in which their prior is round. `sized`: their common
+    size is that of the description.
     """
 
     description: Description
     A: np.ndarray
     b: np.ndarray
+    sized: bool = False
 
     def precision(self, sites):
         """Precision (p, p) of the prior with some sites."""
@@ -199,22 +223,57 @@ class _Problem:
             out[np.ix_(at, at)] = root.T @ site.precision @ root
         return out
 
+    @property
+    def centre(self):
+        """The description among all parameters, (p,)."""
+        return self.description.vector(self.b.size)
+
     def solved(self, sites):
-        """Return the `_Solution` with some sites."""
-        right = self.b - self.A @ self.description.vector(self.b.size)
+        """Return the `_Solution` with some sites.
+
+        The size of all bodies together is known to the usual share from `common`: what
+        a torque channel calls a newton metre is sometimes not known at all.
+        """
+        p, centre = self.b.size, self.centre
+        total, right = np.zeros((p + 1, p + 1)), np.zeros(p + 1)
+        total[:p, :p] = self.A
+        total[p, :p] = total[:p, p] = self.A @ centre
+        total[p, p] = centre @ total[:p, p]
+        right[:p] = self.b - total[:p, p]
+        right[p] = centre @ right[:p]
+        total[:p, :p] += self.precision(sites)
+        total[p, p] += DESCRIBED**-2
         known = zip(self.description.places, self.description.root, sites)
         for at, root, site in known:
             right[at] += root.T @ site.right
         # A direction that neither torques nor description tell stays where it is.
-        eigen = scaled_eigen(self.A + self.precision(sites), _RANK)
+        if self.sized:
+            total[p], total[:, p], right[p] = 0.0, 0.0, 0.0
+        eigen = scaled_eigen(total, _RANK)
         return _Solution(eigen.solve(right), eigen.inverse())
+
+    def common(self):
+        """Size of all bodies together by least squares, everything else free; or one.
+
+        A description in other units, or torques in others, is thousands of times off.
+        """
+        centre = self.centre
+        rest = np.ones(centre.size, dtype=bool)
+        rest[self.description.places] = False
+        across = self.A[rest] @ centre
+        others = scaled_eigen(self.A[np.ix_(rest, rest)], _RANK)
+        seen = centre @ self.A @ centre
+        own = seen - across @ others.solve(across)
+        product = centre @ self.b - across @ others.solve(self.b[rest])
+        told = own > _RANK * seen and product > 0
+        return float(product / own) if told else 1.0
 
     def marginal(self, solution, k):
         """Precision and its product with the mean of a body, everything in."""
         at, root = self.description.places[k], self.description.root[k]
         around = root @ solution.covariance[np.ix_(at, at)] @ root.T
-        inverse = linalg.inv(0.5 * (around + around.T))
-        return 0.5 * (inverse + inverse.T), inverse @ (root @ solution.mean[at])
+        inverse = _inverse(around)
+        return inverse, inverse @ (root @ solution.mean[at])
 
     def sites(self):
         """Sites by expectation propagation: they match mean and covariance [1]_.
@@ -268,19 +327,21 @@ class _Problem:
                 H[k] = max(1.0 / variance - own, 0.0)
             groups = Groups(H=H, q=q, own=H[:, 0], unit=np.ones(q.shape))
             odds = groups.integrated(DESCRIBED, DESCRIBED) - np.log(len(names))
-            odds = np.where(open_, odds, -np.inf)
+            wide = groups.best_scale(DESCRIBED)
+            left = H[:, 0, 0] + wide**-2
+            factors = 1.0 + q[:, 0] / left / length
+            # No body weighs less than nothing: what asks for it is something else.
+            odds = np.where((open_ > 0) & (factors > 0), odds, -np.inf)
             first = int(np.argmax(odds))
             if odds[first] <= 0:
                 break
             near = np.flatnonzero(odds > odds[first] - _RIVALS)
             near = near[np.argsort(-odds[near], kind="stable")]
-            wide = groups.best_scale(DESCRIBED)
-            left = H[near, 0, 0] + wide[near] ** -2
             found.append(
                 Departure(
                     bodies=tuple(names[k] for k in near),
-                    factors=tuple((1.0 + q[near, 0] / left / length[near]).tolist()),
-                    stds=tuple((1.0 / np.sqrt(left) / length[near]).tolist()),
+                    factors=tuple(factors[near].tolist()),
+                    stds=tuple((1.0 / np.sqrt(left) / length)[near].tolist()),
                     log_odds=float(odds[first]),
                 )
             )
@@ -291,6 +352,12 @@ class _Problem:
             sites[first] = _Site(usual.precision + opened, usual.right)
             open_[near] = 0.0
         return tuple(found)
+
+
+def _inverse(covariance):
+    """Inverse of a covariance whose smallest deviations may be rounding."""
+    size, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return (axes / np.maximum(size, _ROUNDING * size[-1])) @ axes.T
 
 
 def _matched(precision, product, site):
@@ -311,8 +378,7 @@ def _matched(precision, product, site):
     mean = weight @ means
     away = means - mean
     covariance = np.diag(weight @ variance) + (away.T * weight) @ away
-    size, axes = np.linalg.eigh(covariance)
-    inverse = (axes / np.maximum(size, 1e-12 * size[-1])) @ axes.T
+    inverse = _inverse(covariance)
     # A prior takes no precision away.
     left, turned = np.linalg.eigh(inverse - np.diag(value))
     own = (turned * np.maximum(left, _LEAST / DESCRIBED**2)) @ turned.T
@@ -338,22 +404,36 @@ def around(description, A, b):
     BodyPosterior
         Parameters; those without a prior are free.
     """
-    problem = _Problem(description, A, b)
+    first = _Problem(description, A, b).common()
+    problem = _Problem(description.scaled(first), A, b)
     sites = problem.sites()
-    solution, prior = problem.solved(sites), problem.precision(sites)
-    p = b.size
-    covariance = solution.covariance
+    solution, precision = problem.solved(sites), problem.precision(sites)
+    change, covariance = solution.total(problem.centre)
+    # The common size takes what the prior says of it.
+    of_size = precision @ problem.centre
+    share = problem.centre @ of_size + DESCRIBED**-2
+    prior = precision - np.outer(of_size, of_size) / share
     told = np.diagonal(A) + np.diagonal(prior) > 0
     covariance[~told, ~told] = np.inf
-    described = np.zeros(p, dtype=bool)
+    described = np.zeros(b.size, dtype=bool)
     std = np.sqrt(np.diagonal(covariance))[description.places]
-    described[description.places] = std > _LITTLE * description.deviation()
+    usual = problem.description.deviation()
+    described[description.places] = std > _LITTLE * usual
+    common = first * (1.0 + solution.mean[-1])
+    common_std = first * np.sqrt(solution.covariance[-1, -1])
+    # Whether a body departs is asked of a description in the unit of the torques.
+    if abs(common - 1.0) < _FAR_OFF * common_std:
+        asked = _Problem(description, A, b, sized=True)
+    else:
+        asked = problem
     return BodyPosterior(
-        theta=description.vector(p) + solution.mean,
+        theta=problem.centre + change,
         covariance=covariance,
         prior=prior,
         described=described,
-        departures=problem.departures(),
+        departures=asked.departures(),
+        common=common,
+        common_std=common_std,
     )
 
 

@@ -838,6 +838,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             np.zeros(found.theta.size, dtype=bool) if known is None else known.described
         )
         self.departures_ = () if known is None else known.departures
+        self.common_size_ = 1.0 if known is None else known.common
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
         self._torque_spread = TorqueSpread.of_estimate(found)

@@ -727,5 +727,8 @@ def solid_bodies(bodies, least=_SOLID):
     least : float
         Least eigenvalue of the pseudo-inertia, in units of the body's mass and length.
     """
-    mass, size = body_scales(bodies)
-    return min_eigenvalue(bodies, mass_scale=mass, length_scale=size) > least
+    solid = bodies[:, 0] > 0
+    mass, size = body_scales(bodies[solid])
+    smallest = min_eigenvalue(bodies[solid], mass_scale=mass, length_scale=size)
+    solid[solid] = smallest > least
+    return solid

@@ -6,7 +6,7 @@ import numpy as np
 from scipy import linalg
 from scipy.special import softmax
 
-from sklearn_vbjfa._core._groups import SCALES, Groups
+from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa.model._loading import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import pseudo_inertia
@@ -19,9 +19,9 @@ DESCRIBED = 0.2
 _LITTLE = 0.7
 # What departs as probably as the most probable body, within so many nats, is its rival.
 _RIVALS = 3.0
-# Scales beyond which no description is off, and the share of the usual precision that
-# a body keeps.
-_FARTHEST, _LEAST = 1.0, 1e-4
+# Scales that are summed over, up to that at which a body is no longer consistent, and
+# the share of the usual precision that a body keeps.
+_SCALES, _LEAST = np.geomspace(1e-3, 1.0, 61), 1e-4
 # Deviations by which the common size of the bodies is another than one.
 _FAR_OFF = 3.0
 # Passes over all bodies, and the change of a mean in deviations that ends them.
@@ -369,10 +369,11 @@ def _matched(precision, product, site):
     value, vectors = np.linalg.eigh(precision - site.precision)
     value = np.maximum(value, 0.0)
     rest = vectors.T @ (product - site.right)
-    s2 = (SCALES[SCALES <= _FARTHEST] ** 2)[:, None]
-    ratio = np.sqrt(s2[:, 0]) / DESCRIBED
+    s2, ratio = (_SCALES**2)[:, None], _SCALES / DESCRIBED
     along = 0.5 * rest**2 * s2 / (1 + s2 * value) - 0.5 * np.log1p(s2 * value)
-    weight = softmax(along.sum(axis=1) + np.log(ratio / (1 + ratio**2)))
+    prior = ratio / (1 + ratio**2)
+    prior[[0, -1]] *= 0.5  # the trapezoidal rule
+    weight = softmax(along.sum(axis=1) + np.log(prior))
     variance = s2 / (1 + s2 * value)
     means = rest * variance
     mean = weight @ means

@@ -832,11 +832,11 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         )
         self.theta_, self.theta_unconstrained_ = found.theta, found.theta_unconstrained
         self.theta_std_, self.projector_ = found.std, found.projector
-        self.identifiable_ = found.identifiable
         known = found.bodies
         self.from_description_ = (
             np.zeros(found.theta.size, dtype=bool) if known is None else known.described
         )
+        self.identifiable_ = found.identifiable & ~self.from_description_
         self.departures_ = () if known is None else known.departures
         self.common_size_ = 1.0 if known is None else known.common
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())

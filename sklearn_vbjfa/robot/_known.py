@@ -27,7 +27,7 @@ class BodyMass:
         Its standard deviation [kg]; nan or infinite where there is none.
     nominal : float
         Value of the robot description [kg].
-    known : {"yes", "no", "in combination"}
+    known : {"yes", "no", "in combination", "from the description"}
         Whether the recording determines it, see `known_parameters`.
     """
 
@@ -52,7 +52,8 @@ def known_parameters(robot):
     tuple of str of length p
         "yes": determined by itself, as well as its standard deviation says. "in
         combination": torques depend on it, but only together with others; its value
-        agrees with them and with the robot description, but is one of many. "no": no
+        agrees with them and with the robot description, but is one of many. "from the
+        description": the torques say little beyond it (`from_description_`). "no": no
         torque depends on it, or it is a mass whose deviation, with what the projection
         moved it by, is over half its value.
     """
@@ -69,6 +70,7 @@ def known_parameters(robot):
         vague = ~(doubt[masses] <= _KNOWN * robot.theta_[masses])
     vague &= robot.identifiable_[masses]
     known[masses[vague]] = "no"
+    known[robot.from_description_] = "from the description"
     return tuple(known)
 
 

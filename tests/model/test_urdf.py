@@ -147,7 +147,11 @@ def test_a_model_has_no_urdf(simulated, tmp_path):
 
 def test_impossible_bodies_are_not_written(simulated, tmp_path):
     robot = RobotIdentifier(
-        simulated.urdf, dt=simulated.dt, projector=None, friction=("viscous",)
+        simulated.urdf,
+        dt=simulated.dt,
+        projector=None,
+        friction=("viscous",),
+        bodies="free",
     )
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     with pytest.raises(

@@ -22,7 +22,10 @@ def parts(simulated):
 @pytest.fixture(scope="module")
 def compared(simulated, parts):
     identifier = RobotIdentifier(
-        simulated.urdf, dt=simulated.dt, friction=("viscous", "coulomb")
+        simulated.urdf,
+        dt=simulated.dt,
+        friction=("viscous", "coulomb"),
+        bodies="free",
     )
     seen = []
     names = [OURS, "VB", "OLS", "WLS", "stepwise", "TLS", "IV"]

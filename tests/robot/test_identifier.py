@@ -167,7 +167,9 @@ def test_what_no_torque_depends_on_comes_from_the_model(identified, simulated):
     # The first body turns about a vertical axis: of its ten only I_zz is felt.
     nominal = nominal_parameters(load_model(simulated.urdf))[0]
     first = identified.theta_[:10]
-    assert np.all(np.isinf(identified.theta_std_[:9]))
+    assert np.all(identified.from_description_[:9])
+    free = identify(simulated, bodies="free")
+    assert np.all(np.isinf(free.theta_std_[:9]))
     # the anchor is the model scaled as a whole, and consistency holds it together
     np.testing.assert_allclose(first[0] / nominal[0], 1.0, atol=0.6)
     # and rounding alone never passes for information
@@ -261,7 +263,7 @@ def test_settings_of_a_projector_of_the_user_stay(simulated):
 
 
 def test_without_projection_theta_is_the_estimate(simulated):
-    robot = identify(simulated, projector=None)
+    robot = identify(simulated, projector=None, bodies="free")
     np.testing.assert_array_equal(robot.theta_, robot.theta_unconstrained_)
     assert robot.min_eigenvalues_.min() < 0  # which is why there is a projection
 

@@ -298,7 +298,7 @@ def test_a_weight_of_two_is_a_row_twice():
     rng = np.random.default_rng(0)
     twice = rng.random(T.size) < 0.3
     rows = np.repeat(np.arange(T.size), 1 + twice)
-    given = {"joint_weights": None, "input_noise": None}
+    given = {"joint_weights": None, "input_noise": None, "bodies": "free"}
     weighted = fit(ARM, idle(TRUTH), NOISY, weight=1.0 + twice, **given)
     repeated = fit(ARM, idle(TRUTH), NOISY[rows], STATES[rows], **given)
     plain = fit(ARM, idle(TRUTH), NOISY, **given)

@@ -27,7 +27,7 @@ def recording():
 
 
 def running(recording, **settings):
-    settings = {"friction": FRICTION, "standstill": 0.01, **settings}
+    settings = {"friction": FRICTION, "standstill": 0.01, "bodies": "free", **settings}
     return RobotIdentifier(recording.urdf, **settings)
 
 
@@ -122,7 +122,11 @@ def test_follows_a_payload_with_the_time_constant_of_the_memory():
     before, after = Phi @ bodies.ravel(), Phi @ heavier.ravel()
     memory = 200
     robot = RobotIdentifier(
-        model, standstill=None, friction=(), forgetting=1 - 1 / memory
+        model,
+        standstill=None,
+        friction=(),
+        forgetting=1 - 1 / memory,
+        bodies="free",
     )
     for _ in range(100):
         robot.partial_fit(states, before, refit=False)

@@ -207,7 +207,7 @@ def test_coloured_noise_is_seen_between_periods_only():
 def test_white_noise_is_seen_either_way():
     n_periods = 8
     _, _, q, tau = record(5, n_periods, correlation=0.0)
-    settings = {"cutoff": 8.0, "state_cutoff": 5.0}
+    settings = {"cutoff": 8.0, "state_cutoff": 5.0, "bodies": "free"}
     samples = identify(q, tau, None, **settings)
     periods = identify(q, tau, PERIOD, **settings)
     # The mean period has an eighth of the variance.

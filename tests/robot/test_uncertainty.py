@@ -149,7 +149,13 @@ def test_more_recordings_than_blocks(recording):
 def test_a_running_robot_has_deviations_for_independent_rows():
     """`partial_fit` keeps no blocks, and says so."""
     model, states, tau = pendulum(0, 0.9)
-    settings = {"dt": DT, "friction": FRICTION, "cutoff": None, "standstill": None}
+    settings = {
+        "dt": DT,
+        "friction": FRICTION,
+        "cutoff": None,
+        "standstill": None,
+        "bodies": "free",
+    }
     running = RobotIdentifier(model, **settings).partial_fit(states, tau)
     whole = RobotIdentifier(model, **settings).fit(states, tau)
     free = whole.identifiable_
@@ -173,7 +179,9 @@ def columns_of(states):
 def test_predicted_deviations_are_those_of_least_squares():
     """Rows count as independent here: s^2 (1 + x (X'X)^-1 x') with n - 3 in s^2."""
     model, states, tau = pendulum(3, 0.0, duration=4.0)
-    robot = RobotIdentifier(model, friction=FRICTION, cutoff=None, standstill=None)
+    robot = RobotIdentifier(
+        model, friction=FRICTION, cutoff=None, standstill=None, bodies="free"
+    )
     robot.partial_fit(states, tau)
     new = 1.5 * pendulum(4, 0.0, duration=4.0)[1]
     predicted, std = robot.predict(new, return_std=True)

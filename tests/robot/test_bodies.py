@@ -1,0 +1,204 @@
+"""Bodies around their description, against closed forms, quadrature and true robots."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy import integrate
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.robot import _bodies
+from sklearn_vbjfa.robot._bodies import DESCRIBED, Description, around
+
+TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")
+DT = 0.01
+
+
+def a_robot(masses=(3.0, 2.0, 1.0)):
+    """Arm of three joints whose links are boxes."""
+    model, length = pin.Model(), 0.4
+    for j, (kind, mass) in enumerate(zip("ZYX", masses)):
+        shift = np.zeros(3) if j == 0 else np.array([0.0, 0.1, length])
+        joint = getattr(pin, f"JointModelR{kind}")()
+        index = model.addJoint(j, joint, pin.SE3(np.eye(3), shift), f"joint_{j + 1}")
+        box = pin.Inertia.FromBox(mass, 0.1, 0.15, length)
+        centre = pin.SE3(np.eye(3), np.array([0.03, 0.02, 0.5 * length]))
+        model.appendBodyToJoint(index, centre.act(box), pin.SE3.Identity())
+    return model
+
+
+def scaled(model, factor, joint=None):
+    """Return a description whose bodies, or one, are so many times as heavy."""
+    out = model.copy()
+    for k in range(model.nv):
+        if joint in (None, k):
+            vector = factor * model.inertias[k + 1].toDynamicParameters()
+            out.inertias[k + 1] = pin.Inertia.FromDynamicParameters(vector)
+    return out
+
+
+def recorded(model, noise=0.02, amplitude=1.0, seed=0):
+    """Positions and torques of a true robot, friction and rotors included."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(3000) * DT
+    w = 2 * np.pi * np.array([0.31, 0.47, 0.67])[:, None] * [1.0, 1.37, 2.1]
+    phase = rng.uniform(0, 2 * np.pi, w.shape)
+    angle = t[:, None, None] * w + phase
+    size = 0.4 * amplitude
+    q = size * np.sin(angle).sum(axis=2)
+    v = size * (w * np.cos(angle)).sum(axis=2)
+    a = -size * (w**2 * np.sin(angle)).sum(axis=2)
+    data = model.createData()
+    rigid = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+    tau = rigid + 0.5 * v + 0.8 * np.sign(v) + 0.3 + 0.05 * a
+    return q, tau + noise * tau.std(axis=0) * rng.standard_normal(tau.shape)
+
+
+def fitted(model, recording, **settings):
+    return RobotIdentifier(model, dt=DT, friction=TERMS, **settings).fit(*recording)
+
+
+def bodies(robot):
+    return robot.theta_.reshape(robot.features_.n_joints_, -1)[:, :10]
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return recorded(a_robot())
+
+
+def test_the_distance_from_a_description_has_no_frame():
+    rng = np.random.default_rng(1)
+    model, change = a_robot(), rng.normal(size=10)
+    body = model.inertias[2]
+    turn = pin.SE3.Random()
+    distance = []
+    for frame in (pin.SE3.Identity(), turn):
+        model.inertias[2] = frame.act(body)
+        own = Description.of(model, 10)
+        # The change is one of mass distributions: sums of point masses turn with it.
+        points = [
+            w * frame.act(pin.Inertia(1.0, np.array(c), np.zeros((3, 3))))
+            .toDynamicParameters()
+            for w, c in zip(change, np.random.default_rng(2).normal(size=(10, 3)))
+        ]
+        distance.append(np.linalg.norm(own.root[1] @ np.sum(points, axis=0)))
+    assert distance[0] == pytest.approx(distance[1], rel=1e-9)
+
+
+def test_a_compact_body_twice_as_heavy_is_at_the_distance_of_its_halved_metric():
+    # A ball about its joint: the mean extension that is added doubles its second
+    # moments, so that P0^-1 dP is a half in three directions and one in the last.
+    model = a_robot()
+    model.inertias[1] = pin.Inertia.FromSphere(2.0, 0.1)
+    own = Description.of(model, 10)
+    found = np.linalg.norm(own.root[0] @ own.centre[0])
+    assert found == pytest.approx(np.sqrt(3 * 0.25 + 1.0))
+
+
+def test_without_torques_a_body_is_as_described():
+    own = Description.of(a_robot(), 14)
+    found = around(own, np.zeros((42, 42)), np.zeros(42))
+    np.testing.assert_allclose(found.theta[own.places], own.centre, rtol=1e-12)
+    assert found.described[own.places].all()
+    assert found.described.sum() == 30
+    assert not found.departures
+    # Nothing tells the friction.
+    assert np.isinf(np.diagonal(found.covariance)[10:14]).all()
+
+
+def test_the_site_of_one_body_is_exact():
+    # One direction of one body is seen: mean and variance by quadrature over the scale.
+    precision, product = 40.0, 5.0
+
+    def moments(s):
+        variance = 1.0 / (precision + s**-2)
+        evidence = np.exp(0.5 * product**2 * variance) / np.sqrt(1 + s**2 * precision)
+        prior = 1.0 / (1.0 + (s / DESCRIBED) ** 2)
+        mean = product * variance
+        return evidence * prior * np.array([1.0, mean, variance + mean**2])
+
+    grid = np.geomspace(1e-5, 1.0, 40001)
+    total = integrate.trapezoid([moments(s) for s in grid], grid, axis=0)
+    mean, square = total[1:] / total[0]
+    usual = _bodies._Site.of_scale(DESCRIBED)
+    along = np.zeros(10)
+    along[3] = 1.0
+    site, _ = _bodies._matched(
+        usual.precision + precision * np.outer(along, along), product * along, usual
+    )
+    covariance = np.linalg.inv(site.precision + precision * np.outer(along, along))
+    found = covariance @ (site.right + product * along)
+    assert found[3] == pytest.approx(mean, rel=1e-3)
+    assert covariance[3, 3] == pytest.approx(square - mean**2, rel=1e-3)
+
+
+def test_many_rows_decide_against_any_description(recording):
+    free = fitted(a_robot(), recording, bodies="free")
+    prior = fitted(scaled(a_robot(), 1.3), recording)
+    q = recording[0][::50]
+    np.testing.assert_allclose(
+        prior.predict(q)[5:-5], free.predict(q)[5:-5], atol=0.02 * recording[1].std()
+    )
+
+
+def test_values_that_the_motion_does_not_tell_apart_are_near_the_truth():
+    # A gentle motion: rotor inertia and that of the link beyond it go together.
+    gentle = recorded(a_robot(), amplitude=0.15)
+    wrong = scaled(a_robot(), 1.15, joint=1)
+    away = {}
+    for way in ("prior", "free"):
+        robot = fitted(wrong, gentle, bodies=way)
+        rotor = robot.theta_.reshape(3, -1)[:, 13]
+        away[way] = np.abs(rotor / 0.05 - 1.0).mean()
+    assert away["prior"] < 0.5 * away["free"]
+
+
+def test_the_unit_of_the_torque_and_of_the_masses_do_not_matter(recording):
+    q, tau = recording
+    robot = fitted(a_robot(), recording)
+    assert robot.common_size_ == pytest.approx(1.0, abs=0.05)
+    for factor in (1e-3, 1e3):
+        grams = fitted(scaled(a_robot(), factor), recording)
+        np.testing.assert_allclose(bodies(grams), bodies(robot), rtol=1e-5, atol=1e-7)
+        assert grams.common_size_ == pytest.approx(robot.common_size_ / factor)
+        other = fitted(a_robot(), (q, factor * tau))
+        np.testing.assert_allclose(
+            other.theta_, factor * robot.theta_, rtol=1e-5, atol=1e-7 * factor
+        )
+
+
+@pytest.mark.parametrize("joint", [1, 2])
+def test_a_body_that_weighs_ten_times_as_much_is_said_and_the_others_do_not_suffer(
+    joint, recording
+):
+    right = fitted(a_robot(), recording)
+    wrong = fitted(scaled(a_robot(), 0.1, joint=joint), recording)
+    assert not right.departures_
+    first = wrong.departures_[0]
+    assert f"joint_{joint + 1}" in first.bodies
+    assert first.log_odds > 3
+    own = first.bodies.index(f"joint_{joint + 1}")
+    assert first.factors[own] > 3
+    rotors = [r.theta_.reshape(3, -1)[:, 10:] for r in (right, wrong)]
+    np.testing.assert_allclose(*rotors, rtol=0.05, atol=0.01)
+
+
+def test_fixed_bodies_are_those_of_the_description(recording):
+    model = a_robot()
+    robot = fitted(model, recording, bodies="fixed")
+    expected = [body.toDynamicParameters() for body in model.inertias[1:]]
+    np.testing.assert_array_equal(bodies(robot), expected)
+    np.testing.assert_allclose(robot.theta_.reshape(3, -1)[:, 10], 0.5, rtol=0.05)
+    assert robot.from_description_.reshape(3, -1)[:, :10].all()
+
+
+def test_a_description_without_masses_leaves_the_bodies_free(recording):
+    prior = fitted(scaled(a_robot(), 0.0), recording)
+    free = fitted(scaled(a_robot(), 0.0), recording, bodies="free")
+    np.testing.assert_array_equal(prior.theta_, free.theta_)
+    assert not prior.from_description_.any()
+
+
+def test_what_cannot_be_is_refused(recording):
+    with pytest.raises(ValueError, match="bodies must be one of 'prior', 'free'"):
+        fitted(a_robot(), recording, bodies="loose")

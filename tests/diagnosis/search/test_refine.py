@@ -71,7 +71,7 @@ def test_an_instant_between_two_recordings_is_the_start_of_the_second():
     assert refined([start], shared, motion).instant == begin
 
 
-@pytest.mark.parametrize("worth, left", [(4.0, False), (20.0, True)])
+@pytest.mark.parametrize(("worth", "left"), [(4.0, False), (20.0, True)])
 def test_rows_within_a_recording_say_more_than_how_many_there_are(worth, left):
     motion = two_recordings()
     begin = motion.begins[1]

@@ -23,6 +23,8 @@ from sklearn_vbjfa.effects._library import closure
 
 # Times that load, spectrum and geometry are made anew.
 _TURNS = 3
+# Times that a model is tuned on another recording, until its evidence [nats] stays.
+_CLOSER, _STAYS = 20, 0.01
 # Share of the error that its mirror image saves of what an effect with a direction
 # saves: more is nothing with a direction.
 _MIRROR = 0.5
@@ -147,7 +149,12 @@ class Path:
         """Return an offer whose evidence is worth what its scatter in time leaves."""
         if offer.tempered:
             return offer
-        excess = fit.excess(offer.family, offer.best, offer.coef, self._noise)
+        family, best, coef = offer.family, offer.best, offer.coef
+        if offer.effect.jumping:
+            # Beside its instant a jump leaves a residual of its own size.
+            family, best = self._single(self._best_shape(fit, offer)), 0
+            coef = fit.groups(family).coefficients()[0]
+        excess = fit.excess(family, best, coef, self._noise)
         taken = self._taken(fit)
         usual = self._offer(fit, offer.family, taken, excess.as_usual())
         if usual is None:
@@ -296,13 +303,17 @@ class Path:
 
     def _member(self, fit, offer):
         """Return an offer as a member, its shape searched between the grid's."""
-        effect = offer.effect
-        if effect.continuous:
-            evidence = fit.groups(offer.family).evidence(self.settings.scale)
-            effect = self._refined(fit, starts(offer.family.effects, evidence, effect))
-        family = self._single(effect)
+        family = self._single(self._best_shape(fit, offer))
         best = fit.groups(family).best_scale(self.settings.scale)[0]
         return family.member(0, float(best))
+
+    def _best_shape(self, fit, offer):
+        """Effect of an offer, its shape searched between the grid's."""
+        if not offer.effect.continuous:
+            return offer.effect
+        effects = offer.family.effects
+        evidence = fit.groups(offer.family).evidence(self.settings.scale)
+        return self._refined(fit, starts(effects, evidence, offer.effect))
 
     def _single(self, effect):
         """Family of one shape."""
@@ -682,7 +693,9 @@ class Path:
                 least = self.log_prior - np.log(self.settings.expected / count)
                 best = max(offers, key=lambda o: o.log_odds, default=None)
                 if best is not None and best.log_odds > least:
-                    added.append(best.family.member(best.best, self.settings.scale))
+                    found = best.family.member(best.best, self.settings.scale)
+                    jumps = best.effect.jumping
+                    added.append(self._member(fit, best) if jumps else found)
             if not added:
                 break
             fit = Fit(fit.base, [*fit.members, *added])
@@ -762,9 +775,13 @@ def tuned_on(view, effects, settings):
         return ()
     path = Path(view, (), settings)
     # In the weights in which the model is fitted to it.
-    fit = path.placed(effects)
-    for _ in range(_TURNS):
+    fit, before = path.placed(effects), -np.inf
+    for _ in range(_CLOSER):
         fit = weighed(path._anew(path.refined(fit)))
+        now = fit.log_evidence()
+        if abs(now - before) < _STAYS:
+            break
+        before = now
     return tuple(member.effect for member in fit.members)
 
 

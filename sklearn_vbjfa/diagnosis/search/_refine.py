@@ -17,6 +17,8 @@ _SIMPLEX = 0.25, 0.05
 # Points of the grid from which several parameters are searched: two of them may trade
 # against each other.
 _STARTS = 3
+# Instants between its neighbours from the best of which a jump is searched.
+_INSTANTS = 25
 # A parameter that does nothing at a value stays there unless so much is gained [nats].
 _NEUTRAL = 2.0
 
@@ -35,6 +37,9 @@ class Bracket:
         Ends of the whole grid; infinite for an angle.
     turn : float
         Period of an angle; zero for what is none.
+    instants : tuple of ndarray of shape (n,), optional
+        Of the instant of a jump: the times of the rows, and the instant that all times
+        between a row and the one before it share.
     """
 
     low: float
@@ -43,6 +48,7 @@ class Bracket:
     lowest: float
     highest: float
     turn: float = 0.0
+    instants: tuple | None = None
 
     @classmethod
     def of(cls, effect, name, motion):
@@ -76,17 +82,31 @@ class Bracket:
             logarithmic=positive,
             lowest=scaled[0],
             highest=scaled[-1],
+            instants=_instants(motion) if name in effect.jumping else None,
         )
 
     def value(self, u):
         """Return the parameter at a place between the bounds."""
         if self.turn:
             return float(u % self.turn)
-        return float(np.exp(u) if self.logarithmic else u)
+        value = float(np.exp(u) if self.logarithmic else u)
+        if self.instants:
+            times, shared = self.instants
+            return float(shared[np.searchsorted(times[:-1], value)])
+        return value
 
     def place(self, value):
         """Return the place of a parameter."""
         return np.log(value) if self.logarithmic else value
+
+
+def _instants(motion):
+    """Return times of rows and the instants before them: of recordings, the start."""
+    times = np.asarray(motion.t, dtype=float)
+    shared = times.copy()
+    begins = _begins(motion)
+    shared[np.searchsorted(times, begins)] = begins
+    return times, shared
 
 
 def refined(candidates, evidence, motion):
@@ -107,10 +127,33 @@ def refined(candidates, evidence, motion):
         The best of all that were tried.
     """
     found = max((_searched(one, evidence, motion) for one in candidates), key=evidence)
-    if found.neutral:
-        plain = clone(found).set_params(**dict(found.neutral))
-        if evidence(found) - evidence(plain) < _NEUTRAL:
+    for values, least in _plainer(found, motion):
+        plain = clone(found).set_params(**values)
+        if evidence(found) - evidence(plain) < least:
             return plain
+    return found
+
+
+def _begins(motion):
+    """Instants between recordings, but for the beginning of the first."""
+    if motion.begins is not None:
+        return np.asarray(motion.begins[1:], dtype=float)
+    return np.array([motion.t[part.start] for part in motion.parts[1:]])
+
+
+def _plainer(effect, motion):
+    """Parameters that need a reason to be left, and how good a one [nats]."""
+    if effect.neutral:
+        return [(dict(effect.neutral), _NEUTRAL)]
+    found = []
+    for name in effect.jumping:
+        begins = _begins(motion)
+        at = np.searchsorted(begins, getattr(effect, name))
+        # A jump lies between two recordings as probably as at all instants within.
+        found += [
+            ({name: float(s)}, np.log(motion.t.size))
+            for s in begins[max(at - 1, 0) : at + 1]
+        ]
     return found
 
 
@@ -136,6 +179,11 @@ def _along(cost, start, brackets):
     """Search one parameter between its bounds: where, and the cost there."""
     (bracket,) = brackets
     low, high = bracket.low, bracket.high
+    if bracket.instants:
+        # Its evidence has several peaks.
+        at = np.linspace(low, high, _INSTANTS)
+        best = int(np.argmin([cost([u]) for u in at]))
+        low, high = at[max(best - 1, 0)], at[min(best + 1, _INSTANTS - 1)]
     found = optimize.minimize_scalar(
         lambda u: cost([u]),
         bounds=(low, high),
@@ -170,12 +218,12 @@ def _downhill(cost, start, brackets):
 
 def starts(effects, evidence, best):
     """Return the shapes of a grid to search on from, of one use of an effect."""
-    # A single parameter is searched around its best value; two may trade against each
-    # other, with several peaks, none of which lies beside a better one.
+    # A single parameter is searched around its best value, but for an instant; two may
+    # trade against each other. None of several peaks lies beside a better one.
     same = [i for i, e in enumerate(effects) if e.key() == best.key()]
     order = sorted(same, key=lambda i: -evidence[i])
     names = best.continuous
-    if len(names) < 2:
+    if len(names) < 2 and not best.jumping:
         return [best]
     apart = []
     for name in names:

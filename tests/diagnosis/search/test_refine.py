@@ -1,5 +1,8 @@
 """Shape parameters are searched between the points of the grid."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 pytest.importorskip("pinocchio")
@@ -33,3 +36,48 @@ def test_the_best_place_between_two_points_is_found():
 def test_what_is_no_better_between_stays_on_the_grid():
     start = effects.Stribeck(1, vs=GRID[2])
     assert refined([start], lambda e: float(e.vs == GRID[2]), MOTION) is start
+
+
+def two_recordings():
+    half = MOTION.t.size // 2
+    parts = (slice(0, half), slice(half, MOTION.t.size))
+    t = MOTION.t + np.where(np.arange(MOTION.t.size) < half, 0.0, 20.0)
+    return replace(MOTION, t=t, parts=parts, begins=(t[0], t[half] - 0.5))
+
+
+def test_an_instant_is_found_among_several_peaks():
+    motion = replace(MOTION, begins=(MOTION.t[0],))
+    grid = [s["instant"] for s in effects.Payload(1).shapes(motion)]
+    truth = grid[3] + 0.4 * (grid[4] - grid[3])
+
+    def evidence(effect):
+        away = abs(effect.instant - truth)
+        return 1e3 * np.exp(-away) + 50 * np.cos(20 * away)
+
+    start = effects.Payload(1, instant=grid[4])
+    best = refined([start], evidence, motion)
+    assert best.instant == pytest.approx(truth, abs=0.05)
+    assert best.instant in motion.t
+
+
+def test_an_instant_between_two_recordings_is_the_start_of_the_second():
+    motion = two_recordings()
+    begin = motion.begins[1]
+    start = effects.Payload(1, instant=begin + 2.0)
+
+    def shared(effect):
+        return 100.0 * (begin - 5.0 < effect.instant <= begin)
+
+    assert refined([start], shared, motion).instant == begin
+
+
+@pytest.mark.parametrize(("worth", "left"), [(4.0, False), (20.0, True)])
+def test_rows_within_a_recording_say_more_than_how_many_there_are(worth, left):
+    motion = two_recordings()
+    begin = motion.begins[1]
+
+    def later(effect):
+        return worth * (effect.instant > begin)
+
+    start = effects.Payload(1, instant=begin + 2.0)
+    assert (refined([start], later, motion).instant > begin) == left

@@ -21,7 +21,7 @@ _LITTLE = 0.7
 _RIVALS = 3.0
 # Scales that are summed over, up to that at which a body is no longer consistent, and
 # the share of the usual precision that a body keeps.
-_SCALES, _LEAST = np.geomspace(1e-3, 1.0, 61), 1e-4
+_SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 # Deviations by which the common size of the bodies is another than one.
 _FAR_OFF = 3.0
 # Passes over all bodies, and the change of a mean in deviations that ends them.

@@ -20,6 +20,8 @@ from sklearn_vbjfa._cli._stopping import undisturbed
 _IDENTIFIED = ("identified.urdf", "identified.xml", "identified.json")
 # What a run writes, the page first.
 _PAGE = "report.html"
+_COLUMNS = ("parameter", "value", "unit", "std", "identifiable", "known")
+_COLUMNS += ("description", "description_std", "learned")
 _FILES = (_PAGE, "report.json", "parameters.csv", *_IDENTIFIED)
 
 
@@ -98,6 +100,7 @@ def run(arguments):
                 recording,
                 str(taken.urdf),
                 friction=friction,
+                bodies=arguments.bodies,
                 effects=library,
                 cutoff=cutoff,
                 ceiling=arguments.ceiling,
@@ -163,6 +166,7 @@ def close(
     urdf,
     *,
     friction,
+    bodies="prior",
     effects="all",
     cutoff="auto",
     ceiling=True,
@@ -180,6 +184,7 @@ def close(
         urdf,
         dt=recording.dt,
         friction=friction,
+        bodies=bodies,
         cutoff=cutoff,
         torque_noise=torque_noise,
         gains=gains,
@@ -197,7 +202,7 @@ def _write(loop, report, out):
 
     Returns their paths, and what the descriptions do not have, by their names.
     """
-    from sklearn_vbjfa.robot._known import known_parameters
+    from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
 
     texts = {
         _PAGE: report.to_html(),
@@ -207,9 +212,9 @@ def _write(loop, report, out):
     with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
         for name, text in texts.items():
             Path(folder, name).write_text(text, encoding="utf-8")
-        known = known_parameters(loop.identifier_)
         path = Path(folder, "parameters.csv")
-        _write_parameters(loop.identifier_, known, path)
+        values = parameter_values(loop.identifier_)
+        _write_parameters(loop.identifier_, values, path)
         write = loop.identifier_.to_urdf, loop.identifier_.to_mjcf
         left_out = {
             name: to(Path(folder, name)) for name, to in zip(_IDENTIFIED, write)
@@ -266,30 +271,27 @@ def _left_out_text(left):
     return f"{count}: {told}"
 
 
-def _write_parameters(robot, known, path):
-    """Write one row per parameter; std is empty where the data say nothing.
+def _write_parameters(robot, values, path):
+    """Write one row per parameter; empty where the data or the description are silent.
 
-    known : what `known_parameters` says of each.
+    values : what `parameter_values` says of each.
     """
-    heads = ["parameter", "value", "unit", "std", "identifiable", "known"]
     relative = ""
     if robot.gains_ is not None and not robot.gains_.absolute:
         names = [robot.joint_names_[j] for j in robot.gains_.references]
         relative = " or ".join(names) or "each channel"
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
-        table.writerow(heads)
-        for name, value, unit, std, alone, measured in zip(
-            robot.parameter_names_,
-            robot.theta_,
-            robot.parameter_units_,
-            robot.theta_std_,
-            robot.identifiable_,
-            known,
-        ):
-            deviation = repr(float(std)) if np.isfinite(std) else ""
-            alone = "yes" if alone else "no"
+        table.writerow(_COLUMNS)
+        for one, std, alone in zip(values, robot.theta_std_, robot.identifiable_):
+            unit = one.unit
             if relative and unit.startswith(("N", "kg")):
                 unit = f"{unit}, times the gain of {relative}"
-            row = [name, repr(float(value)), unit, deviation, alone, measured]
+            numbers = (one.value, std, one.nominal, one.before, one.learned)
+            value, std, nominal, before, learned = (
+                repr(float(x)) if np.isfinite(x) else "" for x in numbers
+            )
+            alone = "yes" if alone else "no"
+            row = [one.name, value, unit, std, alone, one.known]
+            row += [nominal, before, learned]
             table.writerow(map(_input.no_formula, row))

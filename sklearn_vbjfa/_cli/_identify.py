@@ -11,7 +11,7 @@ import numpy as np
 from sklearn_vbjfa._cli import _exit_codes, _input, _options
 
 # What is identified of a recording of one's own, where no option says so.
-_DEFAULTS = {"friction": _options.FRICTION, "cutoff": "auto"}
+_DEFAULTS = {"friction": _options.FRICTION, "bodies": "prior", "cutoff": "auto"}
 _OF_RECORDING = (*_options.OF_READING, *_DEFAULTS, "urdf", "base_orientation")
 _OF_SETS = ("data", "data_home")
 
@@ -42,6 +42,7 @@ def add_to(commands):
     )
     _options.add_recording(parser, signals=False)
     _options.add_friction(parser)
+    _options.add_bodies(parser)
     _options.add_cutoff(parser)
     parser.set_defaults(run=run, **dict.fromkeys(_DEFAULTS))
 
@@ -167,6 +168,7 @@ def _own(arguments, folder):
         str(taken.urdf),
         dt=taken.recording.dt,
         friction=friction,
+        bodies=arguments.bodies,
         cutoff=cutoff,
         torque_noise=taken.recording.torque_noise,
         gains="unknown" if gains == "unknown" else None,

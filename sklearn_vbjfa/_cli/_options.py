@@ -126,7 +126,20 @@ def add_model(parser):
         "what is fixed to it, or payload=KG of what is picked up or put down; may be "
         "repeated",
     )
+    add_bodies(parser)
     add_cutoff(parser)
+
+
+def add_bodies(parser):
+    """Add what the bodies of the description are worth."""
+    parser.add_argument(
+        "--bodies",
+        choices=("prior", "free", "fixed"),
+        default="prior",
+        help="masses and inertias: near those of the description unless the torques "
+        "say otherwise (prior), from the torques alone (free), or as described "
+        "(fixed); by default prior",
+    )
 
 
 def add_friction(parser):

@@ -28,7 +28,12 @@ _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
 # Options of an identification, and what they are where none is given.
-_DEFAULTS = {"friction": _options.FRICTION, "effects": "none", "cutoff": "auto"}
+_DEFAULTS = {
+    "friction": _options.FRICTION,
+    "bodies": "prior",
+    "effects": "none",
+    "cutoff": "auto",
+}
 _OF_IDENTIFICATION = ("urdf", "base_orientation", *_DEFAULTS, "known_mass")
 _OF_RECORDING = (
     *_options.OF_READING,
@@ -298,6 +303,7 @@ def _identified(arguments, source, folder):
     first, rest = _parts(recording)
     settings = {
         "friction": friction,
+        "bodies": arguments.bodies,
         "cutoff": cutoff,
         "torque_noise": recording.torque_noise,
         "gains": "unknown" if gains == "unknown" else None,

@@ -133,10 +133,11 @@ class Description:
         """Return the description of bodies that are so many times as heavy."""
         return replace(self, centre=factor * self.centre, root=self.root / factor)
 
-    def deviation(self):
-        """Deviations (n, 10) of the parameters before the data, by the usual scale."""
+    def deviation(self, sites):
+        """Deviations (n, 10) of the parameters before the data, by what sites say."""
         inverse = np.linalg.inv(self.root)
-        return DESCRIBED * np.sqrt((inverse**2).sum(axis=2))
+        spread = np.array([_inverse(site.precision) for site in sites])
+        return np.sqrt(np.einsum("kij,kjl,kil->ki", inverse, spread, inverse))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,6 +154,9 @@ class BodyPosterior:
         Precision of the prior.
     described : ndarray of shape (p,), bool
         Parameters of which the torques say little beyond the description.
+    before : ndarray of shape (p,)
+        Deviations of the prior, at the scales that bodies turned out to have; nan for
+        what the description does not say.
     departures : tuple of Departure
         Bodies that are not as described, or what they cannot be told apart from.
     noise : float
@@ -165,6 +169,7 @@ class BodyPosterior:
     covariance: np.ndarray
     prior: np.ndarray
     described: np.ndarray
+    before: np.ndarray
     departures: tuple[Departure, ...] = ()
     noise: float = 1.0
     common: float = 1.0
@@ -221,7 +226,7 @@ class _Problem:
         known = zip(self.description.places, self.description.root, sites)
         for at, root, site in known:
             out[np.ix_(at, at)] = root.T @ site.precision @ root
-        return out
+        return 0.5 * (out + out.T)
 
     @property
     def centre(self):
@@ -416,10 +421,10 @@ def around(description, A, b):
     prior = precision - np.outer(of_size, of_size) / share
     told = np.diagonal(A) + np.diagonal(prior) > 0
     covariance[~told, ~told] = np.inf
-    described = np.zeros(b.size, dtype=bool)
-    std = np.sqrt(np.diagonal(covariance))[description.places]
-    usual = problem.description.deviation()
-    described[description.places] = std > _LITTLE * usual
+    before = np.full(b.size, np.nan)
+    before[description.places] = problem.description.deviation(sites)
+    with np.errstate(invalid="ignore"):
+        described = np.sqrt(np.diagonal(covariance)) > _LITTLE * before
     common = first * (1.0 + solution.mean[-1])
     common_std = first * np.sqrt(solution.covariance[-1, -1])
     # Whether a body departs is asked of a description in the unit of the torques.
@@ -432,6 +437,7 @@ def around(description, A, b):
         covariance=covariance,
         prior=prior,
         described=described,
+        before=before,
         departures=asked.departures(),
         common=common,
         common_std=common_std,
@@ -458,6 +464,7 @@ def as_described(description, A, b):
         covariance=covariance,
         prior=np.zeros((p, p)),
         described=~free,
+        before=np.where(free, np.nan, 0.0),
     )
 
 
@@ -468,7 +475,17 @@ def described_bodies(settings):
         raise ValueError(
             f"bodies must be one of {', '.join(map(repr, WAYS))}; got {bodies!r}."
         )
-    if bodies == "free" or settings.gains is not None or settings.regressor is not None:
-        return None
-    per_joint = features.n_parameters_ // features.n_joints_
-    return Description.of(features.model_, per_joint)
+    found, why = None, ""
+    if settings.gains is not None:
+        why = "gains: torques of unknown size tell no mass from another"
+    elif settings.regressor is not None:
+        why = "a regressor: it estimates the bodies by itself"
+    elif bodies != "free":
+        per_joint = features.n_parameters_ // features.n_joints_
+        found = Description.of(features.model_, per_joint)
+        why = "a description in which no body has mass and extension"
+    if bodies == "fixed" and found is None:
+        raise ValueError(
+            f"bodies='fixed' does not go with {why}; use 'prior' or 'free'."
+        )
+    return found

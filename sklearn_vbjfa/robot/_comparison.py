@@ -42,8 +42,13 @@ def methods(n_parameters):
     lasso = LassoCV(cv=_BLOCKS, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
     plain = {"projector": None, "block_noise": False}
     return {
-        OURS: {"regressor": None, "projector": "default"},
-        "VB": {"regressor": None, "projector": None},
+        OURS: {"regressor": None, "projector": "default", "bodies": "free"},
+        "VB + description": {
+            "regressor": None,
+            "projector": "default",
+            "bodies": "prior",
+        },
+        "VB": {"regressor": None, "projector": None, "bodies": "free"},
         "OLS": {**plain, "regressor": LinearRegression(), "joint_weights": None},
         "WLS": {"regressor": LinearRegression(), **plain},
         "ridge": {"regressor": ridge, **plain},

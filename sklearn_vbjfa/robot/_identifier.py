@@ -247,13 +247,22 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         Controller of the recording, for ``criterion="simulation"``: the closed loop is
         simulated with the `reference` given to `fit`. None drives the robot with the
         measured torques.
+    bodies : {"prior", "free", "fixed"}, default="prior"
+        What the description's masses and inertias are worth. ``"prior"``: bodies are
+        near those of the description, each at a distance tr((P0^-1 dP)^2) of its
+        pseudo-inertia (no frame matters) whose scale is integrated over, a half-Cauchy
+        distribution around 0.2: torques that tell a body otherwise are believed.
+        ``"free"``: the torques alone decide, and the description completes what they
+        say nothing of. ``"fixed"``: the bodies are those of the description. Bodies
+        without mass or extension are free, and so are all with `gains` or a
+        `regressor` of one's own.
 
     Attributes
     ----------
     theta_ : ndarray of shape (p,)
         Parameters, physically consistent if projected; effects' coefficients come
-        last. Directions that the data do not determine are completed from the model's
-        inertias, scaled to the data.
+        last. Directions that the data do not determine are those of the prior; with
+        free bodies they are completed from the model's inertias, scaled to the data.
     theta_unconstrained_ : ndarray of shape (p,)
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
@@ -265,6 +274,20 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         provides none. The projection moves `theta_` into the physically consistent
         set, and undetermined directions to the model's values; no deviation is given
         for that.
+    theta_prior_std_ : ndarray of shape (p,)
+        Standard deviations of the bodies' parameters by the description alone, at the
+        scale that each body turned out to have; nan for what it does not say, and
+        without a prior.
+    from_description_ : ndarray of shape (p,), bool
+        Parameters of which the data take away less than half of that variance: their
+        values are those of the description more than measured ones.
+    common_size_ : float
+        How many times as heavy all bodies together are as in the description: a
+        description in grams has 0.001, a torque channel may have another unit.
+    departures_ : tuple of Departure
+        Bodies that are not as described, the surest first, each with `bodies` (joints
+        whose bodies explain the torques about as well, within three nats), `factors`
+        (how many times as heavy each would be), `stds` and `log_odds`.
     effects_ : tuple of Effect
         Effects in use: first the bodies of joints that follow others (``mimic`` of a
         URDF), each with its ten inertial parameters.
@@ -836,9 +859,12 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.from_description_ = (
             np.zeros(found.theta.size, dtype=bool) if known is None else known.described
         )
-        self.identifiable_ = found.identifiable & ~self.from_description_
+        self.identifiable_ = found.identifiable
         self.departures_ = () if known is None else known.departures
         self.common_size_ = 1.0 if known is None else known.common
+        self.theta_prior_std_ = (
+            np.full(found.theta.size, np.nan) if known is None else known.before
+        )
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
         self._torque_spread = TorqueSpread.of_estimate(found)

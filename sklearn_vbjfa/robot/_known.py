@@ -70,7 +70,8 @@ def known_parameters(robot):
         vague = ~(doubt[masses] <= _KNOWN * robot.theta_[masses])
     vague &= robot.identifiable_[masses]
     known[masses[vague]] = "no"
-    known[robot.from_description_] = "from the description"
+    silent = (known == "no") & np.isfinite(robot.theta_prior_std_)
+    known[silent | robot.from_description_] = "from the description"
     return tuple(known)
 
 

@@ -30,7 +30,7 @@ from sklearn_vbjfa.robot._time_effects import Spread
 FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1
 _URDF_IS = ("that of the robot", "written from a model")
-_KNOWN = ("yes", "in combination", "no")
+_KNOWN = ("yes", "in combination", "from the description", "no")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

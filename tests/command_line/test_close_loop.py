@@ -125,7 +125,7 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     folder = tmp_path / "swing-report"
     assert sorted(path.name for path in folder.iterdir()) == FILES
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    assert report["schema_version"] == 8
+    assert report["schema_version"] == 9
     (effect,) = report["effects"]
     assert (effect["name"], effect["joint"]) == ("spring", 0)
     low, high = effect["intervals"]["k"]
@@ -165,6 +165,10 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
         load_model(folder / "identified.urdf")
 
 
+# Parameters that no description has.
+OWN = ("viscous", "coulomb", "offset", "rotor_inertia")
+
+
 def test_parameters_are_a_table(good, urdf, capsys):
     options = ["--effects", "spring", "--friction", "none", "--out", "here/there"]
     assert main(["close-loop", "arm.csv", "--urdf", str(urdf), *options]) == 0
@@ -183,11 +187,16 @@ def test_parameters_are_a_table(good, urdf, capsys):
         if row["std"]:
             assert 0 <= float(row["std"]) < np.inf, row
     assert {row["identifiable"] for row in rows} == {"yes", "no"}
-    assert {row["known"] for row in rows} == {"yes", "no", "in combination"}
+    assert {"yes", "from the description"} <= {row["known"] for row in rows}
     told = {row["parameter"]: row["known"] for row in rows}
     # No joint feels a weight on a vertical axis, or that of a single link.
-    assert told["shoulder:m"] == "no"
-    assert told["elbow:m"] == "in combination"
+    assert told["shoulder:m"] == "from the description"
+    assert told["elbow:m"] in ("from the description", "in combination")
+    for row in rows:
+        body = not row["parameter"].endswith(OWN)
+        assert bool(row["description"]) == bool(row["learned"]) == body, row
+        if body:
+            assert 0.0 <= float(row["learned"]) <= 1.0, row
     text = Path("here/there/identified.urdf").read_text()
     assert "does not determine the masses of" in text
     assert all(row["std"] for row in rows if row["identifiable"] == "yes")
@@ -244,21 +253,35 @@ def test_a_description_says_how_much_it_goes_without(sizes, expected):
     ]
 
 
+def value(name, value, unit, known, *described):
+    nominal, before, learned = described or (np.nan,) * 3
+    return SimpleNamespace(
+        name=name,
+        value=value,
+        unit=unit,
+        known=known,
+        nominal=nominal,
+        before=before,
+        learned=learned,
+    )
+
+
 def test_undetermined_parameters_have_no_deviation(tmp_path):
     robot = SimpleNamespace(
-        parameter_names_=("a,b:m", "a:viscous"),
-        parameter_units_=("kg", "N m s/rad"),
         theta_=np.array([1.0, 0.1 + 0.2]),
         theta_std_=np.array([np.inf, 0.25]),
         identifiable_=np.array([False, True]),
         gains_=None,
     )
     path = tmp_path / "parameters.csv"
-    _close_loop._write_parameters(robot, ("in combination", "yes"), path)
+    mass = value("a,b:m", 1.0, "kg", "from the description", 2.0, 0.4, 0.75)
+    values = mass, value("a:viscous", 0.1 + 0.2, "N m s/rad", "yes")
+    _close_loop._write_parameters(robot, values, path)
     assert path.read_text().splitlines() == [
-        "parameter,value,unit,std,identifiable,known",
-        '"a,b:m",1.0,kg,,no,in combination',
-        "a:viscous,0.30000000000000004,N m s/rad,0.25,yes,yes",
+        "parameter,value,unit,std,identifiable,known,description,description_std,"
+        "learned",
+        '"a,b:m",1.0,kg,,no,from the description,2.0,0.4,0.75',
+        "a:viscous,0.30000000000000004,N m s/rad,0.25,yes,yes,,,",
     ]
     pandas = pytest.importorskip("pandas")
     table = pandas.read_csv(path)

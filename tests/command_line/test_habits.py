@@ -194,16 +194,18 @@ def test_a_joint_that_is_called_like_a_formula_is_none_in_the_table(tmp_path):
 
     from sklearn_vbjfa._cli import _close_loop
 
+    told = {"nominal": np.nan, "before": np.nan, "learned": np.nan, "known": "yes"}
+    values = (
+        SimpleNamespace(name="=cmd:m", value=-1.0, unit="kg", **told),
+        SimpleNamespace(name="=cmd:viscous", value=2.0, unit="N m s/rad", **told),
+    )
     robot = SimpleNamespace(
-        parameter_names_=("=cmd:m", "=cmd:viscous"),
-        theta_=np.array([-1.0, 2.0]),
-        parameter_units_=("kg", "N m s/rad"),
         theta_std_=np.array([0.1, np.nan]),
         identifiable_=np.array([True, False]),
         gains_=None,
     )
     path = tmp_path / "parameters.csv"
-    _close_loop._write_parameters(robot, ("yes", "no"), path)
+    _close_loop._write_parameters(robot, values, path)
     rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
     assert [row[0] for row in rows[1:]] == ["'=cmd:m", "'=cmd:viscous"]
     assert [float(row[1]) for row in rows[1:]] == [-1.0, 2.0]

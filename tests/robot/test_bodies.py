@@ -77,8 +77,10 @@ def test_the_distance_from_a_description_has_no_frame():
         own = Description.of(model, 10)
         # The change is one of mass distributions: sums of point masses turn with it.
         points = [
-            w * frame.act(pin.Inertia(1.0, np.array(c), np.zeros((3, 3))))
-            .toDynamicParameters()
+            w
+            * frame.act(
+                pin.Inertia(1.0, np.array(c), np.zeros((3, 3)))
+            ).toDynamicParameters()
             for w, c in zip(change, np.random.default_rng(2).normal(size=(10, 3)))
         ]
         distance.append(np.linalg.norm(own.root[1] @ np.sum(points, axis=0)))

@@ -25,10 +25,9 @@ def compared(simulated, parts):
         simulated.urdf,
         dt=simulated.dt,
         friction=("viscous", "coulomb"),
-        bodies="free",
     )
     seen = []
-    names = [OURS, "VB", "OLS", "WLS", "stepwise", "TLS", "IV"]
+    names = ["VB + description", OURS, "VB", "OLS", "WLS", "stepwise", "TLS", "IV"]
     results, base = compare_methods(
         identifier, *parts, names=names, on_progress=seen.append
     )
@@ -52,7 +51,8 @@ def test_results_are_those_of_the_identifier(simulated, parts, compared):
     results, base = compared
     (q, tau, groups), (q_test, tau_test, groups_test) = parts
     for name, settings in (
-        (OURS, {}),
+        ("VB + description", {}),
+        (OURS, {"bodies": "free"}),
         ("WLS", {"regressor": LinearRegression(), "projector": None}),
         (
             "OLS",
@@ -133,7 +133,7 @@ def test_the_settings_name_every_family():
     assert {"OLS", "PLS", "LASSO", "ridge", "stepwise", "TLS", "IV"} < set(chosen)
     # all but ours leave the parameters as estimated
     projected = [n for n, settings in chosen.items() if settings["projector"]]
-    assert projected == [OURS]
+    assert projected == [OURS, "VB + description"]
 
 
 def test_averaged_periods_are_refused(simulated, parts):

@@ -11,6 +11,9 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa._cli._close_loop import _write_parameters  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.diagnosis.explain._identified import (  # noqa: E402
+    parameter_values,
+)
 from sklearn_vbjfa.effects import (  # noqa: E402
     BaseTilt,
     JointAxis,
@@ -24,7 +27,6 @@ from sklearn_vbjfa.robot._corrections import (  # noqa: E402
     note_of_corrections,
 )
 from sklearn_vbjfa.robot._identifier import declare  # noqa: E402
-from sklearn_vbjfa.robot._known import known_parameters  # noqa: E402
 
 FRICTION = ("viscous", "coulomb")
 BODY = """<inertial><origin xyz="{0} 0.05 0.1"/><mass value="{1}"/>
@@ -240,7 +242,7 @@ def test_a_slider_is_off_by_millimetres(tmp_path):
 
 def test_the_table_of_parameters_has_the_values(robot, tmp_path):
     path = tmp_path / "parameters.csv"
-    _write_parameters(robot, known_parameters(robot), path)
+    _write_parameters(robot, parameter_values(robot), path)
     with path.open(newline="", encoding="utf-8") as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
     tilt, zero, axis, gain = robot.effects_

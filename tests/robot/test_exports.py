@@ -517,7 +517,11 @@ def test_a_robot_from_a_file_writes_the_same(robot, tmp_path):
 
 def test_impossible_bodies_are_not_written(recording, tmp_path):
     robot = RobotIdentifier(
-        recording.urdf, dt=recording.dt, projector=None, friction=("viscous",)
+        recording.urdf,
+        dt=recording.dt,
+        projector=None,
+        friction=("viscous",),
+        bodies="free",
     )
     robot.fit(recording.q, recording.tau)
     with pytest.raises(ValueError, match="not physically consistent, and an MJCF file"):

@@ -13,13 +13,15 @@ from sklearn_vbjfa.robot._known import (
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 
-def fitted(axes, noise=0.01, friction=()):
+def fitted(axes, noise=0.01, friction=(), bodies="free"):
     """Identify an arm from states and torques with noise."""
     model = arm(axes)
     _, states = motion(model.nv, dt=0.01, seed=3)
     torque = inverse_dynamics(model, states)
     torque += noise * np.random.default_rng(0).normal(size=torque.shape)
-    robot = RobotIdentifier(model, dt=0.01, friction=friction, standstill=None)
+    robot = RobotIdentifier(
+        model, dt=0.01, friction=friction, standstill=None, bodies=bodies
+    )
     return robot.fit(states, torque), states
 
 
@@ -73,3 +75,20 @@ def test_friction_is_known_beside_unknown_bodies():
 def test_bodies_are_those_of_the_links():
     # without links a body is called after its joint
     assert body_names(arm("ZY")) == ("joint_1", "joint_2")
+
+
+def test_beside_a_description_its_values_say_so():
+    robot, _ = fitted("Y", bodies="prior")
+    known = dict(zip(robot.parameter_names_, known_parameters(robot)))
+    # The moments and the inertia about the axis are felt, nothing else is.
+    felt = {"joint_1:mc_x", "joint_1:mc_z", "joint_1:I_yy"}
+    assert {name for name, how in known.items() if how == "yes"} == felt
+    assert {how for name, how in known.items() if name not in felt} == {
+        "from the description"
+    }
+    (body,) = body_masses(robot)
+    assert body.known == "from the description"
+    assert body.mass == pytest.approx(body.nominal, rel=0.3)
+    assert np.isfinite(robot.theta_prior_std_[:10]).all()
+    assert (robot.theta_std_[:10] <= robot.theta_prior_std_[:10] * 1.01).all()
+    assert "joint_1" in note_of_masses(robot)

@@ -365,6 +365,10 @@ class Outcome:
     corrections : Corrections
         What effects in the model that is handed over ask for: of the base, of encoders,
         of axes, of torque channels.
+    departures : tuple of Departure
+        Bodies that are not as described; see `RobotIdentifier.departures_`.
+    common_size : float
+        How many times as heavy all bodies together are as described.
     parameters : tuple of ParameterValue
         Parameters of the model that is handed over.
     recorded : RecordedMotion or None
@@ -409,6 +413,8 @@ class Outcome:
     outside: tuple = ()
     gains: ChannelGains | None = None
     corrections: Corrections = field(default_factory=Corrections)
+    departures: tuple = ()
+    common_size: float = 1.0
     parameters: tuple[ParameterValue, ...] = ()
     recorded: RecordedMotion | None = None
     provenance: Provenance | None = None

@@ -31,8 +31,13 @@ class ParameterValue:
     nominal : float
         Value of the robot description; nan for what it does not have, and where the
         gain of the torque channels is unknown, which is in every value.
-    known : {"yes", "no", "in combination"}
+    known : {"yes", "no", "in combination", "from the description"}
         Whether the recording determines it, see `known_parameters`.
+    before : float
+        Standard deviation of the description before the recording, nan where it says
+        nothing of the parameter.
+    learned : float
+        Share of that variance which the recording took away; nan where there is none.
     """
 
     name: str
@@ -41,6 +46,8 @@ class ParameterValue:
     unit: str
     nominal: float
     known: str
+    before: float = float("nan")
+    learned: float = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,13 +79,14 @@ def parameter_values(robot):
         followers = nominal_followers(robot.features_).ravel()
         nominal[count : count + followers.size] = followers
     found = []
-    for name, value, std, unit, description, known in zip(
+    for name, value, std, unit, description, known, prior in zip(
         robot.parameter_names_,
         robot.theta_,
         robot.theta_std_,
         robot.parameter_units_,
         nominal,
         known_parameters(robot),
+        robot.theta_prior_std_,
     ):
         half = _HALF_WIDTH * std if np.isfinite(std) else np.nan
         found.append(
@@ -89,6 +97,10 @@ def parameter_values(robot):
                 unit=unit,
                 nominal=float(description),
                 known=known,
+                before=float(prior),
+                learned=float(np.clip(1.0 - (std / prior) ** 2, 0.0, 1.0))
+                if prior > 0
+                else float("nan"),
             )
         )
     return tuple(found)

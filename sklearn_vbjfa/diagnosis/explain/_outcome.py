@@ -106,6 +106,8 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
         outside=judgement.outside,
         gains=final.identifier.gains_,
         corrections=corrections_of(final.identifier),
+        departures=final.identifier.departures_,
+        common_size=final.identifier.common_size_,
         parameters=parameter_values(final.identifier),
         recorded=recorded_motion(final.view.states.shape[0], robot.dt),
     )

@@ -22,8 +22,11 @@ from sklearn_vbjfa.effects import available
 _KNOWN = {
     "yes": "yes",
     "in combination": "only with others",
+    "from the description": "as described",
     "no": "no",
 }
+# Half width of a 90 % interval in standard deviations.
+_HALF_WIDTH = 1.645
 # Share of the largest value of a body that rounding leaves of a zero.
 _ROUNDING = 1e-9
 
@@ -202,9 +205,10 @@ class Parameters:
     heads: tuple = (
         "parameter",
         "identified (90 %)",
-        "robot description",
+        "robot description (90 %)",
         "unit",
         "measured?",
+        "learned",
     )
 
 
@@ -243,14 +247,17 @@ def _cells(one, group, outcome, joint):
         name = name.removeprefix(f"{outcome.joint_names[joint]}:")
     largest = max((abs(p.value) for p in group if p.unit == one.unit), default=0.0)
     value = 0.0 if abs(one.value) < _ROUNDING * largest else one.value
-    interval = one.interval if one.known == "yes" else None
-    nominal = words.number(one.nominal) if np.isfinite(one.nominal) else ""
+    # A prior leaves each parameter an interval of its own.
+    own = one.known == "yes" or np.isfinite(one.before)
+    half = _HALF_WIDTH * one.before
+    nominal = words.with_error(one.nominal, (one.nominal - half, one.nominal + half))
     return (
         name,
-        words.with_error(value, interval),
-        nominal,
+        words.with_error(value, one.interval if own else None),
+        nominal if np.isfinite(one.nominal) else "",
         one.unit,
         _KNOWN[one.known],
+        words.whole_percent(one.learned) if np.isfinite(one.learned) else "",
     )
 
 

@@ -168,20 +168,54 @@ def mass_sentences(outcome):
     if gains is not None and not gains.absolute:
         # In another unit than those of the description.
         bodies = [replace(b, nominal=b.mass) for b in bodies]
-    return tuple(filter(None, (_unknown(bodies), _other(bodies))))
+    departed = [_departure(one, outcome.common_size) for one in outcome.departures]
+    size = _common_size(outcome.common_size)
+    return tuple(filter(None, (_unknown(bodies), _other(bodies), size, *departed)))
+
+
+def _common_size(factor):
+    """Say by how much all bodies together differ from the description, if they do."""
+    if _alike(factor, 1.0):
+        return ""
+    return (
+        f"All bodies together weigh {words.number(factor)} times what the robot "
+        "description has: the unit of its masses, or that of the torques, may be "
+        "another one."
+    )
+
+
+def _departure(one, common):
+    """Say which body is not as described, or of which bodies one is not."""
+    found = []
+    for name, factor, std in zip(one.bodies, one.factors, one.stds):
+        half = _HALF_WIDTH * std
+        times = words.with_error(factor, (factor - half, factor + half))
+        found.append(f"{name} ({times} times)")
+    than = "as much as in the robot description"
+    if not _alike(common, 1.0):
+        than = "as much as the other bodies would have it"
+    if len(found) == 1:
+        return f"The body of {found[0]} weighs not {than}."
+    return (
+        f"A body weighs not {than}: that of {words.join(found, 6, 'or')}; the torques "
+        "do not tell them apart."
+    )
 
 
 def _unknown(bodies):
     """Name the masses that the recording does not determine."""
     alone = [b for b in bodies if b.known == "no"]
     together = [b for b in bodies if b.known == "in combination"]
-    if not alone and not together:
+    described = [b for b in bodies if b.known == "from the description"]
+    if not alone and not together and not described:
         return ""
     parts = []
     if alone:
         parts.append(f"{_names(alone, bodies)} (not at all)")
     if together:
         parts.append(f"{_names(together, bodies)} (only together with others)")
+    if described:
+        parts.append(f"{_names(described, bodies)} (near the description)")
     text = f"Masses that this recording does not determine: {'; '.join(parts)}."
     text += " The files hold values that agree with the torques, not measured ones"
     odd = [b for b in bodies if b.known != "yes" and not _alike(b.mass, b.nominal)]

@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.report._sections import sections
 from sklearn_vbjfa.diagnosis.report._verdict import judge
 
 # Changes when keys of `to_dict` do.
-SCHEMA_VERSION = 8
+SCHEMA_VERSION = 9
 # Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
 _NOT_DATA = ("curves", "library")
 

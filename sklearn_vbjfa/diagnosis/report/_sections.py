@@ -681,7 +681,10 @@ def _parameters(outcome, verdict):
         heading="Identified parameters",
         note="Of the model in the files, fitted to all data. Only with others: torques "
         "depend on it, but not on it alone; the value agrees with them and with the "
-        "robot description, but is one of many, and no interval is its own.",
+        "robot description, and but for those is one of many. As "
+        "described: the torques say little beyond the description, whose masses and "
+        "inertias are expected to be off by a fifth or so; learned is the share of "
+        "that variance which the torques took away.",
         template="parameters",
         drawn=_evidence.parameter_groups(outcome),
     )

@@ -223,9 +223,9 @@ def test_parameters_stand_beside_those_of_the_description():
     text = html[html.index("<h2>Identified parameters</h2>") :]
     rows = re.findall(r"<tr>(<td>.*?)</tr>", text)
     cells = [re.findall("<td>(.*?)</td>", row) for row in rows][:2]
-    assert cells[0] == ["m", "1.5 ± 0.2", "1.25", "kg", "yes"]
+    assert cells[0] == ["m", "1.5 ± 0.2", "1.25", "kg", "yes", ""]
     # one of many values has no interval of its own
-    assert cells[1] == ["viscous", "1.5", "", "kg", "only with others"]
+    assert cells[1] == ["viscous", "1.5", "", "kg", "only with others", ""]
     assert "1 of 2 determined by the recording" in text
 
 

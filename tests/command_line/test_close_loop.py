@@ -193,8 +193,9 @@ def test_parameters_are_a_table(good, urdf, capsys):
     assert told["shoulder:m"] == "from the description"
     assert told["elbow:m"] in ("from the description", "in combination")
     for row in rows:
-        body = not row["parameter"].endswith(OWN)
-        assert bool(row["description"]) == bool(row["learned"]) == body, row
+        body = bool(row["description"])
+        assert body == bool(row["learned"]) == bool(row["description_std"]), row
+        assert not (body and row["parameter"].endswith(OWN)), row
         if body:
             assert 0.0 <= float(row["learned"]) <= 1.0, row
     text = Path("here/there/identified.urdf").read_text()

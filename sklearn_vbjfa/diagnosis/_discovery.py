@@ -28,6 +28,7 @@ from sklearn_vbjfa.recording._columns import (
     torques_in_order,
 )
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
+from sklearn_vbjfa.recording._repetition import find_repetition
 from sklearn_vbjfa.recording._signals import OfferedSignals, survey
 from sklearn_vbjfa.robot._identifier import (
     RecordingRegressorMixin,
@@ -344,7 +345,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             if set(plain_terms()) - set(self.declared_.features_.friction_):
                 self.plain_ = _fitted(self._with_plain_terms(), part)
             begins = tuple(whole.t[rows.start] for rows in whole.segments)
-            found = self._search(part, silent, split.origin, begins, library, say)
+            repetition = find_repetition(whole.q, whole.t, whole.segments)
+            given = {
+                "origin": split.origin,
+                "begins": begins,
+                "repetition": repetition,
+            }
+            found = self._search(part, silent, given, library, say)
             say(len(found.effects), "final model")
             self.judged_ = self.plain_
             if found.effects:
@@ -428,10 +435,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
         return findings, silent
 
-    def _search(self, part, silent, origin, begins, library, say):
+    def _search(self, part, silent, given, library, say):
         """Search the robot, or its branches one by one where there are many joints."""
         settings = SearchSettings() if self.settings is None else self.settings
-        view = RecordingView(self.plain_, part, silent, origin, begins)
+        view = RecordingView(self.plain_, part, silent, **given)
         branches = branches_of(self.plain_, library, self.max_effects)
         if len(branches) == 1:
             return search(view, library, settings, self.alpha, self.max_effects, say)
@@ -443,7 +450,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             own = branch.recording(part)
             plain = _fitted(branch.identifier(self.plain_), own)
             mute = branch.local(silent)
-            alone = RecordingView(plain, own, mute, origin, begins)
+            alone = RecordingView(plain, own, mute, **given)
             found.append(search(alone, library, share, self.alpha, on_progress=say))
         if not found:
             return search(view, (), settings, self.alpha)

@@ -9,7 +9,7 @@ Rows are therefore whitened before: what the residual's own past predicts is sub
 """
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -177,21 +177,24 @@ class Blocks:
     Attributes
     ----------
     label : ndarray of shape (m,)
-        Block of each row, rising.
+        Block of each row.
     fold : ndarray of shape (m,)
         Fold of each row: blocks that are left out together.
     length : float
         Typical length of a block [s].
+    order : slice or ndarray of shape (m,)
+        Rows block by block.
     """
 
     label: np.ndarray
     fold: np.ndarray
     length: float
+    order: slice | np.ndarray = field(default_factory=lambda: slice(None))
 
     @property
     def n_blocks(self):
         """Number of blocks."""
-        return int(self.label[-1]) + 1
+        return int(self.label.max()) + 1
 
     @property
     def n_folds(self):
@@ -200,12 +203,12 @@ class Blocks:
 
     @property
     def starts(self):
-        """First row of each block."""
-        return np.r_[0, np.flatnonzero(np.diff(self.label)) + 1]
+        """First row of each block, of rows in their `order`."""
+        return np.r_[0, np.flatnonzero(np.diff(self.label[self.order])) + 1]
 
     def sums(self, values):
         """Sum rows (m, ...) over each block."""
-        return np.add.reduceat(values, self.starts, axis=0)
+        return np.add.reduceat(values[self.order], self.starts, axis=0)
 
 
 def correlation_time(residual, weight, step, starts):
@@ -221,6 +224,32 @@ def correlation_time(residual, weight, step, starts):
         if r.any():
             times.append(fit_memory(r, used, np.asarray(starts), step).time)
     return float(max(times, default=0.0))
+
+
+def phase_blocks(motion, phase, correlation, filter_length):
+    """Divide rows into blocks of the phase (m,) [s] of the motion (m,) that repeats.
+
+    What is not modelled repeats with the motion: rows of one phase are in one block,
+    whenever they come.
+    """
+    names, motion = np.unique(motion, return_inverse=True)
+    low = np.array([phase[motion == k].min() for k in range(names.size)])
+    length = np.array([np.ptp(phase[motion == k]) for k in range(names.size)])
+    total = float(length.sum())
+    least = max(_CORRELATION_TIMES * correlation, filter_length)
+    wanted = min(np.clip(total / least, *_WANTED), total / filter_length)
+    count = np.maximum(1, np.round(wanted * length / max(total, filter_length)))
+    share = (phase - low[motion]) / np.maximum(length, filter_length)[motion]
+    place = np.minimum(np.floor(share * count[motion]), count[motion] - 1)
+    label = (np.cumsum(count) - count)[motion] + place
+    label = np.unique(label, return_inverse=True)[1]
+    n_blocks = int(label.max()) + 1
+    return Blocks(
+        label=label,
+        fold=label % min(_FOLDS, n_blocks),
+        length=total / n_blocks,
+        order=np.argsort(label, kind="stable"),
+    )
 
 
 def make_blocks(time, starts, correlation, filter_length, order=None):

@@ -90,16 +90,17 @@ class HeldOut:
         self.view = view
         self.heard = np.flatnonzero(view.precision > 0)
         self.fold = fold_of(view) if fold is None else fold
+        self.order = order = view.blocks.order
         edges = np.r_[view.blocks.starts, view.index.size]
-        self.declared = Declared(view.Z, view.target, edges)
+        self.declared = Declared(view.Z[:, order], view.target[:, order], edges)
         # A block lies in one fold, but for the one in which a fold ends.
-        self.of_block = self.fold[edges[:-1]]
+        self.of_block = self.fold[order][edges[:-1]]
         self._known = WeakKeyDictionary()
 
     def moments(self, member):
         """Moments of a member's columns, row by row."""
         if member.moments not in self._known:
-            columns = self.view.columns([member.effect], self.motion)
+            columns = self.view.columns([member.effect], self.motion)[:, self.order]
             edges = self.declared.edges
             self._known[member.moments] = Moments(member.joints, columns, edges)
         return self._known[member.moments]
@@ -215,6 +216,8 @@ class HeldOutFit:
 
 def fold_of(view):
     """Fold of each filtered row: recordings, or stretches of one or two, (m,)."""
+    if view.repetition:
+        return view.blocks.fold
     origins = np.unique(view.origin)
     if origins.size >= _RECORDINGS:
         return np.searchsorted(origins, view.origin)

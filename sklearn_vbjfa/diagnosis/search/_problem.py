@@ -481,14 +481,21 @@ class Fit:
             return Excess()
         # What the group itself explains of them is no noise.
         noise = noise - rows * ((rows * noise).sum() / promised)
-        view = problem.view
-        scores = view.blocks.sums((rows * noise).sum(axis=0))[view.block_order]
+        view, products = problem.view, (rows * noise).sum(axis=0)
+        scores = view.spans.sums(products)[view.span_order]
         power = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
         slow = power[: max(power.size // _SLOW, 1)]
-        usual = float(max(1.0, slow.mean(), power.mean()))
+        usual, freedom = float(max(1.0, slow.mean(), power.mean())), np.inf
+        if view.repetition:
+            # What is not modelled comes again with each phase, and there are few.
+            scores = view.blocks.sums(products)
+            again = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
+            late = again[: max(again.size // _SLOW, 1)]
+            usual = float(max(usual, late.mean(), again.mean()))
+            freedom = float(max(again.size - 1, 1))
         effect = family.effects[c]
         if not (effect.slow or effect.trend or effect.jumping):
-            return Excess(ratio=usual, usual=usual)
+            return Excess(ratio=usual, freedom=freedom, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.
         # Of these the effect has taken one, and one more if its course was searched.
         taken = 1 + bool(set(effect.continuous) - set(effect.jumping))

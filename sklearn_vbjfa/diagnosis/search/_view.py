@@ -12,6 +12,7 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._blocks import (
     correlation_time,
     make_blocks,
+    phase_blocks,
 )
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock
@@ -99,8 +100,12 @@ class RecordingView:
     origin : ndarray of shape (m,)
         Number of the recording that each filtered row is from.
     blocks : Blocks
-        Blocks of time.
-    block_order : ndarray of int
+        Blocks by which folds are left out and evidence is tempered.
+    spans : Blocks
+        Blocks of time; `blocks` are these, or phases of a motion that repeats.
+    repetition : Repetition or None
+        Motion that repeats.
+    span_order : ndarray of int
         All blocks, parts in an order that does not depend on how they came.
     precision : ndarray of shape (nv,)
         Weights of the joints in the fit of the declared model.
@@ -108,7 +113,15 @@ class RecordingView:
         Regressor in reduced coordinates, see `reduced`.
     """
 
-    def __init__(self, robot, recording, leave_out=(), origin=None, begins=None):
+    def __init__(
+        self,
+        robot,
+        recording,
+        leave_out=(),
+        origin=None,
+        begins=None,
+        repetition=None,
+    ):
         self.robot = robot
         self.declared = robot.features_.friction_
         self.floor = robot.noise_floor_**2
@@ -117,7 +130,7 @@ class RecordingView:
         self.states = states_of(robot, recording.inputs, recording.groups)
         self.signals = recording.signals
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
-        self._begins = begins
+        self._begins, self.repetition = begins, repetition
         self._families = {}
         self._given = recording, leave_out
         self._root, self._corrections, self._corrected = self, frozenset(), {}
@@ -206,17 +219,22 @@ class RecordingView:
         )
         # What the low-pass spreads in time: the width of its main lobe.
         length = max(1.0 / robot.cutoff_, self.step)
-        self.blocks = make_blocks(
+        self.blocks = self.spans = make_blocks(
             self.index * (robot.dt or 1.0),
             self.starts,
             correlation,
             length,
             self._by_content(),
         )
+        if self.repetition:
+            t, begins = self.clock[self.index], self.repetition.begins
+            recording = np.searchsorted(begins, t, side="right") - 1
+            motion, phase = self.repetition.phase(recording, t)
+            self.blocks = phase_blocks(motion, phase, correlation, length)
         # Blocks in an order that does not know in which order the parts came.
-        parts = self.blocks.label[np.r_[self.starts, self.index.size - 1]]
+        parts = self.spans.label[np.r_[self.starts, self.index.size - 1]]
         bounds = [*parts[:-1], parts[-1] + 1]
-        self.block_order = np.concatenate(
+        self.span_order = np.concatenate(
             [np.arange(bounds[k], bounds[k + 1]) for k in self._by_content()]
         )
 

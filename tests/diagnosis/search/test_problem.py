@@ -391,7 +391,7 @@ def test_functions_of_time_are_told_by_the_slowest_changes(path, fitted, effect,
     noise = fitted.scores + 9.0 * rows * turns * fitted.scores.std() / rows.std()
     found = fitted.excess(own, 0, coef, noise)
     scores, promised = literal_scores(fitted, own.member(0), coef, noise)
-    order = fitted.problem.view.block_order
+    order = fitted.problem.view.span_order
     power = dct(scores[order], norm="ortho")[1:] ** 2 * scores.size / promised
     slow = max(power.size // 4, 1)
     usual = max(1.0, power.mean(), power[:slow].mean())

@@ -1,0 +1,187 @@
+"""Motion that repeats, within a recording and between recordings."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+# Rows are looked at every so many seconds, and fewer than this many of them.
+_STEP, _MOST = 0.04, 20_000
+# Velocities repeat if they differ by less than this share of their power, and have
+# differed by more than this one since: a slow motion resembles itself a little later.
+_SAME, _OTHER = 0.1, 0.5
+# A joint moves if its speed is this share of that of the fastest.
+_MOVES = 0.02
+# Share of the shorter of two recordings in which they are compared.
+_OVERLAP = 0.8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Repetition:
+    """Which motions there are, and when each recording goes through them.
+
+    Attributes
+    ----------
+    begins : ndarray of shape (r,)
+        When recordings begin [s].
+    seconds : ndarray of shape (r,)
+        Their lengths [s].
+    motion : ndarray of shape (r,)
+        Motion of each recording, from zero.
+    delay : ndarray of shape (r,)
+        How far in its motion each recording begins [s].
+    period : ndarray of shape (m,)
+        Periods of the motions [s], infinite for one that does not repeat by itself.
+    """
+
+    begins: np.ndarray
+    seconds: np.ndarray
+    motion: np.ndarray
+    delay: np.ndarray
+    period: np.ndarray
+
+    @property
+    def counts(self):
+        """How many times each motion is gone through, (m,)."""
+        found = []
+        for k, period in enumerate(self.period):
+            own = self.motion == k
+            first, last = self.delay[own], (self.delay + self.seconds)[own]
+            length = min(period, last.max() - first.min())
+            found.append(self.seconds[own].sum() / length)
+        return np.array(found)
+
+    def __bool__(self):
+        return bool((self.counts > 1.5).any())
+
+    def phase(self, recording, t):
+        """Return the motion (n,) and the time in it (n,) [s] of rows.
+
+        recording : ndarray of shape (n,), number of the recording of each row; t their
+        times [s].
+        """
+        motion = self.motion[recording]
+        phase = t - self.begins[recording] + self.delay[recording]
+        period = self.period[motion]
+        finite = np.isfinite(period)
+        phase[finite] %= period[finite]
+        return motion, phase
+
+
+def find_repetition(q, t, parts):
+    """Look for motion that repeats.
+
+    Parameters
+    ----------
+    q : ndarray of shape (n, nv)
+        Positions [rad or m].
+    t : ndarray of shape (n,)
+        Times [s].
+    parts : sequence of slice
+        Recordings.
+
+    Returns
+    -------
+    Repetition
+        False if nothing repeats.
+    """
+    seconds = np.array([np.ptp(t[part]) for part in parts])
+    rows = sum(part.stop - part.start for part in parts)
+    step = max(_STEP, seconds.sum() / _MOST, seconds.sum() / max(rows, 1))
+    speeds = [_speeds(q[part], t[part], step) for part in parts]
+    power = np.array([(v**2).sum(axis=0) for v in speeds]).sum(axis=0)
+    moves = power > _MOVES**2 * power.max(initial=0.0)
+    speeds = [v[:, moves] for v in speeds]
+    motion, delay, period, first = [], [], [], []
+    for k, v in enumerate(speeds):
+        own = step * _own_period(v)
+        for m, other in enumerate(first):
+            shift = _shift(speeds[other], v)
+            if shift is not None:
+                motion.append(m)
+                delay.append(delay[other] + step * shift)
+                period[m] = min(period[m], own)
+                break
+        else:
+            motion.append(len(first))
+            delay.append(0.0)
+            period.append(own)
+            first.append(k)
+    return Repetition(
+        begins=np.array([t[part.start] for part in parts]),
+        seconds=seconds,
+        motion=np.array(motion),
+        delay=np.array(delay),
+        period=np.array(period),
+    )
+
+
+def _speeds(q, t, step):
+    """Mean velocities (m, nv) in intervals of a length."""
+    if len(q) < 2:
+        return np.zeros((0, q.shape[1]))
+    edges = np.arange(t[0], t[-1], step)
+    return np.diff([np.interp(edges, t, x) for x in q.T], axis=1).T / step
+
+
+def _products(a, b, size):
+    """Sums of a(i) b(i + lag) (lags, nv), lags from -len(a) + 1 on."""
+    spectrum = np.conj(np.fft.rfft(a, size, axis=0)) * np.fft.rfft(b, size, axis=0)
+    whole = np.fft.irfft(spectrum, size, axis=0)
+    return np.concatenate([whole[size - len(a) + 1 :], whole[: len(b)]])
+
+
+def _differences(a, b):
+    """Lags, overlaps, and the largest share in which a(i) and b(i + lag) differ."""
+    n, m = len(a), len(b)
+    size = 1 << int(np.ceil(np.log2(n + m)))
+    lags = np.arange(-n + 1, m)
+    cross = _products(a, b, size)
+    power = _products(np.ones_like(a), b**2, size) + _products(
+        a**2, np.ones_like(b), size
+    )
+    overlap = np.minimum(n, m - lags) - np.maximum(0, -lags)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = 1.0 - 2.0 * cross / power
+    return lags, overlap, np.nan_to_num(share, nan=0.0).max(axis=1, initial=0.0)
+
+
+def _own_period(v):
+    """Smallest lag, in rows, after which a motion repeats; infinite without any."""
+    n = len(v)
+    if n < 4 or not v.size:
+        return np.inf
+    lags, _, share = _differences(v, v)
+    share = share[(lags >= 0) & (lags <= n // 2)]
+    other = np.flatnonzero(share > _OTHER)
+    if not other.size:
+        return np.inf
+    same = np.flatnonzero(share[other[0] :] < _SAME) + other[0]
+    if not same.size:
+        return np.inf
+    # The best of the first lags that will do, between rows.
+    end = same[np.flatnonzero(np.diff(same) > 1)[:1]]
+    stop = end[0] + 1 if end.size else same[-1] + 1
+    return _between(share, same[0] + int(np.argmin(share[same[0] : stop])))
+
+
+def _shift(a, b):
+    """Row of a motion at which another recording of it begins; None for none."""
+    if min(len(a), len(b)) < 4 or not a.size:
+        return None
+    lags, overlap, share = _differences(a, b)
+    share = np.where(overlap >= _OVERLAP * min(len(a), len(b)), share, np.inf)
+    best = int(np.argmin(share))
+    if not share[best] < _SAME:
+        return None
+    return -(lags[0] + _between(share, best))
+
+
+def _between(share, best):
+    """Place of a minimum between rows, by the parabola through its neighbours."""
+    if not 0 < best < share.size - 1:
+        return float(best)
+    left, middle, right = share[best - 1 : best + 2]
+    bend = left - 2 * middle + right
+    if not (np.isfinite(bend) and bend > 0):
+        return float(best)
+    return best + 0.5 * (left - right) / bend

@@ -124,7 +124,7 @@ def _speeds(q, t, step):
 
 
 def _products(a, b, size):
-    """Sums of a(i) b(i + lag) (lags, nv), lags from -len(a) + 1 on."""
+    """Sum a(i) b(i + lag) for lags from -len(a) + 1 on, (lags, nv)."""
     spectrum = np.conj(np.fft.rfft(a, size, axis=0)) * np.fft.rfft(b, size, axis=0)
     whole = np.fft.irfft(spectrum, size, axis=0)
     return np.concatenate([whole[size - len(a) + 1 :], whole[: len(b)]])

@@ -361,7 +361,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 declared=self.declared_, plain=self.plain_, judged=self.judged_
             )
             judgement = judge(models, found, split, whole)
-            final = self._hand_over(found, whole, silent)
+            final = self._hand_over(found, whole, silent, repetition)
         asked = self.get_params(deep=False)
         names = _names(whole, groups)
         outcome = make_outcome(found, models, final, judgement, channels, asked, names)
@@ -471,7 +471,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         asked["effects"] = (*asked["effects"], *effects)
         return clone(self.plain_).set_params(**asked)
 
-    def _hand_over(self, found, whole, silent):
+    def _hand_over(self, found, whole, silent, repetition):
         """Fit the completed model to all data, in the band that was judged."""
         band = {}
         if isinstance(self.identifier.cutoff, str):
@@ -479,7 +479,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["cutoff"] = cutoff if np.isfinite(cutoff) else None
         if isinstance(self.identifier.standstill, str):
             band["standstill"] = self.judged_.standstill_
-        view = RecordingView(self.plain_, whole, silent)
+        view = RecordingView(self.plain_, whole, silent, repetition=repetition)
         effects = tuned_on(view, found.effects, found.settings)
         again = beginning_with(self._with(effects).set_params(**band), self.judged_)
         self.identifier_ = _fitted(again, whole)

@@ -8,11 +8,34 @@ import numpy as np
 _STEP, _MOST = 0.04, 20_000
 # Velocities repeat if they differ by less than this share of their power, and have
 # differed by more than this one since: a slow motion resembles itself a little later.
-_SAME, _OTHER = 0.1, 0.5
+_SAME, _OTHER = 0.03, 0.5
+# The smallest lag is the period that is so many times as good as the best one.
+_ALIKE, _LEAST = 3.0, 1e-3
 # A joint moves if its speed is this share of that of the fastest.
 _MOVES = 0.02
+# A motion repeats if it is there more often than this.
+_AGAIN = 1.5
 # Share of the shorter of two recordings in which they are compared.
 _OVERLAP = 0.8
+
+
+@dataclass(frozen=True, kw_only=True)
+class RepeatedMotion:
+    """A motion that was recorded more than once.
+
+    Attributes
+    ----------
+    seconds : float
+        Its length [s].
+    count : float
+        How many times it is there.
+    recordings : tuple of int
+        Recordings that it is in, from zero.
+    """
+
+    seconds: float
+    count: float
+    recordings: tuple
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,19 +62,26 @@ class Repetition:
     delay: np.ndarray
     period: np.ndarray
 
-    @property
-    def counts(self):
-        """How many times each motion is gone through, (m,)."""
+    def motions(self):
+        """Return what repeats, a tuple of `RepeatedMotion`."""
         found = []
         for k, period in enumerate(self.period):
             own = self.motion == k
             first, last = self.delay[own], (self.delay + self.seconds)[own]
             length = min(period, last.max() - first.min())
-            found.append(self.seconds[own].sum() / length)
-        return np.array(found)
+            count = self.seconds[own].sum() / length if length else 0.0
+            if count > _AGAIN:
+                found.append(
+                    RepeatedMotion(
+                        seconds=float(length),
+                        count=float(count),
+                        recordings=tuple(np.flatnonzero(own).tolist()),
+                    )
+                )
+        return tuple(found)
 
     def __bool__(self):
-        return bool((self.counts > 1.5).any())
+        return bool(self.motions())
 
     def phase(self, recording, t):
         """Return the motion (n,) and the time in it (n,) [s] of rows.
@@ -155,13 +185,13 @@ def _own_period(v):
     other = np.flatnonzero(share > _OTHER)
     if not other.size:
         return np.inf
-    same = np.flatnonzero(share[other[0] :] < _SAME) + other[0]
-    if not same.size:
+    dips = np.flatnonzero((share[1:-1] <= share[:-2]) & (share[1:-1] <= share[2:])) + 1
+    dips = dips[dips > other[0]]
+    found = [_dip(share, k) for k in dips if share[k] < _SAME]
+    if not found:
         return np.inf
-    # The best of the first lags that will do, between rows.
-    end = same[np.flatnonzero(np.diff(same) > 1)[:1]]
-    stop = end[0] + 1 if end.size else same[-1] + 1
-    return _between(share, same[0] + int(np.argmin(share[same[0] : stop])))
+    least = max(_ALIKE * min(value for _, value in found), _LEAST)
+    return next(place for place, value in found if value <= least)
 
 
 def _shift(a, b):
@@ -173,15 +203,16 @@ def _shift(a, b):
     best = int(np.argmin(share))
     if not share[best] < _SAME:
         return None
-    return -(lags[0] + _between(share, best))
+    return -(lags[0] + _dip(share, best)[0])
 
 
-def _between(share, best):
-    """Place of a minimum between rows, by the parabola through its neighbours."""
+def _dip(share, best):
+    """Place and value of a minimum between rows, by the parabola around it."""
     if not 0 < best < share.size - 1:
-        return float(best)
+        return float(best), float(share[best])
     left, middle, right = share[best - 1 : best + 2]
     bend = left - 2 * middle + right
     if not (np.isfinite(bend) and bend > 0):
-        return float(best)
-    return best + 0.5 * (left - right) / bend
+        return float(best), float(middle)
+    value = middle - (left - right) ** 2 / (8 * bend)
+    return best + 0.5 * (left - right) / bend, float(value)

@@ -218,7 +218,7 @@ def judge(name, seed):
         "found": bool(found) and all(found),
         "names": stated(loop.effects_, wrong),
         "perhaps": stated(undecided(loop), wrong_perhaps),
-        "repeats": bool(getattr(loop.report_.outcome, "repetition", None)),
+        "repeats": bool(loop.report_.outcome.repeated),
         "seconds": time.process_time() - started,
     }
 

@@ -275,7 +275,7 @@ class _Parts:
     def __init__(self, fit):
         view = fit.view
         self.fit, self.precision = fit, view.precision
-        label = view.blocks.label
+        label = view.spans.label
         starts = np.r_[0, np.flatnonzero(np.diff(label)) + 1]
         self._edges = np.r_[starts, label.size]
         # Recording of each block, and which part of it the block is in.
@@ -287,7 +287,7 @@ class _Parts:
             # Not in turns: slow noise would be known from both neighbours.
             count = min(_PARTS, own.size)
             self._part[own] = np.arange(own.size) * count // own.size
-        self._weights = view.blocks.sums(view.equations.weight)
+        self._weights = view.spans.sums(view.equations.weight)
         self._moments = [self._moments_of(b) for b in range(starts.size)]
 
     def _rows(self, block):

@@ -349,6 +349,8 @@ class Outcome:
         What each recording is called.
     motion_limits : tuple of MotionLimit
         What joints do in no recording.
+    repeated : tuple of RepeatedMotion
+        Motion that was recorded more than once.
     contradictions : Contradictions
         Recordings that are not of one robot.
     bodies : tuple of BodyMass
@@ -407,6 +409,7 @@ class Outcome:
     projection: ProjectionPrice | None = None
     recordings: tuple = ()
     motion_limits: tuple = ()
+    repeated: tuple = ()
     contradictions: Contradictions = field(default_factory=Contradictions)
     bodies: tuple = ()
     curves: dict = field(default_factory=dict)

@@ -78,7 +78,7 @@ def _above(floor, searched, untouched):
 
 def too_short(model, seconds):
     """Joints whose residual is too few independent values, with its memory [s]."""
-    blocks = model.view.blocks
+    blocks = model.view.spans
     total = blocks.length * blocks.n_blocks
     for j, time in enumerate(seconds):
         if model.view.precision[j] > 0 and FEWEST * time > total:

@@ -101,6 +101,7 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
         bodies=body_masses(final.identifier),
         recordings=recordings,
         motion_limits=motion_limits(final.view),
+        repeated=final.view.repetition.motions(),
         contradictions=contradictions(final, spread, float(asked["alpha"])),
         curves=_curves(models.judged, final, judgement, maps, effects),
         outside=judgement.outside,

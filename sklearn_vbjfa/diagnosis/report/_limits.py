@@ -261,6 +261,27 @@ def _other(bodies):
 # -- recordings -------------------------------------------------------------------
 
 
+def repeated_sentences(outcome):
+    """Say what repeats, and what therefore cannot be told from the model's lack."""
+    if not outcome.repeated:
+        return ()
+    told = [_repeated(one, len(outcome.recordings)) for one in outcome.repeated]
+    return (
+        f"Motion that repeats: {words.join(told, 4)}. What the model lacks repeats "
+        "with it, in the untouched part as well: effects are judged between the phases "
+        "of the motion, and the errors hold for this motion alone. Record a motion "
+        "that does not repeat; design makes one.",
+    )
+
+
+def _repeated(one, count):
+    """Say how often a motion is there."""
+    often = f"one of {words.number(one.seconds)} s, {one.count:.3g} times"
+    if count < 2 or len(one.recordings) == count:
+        return often
+    return f"{often} in recordings {words.join([r + 1 for r in one.recordings], 8)}"
+
+
 def motion_sentences(outcome):
     """Say what cannot be known as joints do not do it in any recording."""
     by_kind = {}

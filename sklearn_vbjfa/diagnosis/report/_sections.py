@@ -338,7 +338,8 @@ def _projection(outcome, verdict):
 
 def _recordings(outcome, verdict):
     """Say first what is wrong with recordings, then what their motion leaves open."""
-    found = _limits.contradiction_sentences(outcome) + _limits.motion_sentences(outcome)
+    found = _limits.contradiction_sentences(outcome)
+    found += _limits.repeated_sentences(outcome) + _limits.motion_sentences(outcome)
     return _paragraph("Limits of the recordings", found)
 
 

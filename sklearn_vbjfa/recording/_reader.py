@@ -104,9 +104,8 @@ def read_recording(
     recording : Recording
         On a uniform time grid. Other numeric columns are in its `signals` by their
         names, as are accelerations ("a"); what is wrong with others is in `left_out`.
-        Where rows were interpolated, `torque_noise` is the white
-        noise that the torques had before. Of several files, `signals` has the columns
-        that all of them have.
+        Where rows were interpolated, `torque_noise` is the white noise that the torques
+        had before. Of several files, `signals` has the columns that all of them have.
 
     Raises
     ------
@@ -121,9 +120,9 @@ def read_recording(
         runs backwards, is not in seconds or does not reveal the period, or there is
         neither time nor `dt`; if one of several files has other joints or channels, a
         sample period that differs by more than 1 %, or no time stamps while others
-        have some. The message names the file, what was expected and what
-        to do; where other options would read the file, the attribute ``options`` of
-        the error has them.
+        have some. The message names the file, what was expected and what to do; where
+        other options would read the file, the attribute ``options`` of the error has
+        them.
 
     Warns
     -----
@@ -189,7 +188,8 @@ def read_recording(
         files.append(file)
     if is_one:
         recording, notes = files[0].recording, said(files)
-        recording = replace(recording, name=name or recording.name)
+        if name:
+            recording = replace(recording, name=name)
     else:
         recording, notes = concatenate(files, again, name)
     for note in notes:

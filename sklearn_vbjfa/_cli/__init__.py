@@ -172,7 +172,16 @@ def _arguments(argv):
     """Parse arguments; what a parser prints may meet a reader that has left."""
     try:
         given = sys.argv[1:] if argv is None else argv
-        return _parser().parse_args(_joined(list(map(str, given))))
+        parser = _parser()
+        arguments, more = parser.parse_known_args(_joined(list(map(str, given))))
+        files = getattr(arguments, "recording", None)
+        options = [word for word in more if word.startswith("-") and word != "-"]
+        if isinstance(files, list) and not options:
+            # Recordings behind an option, which argparse leaves over.
+            files += more
+        elif more:
+            parser.error(f"unrecognized arguments: {' '.join(more)}")
+        return arguments
     finally:
         _flush()
 

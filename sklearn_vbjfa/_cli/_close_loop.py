@@ -30,15 +30,15 @@ def add_to(commands):
     parser = commands.add_parser(
         "close-loop",
         help="find what the model of your robot lacks",
-        description="Identify a robot from a recording, find effects that its model "
-        "lacks, add them, and report the error before and after on parts of the "
-        "recording that were set aside. Writes report.html, report.json, "
+        description="Identify a robot from a recording or several, find effects that "
+        "its model lacks, add them, and report the error before and after on parts of "
+        "the recordings that were set aside. Writes report.html, report.json, "
         "parameters.csv, identified.urdf, identified.xml for MuJoCo, and "
         "identified.json, which the command simulate reads.",
     )
-    _options.add_file(parser)
+    _options.add_files(parser)
     _options.add_recording(parser)
-    _options.add_out(parser, "report")
+    _options.add_out(parser, "report", several=True)
     _options.add_model(parser)
     parser.add_argument(
         "--effects",
@@ -71,12 +71,13 @@ def run(arguments):
     from sklearn_vbjfa.effects import _declared
     from sklearn_vbjfa.physical import ProjectionError
 
-    source, urdf = map(_input.path, (arguments.recording, arguments.urdf))
+    files, urdf = _input.sources(arguments.recording), _input.path(arguments.urdf)
+    source = _input.named(files)
     out = _input.path(arguments.out) if arguments.out else None
-    out = out or _input.default_folder(source)
+    out = out or _input.default_folder(files)
     _input.check_folder(out)
     if not arguments.force:
-        _input.check_overwriting(out, _FILES, (source, urdf))
+        _input.check_overwriting(out, _FILES, (*files, urdf))
     friction = _input.names("--friction", arguments.friction, _declared.available())
     library = arguments.effects
     if library != "all":
@@ -95,10 +96,16 @@ def run(arguments):
         _input.check_nyquist(cutoff, recording, source)
         _input.check_gains(gains, masses, taken.urdf)
         signals = _input.signals(arguments.signals, recording, source)
+        # Each file once, whatever was typed.
+        groups, given = None, tuple(dict.fromkeys(map(str, files)))
+        if len(files) > 1:
+            # The report calls recordings after their files.
+            groups = np.array(recording.group_names, dtype=object)[recording.groups]
         try:
             loop = close(
                 recording,
                 str(taken.urdf),
+                groups=groups,
                 friction=friction,
                 bodies=arguments.bodies,
                 effects=library,
@@ -119,7 +126,7 @@ def run(arguments):
         try:
             # Before anything is printed, as a reader such as head may end the run.
             provenance = Provenance(
-                file=str(source),
+                file=source if len(files) == 1 else given,
                 description=str(urdf),
                 held=held,
                 warnings=told(caught),
@@ -176,8 +183,12 @@ def close(
     known_masses=None,
     signals=None,
     t=None,
+    groups=None,
 ):
-    """Find what a model of a recording lacks, as a fitted `EffectDiscovery`."""
+    """Find what a model of a recording lacks, as a fitted `EffectDiscovery`.
+
+    groups : labels of the rows, by default those of the recording.
+    """
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
     identifier = RobotIdentifier(
@@ -193,8 +204,8 @@ def close(
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed, verbose=True
     )
-    given = {"groups": recording.groups, "t": t, "signals": signals}
-    return loop.fit(recording.q, recording.tau, **given)
+    groups = recording.groups if groups is None else groups
+    return loop.fit(recording.q, recording.tau, groups, t=t, signals=signals)
 
 
 def _write(loop, report, out):

@@ -692,7 +692,7 @@ def _settings(arguments, file_of_limits, limits):
 
 def _next(arguments, robot, found):
     """Say what to do with the motion: sentences, and a command to type."""
-    told = ((found or {}).get("provenance") or {}).get("file")
+    told = ((found or {}).get("provenance") or {}).get("file") or "before.csv"
     words = ["python", "-m", "sklearn_vbjfa", "close-loop"]
     if robot.file.endswith(".json"):
         urdf = "ROBOT.urdf"
@@ -703,17 +703,16 @@ def _next(arguments, robot, found):
         options += ["--joints", ",".join(robot.known.joint_names)]
     if arguments.base_orientation is not None:
         options += ["--base-orientation", arguments.base_orientation]
-    if found is None:
-        steps = (f"Run {arguments.out} and record q and tau while it runs.",)
-        words += ["recording.csv"]
-    else:
-        before = told or "the recordings so far"
-        steps = (
-            f"Run {arguments.out} and record q and tau while it runs. Put the rows "
-            f"behind those of {before}, with a column segment (1 before, 2 new).",
-        )
-        words += ["both.csv"]
-    return (*steps, shlex.join([*words, "--urdf", urdf, *options]))
+    like = ""
+    if found is not None:
+        before = [told] if isinstance(told, str) else told
+        # What came through a pipe is not there any more.
+        before = ["before.csv" if file == "-" else file for file in before]
+        words += before
+        like = f", with the columns of {before[0]}, and give both to close-loop"
+    step = f"Run {arguments.out} and record q and tau while it runs{like}."
+    words += ["recording.csv"]
+    return (step, shlex.join([*words, "--urdf", urdf, *options]))
 
 
 def _write(motion, page, out):

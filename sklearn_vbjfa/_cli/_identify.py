@@ -26,7 +26,7 @@ def add_to(commands):
         "30 % (of each, if it holds several). Without RECORDING, the one that comes "
         "with the package, or a measured set. Nothing is written.",
     )
-    _options.add_optional_file(parser)
+    _options.add_optional_files(parser)
     parser.add_argument(
         "--data",
         default=None,
@@ -57,7 +57,7 @@ def run(arguments):
         warnings.catch_warnings(record=True) as caught,
     ):
         warnings.simplefilter("always")
-        if arguments.recording is None:
+        if not arguments.recording:
             task = _of_catalogue(arguments)
         else:
             task = _own(arguments, Path(folder))
@@ -70,10 +70,11 @@ def run(arguments):
                 on_progress=_progress(),
             )
         except ValueError as error:
-            if arguments.recording is None:
+            if not arguments.recording:
                 raise
             # The options are valid, so the recording is at fault.
-            raise ValueError(f"{arguments.recording}: {error}") from error
+            source = _input.named(_input.sources(arguments.recording))
+            raise ValueError(f"{source}: {error}") from error
     arguments.doubts = [
         *_doubts(results, fitted.joint_names_),
         *_exit_codes.of_warnings(caught),
@@ -106,7 +107,7 @@ class _Task:
 
 def _check(arguments):
     """Refuse options that do not go together, and fill in the others."""
-    if arguments.recording is None:
+    if not arguments.recording:
         _options.refuse_given(
             arguments,
             _OF_RECORDING,
@@ -156,7 +157,7 @@ def _own(arguments, folder):
     from sklearn_vbjfa.datasets._catalogue import Protocol
     from sklearn_vbjfa.effects import _declared
 
-    source = _input.path(arguments.recording)
+    source = _input.named(_input.sources(arguments.recording))
     friction = _input.names("--friction", arguments.friction, _declared.available())
     cutoff = _input.cutoff(arguments.cutoff)
     gains = _input.gains(arguments.gain)

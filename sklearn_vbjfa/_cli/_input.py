@@ -42,7 +42,7 @@ class Refused(ValueError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Taken:
-    """A recording of one's own and its robot.
+    """A recording of one's own, of one file or several, and its robot.
 
     Attributes
     ----------
@@ -155,10 +155,11 @@ def read(arguments, urdf, joints, gains, *, identified=True):
     from sklearn_vbjfa.datasets import read_recording
     from sklearn_vbjfa.recording._refusal import RecordingRefused
 
-    source = path(arguments.recording)
+    files = sources(arguments.recording)
+    source = named(files)
     try:
         recording = read_recording(
-            source,
+            files[0] if len(files) == 1 else files,
             dt=arguments.dt,
             urdf=str(urdf),
             joint_names=joints or None,
@@ -271,12 +272,20 @@ def signals(text, recording, source):
 
 def path(text):
     """Return a path in which ~ is the home folder, as shells have it."""
-    found = Path(text)
-    try:
-        return found.expanduser()
-    except RuntimeError:
-        # There is no such user; a file may be called so.
-        return found
+    from sklearn_vbjfa.recording._files import expanded
+
+    return expanded(text)
+
+
+def sources(given):
+    """Return the paths of one or several files, a tuple."""
+    return tuple(map(path, [given] if isinstance(given, str) else given))
+
+
+def named(paths):
+    """Name what was read, for messages: one file, or the first of several."""
+    more = len(paths) - 1
+    return f"{paths[0]}{f' and {more} more' if more else ''}"
 
 
 def no_formula(cell):
@@ -483,8 +492,17 @@ def seed(number):
     return number
 
 
-def default_folder(source):
-    """Folder for the files if none is named."""
+def default_folder(paths):
+    """Folder for the files of a run if none is named.
+
+    It is called after the recording, or after the folder that holds several.
+    """
+    from sklearn_vbjfa.recording._concatenate import common_folder
+
+    folder = common_folder(paths) if len(paths) > 1 else ""
+    if folder:
+        return Path(f"{folder}-report")
+    source = paths[0]
     name = source.stem if source.name != "-" else "stdin"
     if source.suffix in (".gz", ".bz2", ".xz"):
         name = Path(name).stem

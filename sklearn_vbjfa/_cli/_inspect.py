@@ -22,7 +22,7 @@ def add_to(commands):
         "it, and what its motion can show of a robot. Nothing is identified and "
         "nothing is written.",
     )
-    _options.add_file(parser)
+    _options.add_files(parser)
     _options.add_recording(parser)
     parser.set_defaults(run=run)
 
@@ -31,7 +31,7 @@ def run(arguments):
     """Read a recording and describe it."""
     from sklearn_vbjfa.inspection import motion_of
 
-    source = arguments.recording
+    source = _input.named(_input.sources(arguments.recording))
     gains = _input.gains(arguments.gain)
     with (
         tempfile.TemporaryDirectory() as folder,

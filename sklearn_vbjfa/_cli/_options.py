@@ -6,20 +6,19 @@ OF_READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
 # What is declared of every joint where no option says so.
 FRICTION = "viscous,coulomb,offset,rotor_inertia"
 # What a recording may be, for the help.
-RECORDING = (
+_RECORDING = (
     "CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with columns "
     "q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], segment, and "
     "signals such as a temperature; a bag of ROS 1 or 2, MCAP; the folder of a bag or "
     "of a LeRobot data set; - for standard input"
 )
+_SEVERAL = "; or several such files of one robot, recorded alike"
 
 
-def add_file(parser):
-    """Add the recording and the robot, both of which there must be."""
+def add_files(parser):
+    """Add recordings and the robot, all of which there must be."""
     parser.add_argument(
-        "recording",
-        metavar="RECORDING",
-        help=RECORDING,
+        "recording", nargs="+", metavar="RECORDING", help=_RECORDING + _SEVERAL
     )
     parser.add_argument(
         "--urdf",
@@ -29,10 +28,14 @@ def add_file(parser):
     )
 
 
-def add_optional_file(parser):
-    """Add the recording and the robot, which some runs go without."""
+def add_optional_files(parser, *, several=True):
+    """Add the recording, or several, and the robot, which some runs go without."""
     parser.add_argument(
-        "recording", nargs="?", default=None, metavar="RECORDING", help=RECORDING
+        "recording",
+        nargs="*" if several else "?",
+        default=None,
+        metavar="RECORDING",
+        help=_RECORDING + (_SEVERAL if several else ""),
     )
     parser.add_argument(
         "--urdf",
@@ -164,13 +167,18 @@ def add_cutoff(parser):
     )
 
 
-def add_out(parser, ending):
-    """Add the folder for the files, by default named with an ending, and --force."""
+def add_out(parser, ending, *, several=False):
+    """Add the folder for the files, by default named with an ending, and --force.
+
+    several : whether there may be several recordings.
+    """
+    also = ", or of the folder of several," if several else ""
     parser.add_argument(
         "--out",
         default=None,
         metavar="DIR",
-        help=f"folder for the files; by default the name of RECORDING plus -{ending}",
+        help=f"folder for the files; by default the name of RECORDING{also} plus "
+        f"-{ending}",
     )
     parser.add_argument(
         "--force",

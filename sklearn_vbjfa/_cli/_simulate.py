@@ -56,7 +56,7 @@ def add_to(commands):
         "RECORDING, the one that comes with the package. Writes simulation.csv and, "
         "with matplotlib, a picture of each recording.",
     )
-    _options.add_optional_file(parser)
+    _options.add_optional_files(parser, several=False)
     parser.add_argument(
         "--model",
         default=None,

@@ -530,7 +530,8 @@ def _provenance(motion, background):
     report = background.report
     recording = ((background.found or {}).get("provenance") or {}).get("file")
     if report and recording:
-        report += f" (of {recording})"
+        files = [recording] if isinstance(recording, str) else recording
+        report += f" (of {words.join(files)})"
     noise = [
         f"{words.joint_label(motion.joint_names, j)}: {_newtons(motion, x, j)}"
         f"{'' if measured else ', assumed'}"

@@ -101,7 +101,7 @@ def read_table(path, topic=None, wanted=lambda: ()) -> Table:
     path : file, folder of a bag or of a LeRobot data set, or "-" for standard input;
     topic : topic of a bag; wanted : function that returns the robot's joints.
     """
-    path = Path(path).expanduser()
+    path = expanded(path)
     with contextlib.ExitStack() as stack:
         if path.is_dir():
             table = _read_folder(stack, path, topic, wanted)
@@ -110,6 +110,16 @@ def read_table(path, topic=None, wanted=lambda: ()) -> Table:
     if not table.columns or table.n_rows == 0:
         raise ValueError(f"{path}: no rows of data; expected one row per sample.")
     return table
+
+
+def expanded(path):
+    """Return a path in which ~ is the home folder."""
+    path = Path(path)
+    try:
+        return path.expanduser()
+    except RuntimeError:
+        # There is no such user; a file may be called so.
+        return path
 
 
 def _read_folder(stack, path, topic, wanted):

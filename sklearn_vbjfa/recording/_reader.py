@@ -2,6 +2,7 @@
 
 import re
 import warnings
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
 
@@ -9,6 +10,12 @@ import numpy as np
 
 from sklearn_vbjfa.model._doubts import DoubtWarning
 from sklearn_vbjfa.recording import _layout
+from sklearn_vbjfa.recording._concatenate import (
+    RecordedFile,
+    concatenate,
+    said,
+    without_repeats,
+)
 from sklearn_vbjfa.recording._files import read_table
 from sklearn_vbjfa.recording._layout import Layout, MappingRefused
 from sklearn_vbjfa.recording._presets import PRESETS, currents_as_efforts
@@ -34,7 +41,7 @@ _TORQUES = ("N m", "N")
 
 
 def read_recording(
-    path: str | PathLike,
+    path: str | PathLike | Sequence[str | PathLike],
     *,
     dt: float | None = None,
     urdf: str | PathLike | None = None,
@@ -46,11 +53,11 @@ def read_recording(
     gains: str | tuple[float, ...] | None = None,
     time_unit: str | None = None,
 ) -> Recording:
-    r"""Read a recording of your own robot: a table, a bag, arrays.
+    r"""Read a recording of your own robot: a table, a bag, arrays, or several of them.
 
     Parameters
     ----------
-    path : str or os.PathLike
+    path : str, os.PathLike or sequence of these
         One row per sample, as CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy with
         named fields or MATLAB (to version 7.2); a bag of ROS 1 or 2 or an MCAP file
         with JointState, with or without its folder; the folder of a LeRobot data set;
@@ -61,7 +68,9 @@ def read_recording(
         use the joint's name, such as q_shoulder; a unit may follow (q1 [deg], t_ms),
         or stand in a row below the names. Names that the presets know are recognised.
         An npz file may hold matrices q, tau, ... and a number dt. Text is separated by
-        comma, semicolon, tab or blanks; # begins a comment.
+        comma, semicolon, tab or blanks; # begins a comment. Of several files of one
+        robot the recordings stand one after the other, called after their files, with
+        their own names behind where a file has several.
     dt : float, default=None
         Sample period [s]; needed if there is no time.
     urdf : str or os.PathLike, default=None
@@ -73,7 +82,7 @@ def read_recording(
         such as wheels and fingers, are then held at zero). None takes all of `urdf`,
         or joint_1, ...
     name : str, default=None
-        Name of the recording; None is that of the file.
+        Name of the recording; None is that of the file, or of the folder of several.
     columns : str or dict of str to str, default=None
         Which columns are which channels, such as
         "q=actual_q_{i},tau=actual_current_{i},t=timestamp": {i} stands for the number
@@ -95,8 +104,8 @@ def read_recording(
     recording : Recording
         On a uniform time grid. Other numeric columns are in its `signals` by their
         names, as are accelerations ("a"); what is wrong with others is in `left_out`.
-        Where rows were interpolated, `torque_noise` is the white
-        noise that the torques had before.
+        Where rows were interpolated, `torque_noise` is the white noise that the torques
+        had before. Of several files, `signals` has the columns that all of them have.
 
     Raises
     ------
@@ -109,9 +118,11 @@ def read_recording(
         If the file is damaged or not what its ending says, the number of columns is
         wrong, two columns could be meant, a value is not finite or beyond 1e12, time
         runs backwards, is not in seconds or does not reveal the period, or there is
-        neither time nor `dt`. The message names the file, what was expected and what
-        to do; where other options would read the file, the attribute ``options`` of
-        the error has them.
+        neither time nor `dt`; if one of several files has other joints or channels, a
+        sample period that differs by more than 1 %, or no time stamps while others
+        have some. The message names the file, what was expected and what to do; where
+        other options would read the file, the attribute ``options`` of the error has
+        them.
 
     Warns
     -----
@@ -123,7 +134,7 @@ def read_recording(
         taken as equidistant. If up to five consecutive rows are missing: they are
         interpolated and the others kept. If more are missing: the recording is split
         there, and pieces of fewer than ten rows are dropped. If rows occur twice, or
-        stamps repeat.
+        stamps repeat. If one of several files is a copy of another: it is taken once.
 
     Examples
     --------
@@ -135,6 +146,16 @@ def read_recording(
     ...     _ = file.write_text("clock,angle,torque\n" + "\n".join(rows))
     ...     read_recording(file, columns="q=angle,tau=torque,t=clock")
     Recording 'hinge': 20 samples, 1 joint, dt = 0.01 s, 1 recording
+
+    Several files:
+
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     files = [pathlib.Path(folder) / f"{name}.csv" for name in ("slow", "fast")]
+    ...     for rate, file in zip((0.1, 0.3), files):
+    ...         rows = [f"{0.01 * k:.2f},{rate * k},{1.0}" for k in range(20)]
+    ...         _ = file.write_text("t,q1,tau1\n" + "\n".join(rows))
+    ...     read_recording(files).group_names
+    ('slow', 'fast')
     """
     if dt is not None:
         _check_dt(dt)
@@ -149,6 +170,36 @@ def read_recording(
         raise ValueError(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
+    is_one = isinstance(path, (str, bytes, PathLike)) or not isinstance(path, Iterable)
+    paths, again = ([path], []) if is_one else without_repeats(path)
+    if not paths:
+        raise ValueError("path must name one file or more, got none.")
+    files = []
+    for one in paths:
+        try:
+            file = _read_file(
+                one, dt, urdf, joint_names, asked, topic, gains, time_unit
+            )
+        except RecordingRefused as error:
+            if not files:
+                raise
+            # The files before it were read without the options that it offers.
+            raise RecordingRefused(error.reason) from error
+        files.append(file)
+    if is_one:
+        recording, notes = files[0].recording, said(files)
+        if name:
+            recording = replace(recording, name=name)
+    else:
+        recording, notes = concatenate(files, again, name)
+    for note in notes:
+        category = DoubtWarning if isinstance(note, Loss) else UserWarning
+        warnings.warn(note, category, stacklevel=2)
+    return recording
+
+
+def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
+    """Read one file, by checked arguments of `read_recording`."""
     names = _strings(joint_names)
     table = read_table(path, topic, lambda: names or _movable(urdf))
     if joint_names is None and "joint_names" in table.scalars:
@@ -168,6 +219,7 @@ def read_recording(
             channels[kind], units[kind] = _values(table, kind, columns_of)
     names = _check_joints(table, found, asked, robot)
     slides = _check_units(table, found, units, names, model_names, prismatic)
+    recorded = _gained(table, channels, units["tau"], None, names, slides)
     torque_units = _gained(table, channels, units["tau"], gains, names, slides)
     taken = {role.column for roles in found.values() for role in roles}
     if model_names:
@@ -176,6 +228,7 @@ def read_recording(
         names = tuple(names[j] for j in order)
         slides = [slides[j] for j in order]
         torque_units = [torque_units[j] for j in order]
+        recorded = [recorded[j] for j in order]
         channels = {kind: values[:, order] for kind, values in channels.items()}
     t, time = _time(table, layout, dt, time_unit)
     labels, segment = _segments(table, layout)
@@ -199,11 +252,8 @@ def read_recording(
             "or identify them (gains='unknown'; command line: --gain unknown)."
         )
     fields = on_grid(table, t, labels, dt, {**channels, **signals}, notes)
-    for note in notes:
-        category = DoubtWarning if isinstance(note, Loss) else UserWarning
-        warnings.warn(f"{table.path}: {note}", category, stacklevel=2)
-    return Recording(
-        name=name or _stem(table.path),
+    recording = Recording(
+        name=_stem(table.path),
         joint_names=names,
         position_units=tuple("m" if slide else "rad" for slide in slides),
         torque_units=tuple(torque_units),
@@ -211,6 +261,13 @@ def read_recording(
         description=f"Read from {table.path.name}.",
         left_out=left_out,
         **fields,
+    )
+    return RecordedFile(
+        path=table.path,
+        recording=recording,
+        notes=tuple(notes),
+        stamped=t is not None,
+        torque_units=tuple(recorded),
     )
 
 

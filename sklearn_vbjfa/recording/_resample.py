@@ -2,7 +2,8 @@
 
 Two kinds of recordings come here. The logs of measured sets, which the loaders know,
 go through `join`: their period is given, their stamps are those of the sampling. A
-user's file goes through `on_grid`, which asks the stamps first what they are.
+user's file goes through `on_grid`, which asks the stamps first what they are; several
+of them then go through `on_one_grid`.
 """
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -282,6 +283,41 @@ def on_grid(table: Table, t, labels, dt, channels, notes):
     return fields
 
 
+def on_one_grid(recordings, names, dt):
+    """Concatenate files whose periods are nearly dt [s], and say which have another.
+
+    names : of the recordings in them, one after the other. Returns the array fields of
+    a `Recording`, and the positions of the files that were interpolated.
+    """
+    pieces, names, moved, noise = [], iter(names), [], []
+    for k, one in enumerate(recordings):
+        channels = {"q": one.q, "tau": one.tau, **one.signals}
+        if one.v is not None:
+            channels["v"] = one.v
+        tally = _Tally()
+        for rows in one.segments:
+            values = _rows_of(channels, rows)
+            t = dt * np.arange(rows.stop - rows.start)
+            if abs(one.dt - dt) >= _SAME_DT * dt:
+                own = one.dt * np.arange(t.size)
+                tally.off_grid.append((own, values["tau"]))
+                t, values = interpolate(own, values, dt)
+            pieces.append(_Piece(next(names), t, values))
+        if tally.off_grid:
+            moved.append(k)
+        # That of the torques as they came, where they were interpolated before.
+        own = one.torque_noise
+        if own is None and tally.off_grid:
+            own = tally.white_noise()
+        if own is not None:
+            noise.append((one.n_samples, own))
+    fields = _fields(pieces, dt)
+    if noise:
+        share, power = zip(*((n, own**2) for n, own in noise))
+        fields["torque_noise"] = np.sqrt(np.average(power, axis=0, weights=share))
+    return fields, moved
+
+
 def _rows_of(channels, rows):
     return {key: values[rows] for key, values in channels.items()}
 
@@ -311,14 +347,21 @@ def _segments(labels, n_rows):
     if labels is None:
         return [("recording", np.arange(n_rows))]
     borders = np.flatnonzero(labels[1:] != labels[:-1]) + 1
-    runs, seen = [], {}
-    for rows in np.split(np.arange(n_rows), borders):
-        label = labels[rows[0]]
+    runs = np.split(np.arange(n_rows), borders)
+    texts = []
+    for label in labels[[rows[0] for rows in runs]]:
         is_whole = labels.dtype.kind == "f" and float(label).is_integer()
-        text = str(int(label) if is_whole else label)
-        seen[text] = seen.get(text, 0) + 1
-        runs.append((text if seen[text] == 1 else f"{text} ({seen[text]})", rows))
-    return runs
+        texts.append(str(int(label) if is_whole else label))
+    return list(zip(distinct(texts), runs))
+
+
+def distinct(names):
+    """Return names of which those that are there already have a number behind them."""
+    found, seen = [], {}
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return found
 
 
 def _without_doubles(t, segments, channels, notes):

@@ -161,9 +161,26 @@ def test_what_is_printed_fits_a_screen(designed):
     assert "no <collision>" in text
     assert "1 of 1 intervals become narrower" in text
     assert lines[-1] == f"written: {out}, {out.with_suffix('.html')}"
-    assert f"close-loop both.csv --urdf {out.parents[1] / 'arm.urdf'}" in lines[-2]
-    assert "slow.csv" in lines[-3]
-    assert "segment" in lines[-3]
+    urdf = out.parents[1] / "arm.urdf"
+    assert f"close-loop slow.csv recording.csv --urdf {urdf}" in lines[-2]
+    assert "with the columns of slow.csv" in lines[-3]
+
+
+def test_all_recordings_of_a_report_go_into_the_next_one(home, tmp_path, capsys):
+    told = json.loads((home / "report" / "report.json").read_text())
+    told["provenance"]["file"] = ["runs/a.csv", "-", "runs/b.csv"]
+    (tmp_path / "report.json").write_text(json.dumps(told))
+    (tmp_path / "identified.json").write_bytes(
+        (home / "report" / "identified.json").read_bytes()
+    )
+    out = tmp_path / "motion.csv"
+    argv = ["--report", str(tmp_path), *FAST, "--out", str(out)]
+    assert main(["design", *argv]) == 0
+    text = capsys.readouterr().out
+    # What came through a pipe is not there any more.
+    assert "close-loop runs/a.csv before.csv runs/b.csv recording.csv --urdf" in text
+    page = out.with_suffix(".html").read_text(encoding="utf-8")
+    assert "(of runs/a.csv, - and runs/b.csv)" in page
 
 
 def test_the_page_has_what_was_printed(designed):

@@ -63,7 +63,7 @@ def background(**changes):
         "description": "robots/crane.urdf",
         "measured": np.array([True, False]),
         "file": "motion.csv",
-        "commands": ("Run it.", "python -m sklearn_vbjfa close-loop both.csv"),
+        "commands": ("Run it.", "python -m sklearn_vbjfa close-loop old.csv new.csv"),
     }
     return Background(**(given | changes))
 

@@ -21,8 +21,8 @@ class Provenance:
 
     Attributes
     ----------
-    file : str
-        Recording.
+    file : str or tuple of str
+        Recording; the files if there were several.
     description : str
         File of the robot description.
     held : tuple of str
@@ -33,7 +33,7 @@ class Provenance:
         Files beside the page, which links to them.
     """
 
-    file: str = ""
+    file: str | tuple = ""
     description: str = ""
     held: tuple = ()
     warnings: tuple = ()

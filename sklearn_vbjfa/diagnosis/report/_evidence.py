@@ -286,7 +286,7 @@ def provenance_rows(outcome):
             length += f", {count} recordings ({words.join(outcome.recordings, 8)})"
     version = outcome.settings.get("versions", {}).get("sklearn_vbjfa", "")
     rows = (
-        ("Recording", given.file),
+        ("Recording" if isinstance(given.file, str) else "Recordings", given.file),
         ("Length", length),
         ("Sample rate", rate),
         ("Robot description", given.description),

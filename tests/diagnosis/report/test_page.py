@@ -207,6 +207,20 @@ def test_the_page_says_where_it_comes_from():
         assert html.count(f'<a href="{name}">{name}</a>') == 2
 
 
+def test_all_files_are_named():
+    outcome = made()
+    files = ("logs/slow.csv", "logs/<fast>.csv")
+    report = Report(
+        replace(outcome, provenance=replace(outcome.provenance, file=files))
+    )
+    assert report.to_dict()["provenance"]["file"] == list(files)
+    html = report.to_html()
+    text = html[html.index("<h2>Provenance</h2>") :]
+    for told in ("Recordings", "logs/slow.csv", "logs/&lt;fast&gt;.csv"):
+        assert told in text
+    assert "- Recordings: logs/slow.csv, logs/\\<fast\\>.csv" in report.to_markdown()
+
+
 def test_provenance_is_in_the_dict_and_not_on_the_terminal():
     report = Report(made())
     data = json.loads(json.dumps(report.to_dict(), allow_nan=False))

@@ -1,0 +1,324 @@
+"""Several recordings in one command."""
+
+import json
+import os
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa._cli import _input, main
+from sklearn_vbjfa.datasets import make_robot_recording
+from tests.command_line.test_close_loop import FILES, URDF, write_csv
+
+COMMANDS = ("close-loop", "identify", "inspect")
+# Options that keep the runs short.
+SHORT = {"close-loop": ("--effects", "spring", "--no-ceiling")}
+
+
+@pytest.fixture(scope="module")
+def motions(tmp_path_factory):
+    """Three motions of a robot that has a spring on its shoulder."""
+    urdf = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    urdf.write_text(URDF)
+    made = make_robot_recording(str(urdf), duration=8.0, n_recordings=3, random_state=0)
+    made.tau[:, 0] += 4.0 * made.q[:, 0]
+    return [made.select(k) for k in range(3)]
+
+
+@pytest.fixture
+def here(motions, tmp_path, monkeypatch):
+    """Working folder with a robot, and the folder runs with three recordings."""
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(URDF)
+    Path("runs").mkdir()
+    for name, motion in zip("abc", motions):
+        write_csv(Path(f"runs/{name}.csv"), motion)
+    return tmp_path
+
+
+def run(capsys, command, *argv):
+    """Run a command; the exit code, stdout, and the lines on stderr."""
+    argv = [command, *map(str, argv), "--urdf", "arm.urdf", *SHORT.get(command, ())]
+    code = main(argv)
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err.splitlines()
+
+
+def refusal(capsys, command, *argv):
+    """Return the one line on stderr of a run that does nothing."""
+    before = sorted(Path().rglob("*"))
+    code, out, err = run(capsys, command, *argv)
+    assert (code, out) == (2, "")
+    assert sorted(Path().rglob("*")) == before
+    (line,) = err
+    assert line.startswith("sklearn-vbjfa: ")
+    return line
+
+
+RUNS = ("runs/a.csv", "runs/b.csv", "runs/c.csv")
+
+
+# -- several recordings ----------------------------------------------------------------
+
+
+def test_the_report_is_of_all_recordings(here, capsys):
+    code, out, err = run(capsys, "close-loop", *RUNS)
+    assert code == 0, err
+    assert out.startswith("Recording 'runs': 4800 samples, 2 joints, dt = 0.005 s, 3 ")
+    assert sorted(path.name for path in Path("runs-report").iterdir()) == FILES
+    report = json.loads(Path("runs-report/report.json").read_text(encoding="utf-8"))
+    assert report["provenance"]["file"] == list(RUNS)
+    assert report["recordings"] == ["a", "b", "c"]
+    assert report["recorded"]["samples"] == 4800
+    assert [effect["name"] for effect in report["effects"]] == ["spring"]
+    page = Path("runs-report/report.html").read_text(encoding="utf-8")
+    text = page[page.index("<h2>Provenance</h2>") :]
+    for told in (*RUNS, "3 recordings (a, b and c)"):
+        assert told in text
+
+
+def test_they_are_as_good_as_segments_of_one_file(here, motions, capsys):
+    tables = [np.loadtxt(name, delimiter=",", skiprows=1) for name in RUNS]
+    labels = np.repeat([1, 2, 3], [len(table) for table in tables])
+    head = "t,q1,q2,tau1,tau2,segment"
+    whole = np.column_stack([np.vstack(tables), labels])
+    np.savetxt("one.csv", whole, delimiter=",", header=head, comments="", fmt="%.10g")
+    for argv in (RUNS, ["one.csv"]):
+        assert run(capsys, "close-loop", *argv)[0] == 0
+    several, one = (
+        json.loads(Path(f"{name}-report/report.json").read_text(encoding="utf-8"))
+        for name in ("runs", "one")
+    )
+    differ = {key for key in one if one[key] != several[key]}
+    assert differ == {"recordings", "provenance"}
+    assert one["provenance"]["file"] == "one.csv"
+
+
+@pytest.mark.parametrize("command", ["identify", "inspect"])
+def test_other_commands(command, here, capsys):
+    code, out, err = run(capsys, command, *RUNS)
+    assert (code, err) == (0, [])
+    assert "3 recordings" in out.splitlines()[0]
+    told = {
+        "identify": "first 70 % of a, b, c fitted",
+        "inspect": "a 8 s, b 8 s, c 8 s",
+    }
+    assert told[command] in out
+    # Nothing is written.
+    assert {path.name for path in here.iterdir()} == {"arm.urdf", "runs"}
+
+
+def test_recordings_may_stand_behind_options(here, capsys):
+    argv = ["inspect", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv"]
+    assert main(argv) == 0
+    assert "a 8 s, b 8 s" in capsys.readouterr().out
+    argv = ["identify", "--urdf", "arm.urdf", "runs/a.csv", "--friction", "none"]
+    assert main([*argv, "runs/b.csv", "runs/c.csv"]) == 0
+    assert "first 70 % of a, b, c fitted" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ["inspect", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv", "--fast"],
+        ["simulate", "runs/a.csv", "runs/b.csv", "--urdf", "arm.urdf"],
+        ["simulate", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv"],
+        ["effects", "runs/a.csv"],
+    ],
+)
+def test_what_no_command_takes_is_refused(argv, here, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(argv)
+    assert end.value.code == 2
+    assert "unrecognized arguments: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_tells_that_there_may_be_several(command, capsys):
+    with pytest.raises(SystemExit):
+        main([command, "--help"])
+    text = " ".join(capsys.readouterr().out.split())
+    assert "RECORDING ..." in text
+    assert "several such files of one robot" in text
+
+
+# -- folders ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("paths", "folder"),
+    [
+        (["runs/a.csv"], "a-report"),
+        (["log.csv.gz"], "log-report"),
+        (["-"], "stdin-report"),
+        (["runs/a.csv", "runs/b.csv"], "runs-report"),
+        (["runs/../runs/a.csv", "./runs/b.csv"], "runs-report"),
+        (["runs/b.csv", "c.csv"], "b-report"),
+        (["-", "runs/b.csv"], "stdin-report"),
+    ],
+)
+def test_default_folders(paths, folder, here):
+    found = _input.default_folder(_input.sources(paths))
+    assert str(found) == folder
+
+
+def test_the_working_folder_has_a_name(here, monkeypatch):
+    monkeypatch.chdir("runs")
+    found = _input.default_folder(_input.sources(["a.csv", "b.csv"]))
+    assert str(found) == "runs-report"
+    monkeypatch.chdir(os.sep)
+    # The root has none.
+    assert str(_input.default_folder(_input.sources(["a.csv", "b"]))) == "a-report"
+
+
+@pytest.mark.parametrize("position", range(3))
+def test_no_recording_is_written_over(position, here, capsys):
+    out = here / "out"
+    out.mkdir()
+    paths = list(RUNS)
+    # the same file by another path
+    (out / "parameters.csv").write_bytes(Path(paths[position]).read_bytes())
+    Path("link.csv").symlink_to(out / "parameters.csv")
+    paths[position] = "link.csv"
+    line = refusal(capsys, "close-loop", *paths, "--out", "out")
+    assert "link.csv is read by this run, which would write over it" in line
+
+
+def test_the_folder_of_the_recordings_is_not_written_to(here, capsys):
+    line = refusal(capsys, "close-loop", *RUNS, "--out", "runs")
+    assert "runs holds a.csv, b.csv, c.csv, which no run has written" in line
+
+
+# -- bad input -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_copy_is_a_doubt(command, here, capsys):
+    paths = [*RUNS, "runs/d.csv", "runs/e.csv", "runs/b.csv"]
+    for name in ("d", "e"):
+        Path(f"runs/{name}.csv").write_bytes(Path("runs/a.csv").read_bytes())
+    plain, (code, out, err) = (run(capsys, command, *x) for x in (RUNS, paths))
+    told = (
+        "runs/b.csv is given more than once; runs/d.csv and runs/e.csv are copies of "
+        "runs/a.csv: each taken once"
+    )
+    assert (plain[0], code) == (0, 3)
+    assert err == [f"note: {told}.", f"note: exit code 3: {told}"]
+    # All else is as without the copies.
+    assert out == plain[1]
+    if command == "close-loop":
+        report = json.loads(Path("runs-report/report.json").read_text("utf-8"))
+        assert report["provenance"]["file"] == paths[:5]
+        assert report["provenance"]["warnings"] == [f"{told}."]
+
+
+def test_only_copies_are_one_recording(here, capsys):
+    Path("runs/b.csv").write_bytes(Path("runs/a.csv").read_bytes())
+    code, out, err = run(capsys, "inspect", "runs/a.csv", "runs/b.csv")
+    assert code == 3
+    assert "1600 samples, 2 joints, dt = 0.005 s, 1 recording" in out
+    assert err[0] == "note: runs/b.csv is a copy of runs/a.csv: taken once."
+
+
+def other_joints(motion, path):
+    """Write the columns of one joint under its name."""
+    table = np.column_stack([motion.t, motion.q[:, 0], motion.tau[:, 0]])
+    head = "t,q_shoulder,tau_shoulder"
+    np.savetxt(path, table, delimiter=",", header=head, comments="")
+
+
+def rows_left_out(motion, path):
+    write_csv(path, motion, rows=slice(None, None, 2))
+
+
+def in_amperes(motion, path):
+    write_csv(path, motion)
+    head, rows = path.read_text().split("\n", 1)
+    head = re.sub(r"(tau\d)", r"\1 [A]", head)
+    path.write_text(f"{head}\n{rows}")
+
+
+def without_stamps(motion, path):
+    write_csv(path, motion, t=False)
+
+
+def more_joints(motion, path):
+    """Write the columns of three joints."""
+    q, tau = (np.column_stack([x, x[:, 0]]) for x in (motion.q, motion.tau))
+    write_csv(path, motion, q=q, tau=tau)
+
+
+REFUSED = {
+    "other joints": (
+        other_joints,
+        [],
+        "runs/a.csv has the joints shoulder, elbow and runs/odd.csv has the joints "
+        "shoulder; expected files with the same joints and channels",
+    ),
+    "more joints": (more_joints, [], "runs/odd.csv: 3 column(s) q for 2 joint(s)"),
+    "another period": (
+        rows_left_out,
+        [],
+        "runs/a.csv has a sample period of 0.005 s and runs/odd.csv one of 0.01 s",
+    ),
+    "currents": (
+        in_amperes,
+        ["--gain", "unknown"],
+        "runs/a.csv has torques in N m and runs/odd.csv has torques in A",
+    ),
+    "currents and factors": (
+        in_amperes,
+        ["--gain", "8,8"],
+        "runs/a.csv has torques in N m and runs/odd.csv has torques in A",
+    ),
+    "no time stamps": (
+        without_stamps,
+        ["--dt", "0.005"],
+        "runs/a.csv has time stamps and runs/odd.csv has no time stamps",
+    ),
+    "no time": (without_stamps, [], "runs/odd.csv: no column t and no dt"),
+    "no file": (lambda *_: None, [], "runs/odd.csv: no such file"),
+    "no recording": (
+        lambda motion, path: path.write_text("hello\n"),
+        [],
+        "runs/odd.csv: ",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_files_that_do_not_go_together(kind, here, motions, capsys):
+    write, options, message = REFUSED[kind]
+    write(motions[2], Path("runs/odd.csv"))
+    paths = ("runs/a.csv", "runs/b.csv", "runs/odd.csv")
+    for command in ("close-loop", "inspect"):
+        assert message in refusal(capsys, command, *paths, *options)
+
+
+def test_what_is_wrong_with_all_is_said_of_all(here, capsys):
+    for name in ("a", "b"):
+        path = Path(f"runs/{name}.csv")
+        path.write_text("\n".join(path.read_text().splitlines()[:40]))
+    line = refusal(capsys, "close-loop", "runs/a.csv", "runs/b.csv")
+    assert "runs/a.csv and 1 more: the longest recording has 39 samples" in line
+
+
+def test_signals_that_a_file_lacks_are_said(here, motions, capsys):
+    names = ("a", "b", "c")
+    for name in names[:2]:
+        path = Path(f"runs/{name}.csv")
+        head, *rows = path.read_text().splitlines()
+        rows = [f"{row},{20 + 1e-3 * k**0.5}" for k, row in enumerate(rows)]
+        path.write_text("\n".join([f"{head},temperature", *rows]))
+    line = refusal(capsys, "close-loop", *RUNS, "--signals", "temperature")
+    assert "The column 'temperature' is missing in runs/c.csv" in line
+    code, out, _ = run(capsys, "close-loop", *RUNS, "--signals", "none")
+    assert code == 0
+    code, out, err = run(capsys, "close-loop", *RUNS, "--force")
+    assert code == 3
+    assert "temperature" in err[-1]
+    assert "it is missing in runs/c.csv" in " ".join(out.split())

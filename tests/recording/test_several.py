@@ -1,0 +1,344 @@
+"""Several files of one robot as one recording: what must agree, copies, names."""
+
+import re
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.model._doubts import DoubtWarning
+from tests.recording.test_reader import DT, N, table, write
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """Working folder with the folder runs."""
+    monkeypatch.chdir(tmp_path)
+    Path("runs").mkdir()
+    return tmp_path
+
+
+def motion(phase, **given):
+    """Columns of another motion of the same robot."""
+    columns = table(**given)
+    for j in (1, 2):
+        columns[f"q{j}"] = columns[f"q{j}"] + phase * np.sin(5 * columns["t"])
+    return columns
+
+
+def files(**tables):
+    """Write a file of the folder runs for each of some tables."""
+    return [str(write(Path(f"runs/{name}.csv"), x)) for name, x in tables.items()]
+
+
+def told(paths, **options):
+    """Read files; the recording, and each warning with whether it is a doubt."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_recording(paths, **options)
+    return recording, [(str(x.message), x.category is DoubtWarning) for x in caught]
+
+
+def in_segments(columns, *labels):
+    """Label equal parts of a table."""
+    return columns | {"segment": np.repeat(labels, len(columns["t"]) // len(labels))}
+
+
+def refused(paths, message, **options):
+    """Return the one line of a refusal, which has a message."""
+    with pytest.raises(ValueError, match=re.escape(message)) as error:
+        read_recording(paths, **options)
+    (line,) = str(error.value).splitlines()
+    return line
+
+
+# -- what they are together ------------------------------------------------------------
+
+
+def test_recordings_are_called_after_their_files(here):
+    tables = {"slow": motion(0.1), "fast": motion(0.2)}
+    paths = files(**tables)
+    recording, said = told(paths)
+    assert said == []
+    assert recording.name == "runs"
+    assert recording.group_names == ("slow", "fast")
+    assert recording.description == "Read from slow.csv, fast.csv."
+    for path, name in zip(paths, ("slow", "fast")):
+        alone, part = read_recording(path), recording.select(name)
+        for key in ("q", "tau", "v", "t"):
+            np.testing.assert_array_equal(getattr(part, key), getattr(alone, key))
+    assert read_recording(paths, name="bench").name == "bench"
+    assert read_recording(paths[:1]).group_names == ("slow",)
+
+
+def test_files_in_several_folders_are_called_after_the_first(here):
+    paths = [*files(slow=motion(0.1)), str(write(Path("slow.csv"), motion(0.2)))]
+    recording, _ = told(map(Path, paths))
+    assert recording.name == "slow"
+    assert recording.group_names == ("runs/slow.csv", "slow.csv")
+
+
+def test_recordings_in_a_file_keep_their_own_names(here):
+    gap = motion(0.3, n=3 * N)
+    gap = {name: np.delete(column, slice(N, 2 * N)) for name, column in gap.items()}
+    paths = files(two=in_segments(motion(0.1), "up", "down"), one=motion(0.2), gap=gap)
+    recording, said = told(paths)
+    assert recording.group_names == ("two up", "two down", "one", "gap [1]", "gap [2]")
+    assert recording.select("two down").n_samples == N // 2
+    ((message, doubt),) = said
+    assert message.startswith("runs/gap.csv: 1 gap(s) of more than 5 periods")
+    assert doubt
+
+
+def test_names_that_would_be_the_same_are_numbered(here):
+    x = {"a": in_segments(motion(0.1), "1", "2"), "a 1": motion(0.2)}
+    assert read_recording(files(**x)).group_names == ("a 1", "a 2", "a 1 (2)")
+
+
+def test_a_note_on_all_files_is_told_once(here):
+    x = {
+        name: {key.replace("q", "Q "): column for key, column in motion(k).items()}
+        for k, name in enumerate("abcde")
+    }
+    mapping = "q=Q {i} [deg],tau=tau{i},t=t"
+    _, said = told(files(**x), columns=mapping)
+    (message,) = {text for text, _ in said}
+    assert message.startswith("runs/a.csv, runs/b.csv, runs/c.csv and 2 more: ")
+    _, said = told(files(**x)[:2], columns=mapping)
+    assert said[0][0].startswith("runs/a.csv, runs/b.csv: ")
+
+
+def test_signals_are_those_of_all_files(here):
+    n = np.arange(N)
+    x = {
+        "a": motion(0.1) | {"warm": 1.0 * n, "volt": 2.0 * n, "state": 3.0 * n},
+        "b": motion(0.2) | {"warm": 5.0 * n, "state": ["run"] * N, "load": 4.0 * n},
+    }
+    recording, said = told(files(**x))
+    assert list(recording.signals) == ["warm"]
+    np.testing.assert_array_equal(recording.signals["warm"], np.r_[n, 5 * n])
+    assert recording.left_out == {
+        "volt": "is missing in runs/b.csv",
+        "load": "is missing in runs/a.csv",
+        "state": "holds 'run' and not numbers (runs/b.csv)",
+    }
+    missing = "column(s) volt, load are not in all files and are left out."
+    assert (missing, False) in said
+
+
+# -- periods ---------------------------------------------------------------------------
+
+
+def sampled(dt, seed=0, n=2000):
+    """Two noisy joints at a sample period; the noise of a torque is 0.1."""
+    t, rng = dt * np.arange(n), np.random.default_rng(seed)
+    q = np.sin(np.outer(t, [2.0, 3.0]))
+    tau = np.cos(np.outer(t, [2.0, 3.0])) + 0.1 * rng.normal(size=q.shape)
+    return {"t": t} | {
+        f"{name}{j + 1}": x[:, j]
+        for name, x in (("q", q), ("tau", tau))
+        for j in (0, 1)
+    }
+
+
+def test_nearly_the_same_period_is_interpolated(here):
+    paths = files(a=sampled(0.01), b=sampled(0.01, 1), c=sampled(0.010047, 2))
+    recording, said = told(paths)
+    assert recording.dt == pytest.approx(0.01)
+    assert said == [
+        ("runs/c.csv: interpolated to the sample period of the others, 0.01 s.", False)
+    ]
+    part = recording.select("c")
+    assert part.n_samples == 2009  # 1999 periods of 10.047 ms
+    np.testing.assert_allclose(part.q[:, 0], np.sin(2 * part.t), atol=1e-6)
+    # Interpolated torques have less noise than those that were measured.
+    np.testing.assert_allclose(recording.torque_noise, 0.1, rtol=0.1)
+    assert read_recording(paths[:2]).torque_noise is None
+
+
+def test_periods_that_differ_by_rounding_are_one(here):
+    recording, said = told(files(a=sampled(0.01), b=sampled(0.0100005, 1)))
+    assert said == []
+    assert recording.n_samples == 4000
+    np.testing.assert_array_equal(recording.t[:2000], recording.t[2000:])
+
+
+def test_noise_before_interpolation_is_that_of_all_files(here):
+    x = {name: sampled(0.01, seed) for seed, name in enumerate("abc")}
+    for name, rows in (("b", [500]), ("c", [700, 900])):
+        x[name] = {key: np.delete(column, rows) for key, column in x[name].items()}
+    x["c"] |= {key: 3 * x["c"][key] for key in ("tau1", "tau2")}
+    paths = files(**x)
+    alone = [read_recording(path).torque_noise for path in paths[1:]]
+    found = read_recording(paths).torque_noise
+    np.testing.assert_allclose(found, np.sqrt(np.mean(np.square(alone), axis=0)))
+
+
+def test_other_periods_are_refused(here):
+    paths = files(a=sampled(0.01), b=sampled(0.01005), c=sampled(0.005))
+    line = refused(paths, "runs/c.csv has a sample period of 0.005 s")
+    assert "runs/b.csv one of 0.01005 s" in line
+    assert "1 % at most: resample" in line
+    refused(files(a=sampled(0.01), b=sampled(0.0102)), "runs/b.csv one of 0.0102 s")
+
+
+# -- what must agree -------------------------------------------------------------------
+
+
+def without(columns, *names):
+    return {key: column for key, column in columns.items() if key not in names}
+
+
+DIFFERENT = {
+    "joints": (
+        motion(0.1),
+        motion(0.2) | {"q3": np.ones(N), "v3": np.ones(N), "tau3": np.ones(N)},
+        {},
+        "has the joints joint_1, joint_2 and {} has the joints joint_1, joint_2, "
+        "joint_3",
+    ),
+    "units of positions": (
+        without(motion(0.1), "v1", "v2"),
+        {
+            name.replace("q2", "q2 [mm]").replace("tau2", "tau2 [N]"): column
+            for name, column in without(motion(0.2), "v1", "v2").items()
+        },
+        {},
+        "has positions in rad and {} has positions in rad, m",
+    ),
+    "currents": (
+        motion(0.1),
+        {f"{k} [A]" if "tau" in k else k: x for k, x in motion(0.2).items()},
+        {"gains": "unknown"},
+        "has torques in N m and {} has torques in A",
+    ),
+    "currents with known gains": (
+        motion(0.1),
+        {f"{k} [A]" if "tau" in k else k: x for k, x in motion(0.2).items()},
+        {"gains": (8.0, 8.0)},
+        "has torques in N m and {} has torques in A",
+    ),
+    "velocities": (
+        motion(0.1),
+        without(motion(0.2), "v1", "v2"),
+        {},
+        "has velocities and {} has no velocities",
+    ),
+    "accelerations": (
+        motion(0.1),
+        motion(0.2) | {"a1": np.ones(N), "a2": np.ones(N)},
+        {},
+        "has no accelerations and {} has accelerations",
+    ),
+    "time stamps": (
+        motion(0.1),
+        without(motion(0.2), "t"),
+        {"dt": DT},
+        "has time stamps and {} has no time stamps",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", DIFFERENT)
+def test_files_that_were_not_recorded_alike(kind, here):
+    first, second, options, message = DIFFERENT[kind]
+    paths = files(a=first, b=motion(0.3), odd=second)
+    if kind == "units of positions":
+        paths = files(a=first, odd=second)
+    message = f"runs/a.csv {message.format('runs/odd.csv')}; expected "
+    line = refused(paths, message, **options)
+    assert line.startswith(message)
+    assert "mend one of them" in line
+
+
+def test_units_that_can_be_converted_are_the_same(here):
+    degrees = {
+        f"{k} [deg]" if k[0] == "q" else k: np.rad2deg(x) if k[0] == "q" else x
+        for k, x in motion(0.2).items()
+    }
+    recording, _ = told(files(a=motion(0.1), b=degrees))
+    np.testing.assert_allclose(
+        recording.select("b").q[:, 0], motion(0.2)["q1"], atol=1e-9
+    )
+
+
+# -- copies ----------------------------------------------------------------------------
+
+
+def test_copies_are_left_out_in_one_line(here):
+    paths = files(a=motion(0.1), b=motion(0.1), c=motion(0.2), d=motion(0.1))
+    # the same motion in another form
+    recording = read_recording(paths[2])
+    np.savez(
+        "runs/e.npz", q=recording.q, v=recording.v, tau=recording.tau, t=recording.t
+    )
+    found, said = told([*paths, "runs/e.npz"])
+    assert found.group_names == ("a", "c")
+    assert said == [
+        (
+            "runs/b.csv and runs/d.csv are copies of runs/a.csv; runs/e.npz is a copy "
+            "of runs/c.csv: each taken once.",
+            True,
+        )
+    ]
+
+
+def test_a_file_that_is_given_twice_is_read_once(here):
+    (path,) = files(a=motion(0.1))
+    Path("link.csv").symlink_to(path)
+    found, said = told([path, "./runs/../runs/a.csv", "link.csv", Path(path)])
+    assert found.group_names == ("a",)
+    assert said == [
+        (
+            "runs/a.csv is given more than once; runs/../runs/a.csv and link.csv are "
+            "copies of runs/a.csv: taken once.",
+            True,
+        )
+    ]
+    assert told([path, path])[1] == [
+        ("runs/a.csv is given more than once: taken once.", True)
+    ]
+
+
+def test_almost_the_same_motion_is_no_copy(here):
+    other = motion(0.1)
+    other["tau2"] = other["tau2"] + np.where(np.arange(N) == N - 1, 1e-6, 0)
+    recording, said = told(files(a=motion(0.1), b=other))
+    assert recording.group_names == ("a", "b")
+    assert said == []
+
+
+def test_standard_input_is_read_once(here, monkeypatch):
+    import io
+    import sys
+
+    (path,) = files(a=motion(0.1))
+    stream = io.BytesIO(Path(path).read_bytes())
+    monkeypatch.setattr(sys, "stdin", stream)
+    (other,) = files(b=motion(0.2))
+    found, said = told(["-", other, "-"])
+    assert found.group_names == ("standard input", "b")
+    assert said == [("- is given more than once: taken once.", True)]
+
+
+# -- files that cannot be read ---------------------------------------------------------
+
+
+def test_a_file_that_cannot_be_read_is_named(here):
+    paths = files(a=motion(0.1))
+    with pytest.raises(FileNotFoundError, match=r"^runs/none\.csv: no such file"):
+        read_recording([*paths, "runs/none.csv"])
+    Path("runs/odd.csv").write_text("t,q1,tau1\n0,1,x\n")
+    assert refused([*paths, "runs/odd.csv"], "'x'").startswith("runs/odd.csv: ")
+    with pytest.raises(FileNotFoundError, match=r"^~nobody0/a\.csv: no such file"):
+        read_recording([*paths, "~nobody0/a.csv"])
+    refused([], "path must name one file or more")
+
+
+def test_options_for_one_file_are_not_offered_for_all(here):
+    odd = {re.sub(r"^q", "angle", key): x for key, x in motion(0.2).items()}
+    good, bad = files(a=motion(0.1), b=odd)
+    refused([bad], "; try columns=")
+    assert "try" not in refused([good, bad], "runs/b.csv: no positions")

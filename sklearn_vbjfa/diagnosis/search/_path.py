@@ -30,6 +30,8 @@ _CLOSER, _STAYS = 20, 0.01
 _MIRROR = 0.5
 # Share of a motion's power below the frequency up to which it is said to reach.
 _MOTION = 0.9
+# Instants of a jump that are looked at more closely.
+_JUMPS = 3
 # Nats within which the first in precedence gives its name to equal columns.
 _EQUAL = 0.5
 
@@ -309,11 +311,44 @@ class Path:
 
     def _best_shape(self, fit, offer):
         """Effect of an offer, its shape searched between the grid's."""
-        if not offer.effect.continuous:
-            return offer.effect
-        effects = offer.family.effects
-        evidence = fit.groups(offer.family).evidence(self.settings.scale)
-        return self._refined(fit, starts(effects, evidence, offer.effect))
+        effect, family = offer.effect, offer.family
+        if not effect.continuous:
+            return effect
+        if effect.jumping:
+            return self._refined(fit, [effect, *self._instants(fit, effect, family)])
+        evidence = fit.groups(family).evidence(self.settings.scale)
+        return self._refined(fit, starts(family.effects, evidence, effect))
+
+    def _instants(self, fit, effect, family):
+        """Return an effect that jumps with the most probable instants of all rows.
+
+        What its columns have in common with the residual is a sum over the rows after
+        the jump; their Gram matrix hardly changes between two instants of the grid.
+        """
+        (name,) = effect.jumping
+        grid = np.array([getattr(e, name) for e in family.effects])
+        order, beside = np.argsort(grid), fit.groups(family)
+        always = clone(effect).set_params(**{name: -np.inf})
+        columns = self.view.columns([always], self.motion)[:, :, 0]
+        rest = fit.weighted_rows[list(self.view.joints_of(effect))]
+        products = np.einsum("jmk,jm->mk", columns, rest)
+        after = np.cumsum(products[::-1], axis=0)[::-1]
+        t = self.motion.t[self.view.index]
+        at = np.interp(t, grid[order], np.arange(order.size))
+        low = np.minimum(at.astype(int), max(order.size - 2, 0))
+        share = (at - low)[:, None, None]
+        H = beside.H[order]
+        H = (1 - share) * H[low] + share * H[np.minimum(low + 1, order.size - 1)]
+        near = order[np.round(at).astype(int)]
+        evidence = replace(
+            beside, H=H, q=after, own=beside.own[near], unit=beside.unit[near]
+        ).evidence(self.settings.scale)
+        found, apart = [], np.diff(grid[order]).max(initial=0.0) / 4
+        for _ in range(_JUMPS):
+            best = int(np.argmax(evidence))
+            found.append(clone(effect).set_params(**{name: float(t[best])}))
+            evidence = np.where(np.abs(t - t[best]) < apart, -np.inf, evidence)
+        return found
 
     def _single(self, effect):
         """Family of one shape."""

@@ -426,6 +426,11 @@ class Fit:
         white = self.residual * np.sqrt(self.base.weights)
         return self._rows(white)
 
+    @property
+    def weighted_rows(self):
+        """Residuals times their precision (nv, m): products with rows are scores."""
+        return self._rows(self.residual * self.base.weights)
+
     def _rows(self, cosines):
         """Rows that whitened cosines (nv, n, ...) stand for, where rows count."""
         found = self.problem.cosines.rows(cosines)

@@ -17,8 +17,9 @@ _SIMPLEX = 0.25, 0.05
 # Points of the grid from which several parameters are searched: two of them may trade
 # against each other.
 _STARTS = 3
-# Instants between its neighbours from the best of which a jump is searched.
-_INSTANTS = 25
+# Instants from the best of which a jump is searched, in this share of the way to the
+# grid's next ones on both sides.
+_INSTANTS, _AROUND = 9, 0.1
 # A parameter that does nothing at a value stays there unless so much is gained [nats].
 _NEUTRAL = 2.0
 
@@ -73,6 +74,16 @@ class Bracket:
         if value == 0 or values.size < 2:
             return None
         at = int(np.argmin(np.abs(values - value)))
+        if name in effect.jumping:
+            step = _AROUND * np.diff(values).max()
+            return cls(
+                low=value - step,
+                high=value + step,
+                logarithmic=False,
+                lowest=values[0],
+                highest=values[-1],
+                instants=_instants(motion),
+            )
         positive = bool((values > 0).all())
         scaled = np.log(values) if positive else values
         low, high = scaled[max(at - 1, 0)], scaled[min(at + 1, values.size - 1)]
@@ -82,7 +93,6 @@ class Bracket:
             logarithmic=positive,
             lowest=scaled[0],
             highest=scaled[-1],
-            instants=_instants(motion) if name in effect.jumping else None,
         )
 
     def value(self, u):
@@ -180,7 +190,6 @@ def _along(cost, start, brackets):
     (bracket,) = brackets
     low, high = bracket.low, bracket.high
     if bracket.instants:
-        # Its evidence has several peaks.
         at = np.linspace(low, high, _INSTANTS)
         best = int(np.argmin([cost([u]) for u in at]))
         low, high = at[max(best - 1, 0)], at[min(best + 1, _INSTANTS - 1)]
@@ -218,12 +227,12 @@ def _downhill(cost, start, brackets):
 
 def starts(effects, evidence, best):
     """Return the shapes of a grid to search on from, of one use of an effect."""
-    # A single parameter is searched around its best value, but for an instant; two may
-    # trade against each other. None of several peaks lies beside a better one.
+    # A single parameter is searched around its best value; two may trade against each
+    # other, with several peaks, none of which lies beside a better one.
     same = [i for i, e in enumerate(effects) if e.key() == best.key()]
     order = sorted(same, key=lambda i: -evidence[i])
     names = best.continuous
-    if len(names) < 2 and not best.jumping:
+    if len(names) < 2:
         return [best]
     apart = []
     for name in names:

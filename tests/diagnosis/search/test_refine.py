@@ -52,9 +52,9 @@ def test_an_instant_is_found_among_several_peaks():
 
     def evidence(effect):
         away = abs(effect.instant - truth)
-        return 1e3 * np.exp(-away) + 50 * np.cos(20 * away)
+        return 1e3 * np.exp(-away) + 50 * np.cos(60 * away)
 
-    start = effects.Payload(1, instant=grid[4])
+    start = effects.Payload(1, instant=truth + 0.08)
     best = refined([start], evidence, motion)
     assert best.instant == pytest.approx(truth, abs=0.05)
     assert best.instant in motion.t
@@ -81,3 +81,14 @@ def test_rows_within_a_recording_say_more_than_how_many_there_are(worth, left):
 
     start = effects.Payload(1, instant=begin + 2.0)
     assert (refined([start], later, motion).instant > begin) == left
+
+
+def test_the_instant_of_a_jump_is_found_wherever_it_is():
+    """A narrow peak between two points of the grid, off the best of which it lies."""
+    truth = 9.13
+    payload = effects.Payload(1, instant=truth)
+    added = payload.columns(MOTION) @ [0.5, 0.02, 0.03, 0.01, 0.0]
+    path = search(CLEAN.torque() + added, ["payload"]).path()
+    fit = path.run()
+    (member,) = fit.members
+    assert member.effect.instant == pytest.approx(truth, abs=0.05)

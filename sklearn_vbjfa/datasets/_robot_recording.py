@@ -255,7 +255,10 @@ def make_robot_recording(
     clean = rigid + _friction_torque(coefficients, q, v, a)
     undeclared = dict(undeclared or {})
     for part in (slice(k * n, (k + 1) * n) for k in range(n_recordings)):
-        clean[part] += undeclared_torque(undeclared, q[part], v[part], rigid[part])
+        # A spring is at rest where it is, whichever recording looks at it.
+        clean[part] += undeclared_torque(
+            undeclared, q[part], v[part], rigid[part], rest=q.mean(axis=0)
+        )
     clean *= misfit.gains
     noise = torque_noise * clean.std(axis=0)
     return SimulatedRecording(
@@ -393,7 +396,7 @@ def _stribeck(size, q, v, load):
 
 
 def _spring(size, q, v, load):
-    return size * (q - q.mean())
+    return size * q
 
 
 def _ripple(size, q, v, load):
@@ -426,10 +429,11 @@ _TORQUES = {
 }
 
 
-def undeclared_torque(undeclared, q, v, rigid):
+def undeclared_torque(undeclared, q, v, rigid, rest):
     """Sum the torques (n, nv) of undeclared effects, name -> (joint from zero, size).
 
-    q, v and the torques of the rigid bodies, (n, nv) each, are those of one recording.
+    q, v and the torques of the rigid bodies, (n, nv) each, are those of one recording;
+    springs are at rest at `rest` (nv,).
     """
     total = np.zeros_like(q)
     for name, entry in undeclared.items():
@@ -440,8 +444,9 @@ def undeclared_torque(undeclared, q, v, rigid):
             )
         try:
             joint, size = entry
+            position = q[:, joint] - (rest[joint] if name == "spring" else 0.0)
             total[:, joint] += _TORQUES[name](
-                float(size), q[:, joint], v[:, joint], rigid[:, joint]
+                float(size), position, v[:, joint], rigid[:, joint]
             )
         except (TypeError, IndexError) as error:
             raise ValueError(

@@ -19,6 +19,8 @@ from sklearn_vbjfa.robot._plan import corrects_noise
 from sklearn_vbjfa.robot._residuals import collect_residuals
 
 OURS = "VB + projection"
+# Methods with physically consistent parameters.
+PROJECTED = (OURS, "VB + description")
 # Rows are in time order, so unshuffled folds are blocks of time.
 _BLOCKS = KFold(5)
 

@@ -44,7 +44,7 @@ def test_the_last_part_of_ones_own_recording_is_held_out(folder, capsys):
     assert code == 0, err
     assert "first 70 % of recording fitted, the rest held out" in out
     rows = rows_of(out)
-    assert len(rows) == 14
+    assert len(rows) == 15
 
     recording = read_recording("arm.csv", urdf="arm.urdf")
     train, test = Protocol().split(recording)

@@ -214,3 +214,12 @@ def test_a_misfit_that_no_robot_has():
         make_robot_recording(duration=1.0, joint_axis={-1: (0.1, 0, 0)})
     with pytest.raises(ValueError, match="must be positive"):
         make_robot_recording(duration=1.0, torque_gain={0: 0.0})
+
+
+def test_a_spring_is_at_rest_where_it_is_in_every_recording():
+    settings = {"duration": 4.0, "n_recordings": 3, "random_state": 2}
+    bare = make_robot_recording(**settings)
+    made = make_robot_recording(**settings, undeclared={"spring": (1, 7.0)})
+    torque = made.tau_clean[:, 1] - bare.tau_clean[:, 1]
+    q = made.states[:, 1]
+    np.testing.assert_allclose(torque, 7.0 * (q - q.mean()), rtol=1e-6, atol=1e-9)

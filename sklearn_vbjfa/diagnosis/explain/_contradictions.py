@@ -95,21 +95,21 @@ class Contradictions:
     cause: Cause | None = None
 
 
-def contradictions(fit, spread, alpha):
+def contradictions(parts, spread, alpha):
     """Compare the recordings of a fit with each other, as `Contradictions`.
 
     Parameters
     ----------
-    fit : FinalFit
-        Completed model on all recordings.
+    parts : Parts or None
+        Of the completed model on all recordings; None for a single one.
     spread : ndarray of shape (nv,)
         Spread of the torque [N m or N].
     alpha : float
         Significance level over all recordings and joints.
     """
-    if np.unique(fit.view.origin).size < 2:
+    if parts is None:
         return Contradictions()
-    parts = _Parts(fit)
+    fit = parts.fit
     checked = [k for k in parts.recordings if parts.count(k) >= _FEWEST_PARTS]
     level = alpha / max(len(checked) * fit.view.nv, 1)
     found, victims = [], []
@@ -254,7 +254,7 @@ def _candidates(parts, recording, joints):
     yield cause(Payload.name, nv - 1), view.equations.Phi[:, :, last : last + 10]
 
 
-class _Parts:
+class Parts:
     """Equations by recordings and parts of them, and fits to all but some of them.
 
     Parameters
@@ -271,6 +271,11 @@ class _Parts:
     precision : ndarray of shape (nv,)
         Weights of the joints.
     """
+
+    @classmethod
+    def of(cls, fit):
+        """Take a fit apart; None for a single recording."""
+        return cls(fit) if np.unique(fit.view.origin).size > 1 else None
 
     def __init__(self, fit):
         view = fit.view
@@ -329,6 +334,18 @@ class _Parts:
     def without(self, recording):
         """Fit to all recordings but one, (p,)."""
         return self._solve(np.flatnonzero(self._origin != recording))
+
+    def left_out(self, spread):
+        """Errors (r, nv) on each recording of fits to the others, over the spread."""
+        out = np.full((self.recordings.size, spread.size), np.nan)
+        for row, recording in zip(out, self.recordings):
+            theta = self.without(recording)
+            own = np.flatnonzero(self._origin == recording)
+            weight = self.weight(recording).sum(axis=0)
+            squares = sum(self._error(b, theta) for b in own)
+            used = (weight > 0) & (self.precision > 0)
+            row[used] = np.sqrt(squares[used] / weight[used]) / spread[used]
+        return out
 
     def torques(self, theta):
         """Torques (m, nv) of the model with some parameters."""

@@ -8,6 +8,7 @@ from sklearn_vbjfa.diagnosis.explain._band import Band
 from sklearn_vbjfa.diagnosis.explain._contradictions import Contradictions
 from sklearn_vbjfa.diagnosis.explain._dependence import Dependence
 from sklearn_vbjfa.diagnosis.explain._identified import ParameterValue, RecordedMotion
+from sklearn_vbjfa.diagnosis.explain._next_recording import NextRecording
 from sklearn_vbjfa.diagnosis.explain._price import ProjectionPrice
 from sklearn_vbjfa.diagnosis.search._found import Evidence
 from sklearn_vbjfa.effects import EffectRange
@@ -349,6 +350,8 @@ class Outcome:
         What each recording is called.
     motion_limits : tuple of MotionLimit
         What joints do in no recording.
+    next_recording : NextRecording or None
+        Error to expect on a recording that was not fitted.
     repeated : tuple of RepeatedMotion
         Motion that was recorded more than once.
     contradictions : Contradictions
@@ -409,6 +412,7 @@ class Outcome:
     projection: ProjectionPrice | None = None
     recordings: tuple = ()
     motion_limits: tuple = ()
+    next_recording: NextRecording | None = None
     repeated: tuple = ()
     contradictions: Contradictions = field(default_factory=Contradictions)
     bodies: tuple = ()

@@ -10,7 +10,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.explain._ceiling import ceilings
-from sklearn_vbjfa.diagnosis.explain._contradictions import contradictions
+from sklearn_vbjfa.diagnosis.explain._contradictions import Parts, contradictions
 from sklearn_vbjfa.diagnosis.explain._drawn import effect_curves, time_line
 from sklearn_vbjfa.diagnosis.explain._findings import (
     Afterwards,
@@ -27,6 +27,7 @@ from sklearn_vbjfa.diagnosis.explain._identified import (
 )
 from sklearn_vbjfa.diagnosis.explain._intervals import NEXT_SECONDS, quantile
 from sklearn_vbjfa.diagnosis.explain._motion import motion_limits
+from sklearn_vbjfa.diagnosis.explain._next_recording import next_recording
 from sklearn_vbjfa.diagnosis.explain._whitening import memory_seconds
 from sklearn_vbjfa.diagnosis.search._posterior import UNKNOWN, UNSURE
 from sklearn_vbjfa.effects import resolve
@@ -57,6 +58,8 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
         relative_floor = floor / spread
     rest = unexplained(search.model, names, spread, floor, decided)
     ceiling, maps = _ceiling(search.model, rest, names, asked)
+    parts = Parts.of(final)
+    left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
     effects = tuple(_effects(search, final, names, prismatic))
     return Outcome(
         declared={
@@ -102,7 +105,8 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
         recordings=recordings,
         motion_limits=motion_limits(final.view),
         repeated=final.view.repetition.motions(),
-        contradictions=contradictions(final, spread, float(asked["alpha"])),
+        contradictions=contradictions(parts, spread, float(asked["alpha"])),
+        next_recording=next_recording(left_out, after, relative_floor),
         curves=_curves(models.judged, final, judgement, maps, effects),
         outside=judgement.outside,
         gains=final.identifier.gains_,

@@ -261,6 +261,26 @@ def _other(bodies):
 # -- recordings -------------------------------------------------------------------
 
 
+def next_sentences(outcome):
+    """Say which error to expect on the next recording, and what that rests on."""
+    one = outcome.next_recording
+    if one is None or not np.isfinite(one.mean):
+        return ()
+    low, high = map(words.percent, one.mean_interval)
+    text = (
+        f"On the next recording a mean error of {words.percent(one.mean)} is to be "
+        f"expected, in nine of ten cases between {low} and {high}"
+    )
+    if one.source == "assumed":
+        return (
+            f"{text}. That is assumed, as recordings of other robots differ: record "
+            "this motion and another one again.",
+        )
+    how = f"of {words.plural(one.recordings, 'recording')} each was left out in turn"
+    also = ", beside what other robots show" if one.source == "mixed" else ""
+    return (f"{text}: {how}{also}.",)
+
+
 def repeated_sentences(outcome):
     """Say what repeats, and what therefore cannot be told from the model's lack."""
     if not outcome.repeated:

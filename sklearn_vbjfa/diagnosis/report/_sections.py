@@ -331,6 +331,10 @@ def _band(outcome, verdict):
     return _paragraph("Band of the errors", found)
 
 
+def _next_recording(outcome, verdict):
+    return _paragraph("The next recording", _limits.next_sentences(outcome))
+
+
 def _projection(outcome, verdict):
     found = _limits.projection_sentences(outcome)
     return _paragraph("Price of physical consistency", found)
@@ -878,6 +882,7 @@ SECTIONS = (
     _joints,
     _added,
     _band,
+    _next_recording,
     _recordings,
     _projection,
     _effects,

@@ -5,7 +5,7 @@ import pytest
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
-from sklearn_vbjfa.diagnosis.explain._contradictions import contradictions
+from sklearn_vbjfa.diagnosis.explain._contradictions import Parts, contradictions
 from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import LoadFriction
@@ -30,7 +30,7 @@ def compared(recordings, spoil=lambda k, torque, r: torque, order=None, unit=1.0
         X, y, groups, np.ones_like(y), dt=robot.dt, joint_names=robot.joint_names_
     )
     fit = FinalFit(robot, robot, RecordingView(robot, measured), [])
-    return fit, contradictions(fit, unit * SPREAD, 0.05)
+    return fit, contradictions(Parts.of(fit), unit * SPREAD, 0.05)
 
 
 def gain(k, torque, recording):
@@ -80,7 +80,7 @@ def test_the_recordings_of_the_demo_agree():
         joint_names=declared.joint_names_,
     )
     fit = FinalFit(declared, whole, RecordingView(declared, measured), [lacking])
-    assert contradictions(fit, np.ones(6), 0.05).found == ()
+    assert contradictions(Parts.of(fit), np.ones(6), 0.05).found == ()
 
 
 @pytest.mark.parametrize("recordings", [PAIR, FOUR])

@@ -1,0 +1,109 @@
+"""The error to expect on the next recording, from how recordings differ."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+# Logarithm of the error on another recording over that on untouched data of the same
+# one, and its deviation between recordings: of measured robots with several.
+_AGAIN, _DIFFER = np.log(1.25), 0.45
+# Least share of an error that is said to differ.
+_LEAST = 0.1
+# Recordings that this deviation counts for.
+_FREEDOM = 4.0
+# From so many recordings on the deviation is called measured.
+_MEASURED = 3
+_LEVEL = 0.9
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NextRecording:
+    """Error of the completed model on a recording that was not fitted.
+
+    Attributes
+    ----------
+    error : ndarray of shape (nv,)
+        Median, over the spread of the torque; nan for a joint that was not judged.
+    interval : ndarray of shape (2, nv)
+        Its ends in nine of ten recordings.
+    mean, mean_interval : float and ndarray of shape (2,)
+        The same of the mean of the joints.
+    recordings : int
+        Recordings that were left out in turns; zero with a single one.
+    source : {"assumed", "mixed", "measured"}
+        Where the differences between recordings are from: other robots, both, these.
+    """
+
+    error: np.ndarray
+    interval: np.ndarray
+    mean: float
+    mean_interval: np.ndarray
+    recordings: int
+    source: str
+
+
+def next_recording(left_out, untouched, floor):
+    """Tell what to expect of the next recording, as `NextRecording`.
+
+    Parameters
+    ----------
+    left_out : ndarray of shape (r, nv)
+        Errors on each recording of a model fitted to the others, over the spread; nan
+        where there is none. r may be zero.
+    untouched : ndarray of shape (nv,)
+        Error on untouched data of the recordings that were fitted.
+    floor : ndarray of shape (nv,)
+        Error that noise alone would leave; nan where that is not known.
+
+    Notes
+    -----
+    What differs between recordings is the part of the error above the noise.
+    Logarithms of the errors are normal between recordings. With r recordings their
+    mean is known to a deviation of s / sqrt(r), and s^2 is the mean of the assumed
+    variance, which counts for four recordings, and the observed ones.
+    """
+    source = "assumed" if len(left_out) < 2 else "mixed"
+    if len(left_out) >= _MEASURED:
+        source = "measured"
+    of_joints = [_expected(*own) for own in zip(left_out.T, untouched, floor)]
+    error, low, high = np.array(of_joints).T
+    with np.errstate(invalid="ignore"):
+        means = np.array([_mean(row) for row in left_out])
+    judged = np.where(np.isfinite(untouched), floor, np.nan)
+    mean, *ends = _expected(means, _mean(untouched), _mean(judged))
+    return NextRecording(
+        error=error,
+        interval=np.array([low, high]),
+        mean=mean,
+        mean_interval=np.array(ends),
+        recordings=len(left_out),
+        source=source,
+    )
+
+
+def _mean(errors):
+    """Mean of the joints that have an error; nan without any."""
+    known = errors[np.isfinite(errors)]
+    return float(known.mean()) if known.size else np.nan
+
+
+def _expected(errors, untouched, floor):
+    """Median and ends of the next error, by those that there are."""
+    known = errors[np.isfinite(errors) & (errors > 0)]
+    logs = np.log(known) if known.size > 1 else np.log([untouched])
+    if not np.isfinite(logs).all():
+        return np.nan, np.nan, np.nan
+    # The share of the squared error that is no noise.
+    above = 1.0 - np.nan_to_num(floor) ** 2 / np.exp(2 * logs.mean())
+    differ = max(above, _LEAST)
+    middle, square = logs.mean(), _FREEDOM * (differ * _DIFFER) ** 2
+    freedom, spread = _FREEDOM, differ * _DIFFER
+    if known.size > 1:
+        freedom += logs.size - 1
+        square += ((logs - middle) ** 2).sum()
+        spread = np.sqrt(square / freedom * (1.0 + 1.0 / logs.size))
+    else:
+        middle += differ * _AGAIN
+    half = stats.t.ppf(0.5 + 0.5 * _LEVEL, freedom) * spread
+    return tuple(np.exp([middle, middle - half, middle + half]))

@@ -1,0 +1,168 @@
+"""The error that a report promises for the next recording, and what it is.
+
+Run ``python tests/benchmarks/bench_next_recording.py --data-home DIR [--out FILE]
+[--write]``.
+
+Data: the measured sets with several recordings, cut-offs and masks frozen
+(``_protocol_sets.py``). Each left-out side of the frozen pairs is judged: by a model
+fitted to all others, and by models fitted to the first one or two of those. Four plain
+terms; effects are searched where all others are fitted (``--search``), else none.
+Promised: median and interval of `NextRecording`; judged: the error of the same model on
+the recording that was left out, over the same spread. Joints whose range of torque or
+speed was not fitted count as well: the promise does not exclude them.
+"""
+
+import sys
+import time
+import warnings
+
+import numpy as np
+from _ledger import Ledger
+from _protocol_sets import PAIRED_SETS, pairs
+from _report import fixed, parser, publish, rst_table
+
+from sklearn_vbjfa import EffectDiscovery
+
+KEYS = ("set", "judged", "fitted", "search")
+COUNTS = {"all others": None, "two": 2, "one": 1}
+
+
+def judge(name, label, fitted, judged, search, data_home=None):
+    """Promise and truth of one case, plain data for JSON."""
+    frozen = PAIRED_SETS[name]
+    recording = frozen.recording(data_home)
+    identifier = frozen.identifier(recording.robot_model(), recording.dt)
+    fit, unseen = recording.select(*fitted), recording.select(*judged)
+    effects = {} if search else {"effects": []}
+    started = time.process_time()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **effects)
+        loop.fit(fit.q, fit.tau, groups=fit.groups)
+        left = loop.identifier_.residuals(unseen.q, unseen.tau, groups=unseen.groups)
+    promised = loop.report_.outcome.next_recording
+    error = left.rms() / loop.torque_spread_
+    known = np.isfinite(promised.error) & np.isfinite(error)
+    low, high = promised.interval
+    return {
+        "set": name,
+        "judged": label,
+        "fitted": len(fitted),
+        "search": search,
+        "source": promised.source,
+        "promised": float(promised.error[known].mean()),
+        "true": float(error[known].mean()),
+        "untouched": float(loop.error_after_[known].mean()),
+        "inside": int(((error >= low) & (error <= high))[known].sum()),
+        "joints": int(known.sum()),
+        "mean_inside": bool(
+            promised.mean_interval[0]
+            <= error[known].mean()
+            <= promised.mean_interval[1]
+        ),
+        "seconds": time.process_time() - started,
+    }
+
+
+def tasks(names, data_home=None, search=False):
+    """Yield (set, label, fitted names, judged names)."""
+    for name in names:
+        frozen = PAIRED_SETS[name]
+        recording = frozen.recording(data_home)
+        for label, fitted, judged in pairs(recording.group_names, frozen.leave_out):
+            for count in (None,) if search else COUNTS.values():
+                some = fitted if count is None else fitted[:count]
+                if count is None or count < len(fitted):
+                    yield name, label, tuple(some), judged
+
+
+def summary(results):
+    """Rows by what was fitted."""
+    rows = []
+    for search in (False, True):
+        for kind in ("assumed", "mixed", "measured"):
+            own = [r for r in results if r["source"] == kind and r["search"] == search]
+            if not own:
+                continue
+            ratio = np.array([r["true"] / r["promised"] for r in own])
+            before = np.array([r["true"] / r["untouched"] for r in own])
+            joints = sum(r["joints"] for r in own)
+            inside = sum(r["inside"] for r in own)
+            rows.append(
+                [
+                    kind,
+                    "yes" if search else "no",
+                    str(len(own)),
+                    *fixed([np.median(ratio), ratio.min(), ratio.max()], 2),
+                    *fixed([np.median(before), before.max()], 2),
+                    str(joints),
+                    *fixed([100 * inside / joints], 0),
+                    *fixed([100 * np.mean([r["mean_inside"] for r in own])], 0),
+                ]
+            )
+    heads = [
+        "differences",
+        "effects searched",
+        "cases",
+        "judged / promised, median",
+        "least",
+        "largest",
+        "judged / untouched, median",
+        "largest",
+        "joints",
+        "in their interval [%]",
+        "means in theirs [%]",
+    ]
+    return rst_table(rows, heads, n_labels=2)
+
+
+def by_case(results):
+    """One row a case."""
+    rows = [
+        [
+            r["set"],
+            r["judged"],
+            str(r["fitted"]),
+            "yes" if r["search"] else "no",
+            *fixed([100 * r["untouched"], 100 * r["promised"], 100 * r["true"]], 1),
+            *fixed([r["true"] / r["promised"]], 2),
+            f"{r['inside']} of {r['joints']}",
+        ]
+        for r in results
+    ]
+    heads = ["set", "judged", "fitted", "searched", "untouched [%]", "promised [%]"]
+    heads += ["judged [%]", "ratio", "in their interval"]
+    return rst_table(rows, heads, n_labels=2)
+
+
+def main(argv=None):
+    """Print the tables."""
+    arguments = parser(__doc__.splitlines()[0])
+    arguments.add_argument("--data-home", default=None)
+    arguments.add_argument("--sets", nargs="+", choices=PAIRED_SETS)
+    arguments.add_argument("--search", action="store_true")
+    arguments.add_argument("--out", default=None)
+    arguments = arguments.parse_args(argv)
+    ledger = Ledger(arguments.out, KEYS)
+    names = arguments.sets or tuple(PAIRED_SETS)
+    for name, label, fitted, judged in tasks(
+        names, arguments.data_home, arguments.search
+    ):
+        key = {
+            "set": name,
+            "judged": label,
+            "fitted": len(fitted),
+            "search": arguments.search,
+        }
+        if ledger.missing([key]):
+            found = judge(
+                name, label, fitted, judged, arguments.search, arguments.data_home
+            )
+            ledger.add(found)
+            print(found, file=sys.stderr, flush=True)
+    text = "\n\n".join([summary(ledger.results), by_case(ledger.results)])
+    publish("next_recording", text, write=arguments.write, states=ledger.states())
+
+
+if __name__ == "__main__":
+    main()

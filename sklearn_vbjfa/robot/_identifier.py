@@ -861,6 +861,10 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         )
         self.identifiable_ = found.identifiable
         self.departures_ = () if known is None else known.departures
+        self._prior = None
+        if known is not None:
+            centre = known.common * self._description.vector(found.theta.size)
+            self._prior = known.noise * known.prior, centre
         self.common_size_ = 1.0 if known is None else known.common
         self.theta_prior_std_ = (
             np.full(found.theta.size, np.nan) if known is None else known.before

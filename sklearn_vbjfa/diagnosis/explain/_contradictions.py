@@ -294,6 +294,19 @@ class Parts:
             self._part[own] = np.arange(own.size) * count // own.size
         self._weights = view.spans.sums(view.equations.weight)
         self._moments = [self._moments_of(b) for b in range(starts.size)]
+        self._prior = self._prior_of(fit.identifier)
+
+    def _prior_of(self, identifier):
+        """Return what the description says of the bodies, as moments (p, p), (p,)."""
+        p, rigid = self._moments[0][1].size, identifier.features_.n_parameters_
+        G, g = np.zeros((p, p)), np.zeros(p)
+        if identifier._prior is not None:
+            heard = self.precision > 0
+            own = identifier.estimator_.joint_weights_[heard]
+            metric, centre = identifier._prior
+            metric = metric[:rigid, :rigid] * np.mean(self.precision[heard] / own)
+            G[:rigid, :rigid], g[:rigid] = metric, metric @ centre[:rigid]
+        return G, g
 
     def _rows(self, block):
         """Rows of a block."""
@@ -325,10 +338,14 @@ class Parts:
         return self._weights[self._origin == recording]
 
     def _solve(self, blocks, moments=None):
-        """Fit to some blocks, (p,)."""
+        """Fit to some blocks, beside the description, (p,)."""
         moments = self._moments if moments is None else moments
         G = sum(moments[b][0] for b in blocks)
         g = sum(moments[b][1] for b in blocks)
+        known, pulled = self._prior
+        p = pulled.size
+        G[:p, :p] += known
+        g[:p] += pulled
         return scaled_eigen(G, _KNOWN).solve(g)
 
     def without(self, recording):

@@ -10,8 +10,8 @@ from scipy import stats
 _AGAIN, _DIFFER = np.log(1.25), 0.45
 # Least share of an error that is said to differ.
 _LEAST = 0.1
-# Recordings that this deviation counts for.
-_FREEDOM = 4.0
+# Recordings that this deviation counts for, and this mean.
+_FREEDOM, _COUNTS = 4.0, 2.0
 # From so many recordings on the deviation is called measured.
 _MEASURED = 3
 _LEVEL = 0.9
@@ -58,10 +58,10 @@ def next_recording(left_out, untouched, floor):
 
     Notes
     -----
-    What differs between recordings is the part of the error above the noise.
-    Logarithms of the errors are normal between recordings. With r recordings their
-    mean is known to a deviation of s / sqrt(r), and s^2 is the mean of the assumed
-    variance, which counts for four recordings, and the observed ones.
+    What differs between recordings is the part of the error above the noise. Logarithms
+    of the errors are normal between recordings, conjugate to what is assumed: its mean,
+    that of the untouched error and a share more, counts for two recordings, its
+    variance for four.
     """
     source = "assumed" if len(left_out) < 2 else "mixed"
     if len(left_out) >= _MEASURED:
@@ -91,19 +91,20 @@ def _mean(errors):
 def _expected(errors, untouched, floor):
     """Median and ends of the next error, by those that there are."""
     known = errors[np.isfinite(errors) & (errors > 0)]
-    logs = np.log(known) if known.size > 1 else np.log([untouched])
-    if not np.isfinite(logs).all():
+    if not untouched > 0:
         return np.nan, np.nan, np.nan
     # The share of the squared error that is no noise.
-    above = 1.0 - np.nan_to_num(floor) ** 2 / np.exp(2 * logs.mean())
+    above = 1.0 - (np.nan_to_num(floor) / untouched) ** 2
     differ = max(above, _LEAST)
-    middle, square = logs.mean(), _FREEDOM * (differ * _DIFFER) ** 2
-    freedom, spread = _FREEDOM, differ * _DIFFER
-    if known.size > 1:
-        freedom += logs.size - 1
-        square += ((logs - middle) ** 2).sum()
-        spread = np.sqrt(square / freedom * (1.0 + 1.0 / logs.size))
-    else:
-        middle += differ * _AGAIN
+    expected = np.log(untouched) + differ * _AGAIN
+    logs = np.log(known) if known.size > 1 else np.empty(0)
+    # Fits to one recording less know a little less than one to all.
+    again = max(logs.size - 1, 0)
+    middle = (logs.sum() / max(logs.size, 1) * again + _COUNTS * expected) / (
+        again + _COUNTS
+    )
+    square = _FREEDOM * (differ * _DIFFER) ** 2 + ((logs - middle) ** 2).sum()
+    freedom = _FREEDOM + again
+    spread = np.sqrt(square / freedom * (1.0 + 1.0 / (again + _COUNTS)))
     half = stats.t.ppf(0.5 + 0.5 * _LEVEL, freedom) * spread
     return tuple(np.exp([middle, middle - half, middle + half]))

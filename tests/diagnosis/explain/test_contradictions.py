@@ -25,7 +25,8 @@ def compared(recordings, spoil=lambda k, torque, r: torque, order=None, unit=1.0
     y = unit * np.concatenate(y)
     lengths = [len(recordings[k].t) for k in order]
     groups = np.repeat(np.arange(len(lengths)), lengths)
-    robot = recordings[0].robot(friction=("viscous", "coulomb")).fit(X, y, groups)
+    robot = recordings[0].robot(friction=("viscous", "coulomb"), bodies="free")
+    robot.fit(X, y, groups)
     measured = take_arrays(
         X, y, groups, np.ones_like(y), dt=robot.dt, joint_names=robot.joint_names_
     )

@@ -19,6 +19,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     weighed,
 )
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
+from sklearn_vbjfa.diagnosis.search._view import variants
 from sklearn_vbjfa.effects._library import closure
 
 # Times that load, spectrum and geometry are made anew.
@@ -90,7 +91,7 @@ class Path:
     def __init__(self, view, library, settings, max_effects=None, on_progress=None):
         self.view, self.library, self.settings = view, library, settings
         self.max_effects, self.on_progress = max_effects, on_progress
-        self.steps = []
+        self.steps, self._grids = [], {}
         self._kept, self._stale, self._gone = {}, set(), set()
         self._held = None
         # Log odds above which an effect is in the model.
@@ -350,6 +351,14 @@ class Path:
             evidence = np.where(np.abs(t - t[best]) < apart, -np.inf, evidence)
         return found
 
+    def _family(self, effect):
+        """Shapes of the grid of an effect."""
+        if effect.key() not in self._grids:
+            effects = variants(effect, self.motion)
+            columns = self.view.columns(effects, self.motion)
+            self._grids[effect.key()] = Family.of(self.problem, effects, columns)
+        return self._grids[effect.key()]
+
     def _single(self, effect):
         """Family of one shape."""
         columns = self.view.columns([effect], self.motion)
@@ -370,7 +379,11 @@ class Path:
             elsewhere = joint is not None and member.effect.joint != joint
             if elsewhere or not member.effect.continuous:
                 continue
-            found = self._refined(fit.without(i), [member.effect])
+            rest = fit.without(i)
+            found = self._refined(rest, [member.effect])
+            if found.jumping:
+                again = self._instants(rest, found, self._family(found))
+                found = self._refined(rest, [found, *again])
             members = list(fit.members)
             members[i] = self._single(found).member(0, member.scale)
             fit = Fit(fit.base, members)

@@ -20,6 +20,8 @@ _STARTS = 3
 # Instants from the best of which a jump is searched, in this share of the way to the
 # grid's next ones on both sides.
 _INSTANTS, _AROUND = 9, 0.1
+# Rows left out: so many times as long as between two rows.
+_GAP = 1.5
 # A parameter that does nothing at a value stays there unless so much is gained [nats].
 _NEUTRAL = 2.0
 
@@ -114,9 +116,29 @@ def _instants(motion):
     """Return times of rows and the instants before them: of recordings, the start."""
     times = np.asarray(motion.t, dtype=float)
     shared = times.copy()
-    begins = _begins(motion)
-    shared[np.searchsorted(times, begins)] = begins
+    for row, instant, _ in _between(motion):
+        shared[row] = instant
     return times, shared
+
+
+def _between(motion):
+    """List (row, instant, width) of what is between rows: the instant before a row.
+
+    Where the next recording begins, or in the middle of what is left out; and how many
+    instants it stands for.
+    """
+    times = np.asarray(motion.t, dtype=float)
+    step = np.diff(times)
+    usual = np.median(step) if step.size else 1.0
+    found = {
+        int(row): (0.5 * (times[row - 1] + times[row]), step[row - 1] / usual)
+        for row in np.flatnonzero(step > _GAP * usual) + 1
+    }
+    # As probably as at all instants within a recording.
+    begins = _begins(motion)
+    rows = np.searchsorted(times, begins)
+    found |= {int(r): (float(s), times.size) for r, s in zip(rows, begins)}
+    return [(row, *found[row]) for row in sorted(found)]
 
 
 def refined(candidates, evidence, motion):
@@ -155,14 +177,13 @@ def _plainer(effect, motion):
     """Parameters that need a reason to be left, and how good a one [nats]."""
     if effect.neutral:
         return [(dict(effect.neutral), _NEUTRAL)]
+    between = _between(motion)
     found = []
     for name in effect.jumping:
-        begins = _begins(motion)
-        at = np.searchsorted(begins, getattr(effect, name))
-        # A jump lies between two recordings as probably as at all instants within.
+        at = np.searchsorted([s for _, s, _ in between], getattr(effect, name))
         found += [
-            ({name: float(s)}, np.log(motion.t.size))
-            for s in begins[max(at - 1, 0) : at + 1]
+            ({name: float(s)}, np.log(width))
+            for _, s, width in between[max(at - 1, 0) : at + 1]
         ]
     return found
 

@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-# Logarithm of the error on another recording over that on untouched data of the same
-# one, and its deviation between recordings: of measured robots with several.
-_AGAIN, _DIFFER = np.log(1.25), 0.45
+# Logarithm of the error on another recording over that on untouched data of a single
+# one, to be divided by how many were fitted, and its deviation between recordings: of
+# measured robots with several.
+_AGAIN, _DIFFER = np.log(1.5), 0.45
 # Least share of an error that is said to differ.
 _LEAST = 0.1
 # Recordings that this deviation counts for, and this mean.
@@ -96,8 +97,8 @@ def _expected(errors, untouched, floor):
     # The share of the squared error that is no noise.
     above = 1.0 - (np.nan_to_num(floor) / untouched) ** 2
     differ = max(above, _LEAST)
-    expected = np.log(untouched) + differ * _AGAIN
     logs = np.log(known) if known.size > 1 else np.empty(0)
+    expected = np.log(untouched) + differ * _AGAIN / max(logs.size, 1)
     # Fits to one recording less know a little less than one to all.
     again = max(logs.size - 1, 0)
     middle = (logs.sum() / max(logs.size, 1) * again + _COUNTS * expected) / (

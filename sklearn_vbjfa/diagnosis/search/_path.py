@@ -341,9 +341,8 @@ class Path:
         H = beside.H[order]
         H = (1 - share) * H[low] + share * H[np.minimum(low + 1, order.size - 1)]
         near = order[np.round(at).astype(int)]
-        evidence = replace(
-            beside, H=H, q=after, own=beside.own[near], unit=beside.unit[near]
-        ).evidence(self.settings.scale)
+        own = {"own": beside.own[near], "unit": beside.unit[near]}
+        evidence = replace(beside, H=H, q=after, **own).evidence(self.settings.scale)
         found, apart = [], np.diff(grid[order]).max(initial=0.0) / 4
         for _ in range(_JUMPS):
             best = int(np.argmax(evidence))

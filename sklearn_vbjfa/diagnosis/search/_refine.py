@@ -26,7 +26,7 @@ _GAP = 1.5
 _NEUTRAL = 2.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Bracket:
     """A shape parameter between the grid's next points on both sides.
 
@@ -34,22 +34,21 @@ class Bracket:
     ----------
     low, high : float
         Bounds; of the logarithm where that is searched.
-    logarithmic : bool
-        Whether the logarithm is searched.
     lowest, highest : float
         Ends of the whole grid; infinite for an angle.
+    logarithmic : bool
+        Whether the logarithm is searched.
     turn : float
         Period of an angle; zero for what is none.
     instants : tuple of ndarray of shape (n,), optional
-        Of the instant of a jump: the times of the rows, and the instant that all times
-        between a row and the one before it share.
+        Of a jump: times of rows, and the instant shared since the row before.
     """
 
     low: float
     high: float
-    logarithmic: bool
-    lowest: float
-    highest: float
+    lowest: float = -np.inf
+    highest: float = np.inf
+    logarithmic: bool = False
     turn: float = 0.0
     instants: tuple | None = None
 
@@ -63,39 +62,19 @@ class Bracket:
             turn = 2 * np.pi
             around = np.concatenate([values - turn, values, values + turn])
             at = int(np.argmin(np.abs(around - value)))
-            low, high = around[at - 1], around[at + 1]
-            return cls(
-                low=low,
-                high=high,
-                logarithmic=False,
-                lowest=-np.inf,
-                highest=np.inf,
-                turn=turn,
-            )
+            return cls(around[at - 1], around[at + 1], turn=turn)
         values = values[np.sign(values) == np.sign(value)]
         if value == 0 or values.size < 2:
             return None
         at = int(np.argmin(np.abs(values - value)))
         if name in effect.jumping:
             step = _AROUND * np.diff(values).max()
-            return cls(
-                low=value - step,
-                high=value + step,
-                logarithmic=False,
-                lowest=values[0],
-                highest=values[-1],
-                instants=_instants(motion),
-            )
+            ends = value - step, value + step, values[0], values[-1]
+            return cls(*ends, instants=_instants(motion))
         positive = bool((values > 0).all())
         scaled = np.log(values) if positive else values
         low, high = scaled[max(at - 1, 0)], scaled[min(at + 1, values.size - 1)]
-        return cls(
-            low=low,
-            high=high,
-            logarithmic=positive,
-            lowest=scaled[0],
-            highest=scaled[-1],
-        )
+        return cls(low, high, scaled[0], scaled[-1], positive)
 
     def value(self, u):
         """Return the parameter at a place between the bounds."""
@@ -122,10 +101,9 @@ def _instants(motion):
 
 
 def _between(motion):
-    """List (row, instant, width) of what is between rows: the instant before a row.
+    """List (row, instant before it, how many that is) where rows are not neighbours.
 
-    Where the next recording begins, or in the middle of what is left out; and how many
-    instants it stands for.
+    The instant at which a recording begins, or the middle of what is left out.
     """
     times = np.asarray(motion.t, dtype=float)
     step = np.diff(times)
@@ -144,19 +122,8 @@ def _between(motion):
 def refined(candidates, evidence, motion):
     """Search shape parameters on between the points of the grid.
 
-    Parameters
-    ----------
-    candidates : sequence of Effect
-        Shapes to start from.
-    evidence : callable
-        Effect -> what its shape is worth [nats].
-    motion : Motion
-        Signals.
-
-    Returns
-    -------
-    Effect
-        The best of all that were tried.
+    candidates : effects to start from; evidence : effect -> what its shape is worth
+    [nats]. Returns the best effect of all that were tried.
     """
     found = max((_searched(one, evidence, motion) for one in candidates), key=evidence)
     for values, least in _plainer(found, motion):
@@ -168,9 +135,8 @@ def refined(candidates, evidence, motion):
 
 def _begins(motion):
     """Instants between recordings, but for the beginning of the first."""
-    if motion.begins is not None:
-        return np.asarray(motion.begins[1:], dtype=float)
-    return np.array([motion.t[part.start] for part in motion.parts[1:]])
+    starts = motion.begins or [motion.t[part.start] for part in motion.parts]
+    return np.asarray(starts[1:], dtype=float)
 
 
 def _plainer(effect, motion):

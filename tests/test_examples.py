@@ -6,10 +6,14 @@ import time
 from pathlib import Path
 from unittest import mock
 
+import numpy as np
 import pytest
 
 EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").rglob("*.py"))
-(MEASURED,) = [path for path in EXAMPLES if path.stem == "plot_measured_robots"]
+MEASURED, RUNS = (
+    next(path for path in EXAMPLES if path.stem == stem)
+    for stem in ("plot_measured_robots", "plot_ten_runs")
+)
 
 
 def test_there_are_examples():
@@ -74,3 +78,31 @@ def test_without_measured_robots_the_table_is_shown(monkeypatch, capsys, tmp_pat
     for stage in ("development", "confirmation"):
         table = MEASURED.parents[2] / "docs" / "tables" / f"measured_sets_{stage}.rst"
         assert table.read_text(encoding="utf-8").strip() in out
+
+
+@pytest.mark.slow
+def test_ten_runs_give_what_is_shown_without_them(
+    measured_data_home, monkeypatch, capsys, tmp_path
+):
+    shown = []
+    for home, count in ((tmp_path, 1), (measured_data_home, 3)):
+        monkeypatch.setenv("SKLEARN_VBJFA_DATA", str(home))
+        assert run(RUNS) == count
+        out = capsys.readouterr().out
+        assert ("not here" in out) == (count == 1)
+        rows = re.findall(r"^(free|prior|fixed) +([\d. ]+)$", out, re.MULTILINE)
+        assert [way for way, _ in rows] == [
+            w for w in ("free", "prior", "fixed") for _ in range(3)
+        ]
+        shown.append([np.array(row.split(), dtype=float) for _, row in rows])
+    # In thousandths of kg m^2, of up to 46.
+    np.testing.assert_allclose(*shown, atol=0.3)
+
+
+def test_without_the_ten_runs_their_rotors_are_shown(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("SKLEARN_VBJFA_DATA", str(tmp_path))
+    assert run(RUNS) == 1
+    out = capsys.readouterr().out
+    assert "unitree_go2" in out.splitlines()[0]
+    assert "SKLEARN_VBJFA_DATA" in out.splitlines()[0]
+    assert len(re.findall("^(free|prior|fixed) ", out, re.MULTILINE)) == 9

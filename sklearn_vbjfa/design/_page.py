@@ -293,7 +293,7 @@ def _to_do(motion, background):
     first = f"Go to the start first: {', '.join(starts)}. {rest}."
     return Section(
         heading="What to do next",
-        sentences=(first, *background.commands),
+        sentences=(first, *_repeated_texts(motion, background), *background.commands),
         template="steps",
     )
 
@@ -588,6 +588,7 @@ def summary(motion, background):
     names = motion.joint_names
     of = f" for what {background.report} left open" if background.report else ""
     joints = words.plural(len(names), "joint")
+    repeated = _wrapped(" ".join(_repeated_texts(motion, background)))
     lines = [
         f"Motion of {background.robot}{of}: {joints}, {motion.duration:g} s at "
         f"{1 / motion.dt:.4g} Hz",
@@ -595,11 +596,13 @@ def summary(motion, background):
         f"{words.number(motion.start_condition_number)} (columns over their sizes at "
         "random states)",
         "",
-        *_shares_text(motion, background),
+        # A screen has so many lines.
+        *_shares_text(motion, background, _JOINTS - len(repeated)),
         *_wrapped(_clearance_text(motion), ""),
         "",
         *_decides_text(motion, background),
         *_never_text(motion, background),
+        *repeated,
         _parameters_text(motion, background),
         *_wrapped(_noise_text(background)),
     ]
@@ -608,16 +611,16 @@ def summary(motion, background):
     return lines
 
 
-def _shares_text(motion, background):
-    """Tabulate the shares of the limits that are used."""
+def _shares_text(motion, background, most):
+    """Tabulate the shares of the limits that are used, in so many lines at most."""
     from tabulate import tabulate
 
     joints = range(len(motion.joint_names))
     used = {name: 1.0 - motion.margins[name] for name in _QUANTITIES}
-    most = np.max([used[name] for name in _QUANTITIES], axis=0)
+    largest = np.max([used[name] for name in _QUANTITIES], axis=0)
     # The line that counts the others takes the place of a joint.
-    listed = _JOINTS if len(joints) <= _JOINTS else _JOINTS - 1
-    shown = sorted(sorted(joints, key=lambda j: -most[j])[:listed])
+    listed = most if len(joints) <= most else most - 1
+    shown = sorted(sorted(joints, key=lambda j: -largest[j])[:listed])
     rows = [
         [words.joint_label(motion.joint_names, j)]
         + [
@@ -766,6 +769,21 @@ def _clearance_text(motion):
         )
     reason = motion.no_clearance.rstrip(".")
     return f"Nothing was done against self-collision. {words.capital(reason)}."
+
+
+def _repeated_texts(motion, background):
+    """Say why to record another motion, once, where the recorded one repeats."""
+    told = [
+        f"{one['count']:.3g} times {words.number(one['seconds'])} s"
+        for one in (background.found or {}).get("repeated") or ()
+    ]
+    if not told:
+        return ()
+    return (
+        f"The motion so far repeats ({words.join(told, 2)}), and what the model lacks "
+        f"repeats with it. This one does not within its {motion.duration:g} s: record "
+        "it once, and others by another --seed.",
+    )
 
 
 def _noise_text(background):

@@ -159,6 +159,7 @@ def test_what_is_printed_fits_a_screen(designed):
         for x in lines
     )
     assert "no <collision>" in text
+    assert "repeats" not in text
     assert "1 of 1 intervals become narrower" in text
     assert lines[-1] == f"written: {out}, {out.with_suffix('.html')}"
     urdf = out.parents[1] / "arm.urdf"
@@ -169,6 +170,10 @@ def test_what_is_printed_fits_a_screen(designed):
 def test_all_recordings_of_a_report_go_into_the_next_one(home, tmp_path, capsys):
     told = json.loads((home / "report" / "report.json").read_text())
     told["provenance"]["file"] = ["runs/a.csv", "-", "runs/b.csv"]
+    told["repeated"] = [
+        {"seconds": 23.55, "count": 1.98, "recordings": [0, 2]},
+        {"seconds": 4.0, "count": 5.0, "recordings": [1]},
+    ]
     (tmp_path / "report.json").write_text(json.dumps(told))
     (tmp_path / "identified.json").write_bytes(
         (home / "report" / "identified.json").read_bytes()
@@ -181,6 +186,12 @@ def test_all_recordings_of_a_report_go_into_the_next_one(home, tmp_path, capsys)
     assert "close-loop runs/a.csv before.csv runs/b.csv recording.csv --urdf" in text
     page = out.with_suffix(".html").read_text(encoding="utf-8")
     assert "(of runs/a.csv, - and runs/b.csv)" in page
+    # Lines break where the width of a terminal ends.
+    for shown in (" ".join(text.split()), page.replace("\u00a0", " ")):
+        (why,) = re.findall(r"The motion so far repeats.*?another --seed\.", shown)
+        assert "(1.98 times 23.6 s and 5 times 4 s)" in why
+        assert "This one does not within its 4 s: record it once" in why
+    assert len(text.splitlines()) < 30
 
 
 def test_the_page_has_what_was_printed(designed):

@@ -11,6 +11,7 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.design import MotionLimits, design_motion  # noqa: E402
 from sklearn_vbjfa.design._criterion import worth  # noqa: E402
+from sklearn_vbjfa.recording._repetition import find_repetition  # noqa: E402
 from tests.design._chains import chain, problem_of  # noqa: E402
 
 KINDS = ("revolute", "prismatic", "continuous")
@@ -181,6 +182,22 @@ def test_seeds_repeat_and_differ(tmp_path):
     )
     np.testing.assert_array_equal(one.q, same.q)
     assert np.abs(one.q - other.q).max() > 1e-3
+
+
+def test_a_motion_repeats_neither_itself_nor_that_of_another_seed(path, motion):
+    other = design_motion(path, limits=limits_of(3), **{**SHORT, "random_state": 1})
+    n = len(motion.q)
+    t = motion.dt * np.arange(3 * n)
+    one, two, three = (slice(k * n, (k + 1) * n) for k in range(3))
+    both = np.concatenate([motion.q, other.q])
+    assert not find_repetition(motion.q, t[:n], [one])
+    assert not find_repetition(both, t[: 2 * n], [one, two])
+    # It is found where the motion is run again, with a pause and without.
+    again = np.tile(motion.q, (3, 1))
+    for parts in ([one, two, three], [slice(0, 3 * n)]):
+        (found,) = find_repetition(again, t, parts).motions()
+        assert found.seconds == pytest.approx(SHORT["duration"], abs=0.1)
+        assert found.count == pytest.approx(3.0, abs=0.1)
 
 
 def test_asymmetric_ranges(tmp_path):

@@ -303,14 +303,17 @@ def test_limits_that_are_exceeded_are_named(motion):
     assert "is exceeded by" in html
 
 
+@pytest.mark.parametrize("repeats", [False, True])
 @pytest.mark.parametrize("nv", [1, 6, 7, 20])
-def test_a_summary_fits_a_screen(nv, motion):
+def test_a_summary_fits_a_screen(nv, repeats, motion):
+    repeated = [{"seconds": 23.55, "count": 10.0, "recordings": [0]}]
     told = background(
         measured=np.zeros(nv, dtype=bool),
         report="a-report",
-        found={"hidden": [], "parameters": []},
+        found={"hidden": [], "parameters": [], "repeated": repeated * repeats},
     )
     lines = summary(many(motion, nv), told)
+    assert any("10 times 23.6 s" in line for line in lines) == repeats
     # What to do next and what was written takes five lines more.
     assert len(lines) <= 24
     assert max(map(len, lines)) <= 88

@@ -181,7 +181,8 @@ def _own_period(v):
     if n < 4 or not v.size:
         return np.inf
     lags, _, share = _differences(v, v)
-    share = share[(lags >= 0) & (lags <= n // 2)]
+    # Two periods end at half of the recording, and a dip needs its far side.
+    share = share[(lags >= 0) & (lags <= n // 2 + 2)]
     other = np.flatnonzero(share > _OTHER)
     if not other.size:
         return np.inf

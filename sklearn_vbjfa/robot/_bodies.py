@@ -134,10 +134,9 @@ class Description:
         return replace(self, centre=factor * self.centre, root=self.root / factor)
 
     def deviation(self, sites):
-        """Deviations (n, 10) of the parameters before the data, by what sites say."""
-        inverse = np.linalg.inv(self.root)
-        spread = np.array([_inverse(site.precision) for site in sites])
-        return np.sqrt(np.einsum("kij,kjl,kil->ki", inverse, spread, inverse))
+        """Deviations (n, 10) of the parameters at the scales of sites."""
+        size = np.sqrt((np.linalg.inv(self.root) ** 2).sum(axis=2))
+        return size * np.array([[site.scale] for site in sites])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,8 +151,6 @@ class BodyPosterior:
         Posterior covariance; infinite on the diagonal where nothing tells a parameter.
     prior : ndarray of shape (p, p)
         Precision of the prior.
-    described : ndarray of shape (p,), bool
-        Parameters of which the torques say little beyond the description.
     before : ndarray of shape (p,)
         Deviations of the prior, at the scales that bodies turned out to have; nan for
         what the description does not say.
@@ -168,7 +165,6 @@ class BodyPosterior:
     theta: np.ndarray
     covariance: np.ndarray
     prior: np.ndarray
-    described: np.ndarray
     before: np.ndarray
     departures: tuple[Departure, ...] = ()
     noise: float = 1.0
@@ -176,17 +172,27 @@ class BodyPosterior:
     common_std: float = 0.0
 
 
+def little_learned(std, before):
+    """Whether data leave most of the deviation that a description has."""
+    with np.errstate(invalid="ignore"):
+        return std >= _LITTLE * before
+
+
 @dataclass(frozen=True, eq=False)
 class _Site:
-    """What the prior of a body says in a Gaussian model: precision and its product."""
+    """What the prior of a body says in a Gaussian model: precision and its product.
+
+    scale : root mean square of the scale that the body turned out to have.
+    """
 
     precision: np.ndarray
     right: np.ndarray
+    scale: float = DESCRIBED
 
     @classmethod
     def of_scale(cls, scale):
         """Site of a body with a given scale."""
-        return cls(np.eye(10) / scale**2, np.zeros(10))
+        return cls(np.eye(10) / scale**2, np.zeros(10), scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,6 +307,7 @@ class _Problem:
                     _Site(
                         site.precision + share * (found.precision - site.precision),
                         site.right + share * (found.right - site.right),
+                        found.scale,
                     )
                 )
             sites = new
@@ -391,7 +398,8 @@ def _matched(precision, product, site):
     right = (own + np.diag(value)) @ mean - rest
     before = vectors.T @ np.linalg.solve(precision, product)
     step = np.abs(mean - before) / np.sqrt(np.diagonal(covariance))
-    made = _Site(vectors @ own @ vectors.T, vectors @ right)
+    scale = float(np.sqrt(weight @ s2[:, 0]))
+    made = _Site(vectors @ own @ vectors.T, vectors @ right, scale)
     return made, float(step.max())
 
 
@@ -423,8 +431,6 @@ def around(description, A, b):
     covariance[~told, ~told] = np.inf
     before = np.full(b.size, np.nan)
     before[description.places] = problem.description.deviation(sites)
-    with np.errstate(invalid="ignore"):
-        described = np.sqrt(np.diagonal(covariance)) > _LITTLE * before
     common = first * (1.0 + solution.mean[-1])
     common_std = first * np.sqrt(solution.covariance[-1, -1])
     # Whether a body departs is asked of a description in the unit of the torques.
@@ -436,7 +442,6 @@ def around(description, A, b):
         theta=problem.centre + change,
         covariance=covariance,
         prior=prior,
-        described=described,
         before=before,
         departures=asked.departures(),
         common=common,
@@ -463,7 +468,6 @@ def as_described(description, A, b):
         theta=theta,
         covariance=covariance,
         prior=np.zeros((p, p)),
-        described=~free,
         before=np.where(free, np.nan, 0.0),
     )
 

@@ -250,6 +250,8 @@ def beside_description(found, description, bodies="prior"):
     wider = found.wider**2 / max(found.pooled, 1.0)
     std = np.sqrt(of_prior + np.maximum(of_noise, 0.0) * wider)
     std = np.where(np.isfinite(np.diagonal(covariance)), std, np.inf)
+    # However the residual scatters, data do not make a description worse.
+    std = np.fmin(std, posterior.before)
     return replace(
         found,
         theta=posterior.theta,

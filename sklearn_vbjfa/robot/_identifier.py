@@ -24,7 +24,7 @@ from sklearn_vbjfa.recording._recording import (
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot import _model_file
-from sklearn_vbjfa.robot._bodies import described_bodies
+from sklearn_vbjfa.robot._bodies import described_bodies, little_learned
 from sklearn_vbjfa.robot._closed_loop import refine_controlled
 from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._controller import check_reference
@@ -41,6 +41,7 @@ from sklearn_vbjfa.robot._equations import (
 from sklearn_vbjfa.robot._estimate import (
     beside_description,
     estimate,
+    identifiable,
     min_eigenvalues,
     project,
 )
@@ -856,19 +857,21 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self.theta_, self.theta_unconstrained_ = found.theta, found.theta_unconstrained
         self.theta_std_, self.projector_ = found.std, found.projector
         known = found.bodies
-        self.from_description_ = (
-            np.zeros(found.theta.size, dtype=bool) if known is None else known.described
+        self.theta_prior_std_ = (
+            np.full(found.theta.size, np.nan) if known is None else known.before
         )
+        self.from_description_ = little_learned(found.std, self.theta_prior_std_)
         self.identifiable_ = found.identifiable
+        if self.bodies == "fixed":
+            rest = ~self.from_description_
+            self.identifiable_ = np.zeros(rest.size, dtype=bool)
+            self.identifiable_[rest] = identifiable(found.metric[np.ix_(rest, rest)])
         self.departures_ = () if known is None else known.departures
         self._prior = None
         if known is not None:
             centre = known.common * self._description.vector(found.theta.size)
             self._prior = known.noise * known.prior, centre
         self.common_size_ = 1.0 if known is None else known.common
-        self.theta_prior_std_ = (
-            np.full(found.theta.size, np.nan) if known is None else known.before
-        )
         self.min_eigenvalues_ = min_eigenvalues(self._bodies())
         self.input_noise_torque_, self.output_noise_ = found.noise()
         self._torque_spread = TorqueSpread.of_estimate(found)

@@ -65,7 +65,12 @@ def row_of(name, data_home=None):
         warnings.simplefilter("ignore")
         for bodies in BODIES:
             for fitted, judged in cases:
-                error, mass, model = judge(identifier, fitted, judged, bodies)
+                try:
+                    error, mass, model = judge(identifier, fitted, judged, bodies)
+                except ValueError:  # nothing is described
+                    if bodies != "fixed":
+                        raise
+                    error, mass = np.nan, np.full(mass.shape, np.nan)
                 errors[bodies].append(error)
             masses[bodies] = mass
             if bodies == "prior":

@@ -7,7 +7,12 @@ from scipy import integrate
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.robot import _bodies
-from sklearn_vbjfa.robot._bodies import DESCRIBED, Description, around
+from sklearn_vbjfa.robot._bodies import (
+    DESCRIBED,
+    Description,
+    around,
+    little_learned,
+)
 
 TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")
 DT = 0.01
@@ -101,8 +106,15 @@ def test_without_torques_a_body_is_as_described():
     own = Description.of(a_robot(), 14)
     found = around(own, np.zeros((42, 42)), np.zeros(42))
     np.testing.assert_allclose(found.theta[own.places], own.centre, rtol=1e-12)
-    assert found.described[own.places].all()
-    assert found.described.sum() == 30
+    # A half-Cauchy scale up to one has a mean square of its own.
+    grid = np.geomspace(1e-4, 1.0, 100001)
+    prior = 1.0 / (1.0 + (grid / DESCRIBED) ** 2)
+    mean = integrate.trapezoid(prior * grid**2, grid) / integrate.trapezoid(prior, grid)
+    size = np.sqrt(mean * (np.linalg.inv(own.root) ** 2).sum(axis=2))
+    np.testing.assert_allclose(found.before[own.places], size, rtol=5e-3)
+    assert np.isnan(found.before).sum() == 12
+    std = np.sqrt(np.diagonal(found.covariance))
+    assert little_learned(std, found.before)[own.places].all()
     assert not found.departures
     # Nothing tells the friction.
     assert np.isinf(np.diagonal(found.covariance)[10:14]).all()

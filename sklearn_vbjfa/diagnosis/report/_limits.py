@@ -268,16 +268,13 @@ def next_sentences(outcome):
         return ()
     low, high = map(words.percent, one.mean_interval)
     text = (
-        f"On the next recording a mean error of {words.percent(one.mean)} is to be "
-        f"expected, in nine of ten cases between {low} and {high}"
+        f"Expect {words.percent(one.mean)} on the next recording, {low} to {high} in "
+        "nine of ten"
     )
     if one.source == "assumed":
-        return (
-            f"{text}. That is assumed, as recordings of other robots differ: record "
-            "this motion and another one again.",
-        )
-    how = f"of {words.plural(one.recordings, 'recording')} each was left out in turn"
-    also = ", beside what other robots show" if one.source == "mixed" else ""
+        return (f"{text}: assumed from other robots; record another motion to know.",)
+    how = f"{words.plural(one.recordings, 'recording')} left out in turn"
+    also = ", and other robots" if one.source == "mixed" else ""
     return (f"{text}: {how}{also}.",)
 
 

@@ -266,16 +266,12 @@ def next_sentences(outcome):
     one = outcome.next_recording
     if one is None or not np.isfinite(one.mean):
         return ()
-    low, high = map(words.percent, one.mean_interval)
-    text = (
-        f"Expect {words.percent(one.mean)} on the next recording, {low} to {high} in "
-        "nine of ten"
-    )
+    low, high = map(words.bare_percent, one.mean_interval)
+    text = f"Next recording: expect {words.percent(one.mean)} [{low}, {high}]"
     if one.source == "assumed":
-        return (f"{text}: assumed from other robots; record another motion to know.",)
-    how = f"{words.plural(one.recordings, 'recording')} left out in turn"
-    also = ", and other robots" if one.source == "mixed" else ""
-    return (f"{text}: {how}{also}.",)
+        return (f"{text}, assumed from other robots; record another motion to know.",)
+    also = " and other robots" if one.source == "mixed" else ""
+    return (f"{text}, from {one.recordings} left out in turn{also}.",)
 
 
 def repeated_sentences(outcome):

@@ -271,7 +271,7 @@ def next_sentences(outcome):
     if one.source == "assumed":
         return (f"{text}, assumed from other robots; record another motion to know.",)
     also = " and other robots" if one.source == "mixed" else ""
-    return (f"{text}, from {one.recordings} left out in turn{also}.",)
+    return (f"{text}, from {one.recordings} left out{also}.",)
 
 
 def repeated_sentences(outcome):

@@ -1,0 +1,93 @@
+"""Ten runs of a quadruped's motors: what repeats, with bodies free, near, as described.
+
+Run ``python tests/benchmarks/bench_unitree_go2.py --data-home DIR [--write]``.
+
+Data: `fetch_unitree_go2`, ten runs of one motion of twelve motors, the base held. The
+torque is that of the PD law that the motors were told, 10 ms before they act: it is
+shifted by two samples. Low-pass 10 Hz, four plain terms on every joint, no search.
+Every run is fitted alone for the scatter of rotor inertias, and runs 0 to 6 together,
+judged on runs 7 to 9, which are the same motion again: nothing here tells a right value
+from one that repeats.
+"""
+
+import warnings
+
+import numpy as np
+from _report import fixed, parser, publish, rst_table
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import fetch_unitree_go2
+
+PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
+CUTOFF, DELAY = 10.0, 2
+FITTED, JUDGED = range(7), range(7, 10)
+MOTORS = ("hip", "thigh", "calf")
+
+
+def taken(recording, runs):
+    """Positions, torques, and labels of some runs, the torque in time."""
+    parts = [recording.select(k) for k in runs]
+    q = [one.q[DELAY:] for one in parts]
+    tau = [one.tau[:-DELAY] for one in parts]
+    groups = np.repeat(np.arange(len(parts)), [len(x) for x in q])
+    return np.concatenate(q), np.concatenate(tau), groups
+
+
+def row_of(bodies, recording):
+    """Cells of a way."""
+    model = recording.robot_model()
+    settings = {"dt": recording.dt, "friction": PLAIN, "cutoff": CUTOFF}
+    robot = RobotIdentifier(model, bodies=bodies, **settings)
+
+    def fit(runs):
+        q, tau, groups = taken(recording, runs)
+        return robot.fit(q, tau, groups=groups)
+
+    rotors, masses = [], []
+    for k in range(10):
+        theta = fit([k]).theta_.reshape(12, -1)
+        rotors.append(theta[:, 13])
+        masses.append(theta[:, 0].sum())
+    rotors = np.array(rotors)
+    scatter = 100 * rotors.std(axis=0) / np.abs(rotors.mean(axis=0))
+    theta = fit(FITTED).theta_.reshape(12, -1)
+    legs = theta[:, 13].reshape(4, 3)
+    alike = 100 * legs.std(axis=0) / legs.mean(axis=0)
+    q, tau, groups = taken(recording, JUDGED)
+    left = robot.residuals(q, tau, groups=groups)
+    return [
+        bodies,
+        *fixed([np.nanmedian(scatter), np.nanmax(scatter), *alike], 0),
+        *fixed([min(masses), max(masses), theta[:, 0].sum()], 1),
+        *fixed([100 * np.nanmean(left.normalised_error())], 1),
+    ]
+
+
+def main(argv=None):
+    """Print the table."""
+    arguments = parser(__doc__.splitlines()[0])
+    arguments.add_argument("--data-home", default=None)
+    arguments = arguments.parse_args(argv)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        recording = fetch_unitree_go2(data_home=arguments.data_home)
+        rows = [row_of(bodies, recording) for bodies in ("free", "prior", "fixed")]
+        described = sum(
+            one.mass for one in recording.robot_model().inertias.tolist()[1:]
+        )
+    heads = [
+        "bodies",
+        "rotor inertia, scatter between runs, median [%]",
+        "largest [%]",
+        *(f"between legs, {name} [%]" for name in MOTORS),
+        "masses, least run [kg]",
+        "largest run [kg]",
+        "runs 0 to 6 [kg]",
+        "torque of runs 7 to 9 [%]",
+    ]
+    text = f"Masses of the description: {described:.1f} kg."
+    publish("unitree_go2", f"{text}\n\n{rst_table(rows, heads)}", write=arguments.write)
+
+
+if __name__ == "__main__":
+    main()

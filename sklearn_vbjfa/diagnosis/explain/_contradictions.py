@@ -353,13 +353,21 @@ class Parts:
         return self._solve(np.flatnonzero(self._origin != recording))
 
     def left_out(self, spread):
-        """Errors (r, nv) on each recording of fits to the others, over the spread."""
-        out = np.full((self.recordings.size, spread.size), np.nan)
-        for row, recording in zip(out, self.recordings):
-            theta = self.without(recording)
-            own = np.flatnonzero(self._origin == recording)
-            weight = self.weight(recording).sum(axis=0)
-            squares = sum(self._error(b, theta) for b in own)
+        """Errors (r, nv) on each recording of fits to the others, over the spread.
+
+        Recordings of one motion are left out together: none of them is another one.
+        """
+        repetition = self.fit.view.repetition
+        motion = repetition.motion if repetition else np.arange(self.recordings.size)
+        names = np.unique(motion)
+        if names.size < 2:
+            return np.empty((0, spread.size))
+        out = np.full((names.size, spread.size), np.nan)
+        for row, name in zip(out, names):
+            own = np.isin(self._origin, self.recordings[motion == name])
+            theta = self._solve(np.flatnonzero(~own))
+            weight = self._weights[own].sum(axis=0)
+            squares = sum(self._error(b, theta) for b in np.flatnonzero(own))
             used = (weight > 0) & (self.precision > 0)
             row[used] = np.sqrt(squares[used] / weight[used]) / spread[used]
         return out

@@ -247,8 +247,8 @@ def _cells(one, group, outcome, joint):
         name = name.removeprefix(f"{outcome.joint_names[joint]}:")
     largest = max((abs(p.value) for p in group if p.unit == one.unit), default=0.0)
     value = 0.0 if abs(one.value) < _ROUNDING * largest else one.value
-    # A prior leaves each parameter an interval of its own.
-    own = one.known == "yes" or np.isfinite(one.before)
+    # A prior leaves each parameter of a joint an interval of its own.
+    own = one.known == "yes" or any(np.isfinite(p.before) for p in group)
     half = _HALF_WIDTH * one.before
     nominal = words.with_error(one.nominal, (one.nominal - half, one.nominal + half))
     return (

@@ -278,7 +278,7 @@ def repeated_sentences(outcome):
     """Say what repeats, and what therefore cannot be told from the model's lack."""
     if not outcome.repeated:
         return ()
-    told = [_repeated(one, len(outcome.recordings)) for one in outcome.repeated]
+    told = [_repeated(one, outcome.recordings) for one in outcome.repeated]
     return (
         f"Motion that repeats: {words.join(told, 4)}. What the model lacks repeats "
         "with it, in the untouched part as well: effects are judged between the phases "
@@ -287,12 +287,14 @@ def repeated_sentences(outcome):
     )
 
 
-def _repeated(one, count):
-    """Say how often a motion is there."""
+def _repeated(one, names):
+    """Say how often a motion is there, and where if not everywhere."""
     often = f"one of {words.number(one.seconds)} s, {one.count:.3g} times"
-    if count < 2 or len(one.recordings) == count:
+    if len(names) < 2 or len(one.recordings) == len(names):
         return often
-    return f"{often} in recordings {words.join([r + 1 for r in one.recordings], 8)}"
+    own = words.join([names[r] for r in one.recordings], 8)
+    many = "recordings" if len(one.recordings) > 1 else "recording"
+    return f"{often} in {many} {own}"
 
 
 def motion_sentences(outcome):

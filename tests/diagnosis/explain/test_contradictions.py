@@ -180,3 +180,21 @@ def test_the_report_names_the_recording_and_the_cause():
     assert loop.report_.to_dict()["contradictions"]["found"] == []
     assert "contradict" not in str(loop.report_)
     assert "Limits of the recordings" not in loop.report_.to_html()
+
+
+def test_recordings_of_one_motion_are_left_out_together():
+    q = np.concatenate([PAIR[k].position for k in (0, 1, 0)])
+    rng = np.random.default_rng(0)
+    tau = np.concatenate([PAIR[k].torque() for k in (0, 1, 0)])
+    tau += 0.01 * rng.standard_normal(tau.shape)
+    groups = np.repeat(np.arange(3), [len(PAIR[k].t) for k in (0, 1, 0)])
+    robot = PAIR[0].robot(friction=("viscous", "coulomb"))
+
+    def expected(*recordings):
+        rows = np.isin(groups, recordings)
+        loop = EffectDiscovery(robot, effects=[], ceiling=False)
+        loop.fit(q[rows], tau[rows], groups=groups[rows])
+        return loop.report_.outcome.next_recording
+
+    assert (expected(0, 1, 2).recordings, expected(0, 1, 2).source) == (2, "mixed")
+    assert (expected(0, 2).recordings, expected(0, 2).source) == (0, "assumed")

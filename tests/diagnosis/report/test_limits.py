@@ -1,6 +1,7 @@
 """What reports say of the limits of their figures."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,9 @@ from sklearn_vbjfa.diagnosis.explain._contradictions import (
     Contradictions,
 )
 from sklearn_vbjfa.diagnosis.explain._motion import MotionLimit
+from sklearn_vbjfa.diagnosis.explain._next_recording import NextRecording
 from sklearn_vbjfa.diagnosis.explain._price import ProjectionPrice, Pushed
+from sklearn_vbjfa.diagnosis.report import _limits
 from sklearn_vbjfa.diagnosis.report._limits import (
     band_sentences,
     contradiction_sentences,
@@ -21,6 +24,8 @@ from sklearn_vbjfa.diagnosis.report._limits import (
     projection_sentences,
 )
 from sklearn_vbjfa.diagnosis.report._verdict import judge
+from sklearn_vbjfa.recording._repetition import RepeatedMotion
+from sklearn_vbjfa.robot._bodies import Departure
 from sklearn_vbjfa.robot._known import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome
 
@@ -328,3 +333,52 @@ def test_causes_in_words(name, joints, value, text):
 def test_sound_recordings_need_no_words():
     outcome = make_outcome(nv=3, recordings=("1", "2"))
     assert motion_sentences(outcome) == contradiction_sentences(outcome) == ()
+
+
+def test_repeated_motion_says_where_it_is():
+    one = RepeatedMotion(seconds=9.98, count=2.0, recordings=(0, 2))
+    outcome = SimpleNamespace(repeated=(one,), recordings=("a", "b", "c"))
+    (text,) = _limits.repeated_sentences(outcome)
+    assert "one of 9.98 s, 2 times in recordings a and c. What the" in text
+    whole = replace(one, recordings=(0, 1, 2), count=3.0)
+    outcome = SimpleNamespace(repeated=(whole,), recordings=("a", "b", "c"))
+    (text,) = _limits.repeated_sentences(outcome)
+    assert "one of 9.98 s, 3 times. What the" in text
+    assert _limits.repeated_sentences(SimpleNamespace(repeated=())) == ()
+
+
+@pytest.mark.parametrize(
+    ("source", "said"),
+    [
+        ("assumed", "assumed from other robots; record another motion to know"),
+        ("mixed", "from 4 left out and other robots"),
+        ("measured", "from 4 left out"),
+    ],
+)
+def test_what_the_next_recording_will_show_says_what_that_rests_on(source, said):
+    one = NextRecording(
+        error=np.array([0.05]),
+        interval=np.array([[0.03], [0.09]]),
+        mean=0.05,
+        mean_interval=np.array([0.03, 0.09]),
+        recordings=4,
+        source=source,
+    )
+    (text,) = _limits.next_sentences(SimpleNamespace(next_recording=one))
+    assert text == f"Next recording: expect 5.0 % [3.0, 9.0], {said}."
+
+
+def test_a_departure_names_its_rivals():
+    one = Departure(bodies=("j2",), factors=(1.98,), stds=(0.03,), log_odds=9.0)
+    text = _limits._departure(one, 1.0)
+    assert text.startswith(
+        "The body of j2 (1.98 +- 0.05 times) weighs not as much as in"
+    )
+    both = Departure(
+        bodies=("j2", "j3"), factors=(1.98, 3.0), stds=(0.03, 0.6), log_odds=9.0
+    )
+    text = _limits._departure(both, 0.001)
+    assert "that of j2 (1.98 +- 0.05 times) or j3 (3 +- 1 times)" in text
+    assert "as much as the other bodies would have it" in text
+    assert "0.001 times what the robot" in _limits._common_size(0.001)
+    assert _limits._common_size(0.9) == ""

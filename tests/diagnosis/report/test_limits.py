@@ -378,7 +378,7 @@ def test_a_departure_names_its_rivals():
         bodies=("j2", "j3"), factors=(1.98, 3.0), stds=(0.03, 0.6), log_odds=9.0
     )
     text = _limits._departure(both, 0.001)
-    assert "that of j2 (1.98 +- 0.05 times) or j3 (3 +- 1 times)" in text
+    assert "that of j2 (1.98 +- 0.05 times) or j3 (3.0 +- 1.0 times)" in text
     assert "as much as the other bodies would have it" in text
     assert "0.001 times what the robot" in _limits._common_size(0.001)
     assert _limits._common_size(0.9) == ""

@@ -1,0 +1,74 @@
+"""Where the motion repeats, so does what is not modelled, and it has no name."""
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+
+PERIOD, DT, TIMES = 10.0, 0.01, 6
+PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
+
+
+def pendulum():
+    model = pin.Model()
+    model.name = "pendulum"
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "joint_1")
+    centre = pin.SE3(np.eye(3), np.array([0.12, 0.03, 0.15]))
+    model.inertias[joint] = centre.act(pin.Inertia.FromBox(4.0, 0.1, 0.15, 0.3))
+    return model
+
+
+MODEL = pendulum()
+
+
+def recorded(seed, undeclared=None, disturbance=0.05):
+    """Positions and torques of a motion of 10 s, six times, a curve of it added."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(round(TIMES * PERIOD / DT)) * DT
+    q, v, a = np.zeros((3, t.size))
+    for k in rng.choice(np.arange(1, 10), size=6, replace=False):
+        w, phase = 2 * np.pi * k / PERIOD, rng.uniform(0, 2 * np.pi)
+        wave = 0.25 / np.sqrt(k / PERIOD) * np.exp(1j * (w * t + phase))
+        q, v, a = (x + ((1j * w) ** n * wave).imag for n, x in enumerate((q, v, a)))
+    data = MODEL.createData()
+    rigid = [pin.rnea(MODEL, data, *np.array(s)[:, None])[0] for s in zip(q, v, a)]
+    tau = np.array(rigid) + 0.4 * v + 0.6 * np.sign(v) + 0.1 + 0.02 * a
+    if undeclared is not None:
+        tau += undeclared(q, v)
+    orders = np.arange(1, 31)
+    size = rng.normal(size=30) + 1j * rng.normal(size=30)
+    curve = (size @ np.exp(2j * np.pi * orders[:, None] * t / PERIOD)).real
+    residual = np.sqrt(0.9) * curve / curve.std() + np.sqrt(0.1) * rng.normal(
+        size=t.size
+    )
+    tau += disturbance * tau.std() * residual
+    return (q + 2e-5 * rng.normal(size=t.size))[:, None], tau[:, None]
+
+
+def closed(q, tau, groups=None):
+    robot = RobotIdentifier(MODEL, dt=DT, friction=PLAIN)
+    return EffectDiscovery(robot, ceiling=False).fit(q, tau, groups=groups)
+
+
+# With blocks of time in place of phases each of these has names.
+@pytest.mark.parametrize(
+    ("seed", "recordings"), [(9, 1), (12, 1), (0, TIMES), (12, TIMES)]
+)
+def test_a_curve_of_the_phase_has_no_name(seed, recordings):
+    q, tau = recorded(seed)
+    groups = np.arange(len(q)) * recordings // len(q)
+    loop = closed(q, tau, groups)
+    assert loop.effects_ == ()
+    (motion,) = loop.report_.outcome.repeated
+    assert motion.seconds == pytest.approx(PERIOD, abs=0.05)
+    assert motion.count == pytest.approx(TIMES, rel=0.01)
+    assert "Motion that repeats: one of" in " ".join(str(loop.report_).split())
+
+
+def test_an_effect_that_the_phases_show_is_named():
+    q, tau = recorded(
+        1, lambda q, v: 1.5 * np.exp(-((v / 0.2) ** 2)) * np.sign(v), 0.02
+    )
+    assert [e.name for e in closed(q, tau).effects_] == ["stribeck"]

@@ -5,7 +5,7 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
 
 PERIOD, DT, TIMES = 10.0, 0.01, 6
 PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")

@@ -28,7 +28,7 @@ from sklearn_vbjfa.recording._columns import (
     torques_in_order,
 )
 from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
-from sklearn_vbjfa.recording._repetition import find_repetition
+from sklearn_vbjfa.recording._repetition import commands_among, find_repetition
 from sklearn_vbjfa.recording._signals import OfferedSignals, survey
 from sklearn_vbjfa.robot._identifier import (
     RecordingRegressorMixin,
@@ -331,6 +331,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         whole = self._recording(model, X, y, groups, sample_weight, t)
         declared = check_effects(self.identifier.effects, model.nv)
         beside = columns_beside(X, self.joint_names_)
+        offered = signals if isinstance(signals, OfferedSignals) else beside
+        commands = commands_among(offered.numbers(whole.n_samples), whole.q)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with progress_bar(self.verbose) as say:
@@ -346,6 +348,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 self.plain_ = _fitted(self._with_plain_terms(), part)
             begins = tuple(whole.t[rows.start] for rows in whole.segments)
             repetition = find_repetition(whole.q, whole.t, whole.segments)
+            # A robot that is pushed about was told the same all the same.
+            if commands.size and not repetition:
+                repetition = find_repetition(commands, whole.t, whole.segments)
             given = {
                 "origin": split.origin,
                 "begins": begins,

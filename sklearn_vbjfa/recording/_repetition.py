@@ -13,6 +13,8 @@ _SAME, _OTHER = 0.03, 0.5
 _ALIKE, _LEAST = 3.0, 1e-3
 # A joint moves if its speed is this share of that of the fastest.
 _MOVES = 0.02
+# A signal is a command if it has this correlation with a position.
+_FOLLOWS = 0.95
 # A motion repeats if it is there more often than this.
 _AGAIN = 1.5
 # Share of the shorter of two recordings in which they are compared.
@@ -97,13 +99,25 @@ class Repetition:
         return motion, phase
 
 
+def commands_among(signals, q):
+    """Return the signals (n, m) that follow a position (n, nv): what was commanded."""
+    found = []
+    for x in signals.values():
+        if np.isfinite(x).all() and np.ptp(x) > 0:
+            moves = np.ptp(q, axis=0) > 0
+            alike = np.corrcoef(x, q[:, moves].T)[0, 1:]
+            if (np.abs(alike) > _FOLLOWS).any():
+                found.append(x)
+    return np.array(found).T if found else np.empty((len(q), 0))
+
+
 def find_repetition(q, t, parts):
     """Look for motion that repeats.
 
     Parameters
     ----------
     q : ndarray of shape (n, nv)
-        Positions [rad or m].
+        Positions, or commanded ones [rad or m].
     t : ndarray of shape (n,)
         Times [s].
     parts : sequence of slice

@@ -64,6 +64,11 @@ class OfferedSignals:
             raise ValueError(f"The column {name!r} {reason}.")
         return values
 
+    def numbers(self, n_samples):
+        """Return the columns that are numbers, a dict of arrays (n_samples,)."""
+        read = {name: as_numbers(x, n_samples) for name, x in self.columns.items()}
+        return {name: values for name, (values, reason) in read.items() if not reason}
+
     @property
     def names(self):
         """Names of all columns, tuple of str."""

@@ -101,7 +101,7 @@ def _integrated(phi):
     companion = np.zeros((p, p))
     companion[0] = phi
     companion[1:, :-1] = np.eye(p - 1)
-    if np.abs(np.linalg.eigvals(companion)).max() >= 1.0:
+    if np.abs(np.linalg.eigvals(companion)).max() >= 1.0 - _ROUNDING:
         return np.inf
     noise = np.zeros((p, p))
     noise[0, 0] = 1.0
@@ -156,6 +156,8 @@ class Bridge:
         return (1.0 - share) * x[self.low] + share * x[self.high]
 
 
+# An autoregression as near as this to one that forgets nothing is one.
+_ROUNDING = 1e-9
 # A block is this many times longer than the residual stays correlated.
 _CORRELATION_TIMES = 10.0
 # Blocks wanted. What a poor first model lacks is correlated for as long as the motion

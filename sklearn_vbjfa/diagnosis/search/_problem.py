@@ -487,16 +487,21 @@ class Fit:
         # What the group itself explains of them is no noise.
         noise = noise - rows * ((rows * noise).sum() / promised)
         view, products = problem.view, (rows * noise).sum(axis=0)
-        scores = view.spans.sums(products)[view.span_order]
-        power = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
-        slow = power[: max(power.size // _SLOW, 1)]
+
+        def powers(scores):
+            own = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
+            return own, own[: max(own.size // _SLOW, 1)]
+
+        power, slow = powers(view.spans.sums(products)[view.span_order])
         usual, freedom = float(max(1.0, slow.mean(), power.mean())), np.inf
         if view.repetition:
-            # What is not modelled comes again with each phase, and there are few.
-            scores = view.blocks.sums(products)
-            again = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
-            late = again[: max(again.size // _SLOW, 1)]
-            usual = float(max(usual, late.mean(), again.mean()))
+            # What is not modelled comes again with each phase, and there are few, of
+            # which the fit has taken as many as it has parameters.
+            again, late = powers(view.blocks.sums(products))
+            heard = int(problem.heard.sum())
+            rows, taken = heard * (again.size + 1), base.L.shape[0] + self._coef.size
+            fewer = rows / max(rows - taken, heard)
+            usual = float(max(usual, fewer * late.mean(), fewer * again.mean()))
             freedom = float(max(again.size - 1, 1))
         effect = family.effects[c]
         if not (effect.slow or effect.trend or effect.jumping):

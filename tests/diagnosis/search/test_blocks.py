@@ -277,3 +277,11 @@ def test_many_short_recordings_have_one_memory():
     x = np.concatenate([stationary(0.9, 6, s) for s in range(80)])
     memory = fit_memory(x, np.ones(480, bool), np.arange(0, 480, 6), 0.1)
     assert memory.phi.sum() == pytest.approx(0.9, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    "phi", [[1.0], [0.0, 1.0], [0.0, -1.0], [1.7, -0.7], [2.0, -1.0]]
+)
+def test_what_forgets_nothing_but_for_rounding_forgets_nothing(phi):
+    for shrunk in (0.0, 1.2e-16, 1e-15, 1e-12):
+        assert np.isinf(_integrated(np.array(phi) * (1.0 - shrunk)))

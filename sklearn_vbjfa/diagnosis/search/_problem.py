@@ -440,25 +440,14 @@ class Fit:
     def excess(self, family, c, coef, noise):
         """How much more than by its noise the evidence for a group scatters in time.
 
-        Parameters
-        ----------
-        family : Family
-            Group.
-        c : int
-            Its shape.
-        coef : ndarray of shape (k,)
-            Direction of its coefficients that counts.
-        noise : ndarray of shape (nv, m)
-            Residuals in whitened rows, see `scores`.
+        That is, the variance of its score between blocks of time over that which its
+        second moments promise (the sandwich over the Hessian), at least one, with the
+        degrees of freedom that it is known with. The variance of slow changes of the
+        score counts where it is larger: that of independent blocks is as large at all
+        frequencies.
 
-        Returns
-        -------
-        Excess
-            Variance of its score between blocks of time over that which its second
-            moments promise (the sandwich over the Hessian), at least one, with the
-            degrees of freedom that it is known with. The variance of slow changes of
-            the score counts where it is larger: that of independent blocks is as large
-            at all frequencies.
+        family, c, coef : group, its shape, direction (k,) of its coefficients that
+        counts; noise : residuals in whitened rows (nv, m), see `scores`.
         """
         problem, base = self.problem, self.base
         direction = family.columns[:, :, c] @ coef

@@ -7,7 +7,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 # Scales of a group's torque, over that of the joint, at which its evidence is summed.
-SCALES = np.geomspace(1e-4, 1e2, 25)
+_SCALES = np.geomspace(1e-4, 1e2, 25)
 # Share of its power that a direction of a group must keep beside everything else.
 _SPAN = 1e-5
 
@@ -90,7 +90,7 @@ class Groups:
         .. [1] M. Tipping, A. Faul, "Fast marginal likelihood maximisation for sparse
            Bayesian models", AISTATS 2003, equation 18, for a single column.
         """
-        return logsumexp(self.along(scale), axis=0)
+        return logsumexp(self._along(scale), axis=0)
 
     def tempered(self, excess):
         """Return the moments of a likelihood that is worth less, see `Excess`."""
@@ -111,16 +111,16 @@ class Groups:
 
     def best_scale(self, scale):
         """Scale of the largest posterior density, of each group (c,)."""
-        return SCALES[np.argmax(self.along(scale), axis=0)]
+        return _SCALES[np.argmax(self._along(scale), axis=0)]
 
-    def along(self, scale):
+    def _along(self, scale):
         """Log evidence times prior at each scale, (n_scales, c)."""
         value, rest, _ = self._spectral
-        s2 = (SCALES**2)[:, None, None]
+        s2 = (_SCALES**2)[:, None, None]
         gain = (0.5 * rest**2 * s2 / (1 + s2 * value)).sum(axis=2)
         if np.isfinite(self.freedom):
             gain = student(gain, self.freedom, (value > 0).sum(axis=1))
-        ratio = SCALES / scale
+        ratio = _SCALES / scale
         prior = ratio / (1 + ratio**2)
         volume = 0.5 * np.log1p(s2 * value).sum(axis=2)
         return gain - volume + np.log(prior / prior.sum())[:, None]

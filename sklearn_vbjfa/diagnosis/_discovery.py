@@ -332,7 +332,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         declared = check_effects(self.identifier.effects, model.nv)
         beside = columns_beside(X, self.joint_names_)
         offered = signals if isinstance(signals, OfferedSignals) else beside
-        commands = commands_among(offered.numbers(whole.n_samples), whole.q)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with progress_bar(self.verbose) as say:
@@ -348,9 +347,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 self.plain_ = _fitted(self._with_plain_terms(), part)
             begins = tuple(whole.t[rows.start] for rows in whole.segments)
             repetition = find_repetition(whole.q, whole.t, whole.segments)
-            # A robot that is pushed about was told the same all the same.
-            if commands.size and not repetition:
-                repetition = find_repetition(commands, whole.t, whole.segments)
+            if not repetition:
+                # A robot that is pushed about was told the same all the same.
+                told = commands_among(offered.numbers(whole.n_samples), whole.q)
+                if told.size:
+                    repetition = find_repetition(told, whole.t, whole.segments)
             given = {
                 "origin": split.origin,
                 "begins": begins,

@@ -1,5 +1,6 @@
 """Motion that repeats, within a recording and between recordings."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,8 +83,12 @@ class Repetition:
                 )
         return tuple(found)
 
-    def __bool__(self):
+    @functools.cached_property
+    def _repeats(self):
         return bool(self.motions())
+
+    def __bool__(self):
+        return self._repeats
 
     def phase(self, recording, t):
         """Return the motion (n,) and the time in it (n,) [s] of rows.
@@ -101,11 +106,13 @@ class Repetition:
 
 def commands_among(signals, q):
     """Return the signals (n, m) that follow a position (n, nv): what was commanded."""
-    found = []
+    found, moving = [], q[:, np.ptp(q, axis=0) > 0]
+    away = moving - moving.mean(axis=0)
+    size = np.linalg.norm(away, axis=0)
     for x in signals.values():
         if np.isfinite(x).all() and np.ptp(x) > 0:
-            moves = np.ptp(q, axis=0) > 0
-            alike = np.corrcoef(x, q[:, moves].T)[0, 1:]
+            own = x - x.mean()
+            alike = own @ away / (np.linalg.norm(own) * size)
             if (np.abs(alike) > _FOLLOWS).any():
                 found.append(x)
     return np.array(found).T if found else np.empty((len(q), 0))

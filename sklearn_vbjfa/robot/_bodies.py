@@ -158,8 +158,8 @@ class BodyPosterior:
         Bodies that are not as described, or what they cannot be told apart from.
     noise : float
         Variance of the noise that the normal equations were divided by.
-    common, common_std : float
-        Size of all bodies together over the description, and its deviation.
+    common : float
+        Size of all bodies together over the description.
     """
 
     theta: np.ndarray
@@ -169,7 +169,6 @@ class BodyPosterior:
     departures: tuple[Departure, ...] = ()
     noise: float = 1.0
     common: float = 1.0
-    common_std: float = 0.0
 
 
 def little_learned(std, before):
@@ -445,7 +444,6 @@ def around(description, A, b):
         before=before,
         departures=asked.departures(),
         common=common,
-        common_std=common_std,
     )
 
 

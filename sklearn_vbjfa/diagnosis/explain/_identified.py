@@ -11,7 +11,7 @@ from sklearn_vbjfa.robot._known import known_parameters
 # Inertial parameters of a body, Pinocchio's.
 _INERTIAL = 10
 # Half width of a 90 % interval in standard deviations.
-_HALF_WIDTH = 1.645
+HALF_WIDTH = 1.645
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,7 +88,7 @@ def parameter_values(robot):
         known_parameters(robot),
         robot.theta_prior_std_,
     ):
-        half = _HALF_WIDTH * std if np.isfinite(std) else np.nan
+        half = HALF_WIDTH * std if np.isfinite(std) else np.nan
         found.append(
             ParameterValue(
                 name=name,

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain._findings import Provenance
+from sklearn_vbjfa.diagnosis.explain._identified import HALF_WIDTH
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._charts import (
     About,
@@ -25,8 +26,6 @@ _KNOWN = {
     "from the description": "as described",
     "no": "no",
 }
-# Half width of a 90 % interval in standard deviations.
-_HALF_WIDTH = 1.645
 # Share of the largest value of a body that rounding leaves of a zero.
 _ROUNDING = 1e-9
 
@@ -249,7 +248,7 @@ def _cells(one, group, outcome, joint):
     value = 0.0 if abs(one.value) < _ROUNDING * largest else one.value
     # A prior leaves each parameter of a joint an interval of its own.
     own = one.known == "yes" or any(np.isfinite(p.before) for p in group)
-    half = _HALF_WIDTH * one.before
+    half = HALF_WIDTH * one.before
     nominal = words.with_error(one.nominal, (one.nominal - half, one.nominal + half))
     return (
         name,

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis.explain._identified import HALF_WIDTH
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import Payload
 
@@ -14,8 +15,6 @@ from sklearn_vbjfa.effects import Payload
 _ZERO = 1e-9
 # Masses of which one is less than this share of the other do not agree.
 _OTHER_MASS = 0.5
-# Half width of a 90 % interval in standard deviations.
-_HALF_WIDTH = 1.645
 
 # -- the band ---------------------------------------------------------------------
 
@@ -188,7 +187,7 @@ def _departure(one, common):
     """Say which body is not as described, or of which bodies one is not."""
     found = []
     for name, factor, std in zip(one.bodies, one.factors, one.stds):
-        half = _HALF_WIDTH * std
+        half = HALF_WIDTH * std
         times = words.with_error(factor, (factor - half, factor + half))
         found.append(f"{name} ({times} times)")
     than = "as much as in the robot description"
@@ -245,7 +244,7 @@ def _other(bodies):
     heavy, light = [], []
     for body in bodies:
         off = body.mass - body.nominal
-        half = _HALF_WIDTH * body.std
+        half = HALF_WIDTH * body.std
         if body.known == "yes" and abs(off) > half:
             value = words.with_error(body.mass, (body.mass - half, body.mass + half))
             text = f"{body.name} {value} kg instead of {words.number(body.nominal)} kg"

@@ -113,9 +113,8 @@ def _between(motion):
         for row in np.flatnonzero(step > _GAP * usual) + 1
     }
     # As probably as at all instants within a recording.
-    begins = _begins(motion)
-    rows = np.searchsorted(times, begins)
-    found |= {int(r): (float(s), times.size) for r, s in zip(rows, begins)}
+    rows = np.searchsorted(times, motion.later)
+    found |= {int(r): (float(s), times.size) for r, s in zip(rows, motion.later)}
     return [(row, *found[row]) for row in sorted(found)]
 
 
@@ -131,12 +130,6 @@ def refined(candidates, evidence, motion):
         if evidence(found) - evidence(plain) < least:
             return plain
     return found
-
-
-def _begins(motion):
-    """Instants between recordings, but for the beginning of the first."""
-    starts = motion.begins or [motion.t[part.start] for part in motion.parts]
-    return np.asarray(starts[1:], dtype=float)
 
 
 def _plainer(effect, motion):

@@ -15,6 +15,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
 from sklearn_vbjfa.diagnosis.search._moments import Moments
 from sklearn_vbjfa.diagnosis.search._problem import (
+    Base,
     Family,
     Fit,
     Member,
@@ -33,6 +34,8 @@ _KNOWN = 1e-9
 # What may scatter from one recording of a joint to the next, and from how many on.
 _PLAIN = ("offset", "gain", "friction")
 _SCATTER = 3
+# Times that gains are made anew of the torque that recordings share, until it stays.
+_TURNS, _STAYS = 20, 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,7 +175,7 @@ class _Group:
     name: str
     joints: tuple
     recordings: tuple
-    whole_robot: bool = False
+    whole_robot: bool
     in_model = slow = trend = False
     jumping = ()
 
@@ -181,54 +184,71 @@ class _Group:
         """First joint."""
         return self.joints[0]
 
+    @property
+    def scatters(self):
+        """Whether each recording has its own."""
+        return len(self.recordings) > 1
+
 
 class _Deviations:
     """Posterior of what is another in recordings, beside the completed model."""
 
     def __init__(self, fit, settings):
-        self.fit, self.settings, view = fit, settings, fit.view
-        base = declared_alone(view).base
+        self.fit, self.scale, self.rivals = fit, settings.scale, settings.rivals
+        self.settings, self.view = settings, fit.view
+        base = declared_alone(fit.view).base
         self.problem = base.problem
-        members = [self._member(effect) for effect in fit.effects]
-        start = rescaled(Fit(base, members), settings.scale)
-        self.regression = spectrum_of(start, settings)
-        self.recordings = np.unique(view.origin)
-
-    def _member(self, effect):
-        """Effect of the completed model as a member (nj, n, 1, k)."""
-        columns = self.fit.view.columns([effect], self.fit.motion)
-        made = Family.of(self.problem, (effect,), columns)
-        return made.member(0, self.settings.scale)
+        self.heard = np.flatnonzero(self.problem.heard)
+        self.recordings = np.unique(fit.view.origin)
+        effects = [
+            Family.of(self.problem, (e,), fit.view.columns([e], fit.motion))
+            for e in fit.effects
+        ]
+        members = [family.member(0, self.scale) for family in effects]
+        start = rescaled(Fit(base, members), self.scale)
+        self.regression, self.n_effects = spectrum_of(start, settings), len(members)
+        self._mirrors = set()
+        self._still = {name: self._kind(name) for name in ("offset", "friction")}
 
     def found(self, suspects, joints, needed):
         """Deviations with enough odds, added one by one, a tuple of `Deviation`."""
         regression, out = self.regression, []
-        offered = list(self._families(suspects, joints))
-        nv, R = self.fit.view.nv, self.recordings.size
-        # Each joint counts, whether it suffers or not.
-        count = R * (3 * nv + 4) + 3 * nv * (R >= _SCATTER)
+        open_ = list(self._groups(suspects, joints))
+        nv, R = self.view.nv, self.recordings.size
+        # Each joint and recording counts, whether it suffers or not.
+        count = R * (len(_PLAIN) * nv + 4) + len(_PLAIN) * nv * (R >= _SCATTER)
         prior = np.log(self.settings.expected / count)
-        while offered:
-            odds = [self._evidence(regression, own) + prior for own in offered]
+        while open_:
+            torque = self._shared(regression)
+            families = [self._family(group, torque) for group in open_]
+            odds = [self._evidence(regression, own) + prior for own in families]
             best = int(np.argmax(odds))
             if odds[best] < needed:
                 break
-            order = np.argsort(odds)[::-1]
             near = [
-                offered[k].effects[0]
-                for k in order
-                if odds[k] > odds[best] - self.settings.rivals
+                open_[k]
+                for k in np.argsort(odds)[::-1]
+                if odds[k] > odds[best] - self.rivals
             ]
-            family = offered.pop(best)
-            scale = regression.groups(family).best_scale(self.settings.scale)[0]
-            regression = spectrum_of(
-                regression.beside(_whole(family, float(scale))), self.settings
-            )
-            out.append((family, near, odds[best]))
-        places = regression.places[len(regression.members) - len(out) :]
-        return tuple(
-            self._deviation(regression, place, *own) for place, own in zip(places, out)
-        )
+            scale = regression.groups(families[best]).best_scale(self.scale)[0]
+            regression = self._beside(regression, families[best], float(scale))
+            out.append((open_.pop(best), near, odds[best]))
+        members = range(self.n_effects, len(regression.members))
+        return tuple(self._told(regression, i, *own) for i, own in zip(members, out))
+
+    def _groups(self, suspects, joints):
+        """Yield what may be another, in each suspect or from recording to recording."""
+        every = tuple(self.recordings.tolist())
+        for name in _PLAIN:
+            for j in joints:
+                for r in suspects:
+                    yield _Group(name, (j,), (int(r),), False)
+                if len(every) >= _SCATTER:
+                    yield _Group(name, (j,), every, False)
+        wide = ("gain", "friction") if self.heard.size > 1 else ()
+        for name in (*wide, Payload.name, "model"):
+            for r in suspects:
+                yield _Group(name, tuple(self.heard.tolist()), (int(r),), True)
 
     def _evidence(self, regression, family):
         """Log Bayes factor of a group, tempered by its scatter in time."""
@@ -237,128 +257,140 @@ class _Deviations:
             return -np.inf
         coef = groups.coefficients()[0]
         excess = regression.excess(family, 0, coef, regression.scores)
-        return float(groups.tempered(excess).evidence(self.settings.scale)[0])
+        return float(groups.tempered(excess).evidence(self.scale)[0])
 
-    def _deviation(self, regression, place, family, near, log_odds):
-        """Collect a group that was found."""
-        group = family.effects[0]
-        alike = [o for o in near if (o.name, o.joints) == (group.name, group.joints)]
-        recordings = group.recordings
-        scatters = len(recordings) > 1
-        if not scatters:
-            recordings = tuple(dict.fromkeys(o.recordings[0] for o in alike))
-        value = np.nan
-        if scatters and group.name != "friction":
-            member = regression.members[regression.places.index(place)]
-            value = float(member.scale * member.unit[0])
-        elif len(group.joints) == 1 and group.name in ("offset", "gain"):
-            value = float(regression.coefficients(regression.places.index(place))[0])
-            if group.name == "gain":
-                value = 1.0 + value * self._share(regression, group)
+    def _beside(self, regression, family, scale):
+        """Regression with one more group; gains are of the torque that all share."""
+        before, group = regression, family.effects[0]
+        regression = before.beside(_member(family, scale))
+        if _turned(regression, len(before.members)):
+            before = self._mirrored(before, group)
+            family = self._family(group, self._shared(before))
+            regression = before.beside(_member(family, scale))
+        for _ in range(_TURNS):
+            torque = self._shared(regression)
+            members = [
+                _member(self._family(one.effect, torque), one.scale) if k else one
+                for one, k in zip(regression.members, self._is_group(regression))
+            ]
+            again = rescaled(Fit(regression.base, members), self.scale)
+            regression = spectrum_of(again, self.settings, 1)
+            change = self._shared(regression) - torque
+            if (change**2).sum() <= _STAYS**2 * (torque**2).sum():
+                break
+        return regression
+
+    def _mirrored(self, regression, group):
+        """Regression on torques of the other sign, for a gain that is negative."""
+        problem, j = regression.problem, group.joint
+        own = np.isin(self.view.origin, group.recordings)
+        rows = problem.cosines.rows(problem.y[[j]]) * np.where(own, -1.0, 1.0)
+        y = problem.y.copy()
+        y[j] = problem.cosines(rows, [j])[0]
+        self._mirrors.add(group)
+        base = Base(problem.with_torques(y), regression.base.density)
+        return spectrum_of(Fit(base, regression.members), self.settings)
+
+    def _is_group(self, regression):
+        """Which members are no effects of the completed model."""
+        return np.arange(len(regression.members)) >= self.n_effects
+
+    def _told(self, regression, i, group, near, log_odds):
+        """Collect a group that was found, the i-th member."""
+        member, value = regression.members[i], np.nan
+        if len(group.joints) == 1 and group.name in ("offset", "gain"):
+            value = float(regression.coefficients(i)[0])
+            if group.scatters:
+                value = float(member.scale * member.unit[0])
+            elif group.name == "gain":
+                value = (1.0 + value) * (-1.0 if group in self._mirrors else 1.0)
+        alike = (o for o in near if (o.name, o.joints) == (group.name, group.joints))
+        recordings = dict.fromkeys(o.recordings[0] for o in alike if not o.scatters)
         others = dict.fromkeys(o.name for o in near if o.name != group.name)
         return Deviation(
-            recordings=recordings,
+            recordings=group.recordings if group.scatters else tuple(recordings),
             name=group.name,
             joints=group.joints,
             value=value,
             log_odds=float(log_odds),
-            scatters=scatters,
+            scatters=group.scatters,
             rivals=tuple(others),
         )
 
-    def _share(self, regression, group):
-        """Torque of the completed model over that which the others share."""
-        problem, j = self.problem, group.joint
-        shared = problem.Z[j] @ regression.theta
-        for place, member in zip(regression.places, regression.members):
-            if isinstance(member.effect, _Group) or j not in member.joints:
-                continue
-            own = member.columns[member.joints.index(j), :, 0]
-            shared = shared + own @ regression.coefficients(
-                regression.places.index(place)
-            )
-        fitted = self._cosines([j], self._torque(j), self._rows(group.recordings))
-        own = self._cosines([j], problem.cosines.rows(shared[None])[..., None, None])
-        return float((fitted * own).sum() / (own**2 * (fitted != 0)).sum())
-
     # -- columns --------------------------------------------------------------------
 
-    def _rows(self, recordings):
-        """Rows of some recordings, (m,)."""
-        return np.isin(self.fit.view.origin, recordings)
+    def _shared(self, regression):
+        """Weighted torque of what all recordings share, (nv, m)."""
+        shared = self.problem.Z @ regression.theta
+        for i, member in enumerate(regression.members[: self.n_effects]):
+            for own, j in zip(member.columns, member.joints):
+                shared[j] += own[:, 0] @ regression.coefficients(i)
+        return self.problem.cosines.rows(shared)
 
-    def _cosines(self, joints, columns, rows=None):
-        """Cosines of columns (nj, m, 1, k), of some rows."""
-        if rows is not None:
-            columns = columns * rows[:, None, None]
-        return self.problem.cosines(columns, joints)
+    def _kind(self, name, torque=None):
+        """Columns of each joint that is heard, a dict of (m, k)."""
+        if name == "gain":
+            return {int(j): torque[j][:, None] for j in self.heard}
+        effects = (Offset(),) if name == "offset" else (Viscous(), Coulomb())
+        out = {}
+        for j in self.heard:
+            own = [clone(e).set_params(joint=int(j)) for e in effects]
+            made = [self.view.columns([e], self.fit.motion)[0, :, 0] for e in own]
+            out[int(j)] = np.concatenate(made, axis=1)
+        return out
 
-    def _torque(self, j):
-        """Torque of the completed model on a joint as a column, (1, m, 1, 1)."""
-        view = self.fit.view
-        residual = self.fit.residuals_of(self.fit.identifier.theta_).residual
-        torque = (view.equations.tau - residual)[:, j] * view.root[:, j]
-        return torque[None, :, None, None]
+    def _columns(self, group, torque):
+        """Columns (nj, m, 1, k) of a group in all recordings."""
+        view = self.view
+        if group.name == Payload.name:
+            features = view.robot.features_
+            last = features.n_parameters_ - features.n_parameters_ // view.nv
+            body = view.equations.Phi[:, :, last : last + 10] * view.root[:, :, None]
+            return body.transpose(1, 0, 2)[:, :, None]
+        if group.name == "model":
+            every = [_wide(self._still[name], view) for name in self._still]
+            return np.concatenate([view.Z[:, :, None], *every], axis=3)
+        own = self._still.get(group.name) or self._kind(group.name, torque)
+        return (
+            _wide(own, view) if group.whole_robot else own[group.joint][None, :, None]
+        )
 
-    def _kinds(self, joints):
-        """Yield (name, joints, columns (nj, m, 1, k)) of what may be another."""
-        view, nv = self.fit.view, self.fit.view.nv
-
-        def of(effect, j):
-            effect = clone(effect).set_params(joint=int(j))
-            return view.columns([effect], self.fit.motion)
-
-        single = {name: {} for name in _PLAIN}
-        heard = np.flatnonzero(self.problem.heard)
-        for j in heard:
-            single["offset"][j] = of(Offset(), j)
-            single["gain"][j] = self._torque(j)
-            both = [of(Viscous(), j), of(Coulomb(), j)]
-            single["friction"][j] = np.concatenate(both, axis=3)
-        for name, columns in single.items():
-            for j in joints:
-                yield name, (int(j),), columns[j]
-        if heard.size > 1:
-            for name in ("gain", "friction"):
-                k = single[name][heard[0]].shape[3]
-                wide = np.zeros((nv, view.index.size, 1, k * heard.size))
-                for i, j in enumerate(heard):
-                    wide[j, :, :, k * i : k * i + k] = single[name][j][0]
-                yield name, tuple(heard.tolist()), wide
-        features = view.robot.features_
-        last = features.n_parameters_ - features.n_parameters_ // nv
-        body = view.equations.Phi[:, :, last : last + 10] * view.root[:, :, None]
-        yield Payload.name, tuple(range(nv)), body.transpose(1, 0, 2)[:, :, None]
-        yield "model", tuple(range(nv)), view.Z[:, :, None]
-
-    def _families(self, suspects, joints):
-        """Yield each of them in each suspect, and the plain ones in all recordings."""
-        for name, own, columns in self._kinds(joints):
-            whole = len(own) > 1 or columns.shape[0] > 1
-            at = tuple(range(self.fit.view.nv)) if whole else own
-            group = _Group(name, own, (), whole_robot=whole)
-            unit = Family.of(self.problem, (group,), columns).unit
-            made = {}
-            scatters = name in _PLAIN and self.recordings.size >= _SCATTER and not whole
-            for r in self.recordings if scatters else suspects:
-                made[r] = self._cosines(list(at), columns, self._rows(r))
-            for r in suspects:
-                group = _Group(name, own, (int(r),), whole)
-                yield self._family(group, at, made[r], unit)
-            if scatters:
-                every = tuple(self.recordings.tolist())
-                group = _Group(name, own, every, whole)
-                unit = np.tile(unit, len(made))
-                cosines = np.concatenate(list(made.values()), axis=3)
-                yield self._family(group, at, cosines, unit)
-
-    def _family(self, group, joints, cosines, unit):
-        moments = Moments(joints, cosines, self.problem.edges)
-        return Family(effects=(group,), moments=moments, unit=unit)
+    def _family(self, group, torque):
+        """Group in its recordings, or in each of several with columns of its own."""
+        columns = self._columns(group, torque)
+        unit = Family.of(self.problem, (group,), columns).unit
+        joints = tuple(self.view.joints_of(group))
+        made = [
+            self.problem.cosines(
+                columns * (self.view.origin == r)[:, None, None], joints
+            )
+            for r in group.recordings
+        ]
+        return Family(
+            effects=(group,),
+            moments=Moments(joints, np.concatenate(made, axis=3), self.problem.edges),
+            unit=np.tile(unit, len(made)),
+        )
 
 
-def _whole(family, scale):
-    """Family of one group as a member of a fit."""
+def _wide(columns, view):
+    """Columns (m, k) of joints as those of all joints, (nv, m, 1, k * joints)."""
+    width = [own.shape[1] for own in columns.values()]
+    out = np.zeros((view.nv, view.index.size, 1, sum(width)))
+    for j, own, end in zip(columns, columns.values(), np.cumsum(width)):
+        out[j, :, 0, end - own.shape[1] : end] = own
+    return out
+
+
+def _turned(regression, i):
+    """Whether a member is the negative gain of a joint in one recording."""
+    group = regression.members[i].effect
+    single = group.name == "gain" and not (group.whole_robot or group.scatters)
+    return single and regression.coefficients(i)[0] < -1.0
+
+
+def _member(family, scale):
+    """Group as a member of a fit."""
     return Member(
         effect=family.effects[0],
         moments=family.moments,

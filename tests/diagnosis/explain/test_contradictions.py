@@ -14,7 +14,7 @@ from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import LoadFriction
 from sklearn_vbjfa.recording._recording import take_arrays
 from tests.diagnosis._recordings import record
-from tests.effects._arms import last_body_regressor
+from tests.effects._arms import inverse_dynamics, last_body_regressor
 
 SPREAD = np.ones(2)
 PAIR = tuple(record("ZY", seed=seed) for seed in (11, 12))
@@ -48,6 +48,10 @@ def offset(k, torque, recording):
 
 def friction(k, torque, recording):
     return torque + 0.8 * np.sign(recording.v) if k == 1 else torque
+
+
+def flipped(k, torque, recording):
+    return torque * [1.0, -1.0] if k == 1 else torque
 
 
 def joint_friction(k, torque, recording):
@@ -93,6 +97,7 @@ def test_the_recordings_of_the_demo_agree():
     ("spoil", "name", "joints", "value"),
     [
         (gain, "gain", (1,), 1.2),
+        (flipped, "gain", (1,), -1.0),
         (offset, "offset", (1,), 0.7),
         (joint_friction, "friction", (1,), np.nan),
         (friction, "friction", (0, 1), np.nan),
@@ -126,6 +131,21 @@ def test_another_load_in_one_recording():
     (cause,) = result.deviations
     assert (cause.name, cause.recordings, result.culprit) == ("payload", (1,), 1)
     assert "model" not in cause.rivals
+
+
+def test_recordings_of_two_robots():
+    def other(k, torque, recording):
+        model = recording.model.copy()
+        for body in list(model.inertias)[1:]:
+            body.mass *= 1.7
+            body.lever = body.lever + np.array([0.05, -0.04, 0.06])
+        states = np.hstack([recording.q, recording.v, recording.a])
+        changed = inverse_dynamics(model, states) - recording.load
+        return torque + (k == 1) * (changed + np.sign(recording.v) + 0.5)
+
+    _, result = compared(FOUR, other)
+    (cause,) = result.deviations
+    assert (cause.name, cause.recordings, cause.rivals) == ("model", (1,), ())
 
 
 def test_two_recordings_are_another_each_in_its_way():

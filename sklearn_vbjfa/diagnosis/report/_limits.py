@@ -20,10 +20,8 @@ _OTHER_MASS = 0.5
 
 
 def band_sentences(outcome, errors):
-    """Say what the band of the errors is, why, what lies in it, and what above it.
-
-    errors : mean errors of the verdict.
-    """
+    """Say what the band of the errors is, why, what lies in it, and what above it."""
+    # errors: mean errors of the verdict.
     band = outcome.band
     if band is None:
         return ()

@@ -72,12 +72,10 @@ class _Family:
 
 
 def suggestion(table: Table, joints, needed, given, *, timed, gained):
-    """Return the options that would read a file, {} if they cannot be told.
-
-    joints : names of the robot's joints, empty if unknown; needed : kinds without a
-    column ("q", "tau", "t"); given : mapping as far as it stands; timed : whether a
-    period is known; gained : whether gains are.
-    """
+    """Return the options that would read a file, {} if they cannot be told."""
+    # joints: names of the robot's joints, empty if unknown; needed: kinds without a
+    # column ("q", "tau", "t"); given: mapping as far as it stands; timed: whether a
+    # period is known; gained: whether gains are.
     mapping, numbered = dict(given), None
     families = _families(table, joints)
     best = _best_pair(table, families, joints, needed)

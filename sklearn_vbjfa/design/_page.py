@@ -41,7 +41,7 @@ class Present:
     """What is known of a parameter before the motion."""
 
     value: float
-    # of its 90 % interval; nan where the recordings do not determine it by itself
+    # that of its 90 % interval; nan where the recordings do not determine it alone
     half_width: float
 
 

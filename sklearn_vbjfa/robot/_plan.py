@@ -232,6 +232,7 @@ def fastest_period(states):
     """Return periods (nv,) [s] of sines of the joints' top speed and acceleration."""
     # That is 2 pi times top speed over top acceleration of states (n, 3 nv); zero
     # without.
+
     # Contiguous per joint, which dominates the cost of a partition.
     _, v, a = (np.abs(x, order="C") for x in np.split(states.T, 3))
     fast, strong = (np.quantile(x, _FAST, axis=1, overwrite_input=True) for x in (v, a))

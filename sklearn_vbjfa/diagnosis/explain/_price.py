@@ -202,6 +202,7 @@ def _channel(robot):
     """Joint without whose torques most constraints are not needed, and how much."""
     # (None, nan) if no joint stands out: its share has to be most of the price, and
     # what is left without it less than half of what is left without any other.
+
     # The fit is repeated without the torques of each joint in turn.
     moments = robot.estimator_.statistics_
     weights = robot.estimator_.joint_weights_

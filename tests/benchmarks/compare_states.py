@@ -463,8 +463,9 @@ def differing_lines(one, other):
     """Return the lines, in pairs, at which two texts differ."""
     lines = one.splitlines(), other.splitlines()
     if len(lines[0]) != len(lines[1]):
+        counts = [(f"{len(lines[0])} lines", f"{len(lines[1])} lines")]
         only = [[x for x in a if x not in set(b)] for a, b in (lines, lines[::-1])]
-        return [(x, None) for x in only[0]] + [(None, x) for x in only[1]]
+        return counts + [(x, None) for x in only[0]] + [(None, x) for x in only[1]]
     return [(a, b) for a, b in zip(*lines) if not same_line(a, b)]
 
 
@@ -485,7 +486,7 @@ def differences(one, two):
                 metric = np.asarray(one[key.split("theta|")[0] + "metric"])
             apart = difference(one[key], two[key], metric)
             if not apart <= TOLERANCE:
-                found[key] = f"{apart:.2e}"
+                found[key] = f"{apart:.2e}" if np.isfinite(apart) else "differs"
     return found
 
 

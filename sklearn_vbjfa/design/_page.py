@@ -1,7 +1,4 @@
-"""A designed motion in words: a page beside its file, and a summary for a terminal.
-
-Nothing is designed here. Sections are those of a report, which draws them.
-"""
+"""A designed motion in words: a page beside its file, and a summary for a terminal."""
 
 import math
 import textwrap

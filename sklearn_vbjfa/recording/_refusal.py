@@ -1,8 +1,4 @@
-"""The refusal of a file whose columns are not recognised, and what would be taken.
-
-It lists all that is missing at once, with the columns that come nearest to it, and the
-options with which the file would be read.
-"""
+"""The refusal of a file whose columns are not recognised, and what would be taken."""
 
 import re
 from collections import Counter

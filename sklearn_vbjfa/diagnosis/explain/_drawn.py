@@ -1,9 +1,4 @@
-"""What pictures of a finished search need of the recording, thinned to what they show.
-
-Of each effect the torque that the rest of the model leaves to it, over the signal that
-its class names (`Effect.seen_over`); of each joint measured and predicted torques over
-time.
-"""
+"""What pictures of a finished search need of the recording, thinned."""
 
 import itertools
 from dataclasses import dataclass

@@ -16,6 +16,7 @@ FIGURES = {
     "names": ["link:m", "link:mx"],
     "exit code": 3,
     "files": ["report.html", "report.json"],
+    "perhaps": [],
     "report.json": REPORT,
 }
 
@@ -76,7 +77,7 @@ def test_files_are_compared(states, tmp_path, capsys):
     codes = {k: states.main(["compare", paths["one"], paths[k]]) for k in contents}
     assert codes == {"one": 0, "same": 0, "other": 1, "more": 1}
     text = capsys.readouterr().out
-    assert "demo: 7 of 7 equal; 1.0 s and 100 MB -> 2.0 s and 100 MB" in text
+    assert "demo: 8 of 8 equal; 1.0 s and 100 MB -> 2.0 s and 100 MB" in text
     assert "demo: names: differs" in text
     assert f"emps: only in {paths['more']}" in text
 

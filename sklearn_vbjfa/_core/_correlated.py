@@ -1,15 +1,11 @@
 """Regression with correlated latent inputs and known input-noise covariance.
 
-    t ~ N(0, Sigma_t),  x = t + e_x,  e_x ~ N(0, Psi),  y = beta't + e_y,
-    e_y ~ N(0, psi_y),  beta_m ~ N(0, 1/alpha_m),  alpha_m ~ Gamma,
+t ~ N(0, Sigma_t),  x = t + e_x,  e_x ~ N(0, Psi),  y = beta't + e_y,
+e_y ~ N(0, psi_y),  beta_m ~ N(0, 1/alpha_m),  alpha_m ~ Gamma,
 
-with Psi known. Variational posterior q(T) q(beta) q(alpha); everything follows from n,
-S_xx, S_xy and S_yy, at O(d^3) an iteration. With Psi = 0, t is x and this is Bayesian
-linear regression with automatic relevance determination.
-
-In order: the latent inputs given the observed ones; the updates of the posterior; the
-joint maxima that replace slowly converging updates, with the same fixed points; and the
-steps for the loop of `_solver`. Tags such as [C6] are equations of the guide.
+with Psi known and the posterior q(T) q(beta) q(alpha), from n, S_xx, S_xy and S_yy at
+O(d^3) an iteration. Psi = 0 is Bayesian linear regression with automatic relevance
+determination. Tags such as [C6] are equations of the guide.
 """
 
 from collections import deque
@@ -36,11 +32,10 @@ _LOG_2PI = float(np.log(2 * np.pi))
 
 @dataclass(frozen=True, kw_only=True)
 class Latent:
-    """Gaussian of the latent inputs: E[t | x] = H x, Cov[t | x] = P, Cov[t] = Sigma_t.
+    """Gaussian of the latent inputs: H, P, Sigma_t and more, all (d, d)."""
 
-    All are (d, d). With ``exact`` the noise is zero and t is x; ``clipped`` are the
-    eigenvalues of S/n - Psi that were negative.
-    """
+    # E[t | x] = H x, Cov[t | x] = P, Cov[t] = Sigma_t. With ``exact`` the noise is zero
+    # and t is x; ``clipped`` are the eigenvalues of S/n - Psi that were negative.
 
     H: np.ndarray
     P: np.ndarray
@@ -50,10 +45,8 @@ class Latent:
 
 
 def infer_latent(S, n, psi, floor=1e-12):
-    """Split the scatter (d, d) of x into latent and noise, [C1] to [C3].
-
-    No latent signal is left in directions where psi exceeds S.
-    """
+    """Split the scatter (d, d) of x into latent and noise, [C1] to [C3]."""
+    # No latent signal is left in directions where psi exceeds S.
     covariance = S / n
     d = covariance.shape[0]
     if not psi.any():
@@ -136,12 +129,10 @@ _LARGEST_LOG = 300.0
 
 
 def precisions_given_others(mean, variance, alpha, shape0, rate0):
-    """E[alpha_m] (d,) to which the updates of alpha_m and beta_m converge, [C14].
-
-    mean, variance : posterior of beta under the precisions `alpha`, each (d,), which
-    give s and q (Tipping and Faul, 2003). The plain update increases with alpha, so it
-    converges to the nearest root in the direction in which it moves: that is returned.
-    """
+    """E[alpha_m] (d,) to which the updates of alpha_m and beta_m converge, [C14]."""
+    # mean, variance (d,): posterior of beta under `alpha` (d,), which give s and q
+    # (Tipping and Faul, 2003). The plain update increases with alpha, so it converges
+    # to the nearest root in the direction in which it moves: that is returned.
     total = 2 * shape0 + 1.0
     # An uninformative input has s = 0, to rounding.
     s = np.maximum(1.0 / variance - alpha, np.finfo(float).eps / variance)
@@ -169,10 +160,8 @@ def precisions_given_others(mean, variance, alpha, shape0, rate0):
 
 
 def noise_given_shape(squares, n, d, penalty):
-    """Best output noise when the covariance of beta scales with it, [C15].
-
-    squares : squared residual at the mean; penalty : sum of alpha_m cov_mm / psi_y.
-    """
+    """Best output noise when the covariance of beta scales with it, [C15]."""
+    # squares: squared residual at the mean; penalty: sum of alpha_m cov_mm / psi_y.
     half = 0.5 * (n - d)
     root = np.sqrt(half * half + penalty * squares)  # [C15]
     if half > 0:
@@ -181,12 +170,10 @@ def noise_given_shape(squares, n, d, penalty):
 
 
 def mean_and_noise(moments, latent, G, start, alpha):
-    """Best mean (d,) of beta and output noise together, q(T) at its optimum, [C16].
-
-    Given G = cov / psi_y (d, d). Newton's method in (beta, log psi_y) with the
-    magnitudes of the eigenvalues, which makes each step an ascent; `start` is a mean
-    and a noise, `alpha` (d,) the precisions of the prior.
-    """
+    """Best mean (d,) of beta and output noise together, q(T) at its optimum, [C16]."""
+    # Given G = cov / psi_y (d, d). Newton's method in (beta, log psi_y) with the
+    # magnitudes of the eigenvalues, which makes each step an ascent; `start` is a mean
+    # and a noise, `alpha` (d,) the precisions of the prior.
     n, xy, yy = moments.n, moments.xy, moments.yy
     mean, noise = start
     d = mean.size
@@ -273,11 +260,9 @@ def _prior_bound(state, shape0, rate0, logdet_cov, shared):
 
 
 def square_root(S, xy, yy):
-    """Square root of second moments, without the rounding of their null space.
-
-    What is left of the diagonal below rounding is set to zero: otherwise it would act
-    as information once the noise is small enough.
-    """
+    """Square root of second moments, without the rounding of their null space."""
+    # What is left of the diagonal below rounding is set to zero: otherwise it would act
+    # as information once the noise is small enough.
     d = xy.size
     largest = np.abs(np.diagonal(S)).max(initial=0.0)
     # With pivots, what rounding leaves comes last.
@@ -307,11 +292,9 @@ class BetaPosterior:
 
 
 def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
-    """Posterior of beta from the sums over t, [C8], [C9], [C11].
-
-    ``square_root()`` returns that of the moments; it is called only if needed, or
-    always.
-    """
+    """Posterior of beta from the sums over t, [C8], [C9], [C11]."""
+    # ``square_root()`` returns that of the moments; it is called only if needed, or
+    # always.
     prior = 1.0 / np.sqrt(alpha)
     d = prior.size
     largest = (np.diagonal(S_tt) / alpha).max() / s2
@@ -379,20 +362,12 @@ class Point:
 
 
 class CorrelatedProblem:
-    """The moments, and the steps from one state to the next.
+    """The moments, and the steps from one state to the next."""
 
-    Parameters
-    ----------
-    moments : SecondMoments
-        Standardised moments as a scatter matrix; with exact inputs a square root, which
-        is more accurate, is used if available.
-    psi : ndarray of shape (d, d)
-        Input-noise covariance.
-    ard_shape, ard_rate : float
-        Gamma prior of the precisions.
-    common : bool
-        One precision for all coefficients instead of one for each.
-    """
+    # With exact inputs the square root of the moments is used if there is one: it is
+    # more accurate. psi (d, d) is the input-noise covariance; ard_shape and ard_rate
+    # are the Gamma prior of the precisions; `common`: one precision for all
+    # coefficients.
 
     def __init__(self, moments, psi, *, ard_shape, ard_rate, common):
         self.moments, self.n = moments, moments.n
@@ -419,11 +394,9 @@ class CorrelatedProblem:
         return self._start_from(np.ones(self.d), self.moments.yy / self.n, fast=fast)
 
     def start_from_least_squares(self, *, fast):
-        """Posterior with the precisions and the noise of least squares.
-
-        From the ridge solution, directions with a tiny share of the inputs' variance
-        are not found, even if y depends on them with hardly any noise.
-        """
+        """Posterior with the precisions and the noise of least squares."""
+        # From the ridge solution, directions with a tiny share of the inputs' variance
+        # are not found, even if y depends on them with hardly any noise.
         root = self.root_of(self._observed())
         beta = np.linalg.lstsq(root.R, root.z, rcond=None)[0]
         left = root.z - root.R @ beta
@@ -510,11 +483,9 @@ class CorrelatedProblem:
         return self.evaluate(new, beta.logdet, alpha, spread)
 
     def evaluate(self, state, logdet, precisions, spread):
-        """E-step over T, and the bound.
-
-        logdet : of the covariance of beta, which was taken under `precisions` (d,);
-        spread : tr(cov S) / psi_y with exact inputs.
-        """
+        """E-step over T, and the bound."""
+        # logdet: of the covariance of beta, which was taken under `precisions` (d,);
+        # spread: tr(cov S) / psi_y with exact inputs.
         sums = expect_latent(self.moments, self.latent, state)
         if self.given:
             # The squared residual of the factor instead of a difference of moments,
@@ -532,10 +503,8 @@ class CorrelatedProblem:
         )
 
     def judge(self, point, new, tol):
-        """Whether a step lowered the bound, and whether its gain was negligible.
-
-        A gain within the residual's rounding is negligible, whatever `tol`.
-        """
+        """Whether a step lowered the bound, and whether its gain was negligible."""
+        # A gain within the residual's rounding is negligible, whatever `tol`.
         gain = new.value - point.value
         resolution = min(self._resolution(new), self._resolution(point))
         fell = not gain >= -rounding_of_bound(new.value, self.n, resolution)
@@ -551,10 +520,8 @@ class CorrelatedProblem:
         return point.state.psi_y / (1.0 + size**2)
 
     def coordinates(self, point):
-        """Return what the next plain step depends on, log alpha and log s2 first.
-
-        ndarray of shape (d + 1,), or (d + 1 + d * d + d,) with noisy inputs.
-        """
+        """Return what the next plain step depends on, log alpha and log s2 first."""
+        # (d + 1,), or (d + 1 + d * d + d,) with noisy inputs
         state, sums = point.state, point.sums
         parts = [np.log(state.E_alpha), [np.log(state.psi_y)]]
         if not self.latent.exact:
@@ -621,13 +588,12 @@ class _Anderson:
 
 
 class FixedPointSteps(PlainSteps):
-    """Steps to the fixed point: joint maxima, and extrapolated plain steps.
+    """Steps to the fixed point: joint maxima, and extrapolated plain steps."""
 
-    When the bound gains less than `tol`, end points still differ by the length of a
-    step, and rounding decides which is the last. From there on (or from the start, if
-    joint steps would lose digits) the plain iteration is extrapolated until its steps
-    are rounding: the result is the fixed point, whatever the order of summation.
-    """
+    # When the bound gains less than `tol`, end points still differ by the length of a
+    # step, and rounding decides which is the last. From there on (or from the start, if
+    # joint steps would lose digits) the plain iteration is extrapolated until its steps
+    # are rounding: the result is the fixed point, whatever the order of summation.
 
     def __init__(self, problem, tol, *, joint):
         super().__init__(problem, tol)
@@ -689,26 +655,13 @@ def solve_correlated(
     common=False,
     accelerate=True,
 ):
-    """Fit the model to standardised moments.
-
-    Parameters
-    ----------
-    moments : SecondMoments
-        Moments as a scatter matrix.
-    psi : ndarray of shape (d, d)
-        Input-noise covariance.
-    common : bool
-        One precision for all coefficients instead of one for each.
-    accelerate : bool, default=True
-        Reach the fixed point in fewer iterations, by joint maximisation over blocks
-        that the plain iteration updates in turn, if the moments have a square root or
-        enough digits in all directions (the smallest eigenvalue of S exceeds rounding
-        by half of them), and by Anderson extrapolation. A step that does not raise the
-        bound is replaced by the plain one. Every evaluation of the bound counts as an
-        iteration. False runs the plain iteration, stopped by `tol` alone.
-        With exact inputs the bound at least squares is checked at the end; if it is
-        higher, the iteration continues from there.
-    """
+    """Fit the model to standardised moments, with the input noise psi (d, d)."""
+    # accelerate: joint maximisation over blocks that the plain iteration updates in
+    # turn (if the moments have a square root, or S exceeds rounding by half of the
+    # digits in all directions) and Anderson extrapolation; a step that does not raise
+    # the bound is replaced by the plain one. With exact inputs the bound at least
+    # squares is checked at the end; if it is higher, the iteration continues from
+    # there.
     problem = CorrelatedProblem(
         moments, psi, ard_shape=ard_shape, ard_rate=ard_rate, common=common
     )
@@ -758,11 +711,9 @@ def _highest_of_two(problem, up, max_iter, *, fast):
 
 
 def posterior_covariance(n, psi, solution, dof=np.inf):
-    """Covariance (d, d) of beta that includes noise in the inputs' moments, [C17].
-
-    psi (d, d) is known, or was estimated with `dof` degrees of freedom. With psi = 0 it
-    is the posterior covariance of Bayesian regression.
-    """
+    """Covariance (d, d) of beta that includes noise in the inputs' moments, [C17]."""
+    # psi (d, d) is known, or was estimated with `dof` degrees of freedom. With psi = 0
+    # it is the posterior covariance of Bayesian regression.
     state = solution.state
     if solution.latent.exact:
         return state.beta_cov

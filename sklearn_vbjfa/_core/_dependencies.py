@@ -1,15 +1,10 @@
 """Exactly dependent inputs: which of them generate the others.
 
-Noise cannot be independent among inputs that are sums of each other. Before independent
-noise is subtracted, the inputs that generate the rest have to be found. The second
-moments do not determine them (any basis of the same span has the same likelihood), but
-two unit-free rules do:
-
-1. If all dependent inputs are sums with non-negative weights (averages, totals) of as
-   few of them as the span has dimensions, those are the generators: they are the
-   extreme rays of the cone of all, and unique up to copies.
-2. Otherwise the subset of largest volume in standardised columns is taken, of which
-   all others are combinations with weights of at most one.
+Independent noise cannot be subtracted from inputs that are sums of each other. Second
+moments do not say which generate the rest, but two unit-free rules do. If all dependent
+inputs are sums with non-negative weights of as few of them as the span has dimensions,
+it is these, the extreme rays of the cone of all. Otherwise it is the subset of largest
+volume in standardised columns: all others have weights of at most one.
 """
 
 from dataclasses import dataclass
@@ -28,21 +23,12 @@ _MOST_RAYS = 500
 
 @dataclass(frozen=True, kw_only=True)
 class Dependencies:
-    """Generators among the inputs.
+    """Generators among the inputs."""
 
-    Attributes
-    ----------
-    basis : ndarray of int
-        Columns that generate all others, ascending.
-    copies : tuple of ndarray of int
-        For each column of the basis, the column itself and its exact copies.
-    rule : {"full rank", "rays", "volume"}
-        How the basis was found.
-    """
-
-    basis: np.ndarray
+    basis: np.ndarray  # columns that generate all others, ascending
+    # for each column of the basis, the column itself and its exact copies
     copies: tuple
-    rule: str
+    rule: str  # how the basis was found
 
 
 def find_dependencies(R):

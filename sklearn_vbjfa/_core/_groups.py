@@ -14,21 +14,13 @@ _SPAN = 1e-5
 
 @dataclass(frozen=True, kw_only=True)
 class Excess:
-    """How much more evidence scatters in time than its second moments promise.
+    """How much more evidence scatters in time than its second moments promise."""
 
-    Attributes
-    ----------
-    ratio : float
-        Variance of the score over that which they promise, at least one.
-    freedom : float
-        Degrees of freedom of that variance; infinite where they are many.
-    usual : float
-        The ratio as it is taken for effects that are no function of time, by which
-        those that are compare with them.
-    """
-
+    # variance of the score over that which they promise, at least one
     ratio: float = 1.0
+    # degrees of freedom of that variance; infinite where they are many
     freedom: float = np.inf
+    # ratio of effects that are no function of time, beside which those that are stand
     usual: float = 1.0
 
     def as_usual(self):
@@ -44,52 +36,32 @@ class Excess:
 
 
 def student(gain, freedom, width):
-    """Log likelihood ratio of Student's t where the normal one has a gain.
-
-    Of coefficients of `width` columns.
-    """
+    """Log likelihood ratio of Student's t where the normal one has a gain."""
+    # Of coefficients of `width` columns.
     return 0.5 * (freedom + width) * np.log1p(2 * gain / freedom)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Groups:
-    """Second moments of c groups of k columns beside a model.
+    """Second moments of c groups of k columns beside a model."""
 
-    Attributes
-    ----------
-    H : ndarray of shape (c, k, k)
-        What the model leaves of their Gram matrices, in units of the noise.
-    q : ndarray of shape (c, k)
-        Products of their columns with the residual.
-    own : ndarray of shape (c, k)
-        Square sums of the columns themselves.
-    unit : ndarray of shape (c, k)
-        Coefficients with which each column alone has the torque of its joint.
-    freedom : float
-        Degrees of freedom of the noise: Student's t in place of the normal.
-    """
-
+    # (c, k, k): what the model leaves of their Gram matrices, in units of the noise
     H: np.ndarray
-    q: np.ndarray
-    own: np.ndarray
+    q: np.ndarray  # (c, k): products of their columns with the residual
+    own: np.ndarray  # (c, k): square sums of the columns themselves
+    # (c, k): coefficients with which each column alone has the torque of its joint
     unit: np.ndarray
+    # degrees of freedom of the noise: Student's t in place of the normal
     freedom: float = np.inf
 
     def evidence(self, scale):
-        """Logarithms of Bayes factors (c,) against the model without the group.
-
-        The coefficients are normal, with `unit` times a scale as their deviation, and
-        the scale is half-Cauchy around `scale` (N. Polson, J. Scott, "On the
-        half-Cauchy prior for a global scale parameter", Bayesian Analysis 7(4), 2012,
-        doi 10.1214/12-BA730), summed over a grid of its logarithm. For one scale the
-        factor is prod_k (1 + s^2 lambda_k)^(-1/2) exp(q_k^2 s^2 / (2 (1 + s^2
-        lambda_k))) over the eigenvalues of the group's block [1]_.
-
-        References
-        ----------
-        .. [1] M. Tipping, A. Faul, "Fast marginal likelihood maximisation for sparse
-           Bayesian models", AISTATS 2003, equation 18, for a single column.
-        """
+        """Logarithms of Bayes factors (c,) against the model without the group."""
+        # The coefficients are normal, with `unit` times a scale as their deviation, and
+        # the scale is half-Cauchy around `scale` (Polson and Scott, doi
+        # 10.1214/12-BA730), summed over a grid of its logarithm. For one scale s the
+        # factor is prod_k (1 + s^2 lambda_k)^(-1/2) exp(q_k^2 s^2 / (2 (1 + s^2
+        # lambda_k))) over the eigenvalues of the group's block (Tipping and Faul,
+        # AISTATS 2003, eq. 18, for a single column).
         return logsumexp(self._along(scale), axis=0)
 
     def tempered(self, excess):
@@ -127,10 +99,8 @@ class Groups:
 
     @functools.cached_property
     def _spectral(self):
-        """Eigenvalues (c, k) of the scaled blocks, products along them, directions.
-
-        Zero along directions of which too little is left.
-        """
+        """Eigenvalues (c, k) of the scaled blocks, products along them, directions."""
+        # Zero along directions of which too little is left.
         H = self.H * self.unit[:, :, None] * self.unit[:, None]
         value, vectors = np.linalg.eigh(0.5 * (H + H.transpose(0, 2, 1)))
         rest = np.einsum("cab,ca->cb", vectors, self.q * self.unit)

@@ -17,33 +17,19 @@ NONGENERIC = np.sqrt(np.finfo(np.float64).eps)
 
 @dataclass(frozen=True, kw_only=True)
 class UnitColumns:
-    """Columns of unit length, weighted by the square root of the row weights.
+    """Columns of unit length, weighted by the square root of the row weights."""
 
-    Attributes
-    ----------
-    values : ndarray of shape (n_samples, n_features)
-        ``sqrt(weight) * (X - mean) / scale``; zero for a constant column.
-
-    mean : ndarray of shape (n_features,)
-        Weighted means, in the unit of each column; zero without centring.
-
-    scale : ndarray of shape (n_features,)
-        Lengths of the centred, weighted columns, in the unit of each column; one
-        for a constant column.
-    """
-
+    # (n_samples, n_features): ``sqrt(weight) * (X - mean) / scale``; 0 if constant
     values: np.ndarray
-    mean: np.ndarray
+    mean: np.ndarray  # (n_features,): weighted means; zero without centring
+    # (n_features,): lengths of the centred, weighted columns; one if constant
     scale: np.ndarray
 
 
 def unit_columns(X, weight, *, center):
-    """Centre columns X (n, d) at their means of weights (n,) > 0, scale to unit length.
-
-    Dividing by the largest magnitude keeps squares from overflowing, and a second pass
-    removes the rounding of the first mean, so that columns in any unit and with any
-    offset are treated alike.
-    """
+    """Centre columns X (n, d) at means of weights (n,) > 0, scale to unit length."""
+    # Dividing by the largest magnitude keeps squares from overflowing, and a second
+    # pass removes the rounding of the first mean: any unit and offset is treated alike.
     total = weight.sum()
     magnitude = np.maximum(X.max(axis=0), -X.min(axis=0))
     magnitude = np.where(magnitude > 0, magnitude, 1.0)
@@ -81,24 +67,14 @@ def orthonormal_basis(matrix):
 
 @dataclass(frozen=True, kw_only=True)
 class ScaledSolution:
-    """Least squares in scaled columns.
+    """Least squares in scaled columns."""
 
-    Attributes
-    ----------
-    coef : ndarray of shape (n_features,)
-        Solution.
-    inverse : ndarray of shape (n_features, n_features)
-        Pseudo-inverse of the Gram matrix of the scaled columns, scaled back.
-    identified : ndarray of shape (n_features,), dtype=bool
-        Coefficients that are the same in all solutions.
-    rank : int
-        Rank of the scaled columns.
-    """
-
-    coef: np.ndarray
+    coef: np.ndarray  # (n_features,): solution
+    # (n_features, n_features): pseudo-inverse of their Gram matrix, scaled back
     inverse: np.ndarray
+    # (n_features,): coefficients that are the same in all solutions
     identified: np.ndarray
-    rank: int
+    rank: int  # rank of the scaled columns
 
 
 def scaled_lstsq(matrix, target):
@@ -115,13 +91,11 @@ def scaled_lstsq(matrix, target):
 
 
 def mixed_tls(columns, target, exact):
-    """Mixed least squares - total least squares; coefficients (d,) and rank.
-
-    All columns (n, d) but the `exact` ones (d,) have noise of the same variance as the
-    target (n,). Golub, Hoffman & Stewart (1987): the exact columns are eliminated
-    by orthogonal projection, the rest is a classical problem, and back-substitution
-    gives their coefficients.
-    """
+    """Mixed least squares - total least squares; coefficients (d,) and rank."""
+    # All columns (n, d) but the `exact` ones (d,) have noise of the same variance as
+    # the target (n,). Golub, Hoffman & Stewart (1987): the exact columns are eliminated
+    # by orthogonal projection, the rest is a classical problem, and back-substitution
+    # gives their coefficients.
     coef = np.zeros(columns.shape[1])
     basis = orthonormal_basis(columns[:, exact])
     noisy = columns[:, ~exact]

@@ -1,14 +1,9 @@
 """Zero-phase low-pass with decimation, without transients.
 
-A symmetric windowed-sinc filter of finite length (Kaiser window, 60 dB): the output
-is defined where the whole filter lies inside the recording, so that edges are cut and
-never made up; and since it looks at a bounded neighbourhood only, a long recording can
-be filtered in overlapping chunks with exactly the same result.
-
-Rows may come in blocks: each adds to the outputs whose window it lies in, one product
-with a small matrix of taps, and only the outputs that are kept are computed. Regressor
-matrices, whose blocks are a thousand columns wide, then neither have to be there all at
-once nor cost more than to make them.
+A symmetric windowed-sinc filter of finite length (Kaiser window, 60 dB). Its output is
+defined where the whole filter lies inside the recording: edges are cut, and chunks that
+overlap give the same result. Rows may come in blocks, each of which adds to the outputs
+whose window it lies in: regressors a thousand columns wide are never held as a whole.
 """
 
 from dataclasses import dataclass
@@ -27,18 +22,10 @@ _MIN_ROWS = 128
 
 @dataclass(frozen=True, kw_only=True)
 class Lowpass:
-    """A symmetric low-pass followed by decimation.
+    """A symmetric low-pass followed by decimation."""
 
-    Attributes
-    ----------
-    taps : ndarray of shape (2 * half + 1,)
-        Impulse response, of sum 1.
-    step : int
-        Every `step`-th sample is kept.
-    """
-
-    taps: np.ndarray
-    step: int
+    taps: np.ndarray  # (2 * half + 1,): impulse response, of sum 1
+    step: int  # every `step`-th sample is kept
 
     @property
     def half(self):
@@ -47,11 +34,9 @@ class Lowpass:
 
     @property
     def efficiency(self):
-        """Independent samples per output, for white noise at the input.
-
-        Outputs closer than the filter is long share noise; for the sum of many of
-        them, times a slow signal, they count for this share of their number.
-        """
+        """Independent samples per output, for white noise at the input."""
+        # Outputs closer than the filter is long share noise; this holds for the sum of
+        # many.
         return float(self.step * (self.taps @ self.taps)) if self.half else 1.0
 
     def centres(self, n, outputs=slice(None)):
@@ -86,18 +71,9 @@ class Lowpass:
 
 
 def design(dt, cutoff, step=None):
-    """Design the filter.
-
-    Parameters
-    ----------
-    dt : float
-        Sample period [s].
-    cutoff : float
-        Frequency [Hz] of half amplitude; the stop band begins at 1.5 times it.
-        Infinity filters nothing.
-    step : int or None
-        Decimation; None keeps four samples per period of the cut-off.
-    """
+    """Design a filter of half amplitude at `cutoff` [Hz]."""
+    # The stop band begins at 1.5 times it. An infinite cutoff filters nothing; step
+    # None keeps four samples per period of it.
     if not np.isfinite(cutoff) or cutoff >= 0.5 / dt:
         return Lowpass(taps=np.ones(1), step=step or 1)
     relative = cutoff * dt  # cycles per sample
@@ -112,15 +88,9 @@ def design(dt, cutoff, step=None):
 
 @lru_cache(maxsize=64)
 def _tap_matrix(taps, step, n_rows):
-    """Taps of a block of rows that begins at a multiple of `step`.
-
-    Returns
-    -------
-    before : int
-        Number of outputs, before the one that begins with the block, that it adds to.
-    matrix : ndarray of shape (n_outputs, n_rows)
-        What each row adds to each of them.
-    """
+    """Taps (n_outputs, n_rows) of a block that begins at a multiple of `step`."""
+    # Also returns how many outputs before the one that begins with the block it adds
+    # to.
     length = len(taps)
     before = (length - 1) // step
     outputs = np.arange(-before, (n_rows - 1) // step + 1)
@@ -132,12 +102,10 @@ def _tap_matrix(taps, step, n_rows):
 
 
 def block_length(lowpass, row_bytes):
-    """Return the number of rows of a block: a multiple of the decimation.
-
-    With a filter a quarter of its length at least: few zeros in the matrix of taps,
-    and rows that are still in the cache when they are filtered; without one what fits
-    into the cache.
-    """
+    """Return the number of rows of a block: a multiple of the decimation."""
+    # With a filter a quarter of its length at least: few zeros in the matrix of taps,
+    # and rows that are still in the cache when they are filtered; without one what fits
+    # into the cache.
     rows = _BLOCK_BYTES // row_bytes
     if lowpass.half:
         rows = max(_MIN_ROWS, lowpass.half // 2)
@@ -145,22 +113,9 @@ def block_length(lowpass, row_bytes):
 
 
 class BlockFilter:
-    """Filter rows that come in blocks.
+    """Filter rows of `width` numbers that come in blocks to `count` outputs."""
 
-    Parameters
-    ----------
-    lowpass : Lowpass
-        Filter and decimation.
-    count : int
-        Number of outputs; the window of the first begins at row 0.
-    width : int
-        Numbers in a row.
-
-    Attributes
-    ----------
-    outputs : ndarray of shape (count, width)
-        What has been added so far.
-    """
+    # The window of the first output begins at row 0.
 
     def __init__(self, lowpass, count, width):
         self._lowpass = lowpass

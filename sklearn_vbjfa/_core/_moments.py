@@ -1,15 +1,10 @@
 """Second moments of inputs X and an output y: accumulated, merged, standardised.
 
-The EM and variational updates need only n, the means and the scatter about them. Rows
-are reduced to `Moments` block by block (never raw moments, whose differences cancel);
-those of disjoint rows add up, in any order and from any machine; `standardise` scales
-them to unit variance for the solvers.
-
-A scatter matrix holds half the digits of its rows: a direction of the standardised
-inputs with share lambda of the variance is known to rounding / lambda there, and to the
-root of that from a QR decomposition of the rows. The scatter comes first, as it is fast
-and nearly always sufficient; if its rounding exceeds the sampling error of the
-estimates, a second pass decomposes the rows.
+Rows are reduced to `Moments` block by block, never to raw moments, whose differences
+cancel; those of disjoint rows add up in any order. A direction of the standardised
+inputs with share lambda of the variance is known to rounding / lambda from the scatter,
+and to the root of that from a QR decomposition of the rows: a second pass, where the
+rounding exceeds the estimates' sampling error.
 """
 
 from dataclasses import dataclass, replace
@@ -30,11 +25,9 @@ _BLOCK_BYTES = 4 << 20
 
 
 def is_constant(spread, mean):
-    """Whether columns are constant up to rounding, whatever their unit.
-
-    spread, mean : root mean square deviation from the mean, and the mean; about zero,
-    the root mean square and zero: then a column is constant only if it is zero.
-    """
+    """Whether columns are constant up to rounding, whatever their unit."""
+    # spread, mean: root mean square deviation from the mean, and the mean; about zero,
+    # the root mean square and zero: then a column is constant only if it is zero.
     noise = CONSTANT_COLUMN * np.abs(mean)
     return spread <= np.maximum(noise, np.finfo(np.float64).tiny)
 
@@ -44,32 +37,19 @@ def is_constant(spread, mean):
 
 @dataclass(frozen=True, kw_only=True)
 class Moments:
-    """Weighted count, means and scatter of the columns of [X y]; adds up by ``+``.
+    """Weighted count, means and scatter of the columns of [X y]; adds up by ``+``."""
 
-    A row of weight 2 is the row twice. y is the last column throughout.
-
-    Attributes
-    ----------
-    n_rows : int
-        Number of rows, whatever their weight.
-    n_samples : float
-        Sum of the weights.
-    mean : ndarray of shape (n_features + 1,)
-        Weighted means.
-    scatter : ndarray of shape (n_features + 1, n_features + 1)
-        Sum of w (row - mean)(row - mean)'.
-    mean_low : ndarray of shape (n_features + 1,) or float
-        Rounding errors of the means.
-    factor : ndarray of shape (n_features + 1, n_features + 1) or None
-        Triangular factor of the centred, weighted rows, if kept: R'R is the scatter,
-        which has only half its digits.
-    """
+    # A row of weight 2 is the row twice. y is the last column throughout.
 
     n_rows: int
-    n_samples: float
-    mean: np.ndarray
+    n_samples: float  # sum of the weights
+    mean: np.ndarray  # (n_features + 1,): weighted means
+    # (n_features + 1, n_features + 1): sum of w (row - mean)(row - mean)'
     scatter: np.ndarray
+    # (n_features + 1,): rounding errors of the means
     mean_low: np.ndarray | float = 0.0
+    # (n_features + 1, n_features + 1) or None: R with R'R the scatter, from the rows
+    # themselves, with twice its digits
     factor: np.ndarray | None = None
 
     @property
@@ -103,11 +83,9 @@ class Moments:
         return float(self.scatter[-1, -1])
 
     def __add__(self, other):
-        """Merge with the moments of other rows, exactly for any split.
-
-        The pairwise update of Chan, Golub and LeVeque (1983); the sum has a triangular
-        factor if both have one.
-        """
+        """Merge with the moments of other rows, exactly for any split."""
+        # The pairwise update of Chan, Golub and LeVeque (1983); the sum has a
+        # triangular factor if both have one.
         n = self.n_samples + other.n_samples
         step = other.mean - self.mean + (other.mean_low - self.mean_low)
         share = other.n_samples / n
@@ -207,12 +185,10 @@ def _centre(rows, weight):
 
 
 def from_data(X, y, weight=None):
-    """Moments of X (n, d), y (n,) in one pass, block by block; None without weight.
-
-    The first row is subtracted from all blocks. Their means, whose differences enter
-    the scatter, then carry no rounding of a large offset, and a constant column is
-    exactly zero; a running sum of a million equal numbers is off by some 1e6 eps.
-    """
+    """Moments of X (n, d), y (n,) in one pass, block by block; None without weight."""
+    # The first row is subtracted from all blocks. Their means, whose differences enter
+    # the scatter, then carry no rounding of a large offset, and a constant column is
+    # exactly zero; a running sum of a million equal numbers is off by some 1e6 eps.
     X, y, weight = _with_weight(X, y, weight)
     if X.shape[0] == 0:
         return None
@@ -239,10 +215,8 @@ def _centred_blocks(moments, X, y, weight):
 
 
 def with_factor(moments, X, y, weight=None):
-    """Add the triangular factor of the rows of `moments`.
-
-    A second pass: QR decomposition of each block stacked below the current factor.
-    """
+    """Add the triangular factor of the rows of `moments`."""
+    # A second pass: QR decomposition of each block stacked below the current factor.
     factor = np.zeros((0, moments.n_features + 1))
     for rows in _centred_blocks(moments, X, y, weight):
         factor = triangular(factor, rows)
@@ -250,11 +224,9 @@ def with_factor(moments, X, y, weight=None):
 
 
 def accumulate(X, y, weight, *, centred, before=None):
-    """Moments of the rows, with their triangular factor if needed.
-
-    With `before`, moments of earlier rows to be merged with, the factor is kept exactly
-    if those have one: it cannot be recovered later.
-    """
+    """Moments of the rows, with their triangular factor if needed."""
+    # With `before`, moments of earlier rows to be merged with, the factor is kept
+    # exactly if those have one: it cannot be recovered later.
     moments = from_data(X, y, weight)
     if moments is None:
         return None
@@ -279,26 +251,17 @@ class SquareRoot:
 
 @dataclass(frozen=True, kw_only=True)
 class SecondMoments:
-    """Standardised moments, as used by the iterations.
-
-    Attributes
-    ----------
-    n : float
-        Number of samples.
-    xx, xy, yy : ndarray of shape (d,), ndarray of shape (d,), float
-        Diagonal of S_xx, and S_xy, S_yy.
-    S : ndarray of shape (d, d) or None
-        S_xx, at O(d^2) per iteration; None with fewer rows than inputs, where the rows
-        themselves are the square root, at O(n d).
-    root : SquareRoot or None
-        Square root with more digits than S, used for products.
-    """
+    """Standardised moments, as used by the iterations."""
 
     n: float
+    # (d,): diagonal of S_xx, and S_xy, S_yy
     xx: np.ndarray
     xy: np.ndarray
     yy: float
+    # (d, d) S_xx; None with fewer rows than inputs, where the rows themselves are the
+    # root
     S: np.ndarray | None
+    # square root with more digits than S, used for products
     root: SquareRoot | None = None
 
     def dot(self, v):
@@ -327,21 +290,17 @@ class SecondMoments:
         )
 
     def is_exact(self, share):
-        """Whether some linear function leaves at most this share of y's variance.
-
-        Known for fewer rows than inputs, and given a square root.
-        """
+        """Whether some linear function leaves at most this share of y's variance."""
+        # Known for fewer rows than inputs, and given a square root.
         if self.S is None:
             return self.root.R.shape[0] <= self.root.R.shape[1]
         return self.root is not None and self.root.rest <= share * self.yy
 
     def without_last_digits(self):
-        """Return the moments rounded to a grid of 2^-36 of the number of samples.
-
-        Moments of the same rows in another order differ by rounding, some 1e-15; on
-        the grid they are nearly always equal bit for bit. The grid is far finer than n
-        samples resolve. With a square root the order is fixed.
-        """
+        """Return the moments rounded to a grid of 2^-36 of the number of samples."""
+        # Moments of the same rows in another order differ by rounding, some 1e-15; on
+        # the grid they are nearly always equal bit for bit. The grid is far finer than
+        # n samples resolve. With a square root the order is fixed.
         if self.root is not None:
             return self
         width = 2.0 ** (np.floor(np.log2(self.n)) - 36)
@@ -352,12 +311,11 @@ class SecondMoments:
 
 @dataclass(frozen=True, kw_only=True)
 class Standardised:
-    """Moments in units of each column's standard deviation, with their scales.
+    """Moments in units of each column's standard deviation, with their scales."""
 
-    The moments hold only ``active`` columns, which are not constant. ``x_scale``
-    (n_active,) and ``y_scale`` convert back: x = x_scale * standardised; the offsets
-    are the means, zero without centring.
-    """
+    # The moments hold only ``active`` columns, which are not constant. ``x_scale``
+    # (n_active,) and ``y_scale`` convert back: x = x_scale * standardised; the offsets
+    # are the means, zero without centring.
 
     moments: SecondMoments
     active: np.ndarray
@@ -379,11 +337,9 @@ class Standardised:
 
 
 def _standard_units(squares, mean, n):
-    """Scales of the columns [X y] from the sums of squares of n samples.
-
-    Returns the fields of `Standardised` except its moments, and the columns in use with
-    their units (that of y is never zero).
-    """
+    """Scales of the columns [X y] from the sums of squares of n samples."""
+    # Returns the fields of `Standardised` except its moments, and the columns in use
+    # with their units (that of y is never zero).
     spread = np.sqrt(np.maximum(squares, 0.0) / n)
     varies = ~is_constant(spread, mean)
     used = np.append(varies[:-1], True)
@@ -457,11 +413,9 @@ def standardise_data(X, y, weight=None, *, centred):
 
 
 def scatter_rounding(moments):
-    """Size of the rounding errors of a correlation matrix, as a spectral norm.
-
-    Each entry is a sum over the rows of a block, with an error of the root of their
-    number times eps; a symmetric matrix of d x d such errors has the norm 2 sqrt(d).
-    """
+    """Size of the rounding errors of a correlation matrix, as a spectral norm."""
+    # Each entry is a sum over the rows of a block, with an error of the root of their
+    # number times eps; a symmetric matrix of d x d such errors has the norm 2 sqrt(d).
     d = moments.n_features
     block = min(moments.n_rows, rows_per_block(d))
     return 2 * _EPS * np.sqrt(d * max(block, 1))
@@ -503,11 +457,9 @@ def _is_exact(moments, data, directions, X, y, weight):
 
 
 def loses_digits(moments, X, y, weight, *, centred):
-    """Whether the scatter is too inaccurate for the data, of which X, y are rows.
-
-    Directions lost in the rounding of the scatter do not matter if they are exact
-    dependencies, which is checked on the rows.
-    """
+    """Whether the scatter is too inaccurate for the data, of which X, y are rows."""
+    # Directions lost in the rounding of the scatter do not matter if they are exact
+    # dependencies, which is checked on the rows.
     if moments.factor is not None:
         return False
     data = standardise(moments, centred=centred)

@@ -26,39 +26,25 @@ _OWN = 0.2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BlockVariance:
-    """Effect of residual correlation in time on the variance of an estimate.
+    """Effect of residual correlation in time on the variance of an estimate."""
 
-    Attributes
-    ----------
-    factor : ndarray of shape (p,)
-        Ratio of the variance to that for white residuals.
-    freedom : ndarray of shape (p,)
-        Degrees of freedom of the variance.
-    white : ndarray of shape (p,)
-        Variance for white residuals of the given noise.
-    scores : ndarray of shape (n_blocks, p)
-        Contribution of each block to the error of the estimate, scaled so that its
-        covariance is ``scores.T @ scores``. nan where the blocks show nothing of a
-        variance that there is; zero for undetermined parameters.
-    pooled : float
-        Ratio of the variances, in the mean of all directions that are determined.
-    """
-
-    factor: np.ndarray
-    freedom: np.ndarray
-    white: np.ndarray
+    factor: np.ndarray  # (p,): ratio of the variance to that for white residuals
+    freedom: np.ndarray  # (p,): degrees of freedom of the variance
+    white: np.ndarray  # (p,): variance for white residuals of the given noise
+    # (n_blocks, p): what each block adds to the error of the estimate, of covariance
+    # ``scores.T @ scores``; nan where the blocks show nothing of it, zero if
+    # undetermined
     scores: np.ndarray
+    # ratio of the variances, in the mean of all directions that are determined
     pooled: float
 
 
 def block_variance(grams, scores, place, noise=1.0):
-    """Compare the scatter of scores between blocks with that of white residuals.
-
-    grams (n_blocks, p, p) : weighted second moments of each block's rows; scores
-    (n_blocks, p) : rows times residuals, weighted alike; place (n_blocks, 2) : the
-    recording of a block and its number there, sorted; noise : weighted mean square of
-    the residuals. Undetermined parameters come out as nan.
-    """
+    """Compare the scatter of scores between blocks with that of white residuals."""
+    # grams (n_blocks, p, p): weighted second moments of each block's rows; scores
+    # (n_blocks, p): rows times residuals, weighted alike; place (n_blocks, 2): the
+    # recording of a block and its number there, sorted; noise: weighted mean square of
+    # the residuals. Undetermined parameters come out as nan.
     H = grams.sum(axis=0)
     used = np.diagonal(H) > 0
     # H^-1 = L L'

@@ -17,24 +17,12 @@ ROUNDING = 4 * float(np.finfo(float).eps)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ScaledEigen:
-    """Decomposition of A = D V diag(values) V' D, and which directions are known.
+    """Decomposition of A = D V diag(values) V' D, and which directions are known."""
 
-    Attributes
-    ----------
-    scale : ndarray of shape (p,)
-        D; one for a column whose diagonal is not positive.
-    values : ndarray of shape (p,)
-        Eigenvalues of the scaled matrix, ascending.
-    vectors : ndarray of shape (p, p)
-        Eigenvectors, in scaled coordinates.
-    known : ndarray of shape (p,), bool
-        Directions above the tolerance.
-    """
-
-    scale: np.ndarray
-    values: np.ndarray
-    vectors: np.ndarray
-    known: np.ndarray
+    scale: np.ndarray  # (p,): D; one for a column whose diagonal is not positive
+    values: np.ndarray  # (p,): eigenvalues of the scaled matrix, ascending
+    vectors: np.ndarray  # (p, p): eigenvectors, in scaled coordinates
+    known: np.ndarray  # (p,): directions above the tolerance
 
     @property
     def rank(self):
@@ -67,10 +55,8 @@ class ScaledEigen:
         return scaled * np.outer(self.scale, self.scale)
 
     def by_magnitude(self):
-        """Decomposition with the magnitudes of the eigenvalues, none below rounding.
-
-        A Newton step with it is an ascent, whatever the signs of the curvature.
-        """
+        """Decomposition with the magnitudes of the eigenvalues, none below rounding."""
+        # A Newton step with it is an ascent, whatever the signs of the curvature.
         size = np.abs(self.values)
         floor = size.size * np.finfo(float).eps * size[-1]
         known = np.ones(size.size, dtype=bool)
@@ -100,20 +86,10 @@ class ScaledEigen:
 
 
 def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
-    """Decompose a symmetric matrix in scaled columns.
-
-    Parameters
-    ----------
-    A : ndarray of shape (p, p)
-        Symmetric matrix.
-    tolerance : float, default=None
-        Share of the largest eigenvalue above which a direction is known; None is the
-        rounding of that many rows, ``p * ROUNDING``.
-    scale : float or ndarray of shape (p,), default=None
-        Scale of the columns; None is the root of the diagonal, 1.0 takes A as it is.
-    relative : bool, default=True
-        False compares the eigenvalues with the tolerance itself.
-    """
+    """Decompose a symmetric matrix (p, p) in columns of a scale."""
+    # scale (p,): the root of the diagonal if None; 1.0 takes A as it is.
+    # tolerance: share of the largest eigenvalue above which a direction is known, by
+    # default the rounding of p rows; with relative=False the eigenvalue itself.
     p = A.shape[0]
     if scale is None:
         diagonal = np.diagonal(A)

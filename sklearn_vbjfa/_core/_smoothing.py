@@ -38,11 +38,7 @@ def knot_step(dt, cutoff):
 
 
 def gain(frequency, dt, cutoff):
-    """Gain of the smoother in the middle of a long recording.
-
-    frequency : [Hz], up to Nyquist; dt : sample period [s]; cutoff : frequency of half
-    amplitude [Hz].
-    """
+    """Gain of the smoother in mid-recording, one half at `cutoff` [Hz]."""
     h = knot_step(dt, cutoff) * dt
     below = frequency < 0.5 / h
     loss = np.empty(np.shape(frequency))
@@ -78,25 +74,10 @@ def knots_and_penalty(dt, cutoff):
 
 
 def smooth(x, dt, cutoff, at=None):
-    """Smooth equidistant samples and differentiate them twice.
-
-    Parameters
-    ----------
-    x : ndarray of shape (n,)
-        Samples.
-    dt : float
-        Sample period [s].
-    cutoff : float
-        Frequency [Hz] at which the gain is one half; infinity interpolates.
-    at : ndarray of shape (m,), default=None
-        Times [s] after the first sample at which to evaluate, at most one sample
-        period outside the recording; None is the samples' own times.
-
-    Returns
-    -------
-    ndarray of shape (3, m)
-        Smoothed samples, first and second derivatives.
-    """
+    """Smooth samples (n,), differentiate them twice, (3, m), `at` times (m,) [s]."""
+    # cutoff [Hz]: where the gain is one half; infinity interpolates. Times count from
+    # the first sample, up to one period outside the recording, and are by default those
+    # of the samples.
     n = x.shape[0]
     step, lam = knots_and_penalty(dt, cutoff)
     # In units of the knot distance, with knots beyond both ends.
@@ -170,12 +151,9 @@ def fft_length(longest, dt):
 
 
 def acceleration_power(x, dt, n_fft):
-    """Power of the second differences of one recording, to be summed over several.
-
-    x : samples (n,) or (n, k); dt : sample period [s]; n_fft : length of the transform.
-    Returns squared amplitudes (n_fft // 2 + 1,) or (n_fft // 2 + 1, k), zero for a
-    recording that is too short, and the energy of the taper, by which to divide them.
-    """
+    """Power of the second differences of one recording, to be summed over several."""
+    # x (n,) or (n, k). Returns squared amplitudes (n_fft // 2 + 1[, k]), zero for a
+    # recording that is too short, and the energy of the taper, by which to divide them.
     columns = x.reshape(x.shape[0], -1)
     n, window = x.shape[0], _window(dt)
     if n < MIN_SPECTRUM:
@@ -195,24 +173,9 @@ def acceleration_power(x, dt, n_fft):
 
 
 def acceleration_spectra(segments, dt):
-    """Power of the second differences of all segments, and of white noise in them.
-
-    Parameters
-    ----------
-    segments : list of ndarray of shape (n_i,) or (n_i, k)
-        Samples of separate recordings.
-    dt : float
-        Sample period [s].
-
-    Returns
-    -------
-    frequency : ndarray of shape (m,)
-        Frequencies [Hz].
-    power : ndarray of shape (m,) or (m, k)
-        Power of the second derivative per frequency bin.
-    noise_gain : ndarray of shape (m,)
-        Power that white noise of variance 1 in the samples would have there.
-    """
+    """Frequencies (m,) [Hz] and power (m[, k]) of all segments' second differences."""
+    # The third result (m,) is the power that white noise of variance 1 would have
+    # there.
     longest = max((x.shape[0] for x in segments), default=0)
     if longest < MIN_SPECTRUM:
         raise ValueError(
@@ -240,13 +203,11 @@ _BLOCK, _INDEPENDENT = 16, 8
 
 
 def white_noise_variance(frequency, power, noise_gain):
-    """Variance of white noise in the samples, from the upper half of the spectrum.
-
-    The median over blocks of ordinates resists lines (vibrations) there. A block's mean
-    has a Gamma distribution, whose median is (1 - 1 / (9 shape))^3 of its mean (Wilson
-    and Hilferty). Unlike for single ordinates, it then matters little over how many
-    segments they were averaged.
-    """
+    """Variance of white noise in the samples, from the upper half of the spectrum."""
+    # The median over blocks of ordinates resists lines (vibrations) there. A block's
+    # mean has a Gamma distribution, whose median is (1 - 1 / (9 shape))^3 of its mean
+    # (Wilson and Hilferty). Unlike for single ordinates, it then matters little over
+    # how many segments they were averaged.
     ratio = (power / noise_gain)[frequency >= 0.5 * frequency[-1]]
     n_blocks = max(1, ratio.size // _BLOCK)
     size, larger = divmod(ratio.size, n_blocks)  # as np.array_split divides
@@ -264,20 +225,11 @@ _STANDS_OUT = 8.0
 
 
 def choose_cutoff(frequency, power, noise_gain, dt):
-    """Cut-off that minimises the estimated error of the second derivative.
-
-    For gain G, the expected squared error at a frequency is (1 - G)^2 times the signal
-    power plus G^2 times the noise power; the signal power is the measured one minus the
-    noise (Mallows' C_p) where it stands out. `power` may have one spectrum per column,
-    as the results then do.
-
-    Returns
-    -------
-    cutoff : float or ndarray
-        Cut-off [Hz], at most a third of the sampling rate.
-    noise_variance : float or ndarray
-        White-noise variance of the samples.
-    """
+    """Cut-off [Hz] that minimises the estimated error of the second derivative."""
+    # With gain G the expected squared error at a frequency is (1 - G)^2 times the
+    # signal power plus G^2 times the noise power; the signal power is the measured one
+    # minus the noise (Mallows' C_p) where it stands out. Also returns the noise
+    # variance; both are arrays if `power` has one spectrum per column.
     columns = power.reshape(power.shape[0], -1)
     variance = np.array(
         [white_noise_variance(frequency, column, noise_gain) for column in columns.T]
@@ -321,12 +273,10 @@ def _noise_beyond(frequency, excess, power):
 
 
 def velocity_bandwidth(frequency, power, noise_gain, variance, cutoff, share=0.99):
-    """Frequency [Hz] below which `share` of the velocity power lies.
-
-    Only ordinates above five times the expected noise power count, and only up to twice
-    the `cutoff` of least error: far above it, some of the many noise ordinates would
-    exceed that level too.
-    """
+    """Frequency [Hz] below which `share` of the velocity power lies."""
+    # Only ordinates above five times the expected noise power count, and only up to
+    # twice the `cutoff` of least error: far above it, some of the many noise ordinates
+    # would exceed that level too.
     noise = variance * noise_gain
     signal = (power > 5 * noise) & (frequency <= 2 * cutoff)
     excess = np.where(signal, power - noise, 0.0) / frequency**2

@@ -31,12 +31,10 @@ _RELATIVE_FALL = 1e-9
 
 
 def rounding_of_bound(value, n, output_variance):
-    """Return the largest fall of the bound that rounding can explain.
-
-    A fraction of the bound itself, plus the effect of rounding of the squared residual
-    (a difference of terms of size 1 per sample, in standardised units), which matters
-    when the residual is tiny.
-    """
+    """Return the largest fall of the bound that rounding can explain."""
+    # A fraction of the bound itself, plus the effect of rounding of the squared
+    # residual (a difference of terms of size 1 per sample, in standardised units),
+    # which matters when the residual is tiny.
     return _RELATIVE_FALL * max(abs(value), n) + n * rounding_of_fit(output_variance)
 
 
@@ -47,11 +45,10 @@ def rounding_of_fit(output_variance):
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """Result of the iteration.
+    """Result of the iteration."""
 
-    ``status`` is "converged", "max_iter" or "bound_decreased"; ``fall`` is the size of
-    the decrease; ``at_floor`` names the variances at their floor (Heywood cases).
-    """
+    # ``status`` is "converged", "max_iter" or "bound_decreased"; ``fall`` is the size
+    # of the decrease; ``at_floor`` names the variances at their floor (Heywood cases).
 
     state: object
     history: np.ndarray
@@ -62,24 +59,13 @@ class Solution:
 
 
 def climb(steps, point, max_iter):
-    """Ascend from a point until the steps gain no more.
-
-    An iteration is one evaluation of the bound with its expectations, whether or not
-    the step is kept.
-
-    Parameters
-    ----------
-    steps : object
-        ``propose(point, budget)`` returns a new point, or None, and the evaluations
-        used; ``judge(point, new)`` whether the bound fell and whether its gain was
-        negligible; ``retry()`` whether there is an alternative after a fall;
-        ``accept(point, new, quiet)`` takes the step and returns whether it is the last.
-        ``converged`` is whether the last step taken met the tolerance.
-    point : object
-        Evaluated start; ``value`` is its bound, ``state`` its state.
-    max_iter : int
-        Largest number of evaluations, that of the start included.
-    """
+    """Ascend from an evaluated point until the steps gain no more."""
+    # steps: ``propose(point, budget)`` returns a new point, or None, and the
+    # evaluations used; ``judge(point, new)`` whether the bound fell and whether its
+    # gain was negligible; ``retry()`` whether there is an alternative after a fall;
+    # ``accept(point, new, quiet)`` takes the step and returns whether it is the last;
+    # ``converged`` is whether that met the tolerance. Each evaluation of the bound
+    # counts, that of the start included.
     history, used = [point.value], 1
     while used < max_iter:
         new, spent = steps.propose(point, max_iter - used)
@@ -182,12 +168,10 @@ class IndependentProblem:
 
 
 def start(moments, prior, input_noise):
-    """Return the documented starting point.
-
-    Shares `input_noise` (d,) of the inputs' variances start as noise. The loadings to z
-    start along the covariance with y, with the step that fits y best (one component of
-    PLS); the rest of y is split between the noise of y and of the z.
-    """
+    """Return the documented starting point."""
+    # Shares `input_noise` (d,) of the inputs' variances start as noise. The loadings to
+    # z start along the covariance with y, with the step that fits y best (one component
+    # of PLS); the rest of y is split between the noise of y and of the z.
     n, d = moments.n, moments.xx.shape[0]
     psi_x = input_noise if prior.psi_x_fixed is None else prior.psi_x_fixed
     w_x = np.sqrt(np.maximum(1.0 - psi_x, VARIANCE_FLOOR))
@@ -233,12 +217,10 @@ def _blocks(prior):
 
 
 def to_vector(state, prior):
-    """Coordinates of a state, ndarray of shape (n_blocks * d + 1,).
-
-    Loadings as they are, variances as logarithms, so that any real vector is a state.
-    The precisions alpha are left out: at their explicit optimum they do not contribute
-    to the gradient.
-    """
+    """Coordinates of a state, ndarray of shape (n_blocks * d + 1,)."""
+    # Loadings as they are, variances as logarithms, so that any real vector is a state.
+    # The precisions alpha are left out: at their explicit optimum they do not
+    # contribute to the gradient.
     parts = [
         values if name.endswith("mean") else np.log(np.maximum(values, _TINY))
         for name in _blocks(prior)
@@ -263,24 +245,21 @@ def from_vector(vector, like, prior):
 
 @dataclass(frozen=True, kw_only=True)
 class Slope:
-    """Gradient of the bound, and the inverse curvature implied by an EM step.
+    """Gradient of the bound, and the inverse curvature implied by an EM step."""
 
-    ``scale * gradient`` is the EM step to first order in the logarithms. Both have
-    the shape of the coordinates; the gradient is zero where a variance rests on its
-    floor and would fall further.
-    """
+    # ``scale * gradient`` is the EM step to first order in the logarithms. Both have
+    # the shape of the coordinates; the gradient is zero where a variance rests on its
+    # floor and would fall further.
 
     gradient: np.ndarray
     scale: np.ndarray
 
 
 def slope(moments, state, hidden, prior):
-    """Gradient of the bound at `state`, whose alpha is at its optimum.
-
-    With q(Z, T) at its optimum the bound has the gradient of the expected
-    log-likelihood alone (Fisher's identity): each entry is the residual of the
-    stationarity condition that the update of the same name solves.
-    """
+    """Gradient of the bound at `state`, whose alpha is at its optimum."""
+    # With q(Z, T) at its optimum the bound has the gradient of the expected
+    # log-likelihood alone (Fisher's identity): each entry is the residual of the
+    # stationarity condition that the update of the same name solves.
     n, S_tt = moments.n, hidden.S_tt
     alpha = state.E_alpha if prior.ard else 0.0
     alpha_x = alpha if prior.ard and prior.coupled else 0.0
@@ -349,11 +328,10 @@ def _on_grid(vector, point):
 
 
 class Curvature:
-    """Inverse curvature of the bound: that of an EM step, corrected by past steps.
+    """Inverse curvature of the bound: that of an EM step, corrected by past steps."""
 
-    The quasi-Newton acceleration of EM by Jamshidian and Jennrich (1997), with the
-    two-loop recursion in place of a matrix.
-    """
+    # The quasi-Newton acceleration of EM by Jamshidian and Jennrich (1997), with the
+    # two-loop recursion in place of a matrix.
 
     def __init__(self):
         self.steps, self.changes = deque(maxlen=_MEMORY), deque(maxlen=_MEMORY)
@@ -392,12 +370,11 @@ class Curvature:
 
 
 class QuasiNewtonSteps(PlainSteps):
-    """Quasi-Newton steps where they raise the bound, else the plain one.
+    """Quasi-Newton steps where they raise the bound, else the plain one."""
 
-    The plain iteration converges slowly along flat directions: its step is a Newton
-    step with a diagonal curvature that is much too large. Correcting it by past steps
-    takes far fewer iterations.
-    """
+    # The plain iteration converges slowly along flat directions: its step is a Newton
+    # step with a diagonal curvature that is much too large. Correcting it by past steps
+    # takes far fewer iterations.
 
     def __init__(self, problem, tol):
         super().__init__(problem, tol)
@@ -460,24 +437,17 @@ class QuasiNewtonSteps(PlainSteps):
 
 
 def at_highest_likelihood(moments, state, prior):
-    """State of highest likelihood that keeps the noise split of `state` if possible.
-
-    With z and t integrated out, x_m ~ N(0, V_m) and y | x ~ N(c'x, s), where
-
-        V_m = w_xm^2 + psi_xm,   c_m = w_zm w_xm / V_m,
-        s = psi_y + sum(psi_z) + sum(c_m^2 V_m o_m),   o_m = psi_xm / w_xm^2,
-
-    and the likelihood depends on nothing else. Unless the input noise alone contributes
-    more to s than least squares leaves, the maximum has V_m the variance of x_m, c the
-    least-squares solution and s its residual variance. EM approaches it slowly where
-    inputs are strongly correlated: the gain of an iteration says little about the
-    remaining distance.
-
-    Known input noise is kept; None is returned if it implies more output noise than
-    there is, since V and c then depend on each other. Unknown noise keeps its ratio to
-    the signal in `state`; if that implied too much output noise, all ratios are lowered
-    by one factor, so that their share of the output noise is the one in `state`.
-    """
+    """State of highest likelihood that keeps the noise split of `state`, or None."""
+    # With z and t integrated out, x_m ~ N(0, V_m) and y | x ~ N(c'x, s), where
+    # V_m = w_xm^2 + psi_xm, c_m = w_zm w_xm / V_m, o_m = psi_xm / w_xm^2 and
+    # s = psi_y + sum(psi_z) + sum(c_m^2 V_m o_m).
+    # Unless the input noise alone contributes more to s than least squares leaves, the
+    # maximum has V_m the variance of x_m, c the least-squares solution and s its
+    # residual variance; EM approaches it slowly where inputs are strongly correlated.
+    # Known input noise is kept, unless it implies more output noise than there is,
+    # since V and c then depend on each other. Unknown noise keeps its ratio to the
+    # signal, or all ratios are lowered by one factor, so that their share of the output
+    # noise is that in `state`.
     n, variance = moments.n, moments.xx / moments.n
     if prior.psi_x_fixed is None:
         share = state.psi_x / (state.psi_x + state.w_x_mean**2)
@@ -551,14 +521,11 @@ def _end(problem, found):
 
 
 def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
-    """Iterate until the bound gains less than `tol` per sample.
-
-    A step that does not raise the bound is replaced by the plain one: the bound never
-    falls, and the fixed points are those of the plain iteration. Without priors the
-    maximum is explicit (unless the input noise is known to be large), and the last step
-    goes there. With ``accelerate=False`` all steps are plain. Nothing of the size of
-    the data is held beyond `moments`.
-    """
+    """Iterate until the bound gains less than `tol` per sample."""
+    # A step that does not raise the bound is replaced by the plain one: the bound never
+    # falls, and the fixed points are those of the plain iteration. Without priors the
+    # last step goes to the explicit maximum, unless the input noise is known to be
+    # large.
     if prior.psi_x_fixed is not None:
         prior = replace(
             prior, psi_x_fixed=np.maximum(prior.psi_x_fixed, VARIANCE_FLOOR)

@@ -53,33 +53,17 @@ def _basis(step, first, last, order):
 
 @dataclass(frozen=True, kw_only=True)
 class Spline:
-    """Smoothed samples of one signal, as spline coefficients.
+    """Smoothed samples of one signal, as spline coefficients."""
 
-    Attributes
-    ----------
-    coef : ndarray of shape (n_intervals + 5,)
-        Coefficients, about `offset`.
-    offset : float
-        Mean of the samples.
-    per_knot : int
-        Rows of the recording between knots.
-    shift : int
-        Row at which the first knot stands.
-    h : float
-        Distance of the knots [s].
-    """
-
-    coef: np.ndarray
+    coef: np.ndarray  # (n_intervals + 5,): coefficients, about `offset`
     offset: float
-    per_knot: int
-    shift: int
-    h: float
+    per_knot: int  # rows of the recording between knots
+    shift: int  # row at which the first knot stands
+    h: float  # distance of the knots [s]
 
     def __call__(self, start, stop, order=0):
-        """Evaluate rows start ... stop - 1 of the recording, or a derivative there.
-
-        Velocities below a billionth of the fastest are exactly zero.
-        """
+        """Evaluate rows start ... stop - 1 of the recording, or a derivative there."""
+        # Velocities below a billionth of the fastest are exactly zero.
         per = self.per_knot
         n_intervals = self.coef.size - _DEGREE
         low, high = start - self.shift, stop - 1 - self.shift
@@ -115,24 +99,9 @@ class Spline:
 
 
 def fit(x, dt, cutoff, *, every=1, shift=0):
-    """Smooth samples; the result is that of `_smoothing.smooth`.
-
-    Parameters
-    ----------
-    x : ndarray of shape (n,)
-        Samples: rows shift, shift + every, ... of a recording.
-    dt : float
-        Period of the samples [s].
-    cutoff : float
-        Frequency [Hz] at which the gain is one half; infinity interpolates.
-    every, shift : int
-        Which rows the samples are.
-
-    Returns
-    -------
-    Spline
-        To be evaluated at rows of the recording.
-    """
+    """Smooth samples (n,) as `_smoothing.smooth`, rows shift, shift + every, ..."""
+    # dt [s] is the period of the samples; cutoff [Hz] has a gain of one half, infinity
+    # interpolates.
     step, lam = _smoothing.knots_and_penalty(dt, cutoff)
     n = x.shape[0]
     n_intervals = max(1, -(-(n - 1) // step))

@@ -19,34 +19,21 @@ from scipy.special import digamma, gammaln
 
 @dataclass(frozen=True, kw_only=True)
 class State:
-    """Everything an iteration changes.
+    """Everything an iteration changes."""
 
-    Loadings are Gaussian with diagonal covariance; zero variances are point
-    estimates (JFA). All quantities are in standardised units.
+    # Loadings are Gaussian with diagonal covariance; zero variances are point estimates
+    # (JFA). All quantities are in standardised units.
 
-    Attributes
-    ----------
-    w_z_mean, w_z_var : ndarray of shape (n_features,)
-        Posterior mean and variance of the loadings t -> z. [eqs. 8, 9]
-    w_x_mean, w_x_var : ndarray of shape (n_features,)
-        Posterior mean and variance of the loadings t -> x. [eqs. 10, 11]
-    alpha_shape : float
-        Shape of the Gamma posterior of each precision. [eq. 12]
-    alpha_rate : ndarray of shape (n_features,)
-        Its rate. [eq. 13]
-    psi_y : float
-        Output-noise variance. [eq. 14]
-    psi_z, psi_x : ndarray of shape (n_features,)
-        Variances of the hidden z given t, and of the input noise. [eqs. 15, 16]
-    """
-
+    # (n_features,): posterior mean and variance of the loadings t -> z. [eqs. 8, 9]
     w_z_mean: np.ndarray
     w_z_var: np.ndarray
+    # (n_features,): posterior mean and variance of the loadings t -> x. [eqs. 10, 11]
     w_x_mean: np.ndarray
     w_x_var: np.ndarray
-    alpha_shape: float
-    alpha_rate: np.ndarray
-    psi_y: float
+    alpha_shape: float  # shape of the Gamma posterior of each precision. [eq. 12]
+    alpha_rate: np.ndarray  # (n_features,): its rate. [eq. 13]
+    psi_y: float  # output-noise variance. [eq. 14]
+    # (n_features,): variances of z given t, and of the input noise. [eqs. 15, 16]
     psi_z: np.ndarray
     psi_x: np.ndarray
 
@@ -58,82 +45,51 @@ class State:
 
 @dataclass(frozen=True, kw_only=True)
 class HiddenExpectations:
-    """Sample sums of the posterior moments of z and t, and their ingredients.
+    """Sample sums of the posterior moments of z and t, and their ingredients."""
 
-    Attributes
-    ----------
-    S_zt, S_tt, S_xt : ndarray of shape (n_features,)
-        sum over samples of <z_m t_m>, <t_m^2>, x_m <t_m>.
-    S_rr : float
-        sum over samples of <(y - 1'z)^2>.
-    S_xe, S_ee : ndarray of shape (n_features,), float
-        sum of x_m e and e^2, with e = y - coef'x.
-    coef : ndarray of shape (n_features,)
-        Coefficient of E[y | x] for noisy x in this state.
-    y_var : float
-        Variance of y given x.
-    x_var : ndarray of shape (n_features,)
-        Marginal variance of x.
-    t_precision : ndarray of shape (n_features,)
-        Prior precision of t, raised by the uncertainty of the loadings.
-    t_gain, t_step : ndarray of shape (n_features,)
-        <t_m> = t_gain_m x_m + t_step_m e / y_var.
-    t_var : ndarray of shape (n_features,)
-        Posterior variance of t_m.
-    """
-
+    # (n_features,): sum over samples of <z_m t_m>, <t_m^2>, x_m <t_m>
     S_zt: np.ndarray
     S_tt: np.ndarray
     S_xt: np.ndarray
-    S_rr: float
+    S_rr: float  # sum over samples of <(y - 1'z)^2>
+    # (n_features,): sum of x_m e and e^2, with e = y - coef'x
     S_xe: np.ndarray
     S_ee: float
-    coef: np.ndarray
-    y_var: float
-    x_var: np.ndarray
+    coef: np.ndarray  # (n_features,): coefficient of E[y | x] for noisy x in this state
+    y_var: float  # variance of y given x
+    x_var: np.ndarray  # (n_features,): marginal variance of x
+    # (n_features,): prior precision of t, raised by the uncertainty of the loadings
     t_precision: np.ndarray
+    # (n_features,): <t_m> = t_gain_m x_m + t_step_m e / y_var
     t_gain: np.ndarray
     t_step: np.ndarray
-    t_var: np.ndarray
+    t_var: np.ndarray  # (n_features,): posterior variance of t_m
 
 
 @dataclass(frozen=True, kw_only=True)
 class Prior:
-    """Prior assumptions.
+    """Prior assumptions; noise is in standardised units."""
 
-    Attributes
-    ----------
-    ard : bool
-        Loadings have ARD priors (VB-JFA); otherwise they are point estimates (JFA).
-    coupled : bool
-        alpha_m is shared by w_zm and w_xm, as in the paper; otherwise it is the
-        precision of w_zm alone and w_xm is a point estimate.
-    ard_shape, ard_rate : float
-        Gamma prior of the precisions.
-    psi_x_fixed : ndarray of shape (n_features,) or None
-        Known input-noise variances (standardised); None estimates them.
-    psi_x_weight : float
-        Weight, in samples, of the inverse-gamma prior on psi_x; 0 is no prior.
-    psi_x_mode : ndarray of shape (n_features,) or None
-        Mode of that prior (standardised).
-    """
-
+    # loadings have ARD priors (VB-JFA); otherwise they are point estimates (JFA)
     ard: bool = False
+    # alpha_m is shared by w_zm and w_xm, as in the paper; otherwise w_xm is a point
     coupled: bool = True
+    # gamma prior of the precisions
     ard_shape: float = 1e-6
     ard_rate: float = 1e-6
+    # (n_features,) or None, which estimates them: known input-noise variances
     psi_x_fixed: np.ndarray | None = None
+    # weight, in samples, of the inverse-gamma prior on psi_x; 0 is none
     psi_x_weight: float = 0.0
-    psi_x_mode: np.ndarray | None = None
+    psi_x_mode: np.ndarray | None = None  # (n_features,) or None: mode of that prior
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinearModel:
-    """Answer to one kind of query, in standardised units.
+    """Answer to one kind of query, in standardised units."""
 
-    Coefficients (d,), their covariance (d, d), the variance of y given the query, and
-    by how much that may be larger where the input noise is unknown.
-    """
+    # Coefficients (d,), their covariance (d, d), the variance of y given the query, and
+    # by how much that may be larger where the input noise is unknown.
 
     coef: np.ndarray
     cov: np.ndarray
@@ -142,21 +98,16 @@ class LinearModel:
 
 
 def coefficients_noisy(state):
-    """Coefficient of E[y | x] for noisy x.
-
-    Eq. 27 with point estimates reduces, input by input, to
-    w_z w_x / (w_x^2 + psi_x).
-    """
+    """Coefficient of E[y | x] for noisy x: eq. 27 with point estimates."""
+    # Input by input, it is w_z w_x / (w_x^2 + psi_x).
     w_x = state.w_x_mean
     return state.w_z_mean * w_x / (w_x**2 + state.psi_x)  # [eq. 27]
 
 
 def coefficients_noiseless(state, retained):
-    """Coefficient of E[y | t] for noiseless inputs, zero where not retained.
-
-    The prefactor of eq. 29 cancels: beta = w_z / w_x. For an input switched off by the
-    ARD prior both loadings vanish and their ratio is meaningless.
-    """
+    """Coefficient of E[y | t] for noiseless inputs, zero where not retained."""
+    # The prefactor of eq. 29 cancels: beta = w_z / w_x. For an input switched off by
+    # the ARD prior both loadings vanish and their ratio is meaningless.
     beta = np.zeros_like(state.w_z_mean)
     beta[retained] = state.w_z_mean[retained] / state.w_x_mean[retained]  # [eq. 29]
     return beta
@@ -173,10 +124,7 @@ _NEGLIGIBLE_LOADING = 1e-100
 
 
 def expect_hidden(moments, state):
-    """E-step over Z and T: the sample sums needed by all other updates.
-
-    [eqs. 17-25], with eq. 19 in its corrected sign.
-    """
+    """E-step over Z and T, [eqs. 17-25] with eq. 19 in its corrected sign."""
     w_z, w_x = state.w_z_mean, state.w_x_mean
     psi_z, psi_x, psi_y = state.psi_z, state.psi_x, state.psi_y
     n = moments.n
@@ -264,17 +212,13 @@ def update_precisions(state, prior):
 
 
 def update_noise(moments, old, state, hidden, prior):
-    """Noise variances, from the residuals z - w_z t and x - w_x t.
-
-    Eqs. 15 and 16 are differences of sums that cancel when the noise is small. With
-    the forms of the module's docstring the residuals themselves are small:
-
-        <z> - w_z <t> = -d_z h x + (psi_z - d_z r M) e / s,
-        x - w_x <t> = (psi_x a / B - d_x h) x - w_x r M e / s,
-
-    where d_z, d_x are the changes of the loadings since the E-step (at state `old`),
-    and Cov(z - w_z t) follows from Cov(z - w_z_old t) = psi_z - psi_z^2 / s.
-    """
+    """Noise variances, from the residuals z - w_z t and x - w_x t, [eqs. 15, 16]."""
+    # These are differences of sums that cancel when the noise is small. In the forms of
+    # the module's docstring the residuals themselves are small:
+    #     <z> - w_z <t> = -d_z h x + (psi_z - d_z r M) e / s,
+    #     x - w_x <t> = (psi_x a / B - d_x h) x - w_x r M e / s,
+    # where d_z, d_x are the changes of the loadings since the E-step (at state `old`),
+    # and Cov(z - w_z t) follows from Cov(z - w_z_old t) = psi_z - psi_z^2 / s.
     n, s = moments.n, hidden.y_var
     h, step, t_var = hidden.t_gain, hidden.t_step, hidden.t_var
     S_xe, S_ee, S_tt = hidden.S_xe, hidden.S_ee, hidden.S_tt
@@ -317,12 +261,10 @@ def bound(moments, state, hidden, prior):
 
 
 def data_bound(moments, hidden):
-    """Return the expected log-likelihood plus the entropy of q(Z, T), [B1].
-
-    With q(Z, T) at its optimum these add up to the log-normaliser of one Gaussian,
-    x_m ~ N(0, psi_x + w_x^2 / a_m) and y | x ~ N(c'x, s), a_m being `t_precision`;
-    each sample then also pays -log(a_m) / 2.
-    """
+    """Return the expected log-likelihood plus the entropy of q(Z, T), [B1]."""
+    # With q(Z, T) at its optimum these add up to the log-normaliser of one Gaussian,
+    # x_m ~ N(0, psi_x + w_x^2 / a_m) and y | x ~ N(c'x, s), a_m being `t_precision`;
+    # each sample then also pays -log(a_m) / 2.
     n = moments.n
     x_part = n * (_LOG_2PI + np.log(hidden.x_var) + np.log(hidden.t_precision))
     x_part = x_part + moments.xx / hidden.x_var
@@ -331,12 +273,10 @@ def data_bound(moments, hidden):
 
 
 def prior_bound(state, prior):
-    """Minus the divergence of q(w_z) q(w_x) q(alpha) from the prior, plus noise prior.
-
-    [eq. 5], whose second line is p(w_x | alpha). The inverse-gamma prior on psi_x
-    enters through its density on log(psi_x), without its constant (the weight's
-    normaliser), so that its maximum is at the documented mode.
-    """
+    """Return minus the divergence of q(w_z) q(w_x) q(alpha) from the prior, [eq. 5]."""
+    # Its second line is p(w_x | alpha). The inverse-gamma prior on psi_x enters through
+    # its density on log(psi_x), without its constant, so that its maximum is at the
+    # documented mode.
     total = 0.0
     if prior.psi_x_weight and prior.psi_x_fixed is None:
         ratio = prior.psi_x_mode / state.psi_x

@@ -6,22 +6,7 @@ from pathlib import Path
 
 
 def write_whole(path, text):
-    """Write a text file beside its place and move it there.
-
-    An interrupted program leaves no half of a file, and the old one if there was one.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File to write.
-    text : str
-        Content, written as UTF-8.
-
-    Raises
-    ------
-    FileNotFoundError
-        If its folder does not exist.
-    """
+    """Write a text (UTF-8) beside its place and move it there: never half a file."""
     path = Path(path)
     if not path.parent.is_dir():
         raise FileNotFoundError(

@@ -11,18 +11,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Capsule:
-    """All points within a radius of a line segment.
+    """All points within a radius of a line segment."""
 
-    Attributes
-    ----------
-    ends : ndarray of shape (2, 3)
-        Ends of the segment [m].
-    radius : float
-        [m].
-    """
-
-    ends: np.ndarray
-    radius: float
+    ends: np.ndarray  # (2, 3) [m]
+    radius: float  # [m]
 
     @property
     def volume(self):
@@ -32,22 +24,9 @@ class Capsule:
 
 
 def capsule_around(points, swept=0.0):
-    """Return a small capsule that holds points, and balls about them.
-
-    Of capsules along the coordinates and along the principal axes of the points, it is
-    the one of the least volume.
-
-    Parameters
-    ----------
-    points : ndarray of shape (n, 3)
-        [m].
-    swept : float
-        Radius of the balls [m].
-
-    Returns
-    -------
-    Capsule
-    """
+    """Return a small capsule that holds balls of radius `swept` about points (n, 3)."""
+    # Of capsules along the coordinates and along the principal axes, that of least
+    # volume.
     centred = points - points.mean(axis=0)
     principal = np.linalg.eigh(centred.T @ centred)[1]
     along = [_along(axis, points) for axis in (*np.eye(3), *principal.T)]
@@ -73,21 +52,8 @@ def _along(axis, points):
 
 
 def segment_distances(first, second):
-    """Return the distances between line segments.
-
-    Parameters
-    ----------
-    first, second : ndarray of shape (..., 2, 3)
-        Ends of the segments; a segment may be a point.
-
-    Returns
-    -------
-    ndarray of shape (...)
-
-    References
-    ----------
-    Ericson, C. (2005). Real-Time Collision Detection, section 5.1.9. Morgan Kaufmann.
-    """
+    """Return the distances (...) between line segments (..., 2, 3), or points."""
+    # Ericson, Real-Time Collision Detection, Morgan Kaufmann 2005, section 5.1.9.
     tiny = np.finfo(float).tiny
     u = first[..., 1, :] - first[..., 0, :]
     v = second[..., 1, :] - second[..., 0, :]

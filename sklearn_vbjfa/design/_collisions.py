@@ -35,42 +35,23 @@ _BATCH = 256
 
 @dataclass(frozen=True)
 class Distances:
-    """Signed distances of pairs of shapes in the rows of a motion.
+    """Signed distances of pairs of shapes in the rows of a motion."""
 
-    Attributes
-    ----------
-    distance : ndarray of shape (n, n_pairs)
-        Smallest distance, minus the depth of penetration [m]; for pairs that are far
-        apart a lower bound of it.
-    gradient : ndarray of shape (n, n_pairs, nv)
-        Its derivative by the positions [m/rad, m/m]; zero for pairs far apart.
-    exact : ndarray of shape (n, n_pairs) of bool
-        False where pairs are far apart.
-    """
-
+    # (n, n_pairs): minus the depth of penetration [m]; a lower bound if far apart
     distance: np.ndarray
+    # (n, n_pairs, nv): by the positions [m/rad, m/m]; zero for pairs far apart
     gradient: np.ndarray
-    exact: np.ndarray
+    exact: np.ndarray  # (n, n_pairs): false where pairs are far apart
 
 
 @dataclass(frozen=True)
 class Approach:
-    """Two links near each other in one row of a motion.
-
-    Attributes
-    ----------
-    row : int
-        Number of the row.
-    first, second : str
-        Links.
-    distance : float
-        Signed distance [m].
-    """
+    """Two links near each other in one row of a motion."""
 
     row: int
     first: str
     second: str
-    distance: float
+    distance: float  # signed [m]
 
     @property
     def depth(self):
@@ -79,32 +60,15 @@ class Approach:
 
 
 class Clearance:
-    """Distances between the links of a robot that may meet.
+    """Distances between the links of a robot that may meet."""
 
-    Links next to each other, or fixed together, are not looked at, nor are shapes that
-    overlap in most positions: that is how they were drawn. Meshes stand for their
-    convex hulls. What stands around the robot is not known.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Joints have one degree of freedom each; some may be held.
-    shapes : RobotShapes
-        Shapes on the bodies of the model.
-    margin : float
-        Distance that will be kept [m]: shapes that are nearer in most positions count
-        as overlapping.
-
-    Attributes
-    ----------
-    pairs : tuple of (str, str)
-        Links of the pairs that are looked at; a link of several shapes occurs as often.
-    ignored : tuple of (str, str)
-        Links of which shapes overlap in most positions.
-    near : float
-        Distance [m] up to which distances are exact by default: the thickness of a
-        typical link, which is how far ahead a motion has to turn aside.
-    """
+    # Links next to each other, or fixed together, are not looked at, nor are shapes
+    # that overlap in most positions (or are nearer than `margin` [m], which will be
+    # kept): that is how they were drawn. Meshes stand for their convex hulls; what
+    # stands around the robot is not known. pairs, ignored: links that are looked at
+    # (once for each two shapes), and those that overlap; near: distance [m] up to which
+    # distances are exact by default, the thickness of a typical link, which is how far
+    # ahead a motion has to turn aside.
 
     def __init__(self, model, shapes, margin=0.0):
         pin = import_pinocchio()
@@ -134,26 +98,9 @@ class Clearance:
 
     @classmethod
     def of(cls, robot, *, model=None, package_dirs=(), margin=0.0):
-        """Take the shapes from a URDF.
-
-        Parameters
-        ----------
-        robot : str, os.PathLike or pinocchio.Model
-            URDF file; a model has no shapes.
-        model : pinocchio.Model, optional
-            Model of that file with the joints that move; by default all of them.
-        package_dirs : sequence of str or os.PathLike
-            Folders of packages of meshes, beside that of the URDF and those above it.
-        margin : float
-            Distance that will be kept [m], see `Clearance`.
-
-        Returns
-        -------
-        clearance : Clearance or None
-            None if the robot has no shapes.
-        reason : str
-            Why it has none in one or two sentences, else empty.
-        """
+        """Take the shapes from a URDF; None if there are none, and why in words."""
+        # model: with the joints that move, by default all; package_dirs: folders of
+        # packages of meshes, beside that of the URDF and those above it.
         if not isinstance(robot, (str, os.PathLike)):
             return None, (
                 "A robot that is given as a model has no collision geometry; give the "
@@ -167,20 +114,9 @@ class Clearance:
             return None, str(reason)
 
     def __call__(self, q, within=None):
-        """Return the signed distances of all pairs, with gradients.
-
-        Parameters
-        ----------
-        q : array-like of shape (n, nv)
-            Positions [rad, m].
-        within : float, optional
-            Distance up to which it is exact [m], `near` by default. Further away it is
-            a lower bound, which is larger than this.
-
-        Returns
-        -------
-        Distances
-        """
+        """Return the signed distances of all pairs at q (n, nv), with gradients."""
+        # Exact up to `within` [m]; further away a lower bound, which is larger than
+        # this.
         q = self._positions(q)
         within = self.near if within is None else within
         poses = self._poses(q)
@@ -194,18 +130,7 @@ class Clearance:
         return Distances(distance, gradient, exact)
 
     def nearest(self, q):
-        """Return where two links are nearest to each other, or deepest in each other.
-
-        Parameters
-        ----------
-        q : array-like of shape (n, nv)
-            Positions [rad, m].
-
-        Returns
-        -------
-        Approach or None
-            None if no two links may meet.
-        """
+        """Return where two links are nearest, or deepest in each other, or None."""
         best, where = np.inf, None
         for start, poses in self._pieces(q):
             bounds = self._bounds(poses)
@@ -222,33 +147,13 @@ class Clearance:
         return None if where is None else Approach(*where, best)
 
     def smallest(self, q):
-        """Return the smallest signed distance [m] in a motion, inf if none can meet.
-
-        Parameters
-        ----------
-        q : array-like of shape (n, nv)
-            Positions [rad, m].
-
-        Returns
-        -------
-        float
-        """
+        """Return the smallest signed distance [m] in a motion, inf if none can meet."""
         nearest = self.nearest(q)
         return np.inf if nearest is None else nearest.distance
 
     def self_collisions(self, q):
-        """Return the rows in which links are in each other, how deep, and which.
-
-        Parameters
-        ----------
-        q : array-like of shape (n, nv)
-            Positions [rad, m].
-
-        Returns
-        -------
-        list of Approach
-            By row; of two links that meet with several shapes, the deepest.
-        """
+        """Return an `Approach` for each row in which two links are in each other."""
+        # Of two links that meet with several shapes, the deepest.
         deepest = {}
         for start, poses in self._pieces(q):
             rows, pairs = np.nonzero(self._bounds(poses) < 0)
@@ -346,11 +251,9 @@ class Clearance:
         return _Nearest(distance, normal, point)
 
     def _gradients(self, poses, rows, pairs, found):
-        """Return derivatives of distances by the positions, (k, nv).
-
-        A joint that carries a body moves its nearest point p by (linear + angular x p).
-        Both nearest points lie on the normal, so that either stands for both.
-        """
+        """Return derivatives of distances by the positions, (k, nv)."""
+        # A joint that carries a body moves its nearest point p by (linear + angular x
+        # p). Both nearest points lie on the normal, so that either stands for both.
         lever = np.cross(found.point, found.normal)
         along = np.einsum("kji,ki->kj", poses.linear[rows], found.normal)
         along += np.einsum("kji,ki->kj", poses.angular[rows], lever)

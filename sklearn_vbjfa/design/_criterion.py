@@ -1,15 +1,13 @@
-r"""What a motion is worth: how it determines a model and parts what may be missing.
+"""What a motion is worth: how it determines a model and parts what may be missing.
 
-With rows :math:`x_{tj}` and noise :math:`\sigma_j` the information on all coefficients
-is :math:`M = \sum_{tj} w_{tj} x_{tj} x_{tj}^T / \sigma_j^2`. That on the model alone is
-its block :math:`M_{AA}`, of n columns over their sizes at random states. It is worth
-:math:`\tfrac12 \log\det M_{AA} - 2 n \log \kappa(M_{AA}^{1/2})`, the D-criterion less a
-smooth condition number :math:`\kappa`, which keeps one direction from being seen badly
-for many that are seen well. For columns C that the model lacks, :math:`S = M_{CC} -
-M_{CA} M_{AA}^{-1} M_{AC}` is what the model cannot imitate of them: a coefficient c of
-one effect i leaves :math:`c^T S_{ii} c`, in squared standard errors, beside the model,
-and :math:`c^T (S_{ii} - S_{ik} S_{kk}^{-1} S_{ki}) c` beside the model with a rival k:
-the largest difference that the two can show at equal fit.
+With rows x_tj, weights w_tj and noise sigma_j the information on all coefficients is M
+= sum_tj w_tj x_tj x_tj' / sigma_j^2, that on the model alone its block M_AA, of n
+columns over their sizes at random states. It is worth log det M_AA / 2 - 2 n log
+kappa(M_AA^(1/2)), the D-criterion less a smooth condition number kappa, which keeps one
+direction from being seen badly for many that are seen well. Of columns C that the model
+lacks, it cannot imitate S = M_CC - M_CA M_AA^-1 M_AC: a coefficient c of one effect i
+leaves c' S_ii c, in squared standard errors, beside the model, and c' (S_ii - S_ik
+S_kk^-1 S_ki) c beside the model with a rival k, the most by which the two can differ.
 """
 
 from dataclasses import dataclass
@@ -30,27 +28,15 @@ BALANCE, _POWER = 2.0, 6.0
 
 @dataclass(frozen=True, eq=False)
 class Questions:
-    """What a motion is to decide.
+    """What a motion is to decide."""
 
-    Attributes
-    ----------
-    n_model : int
-        The first columns are those of the model.
-    scale : ndarray of shape (n_columns,)
-        Sizes of coefficients in which columns are compared.
-    effects : tuple of slice
-        Columns of effects that the model may lack.
-    alone : ndarray of shape (n_effects,)
-        How much it counts that each shows beside the model.
-    beside : ndarray of shape (n_effects, n_effects)
-        How much it counts that the effect of the row shows beside the model with the
-        rival of the column.
-    """
-
-    n_model: int
+    n_model: int  # the first columns are those of the model
+    # (n_columns,): sizes of coefficients in which columns are compared
     scale: np.ndarray
-    effects: tuple = ()
+    effects: tuple = ()  # columns of effects that the model may lack
+    # (n_effects,): how much it counts that each shows beside the model
     alone: np.ndarray | None = None
+    # (n_effects, n_effects): the same for the row beside the model with the column
     beside: np.ndarray | None = None
 
     @property
@@ -61,24 +47,15 @@ class Questions:
 
 @dataclass(frozen=True, eq=False)
 class Worth:
-    """Value of a criterion.
+    """Value of a criterion."""
 
-    Attributes
-    ----------
-    value : float
-        To be made large [nats].
-    by_information : ndarray of shape (n_columns, n_columns)
-        Its derivative by the information matrix, symmetric.
-    alone : ndarray of shape (n_effects,)
-        Evidence for each effect beside the model, in squared standard errors: the mean
-        over coefficients of the effect at random.
-    beside : ndarray of shape (n_effects, n_effects)
-        The same beside the model with each rival.
-    """
-
-    value: float
+    value: float  # to be made large [nats]
+    # (n_columns, n_columns): its derivative by the information, symmetric
     by_information: np.ndarray
+    # (n_effects,): evidence for each effect beside the model, in squared standard
+    # errors: the mean over coefficients of the effect at random
     alone: np.ndarray
+    # (n_effects, n_effects): the same beside the model with each rival
     beside: np.ndarray
 
 
@@ -115,10 +92,8 @@ def worth(information, questions):
 
 
 def _balance(A):
-    """Minus the logarithm of a smooth condition number, and its derivative by A.
-
-    Power means of the eigenvalues stand for the largest and the smallest.
-    """
+    """Minus the logarithm of a smooth condition number, and its derivative by A."""
+    # Power means of the eigenvalues stand for the largest and the smallest.
     values, vectors = np.linalg.eigh(A)
     values = np.maximum(values, 1e-12 * values[-1])
     high = (values / values[-1]) ** _POWER
@@ -165,11 +140,9 @@ def _decisions(S, questions):
 
 
 def _told(evidence):
-    """Value of evidence, -log(1 + DECIDED / evidence) / 2, and its derivative.
-
-    Nearly all is gained once the evidence is larger than what decides, and where it is
-    small a doubling is worth the same everywhere.
-    """
+    """Value of evidence, -log(1 + DECIDED / evidence) / 2, and its derivative."""
+    # Nearly all is gained once the evidence is larger than what decides, and where it
+    # is small a doubling is worth the same everywhere.
     e = evidence + _HOPELESS * DECIDED
     return -0.5 * np.log1p(DECIDED / e), 0.5 * DECIDED / (e * (e + DECIDED))
 

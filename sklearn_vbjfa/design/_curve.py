@@ -8,28 +8,12 @@ from scipy.linalg import null_space
 
 @dataclass(frozen=True, eq=False)
 class FourierCurve:
-    r"""Positions of all joints as finite Fourier series of one period.
+    """Positions of all joints as finite Fourier series of one period T [s]."""
 
-    .. math::
-
-        q_j(t) = s_j + \sum_{k=1}^K a_{jk} (\cos k \omega t - 1) + b_{jk} \sin k
-        \omega t, \qquad \omega = 2 \pi / T,
-
-    with zero velocity and acceleration at its ends, :math:`\sum_k k b_{jk} = \sum_k
-    k^2 a_{jk} = 0`. What is free are the coordinates of the pairs (a, b) that fulfil
-    this, and the start s where it is not given.
-
-    Parameters
-    ----------
-    period : float
-        T [s].
-    n_harmonics : int
-        K, two at least.
-    n_joints : int
-        Number of joints.
-    start : ndarray of shape (nv,) or None
-        Positions at the start; None where they are free.
-    """
+    # q_j(t) = s_j + sum_(k=1..K) a_jk (cos k w t - 1) + b_jk sin k w t, w = 2 pi / T,
+    # with zero velocity and acceleration at its ends, sum_k k b_jk = sum_k k^2 a_jk =
+    # 0. What is free are the coordinates of the pairs (a, b) that fulfil this, and the
+    # start s (nv,) where it is None. K, n_harmonics, is two at least.
 
     period: float
     n_harmonics: int
@@ -57,18 +41,8 @@ class FourierCurve:
         return self.n_harmonics / self.period
 
     def basis(self, t):
-        """Positions, velocities and accelerations of unit coordinates.
-
-        Parameters
-        ----------
-        t : array-like of shape (n,)
-            Times [s].
-
-        Returns
-        -------
-        ndarray of shape (3, n, size)
-            The start comes last, where it is free.
-        """
+        """Positions, velocities, accelerations of unit coordinates, (3, n, size)."""
+        # The start comes last, where it is free.
         t = np.asarray(t, dtype=float)
         w = 2 * np.pi / self.period * np.arange(1, self.n_harmonics + 1)
         c, s = np.cos(np.outer(t, w)), np.sin(np.outer(t, w))

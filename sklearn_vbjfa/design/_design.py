@@ -258,10 +258,8 @@ def _reference(robot, limits, highest, rng):
 
 
 def _parted(robot, asked):
-    """Split effects into those of the model and candidates beside it.
-
-    What a report found is a candidate again: the next recording may say otherwise.
-    """
+    """Split effects into those of the model and candidates beside it."""
+    # What a report found is a candidate again: the next recording may say otherwise.
     doubted = {(one.effect.name, one.effect.joint) for one in asked if one.doubted}
     own = [
         (effect, coef)
@@ -303,11 +301,9 @@ def _questions(equations, candidates, reference, noise):
 
 
 def _coefficients(robot, equations, own, reference):
-    """Coefficients of all columns (n_columns,), which give the robot's torques.
-
-    Zero are those of effects that it may have; those that it has count, also where they
-    are in doubt.
-    """
+    """Coefficients of all columns (n_columns,), which give the robot's torques."""
+    # Zero are those of effects that it may have; those that it has count, also where
+    # they are in doubt.
     rows = equations(reference)
     n = equations.n_model
     A, y = [], []
@@ -439,10 +435,8 @@ def _held_pose(problem, lowest, highest, rng):
 
 
 def _strain(problem, poses):
-    """Which poses (n, nv) can be held, and the shares of the torque limits (n, nv).
-
-    Bodies keep their distance in a pose that can be held.
-    """
+    """Which poses (n, nv) can be held, and the shares of the torque limits (n, nv)."""
+    # Bodies keep their distance in a pose that can be held.
     states = np.hstack([poses, np.zeros((len(poses), 2 * poses.shape[1]))])
     strain = np.abs(problem.torques(problem.model(states))) / problem.limits.torque
     held = (strain < _HELD).all(axis=1)

@@ -27,21 +27,12 @@ _PROBES = 60
 
 @dataclass(frozen=True, eq=False)
 class EffectColumns:
-    """Columns of an effect and what they depend on.
+    """Columns of an effect and what they depend on."""
 
-    Attributes
-    ----------
-    effect : Effect
-        Effect, at its joint.
-    inputs : tuple of (str, int)
-        Signals that its columns depend on row by row, such as ("v", 2).
-    remembers : bool
-        Whether a row depends on others: then the columns are differentiated along the
-        motion of the own joint.
-    """
-
-    effect: object
-    inputs: tuple
+    effect: object  # at its joint
+    inputs: tuple  # signals that its columns depend on row by row, such as ("v", 2)
+    # whether a row depends on others: then the columns are differentiated along the
+    # motion of the own joint
     remembers: bool
 
     @classmethod
@@ -79,55 +70,24 @@ def _moved(motion, name, joint, step):
 
 @dataclass(frozen=True, eq=False)
 class Equations:
-    """Rows of all joints for the states of a motion.
+    """Rows of all joints for the states of a motion."""
 
-    Attributes
-    ----------
-    states : ndarray of shape (n, 3 nv)
-        States [q | v | a].
-    rows : tuple of nv ndarray of shape (k_j, n)
-        Columns that act on each joint, samples last.
-    motion : Motion
-        What effects were computed from.
-    """
-
-    states: np.ndarray
-    rows: tuple
-    motion: Motion = field(repr=False)
+    states: np.ndarray  # (n, 3 nv)
+    rows: tuple  # (k_j, n): columns that act on each joint, samples last
+    motion: Motion = field(repr=False)  # what effects were computed from
 
 
 class EquationModel:
-    """Columns of a robot and of effects, for any motion.
+    """Columns of a robot and of effects, for any motion."""
 
-    Parameters
-    ----------
-    features : RigidBodyFeatures
-        Loaded features of the robot, without friction.
-    inertial : ndarray of shape (nv, 10)
-        Parameters of the bodies, for the load.
-    effects : sequence of Effect
-        Effects at their joints, those of the model first.
-    n_own : int
-        How many of them the model has.
-    still : ndarray of shape (nv,)
-        Speeds below which a joint may be standing [rad/s or m/s].
-    reference : ndarray of shape (n, 3 nv)
-        States as the limits allow them, at which columns are compared.
-    bandwidth : float
-        Band of the fit [Hz].
-
-    Attributes
-    ----------
-    base : ndarray of int
-        Bodies' parameters whose columns are kept: with those of the effects of the
-        model they span all columns of the model in any motion.
-    places : tuple of ndarray of int
-        Which columns act on each joint.
-    n_model, n_columns : int
-        Columns of the model, and with those of further effects.
-    spans : list of slice
-        Columns of each effect.
-    """
+    # features: of the bodies, without friction; inertial (nv, 10): for the load;
+    # effects: at their joints, the n_own of the model first; still (nv,): speeds below
+    # which a joint may be standing; reference (n, 3 nv): states as the limits allow
+    # them, at which columns are compared; bandwidth: of the fit [Hz].
+    # base: bodies' parameters whose columns are kept: with the model's effects they
+    # span all columns of the model in any motion; places: which columns act on each
+    # joint; n_model, n_columns: columns of the model, and with further effects; spans:
+    # columns of each effect.
 
     def __init__(
         self, features, inertial, effects, *, n_own, still, reference, bandwidth
@@ -245,24 +205,10 @@ class EquationModel:
     # -- derivatives ------------------------------------------------------------------
 
     def pulled_back(self, equations, by_rows, curve=None, z=None, basis=None):
-        """Gradients by the states, and by what moves joints with a memory.
-
-        Parameters
-        ----------
-        equations : Equations
-            Of a motion.
-        by_rows : sequence of nv ndarray of shape (k_j, n)
-            Derivatives of a criterion by the entries of the rows.
-        curve, z, basis : FourierCurve, ndarray, ndarray
-            The motion, of which columns with a memory are differentiated.
-
-        Returns
-        -------
-        by_states : ndarray of shape (n, 3 nv)
-            Derivatives of the criterion by the states.
-        by_z : ndarray of shape (nv, size) or 0
-            What is to be added to that by the coordinates of the curve.
-        """
+        """Gradients by the states (n, 3 nv), and by coordinates of the curve."""
+        # by_rows: derivatives of a criterion by the entries of the rows, nv of (k_j,
+        # n). The second, (nv, size) or 0, is what columns with a memory add, which are
+        # differentiated along the motion (curve, z, basis).
         motion = equations.motion
         by_states = np.zeros_like(equations.states)
         by_load = np.zeros((len(motion.q), self.nv))

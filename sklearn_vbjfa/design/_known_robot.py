@@ -24,40 +24,20 @@ _STATE_BAND = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KnownRobot:
-    """A robot, identified or only described.
+    """A robot, identified or only described."""
 
-    Attributes
-    ----------
-    features : RigidBodyFeatures
-        Bodies alone, without friction, as effects correct the robot.
-    inertial : ndarray of shape (nv, 10)
-        Parameters of the bodies.
-    effects : tuple of Effect
-        Friction and effects of the model, each on its joint.
-    coefficients : tuple of ndarray
-        Their coefficients.
-    joint_names : tuple of str
-        Joints.
-    torque_noise : ndarray of shape (nv,)
-        Deviation of the torque noise in the band of the fit [N m or N]; nan if not
-        known.
-    cutoff : float
-        That band [Hz].
-    encoder_noise : ndarray of shape (nv,)
-        Deviation of one sample of the positions [rad or m]; zero if not known.
-    description : str or os.PathLike or None
-        URDF file, for the geometry.
-    """
-
+    # bodies alone, without friction, as effects correct the robot
     features: RigidBodyFeatures
-    inertial: np.ndarray
-    effects: tuple
+    inertial: np.ndarray  # (nv, 10): of the bodies
+    effects: tuple  # friction and effects of the model, each on its joint
     coefficients: tuple
     joint_names: tuple
+    # (nv,): deviation in the band of the fit [N m or N]; nan if not known
     torque_noise: np.ndarray
-    cutoff: float
+    cutoff: float  # that band [Hz]
+    # (nv,): deviation of one sample of the positions [rad or m]; 0 if unknown
     encoder_noise: np.ndarray
-    description: object = None
+    description: object = None  # URDF file, for the geometry
 
     @classmethod
     def of(cls, model):
@@ -139,12 +119,10 @@ class KnownRobot:
         return STANDSTILL_SHARE * limits.velocity
 
     def noise(self, limits, reference, highest, dt):
-        """Deviation of the noise of each joint's equations in the band (nv,).
-
-        Torque noise is taken as white, and so is that of the encoders, which enters
-        through the inertia: of white position noise with the deviation s, a
-        band B leaves an acceleration of the variance 2 dt s^2 (2 pi)^4 B^5 / 5.
-        """
+        """Deviation of the noise of each joint's equations in the band (nv,)."""
+        # Torque noise is taken as white, and so is that of the encoders, which enters
+        # through the inertia: of white position noise with the deviation s, a band B
+        # leaves an acceleration of the variance 2 dt s^2 (2 pi)^4 B^5 / 5.
         band = self.band(highest, dt)
         guessed = np.where(np.isfinite(limits.torque), limits.torque, np.nan)
         if not np.isfinite(guessed).all():

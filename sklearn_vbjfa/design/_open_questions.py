@@ -32,23 +32,12 @@ _COMMON = (
 
 @dataclass(frozen=True, eq=False)
 class OpenEffect:
-    """An effect that the robot may have.
+    """An effect that the robot may have."""
 
-    Attributes
-    ----------
-    effect : Effect
-        At its joint.
-    weight : float
-        How much it matters whether it is there.
-    why : str
-        Who asks: "report", "caller" or "library".
-    doubted : bool
-        Whether the model has it, and the next recording has to confirm it.
-    """
-
-    effect: object
-    weight: float
-    why: str
+    effect: object  # at its joint
+    weight: float  # how much it matters whether it is there
+    why: str  # who asks: "report", "caller" or "library"
+    # whether the model has it, and the next recording has to confirm it
     doubted: bool = False
 
 
@@ -58,13 +47,7 @@ def is_steered(effect):
 
 
 def read_report(report):
-    """Return a report as the dict of `Report.to_dict`.
-
-    Parameters
-    ----------
-    report : EffectDiscovery, Report, mapping, or path of a folder or of a report.json
-        What a search found.
-    """
+    """Return a report, its search or what its file holds as a dict of `to_dict`."""
     if isinstance(report, (str, os.PathLike)):
         return _read_folder(Path(report))
     report = getattr(report, "report_", report)
@@ -133,20 +116,7 @@ def common_effects(nv):
 
 
 def open_effects(data, names):
-    """Return what a report leaves open, and what else the joints may have.
-
-    Parameters
-    ----------
-    data : dict
-        Of `Report.to_dict`.
-    names : sequence of str
-        Joints of the robot.
-
-    Returns
-    -------
-    list of OpenEffect
-        What the report names first.
-    """
+    """Return what a report leaves open, and then what else the joints may have."""
     _check_joints(data, names)
     weights = {}
     completed = (*data["effects"], *data.get("perhaps", ()))

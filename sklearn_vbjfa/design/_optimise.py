@@ -2,12 +2,8 @@
 
 SciPy's solvers for constraints (SLSQP, trust-constr) keep matrices of all constraints:
 a limit at every sample of every joint makes some ten thousand of them. The augmented
-Lagrangian [1]_ needs one number for each, and unconstrained steps, which L-BFGS-B does.
-
-References
-----------
-.. [1] J. Nocedal, S. J. Wright, Numerical optimization, 2nd ed., Springer 2006,
-   chapter 17.
+Lagrangian (Nocedal and Wright, Numerical optimization, 2006, chapter 17) needs one
+number for each, and unconstrained steps, which L-BFGS-B does.
 """
 
 from dataclasses import dataclass
@@ -36,41 +32,19 @@ _TOLERATED = 2e-3
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A motion to be designed.
-
-    Attributes
-    ----------
-    curve : FourierCurve
-        Motions.
-    model : EquationModel
-        Their equations.
-    questions : Questions
-        What is asked.
-    limits : MotionLimits
-        Limits.
-    coefficients : ndarray of shape (n_columns,)
-        Coefficients of the columns, for the torques: zero of effects that the robot is
-        not known to have.
-    precision : ndarray of shape (nv,)
-        Information per second and squared entry: independent samples per second over
-        the variance of a joint's noise.
-    still : ndarray of shape (nv,)
-        Speeds below which a joint may be standing.
-    clearance : Clearance or None
-        Distances between bodies.
-    room : float
-        Smallest distance that is allowed [m].
-    """
+    """A motion to be designed."""
 
     curve: object
     model: object
     questions: object
     limits: object
+    # (n_columns,): for the torques; zero of effects not known to be there
     coefficients: np.ndarray
+    # (nv,): independent samples per second over the variance of a joint's noise
     precision: np.ndarray
-    still: np.ndarray
+    still: np.ndarray  # (nv,): speeds below which a joint may be standing
     clearance: object = None
-    room: float = 0.0
+    room: float = 0.0  # smallest distance that is allowed [m]
 
     def times(self, per_period=16):
         """Return samples [s], so many in the shortest period."""
@@ -78,11 +52,9 @@ class Problem:
         return np.arange(n) * (self.curve.period / n)
 
     def weights(self, states, step):
-        """Weights of rows (n, nv), and their derivatives by the velocities.
-
-        Equations of a joint that stands are left out of a fit: friction may be
-        anywhere in its band.
-        """
+        """Weights of rows (n, nv), and their derivatives by the velocities."""
+        # Equations of a joint that stands are left out of a fit: friction may be
+        # anywhere in its band.
         v = np.split(states, 3, axis=1)[1]
         slow = self.still**2
         moving = v**2 / (v**2 + slow)
@@ -113,11 +85,9 @@ class Problem:
 
 
 def excess(problem, states, torques, inside=INSIDE):
-    """How far limits are exceeded, relative: a list of (n, nv) for each side.
-
-    Each with its slope: what it gains by one unit of the signal. Kept are shares
-    `inside` of the limits: one, or of each of the four and each joint, (4, nv).
-    """
+    """How far limits are exceeded, relative: a list of (n, nv) for each side."""
+    # Each with its slope: what it gains by one unit of the signal. Kept are shares
+    # `inside` of the limits: one, or of each of the four and each joint, (4, nv).
     limits = problem.limits
     shares = np.broadcast_to(inside, (4, len(limits.velocity)))
     q, v, a = np.split(states, 3, axis=1)
@@ -230,10 +200,8 @@ class _Lagrangian:
         return worst
 
     def keep_between(self, x, fine, inside):
-        """Keep back what samples in between, at times `fine`, need of the limits.
-
-        Returns by how much they exceed the share `inside` of the limits.
-        """
+        """Keep back what samples in between, at times `fine`, need of the limits."""
+        # Returns by how much they exceed the share `inside` of the limits.
         problem = self.problem
         basis = problem.curve.basis(fine)
         states = problem.curve.states(x.reshape(self.shape), basis)
@@ -245,12 +213,10 @@ class _Lagrangian:
 
 
 def optimise(problem, starts, fine, inside):
-    """Improve motions, coordinates (nv, size) each, and the best of them to the end.
-
-    At the times `fine`, many more than those of the design, it keeps the share `inside`
-    of the limits, which it may exceed by a trace: see `shrunk`. Returns its coordinates
-    and the motion that it was improved from.
-    """
+    """Improve motions, coordinates (nv, size) each, and the best of them to the end."""
+    # At the times `fine`, many more than those of the design, it keeps the share
+    # `inside` of the limits, which it may exceed by a trace: see `shrunk`. Returns its
+    # coordinates and the motion that it was improved from.
     tried = []
     for z in starts:
         lagrangian = _Lagrangian(problem)
@@ -288,11 +254,9 @@ def _improved(lagrangian, x):
 
 
 def shrunk(problem, z, t, inside, *, apart=True):
-    """Scale a motion until it keeps all limits at the times t.
-
-    It is scaled about its start if that is given, else about the pose in it that is
-    furthest from the limits. With `apart` its bodies keep their distance as well.
-    """
+    """Scale a motion until it keeps all limits at the times t."""
+    # It is scaled about its start if that is given, else about the pose in it that is
+    # furthest from the limits. With `apart` its bodies keep their distance as well.
     basis = problem.curve.basis(t)
     about = _roomiest(problem, z, basis)
 

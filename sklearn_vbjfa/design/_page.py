@@ -1,7 +1,4 @@
-"""A designed motion in words: a page beside its file, and a summary for a terminal.
-
-Nothing is designed here. Sections are those of a report, which draws them.
-"""
+"""A designed motion in words: a page beside its file, and a summary for a terminal."""
 
 import math
 import textwrap
@@ -38,58 +35,27 @@ _BARE = {"position": "range", "velocity": "speed"}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Present:
-    """What is known of a parameter before the motion.
-
-    Attributes
-    ----------
-    value : float
-        Value.
-    half_width : float
-        Half width of its 90 % interval; nan where the recordings so far do not
-        determine it by itself.
-    """
+    """What is known of a parameter before the motion."""
 
     value: float
+    # that of its 90 % interval; nan where the recordings do not determine it alone
     half_width: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Background:
-    """What a motion was designed from, as the program that asked for it knows it.
+    """What a motion was designed from, as the program that asked for it knows it."""
 
-    Attributes
-    ----------
-    robot : str
-        What to call the robot.
-    description : str
-        Its file.
-    report : str
-        Folder of the report; empty for none.
-    found : dict or None
-        That report, as `Report.to_dict` has it.
-    measured : ndarray of shape (nv,), bool
-        Joints of which the torque noise was measured.
-    seed : int
-        Seed of the random motions.
-    settings : tuple of (str, str)
-        What else was asked for, for the provenance.
-    held : tuple of str
-        Joints that stay at zero.
-    file : str
-        Name of the motion's file.
-    commands : tuple of str
-        What to do next: sentences, and commands to type, which begin with "python".
-    """
-
-    robot: str
-    description: str
-    measured: np.ndarray
-    report: str = ""
-    found: dict | None = None
-    seed: int = 0
-    settings: tuple = ()
-    held: tuple = ()
+    robot: str  # what to call the robot
+    description: str  # its file
+    measured: np.ndarray  # (nv,): joints of which the torque noise was measured
+    report: str = ""  # its folder; empty for none
+    found: dict | None = None  # that report, as `Report.to_dict` has it
+    seed: int = 0  # of the random motions
+    settings: tuple = ()  # what else was asked for, for the provenance
+    held: tuple = ()  # joints that stay at zero
     file: str = ""
+    # what to do next: sentences, and commands to type, which begin with "python"
     commands: tuple = ()
 
     def rivals(self):
@@ -123,20 +89,7 @@ class Background:
 
 
 def page(motion, background):
-    """Write a motion as one self-contained page.
-
-    Parameters
-    ----------
-    motion : DesignedMotion
-        Motion.
-    background : Background
-        What it was designed from.
-
-    Returns
-    -------
-    str
-        HTML with its style and pictures inside; nothing is loaded from elsewhere.
-    """
+    """Write a motion as one page of HTML with its style and pictures inside."""
     sections = [make(motion, background) for make in _SECTIONS]
     shown = [s for s in sections if s.sentences or s.table or s.drawn]
     return render(tuple(shown), "sklearn_vbjfa.design")
@@ -196,33 +149,18 @@ def _verdict(motion, background):
 
 @dataclass(frozen=True, kw_only=True)
 class Decision:
-    """What a motion decides: a question of a joint.
+    """What a motion decides: a question of a joint."""
 
-    Attributes
-    ----------
-    joint : int
-        Joint, from zero.
-    causes : str
-        What is told apart, in words.
-    least : float
-        Smallest torque from which on all of it is [N m or N].
-    hardest : str
-        Of more than two causes, which two are the hardest to tell apart.
-    """
-
-    joint: int
-    causes: str
-    least: float
-    hardest: str = ""
+    joint: int  # from zero
+    causes: str  # what is told apart, in words
+    least: float  # smallest torque from which on all of it is [N m or N]
+    hardest: str = ""  # of more than two causes, the two that are hardest to tell apart
 
 
 def decisions(motion, background):
-    """List what a motion decides, what the report names as rivals first.
-
-    What would take more torque than the joint has is `undecided`.
-
-    Causes of a joint that no one has named as rivals are one question together.
-    """
+    """List what a motion decides, what the report names as rivals first."""
+    # What would take more torque than the joint has is `undecided`. Causes of a joint
+    # that no one has named as rivals are one question together.
     named = background.rivals()
     found, others = [], {}
     for one in motion.parts:
@@ -571,20 +509,7 @@ _SECTIONS = (
 
 
 def summary(motion, background):
-    """Say in a few lines for a terminal what a motion is and what it decides.
-
-    Parameters
-    ----------
-    motion : DesignedMotion
-        Motion.
-    background : Background
-        What it was designed from.
-
-    Returns
-    -------
-    list of str
-        Fewer than 30 lines.
-    """
+    """Say in fewer than 30 lines what a motion is and what it decides."""
     names = motion.joint_names
     of = f" for what {background.report} left open" if background.report else ""
     joints = words.plural(len(names), "joint")
@@ -803,10 +728,8 @@ def _joint_of(name, names):
 
 
 def _now(one, present):
-    """Return what is known of a parameter now; None where nothing is.
-
-    A single coefficient of an effect goes by the effect's name alone.
-    """
+    """Return what is known of a parameter now; None where nothing is."""
+    # A single coefficient of an effect goes by the effect's name alone.
     if one.name in present:
         return present[one.name]
     longer = [x for x in present if x.startswith(f"{one.name}:")]
@@ -814,11 +737,9 @@ def _now(one, present):
 
 
 def _together(one, now):
-    """Half width from both recordings, at most; nan where none is known now.
-
-    Of two information matrices that are added, what each says of one parameter adds up
-    at least: Schur complements are superadditive.
-    """
+    """Half width from both recordings, at most; nan where none is known now."""
+    # Of two information matrices that are added, what each says of one parameter adds
+    # up at least: Schur complements are superadditive.
     if now is None or not (now.half_width > 0 and one.half_width > 0):
         return math.nan
     return 1.0 / math.hypot(1.0 / now.half_width, 1.0 / one.half_width)

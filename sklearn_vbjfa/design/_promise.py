@@ -15,103 +15,55 @@ _NINETY = float(ndtri(0.95))
 
 @dataclass(frozen=True, kw_only=True)
 class ExpectedInterval:
-    """How well a parameter will be known.
+    """How well a parameter will be known."""
 
-    Attributes
-    ----------
-    name, unit : str
-        Parameter, and its unit; one of the bodies stands for the combination of
-        parameters that the torques depend on.
-    half_width : float
-        Half width of its 90 % interval.
-    value : float
-        What the model has now, nan if nothing is known; of the bodies, of the
-        combination.
-    """
-
+    # one of the bodies stands for the combination of parameters that torques depend on
     name: str
     unit: str
-    half_width: float
+    half_width: float  # of its 90 % interval
+    # what the model has now, of bodies of the combination; nan if nothing is known
     value: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Visible:
-    """An effect that a motion shows.
-
-    Attributes
-    ----------
-    name : str
-        Effect.
-    joint : int
-        Joint, from zero.
-    joint_name : str
-        Its name.
-    least : float
-        Smallest root mean square of its torque, in the most active conditions, that is
-        told from the model and from its nearest rival [N m or N].
-    rival : str
-        That rival; empty if there is none.
-    """
+    """An effect that a motion shows."""
 
     name: str
-    joint: int
+    joint: int  # from zero
     joint_name: str
+    # smallest root mean square of its torque, in the most active conditions, that is
+    # told from the model and from its nearest rival [N m or N]
     least: float
-    rival: str
+    rival: str  # empty if there is none
 
 
 @dataclass(frozen=True, kw_only=True)
 class Parted:
-    """Two causes of which a report leaves open which one it is.
-
-    Attributes
-    ----------
-    names : tuple of (str, str)
-        Effects.
-    joint : int
-        Joint, from zero.
-    joint_name : str
-        Its name.
-    least : float
-        Smallest root mean square of the torque of either, in the most active
-        conditions, at which it is told from the other [N m or N].
-    """
+    """Two causes of which a report leaves open which one it is."""
 
     names: tuple
-    joint: int
+    joint: int  # from zero
     joint_name: str
+    # smallest root mean square of the torque of either, in the most active conditions,
+    # at which it is told from the other [N m or N]
     least: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Invisible:
-    """An effect that a motion does not show.
-
-    Attributes
-    ----------
-    name : str
-        Effect.
-    joint : int
-        Joint, from zero.
-    joint_name : str
-        Its name.
-    reason : str
-        Why.
-    """
+    """An effect that a motion does not show."""
 
     name: str
-    joint: int
+    joint: int  # from zero
     joint_name: str
     reason: str
 
 
 def condition_number(problem, states):
-    """Condition number of the model's columns, rows over their noise.
-
-    Columns are over their sizes at random states within the limits, which are the same
-    for all motions.
-    """
+    """Condition number of the model's columns, rows over their noise."""
+    # Columns are over their sizes at random states within the limits, the same for all
+    # motions.
     n = problem.model.n_model
     scale = problem.questions.scale[:n]
     M = problem.information(states, 1.0)[:n, :n] * np.outer(scale, scale)

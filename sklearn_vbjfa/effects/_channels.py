@@ -33,10 +33,8 @@ def model_torque(motion, joint):
 
 
 def low_pass(x, dt, time_constant):
-    """First-order low-pass of a signal (n,) between whose samples it is straight.
-
-    T dy/dt = x - y, solved exactly, from the state that the first sample would keep.
-    """
+    """First-order low-pass of a signal (n,) between whose samples it is straight."""
+    # T dy/dt = x - y, solved exactly, from the state that the first sample would keep.
     left = np.exp(-dt / time_constant)
     mean = time_constant / dt * (1 - left)
     return scipy.signal.lfilter(
@@ -45,10 +43,8 @@ def low_pass(x, dt, time_constant):
 
 
 def smooth(x, dt, time_constant):
-    """Average a signal (n,) with normal weights of a standard deviation [s].
-
-    Beyond its ends the signal keeps its first and last value.
-    """
+    """Average a signal (n,) with normal weights of a standard deviation [s]."""
+    # Beyond its ends the signal keeps its first and last value.
     sigma = time_constant / dt
     reach = int(np.ceil(_TAIL * sigma))
     weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)

@@ -1,16 +1,9 @@
-r"""A body that a joint moves without an encoder and a motor of its own.
+"""A body that a joint moves without an encoder and a motor of its own.
 
-The other finger of a gripper, the rods of a parallelogram: its joint follows another
-one, q_f = m q + o, so that a recording needs no columns of it. By the principle of
-virtual work what its body takes is felt by the joints that move it, each with the rate
-at which it does,
-
-.. math::
-
-    \tau = A^{\mathsf T} \Phi_f(A q + b, A \dot q, A \ddot q)\,\pi_f,
-
-where row c of A has the rate m of the c-th joint between the base and the body. The
-ten inertial parameters of the body stay parameters of their own.
+The other finger of a gripper, the rods of a parallelogram: its joint follows another,
+q_f = m q + o, so that a recording needs no columns of it. By the principle of virtual
+work its body is felt by the joints that move it, tau = A' Phi_f(A q + b, A v, A a) pi,
+where row c of A has the rate m of the c-th joint between the base and the body.
 """
 
 from dataclasses import dataclass
@@ -25,31 +18,16 @@ _INERTIA = ("kg m^2", "kg m^2")
 
 @dataclass(frozen=True, kw_only=True)
 class ChainJoint:
-    """One joint between the base and a body.
+    """One joint between the base and a body."""
 
-    Attributes
-    ----------
-    joint : int
-        Joint of the robot that moves it, from zero: itself or its leader.
-    rate, offset : float
-        Its position is rate times that of `joint` plus offset [rad or m].
-    slides : bool
-        Whether it is prismatic.
-    place : tuple of three floats
-        Its origin in the frame of the joint before it [m].
-    frame : tuple of nine floats
-        Its axes there, by rows of the rotation matrix.
-    axis : tuple of three floats
-        Direction about or along which it moves, in its own frame.
-    """
-
-    joint: int
+    joint: int  # joint of the robot that moves it, from zero: itself or its leader
+    # its position is rate times that of `joint` plus offset [rad or m]
     rate: float
     offset: float
-    slides: bool
-    place: tuple
-    frame: tuple
-    axis: tuple
+    slides: bool  # whether it is prismatic
+    place: tuple  # its origin in the frame of the joint before it [m]
+    frame: tuple  # its axes there, by rows of the rotation matrix
+    axis: tuple  # direction about or along which it moves, in its own frame
 
     def flat(self):
         """Return all in one row, (18,) of float, as a file holds it."""
@@ -198,10 +176,7 @@ def _skew(x):
 
 
 def _of_inertia(x):
-    """Matrices (n, 3, 6) that take xx, xy, yy, xz, yz, zz of a tensor to its product.
-
-    x : vectors (n, 3) that the tensor is applied to.
-    """
+    """Matrices (n, 3, 6) of x (n, 3) that take xx, xy, yy, xz, yz, zz of I to I x."""
     out = np.zeros((x.shape[0], 3, 6))
     for row, columns in enumerate(((0, 1, 3), (1, 2, 4), (3, 4, 5))):
         out[:, row, columns] = x
@@ -209,12 +184,10 @@ def _of_inertia(x):
 
 
 def _wrench(frame, w, dw, field):
-    """Force and moment about its origin that move a body, by its ten parameters.
-
-    frame : its axes (n, 3, 3) by columns; w, dw : angular velocity and acceleration;
-    field : acceleration of its origin, less gravity; all (n, 3) in the axes of the
-    base, as are the results, two ndarrays (n, 3, 10).
-    """
+    """Force and moment, each (n, 3, 10), that move a body, by its ten parameters."""
+    # frame (n, 3, 3): its axes by columns; w, dw: angular velocity and acceleration;
+    # field: acceleration of its origin, less gravity; all (n, 3) and the results in the
+    # base's axes.
     w, dw, field = (np.einsum("nji,nj->ni", frame, x) for x in (w, dw, field))
     spin = _skew(w)
     force, moment = np.zeros((2, w.shape[0], 3, 10))

@@ -22,10 +22,8 @@ def _turning_points(q):
 
 
 def dahl(q, displacement):
-    """Dahl's hysteresis of unit size, dz = (sign(dq) - z) abs(dq) / displacement.
-
-    Solved exactly from turning point to turning point; starts at rest, z = 0.
-    """
+    """Dahl's hysteresis of unit size, dz = (sign(dq) - z) abs(dq) / displacement."""
+    # Solved exactly from turning point to turning point; starts at rest, z = 0.
     z = np.zeros_like(q)
     turns = _turning_points(q)
     for a, b in itertools.pairwise(turns):

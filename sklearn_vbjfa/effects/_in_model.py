@@ -1,10 +1,9 @@
 """Effects whose value is part of the robot model: its geometry, and what it reads.
 
-All other effects add torque to the robot of the description. These say that the robot
-is another one: its base leans, an encoder's zero or an axis is elsewhere, a torque
-channel has another gain. The torque is not linear in such a value; its derivative at
-the present value is a column like any other, whose coefficient says how far to go on,
-and the model is corrected and linearised again until the value stays.
+All other effects add torque to the robot of the description. These say that it is
+another one: its base leans, an encoder's zero or an axis is elsewhere, a channel has
+another gain. The derivative of the torque at the present value is a column like any
+other, and the model is corrected and linearised again until the value stays.
 """
 
 from numbers import Real
@@ -24,11 +23,9 @@ _ROUNDING = 1e-9
 
 
 def cross_axes(direction):
-    """Two axes of a frame across a direction (3,), ndarray (2, 3).
-
-    The coordinate axes other than the one nearest to the direction, in the order x, y,
-    z, made perpendicular to it and to each other.
-    """
+    """Two axes of a frame across a direction (3,), ndarray (2, 3)."""
+    # The coordinate axes other than the one nearest to the direction, in the order x,
+    # y, z, made perpendicular to it and to each other.
     n = np.asarray(direction, dtype=float)
     n = n / np.linalg.norm(n)
     first, second = np.delete(np.eye(3), np.argmax(np.abs(n)), axis=0)
@@ -50,11 +47,9 @@ def rotation(vector):
 
 
 def turned_by(vector, change):
-    """Turn d (3,), of rotation(w) [d], that a change of the rotation vector w makes.
-
-    rotation(w + h c) = rotation(w) rotation(h d) to first order in h, by the right
-    Jacobian of the rotation vector.
-    """
+    """Turn d (3,), of rotation(w) [d], that a change of the rotation vector w makes."""
+    # rotation(w + h c) = rotation(w) rotation(h d) to first order in h, by the right
+    # Jacobian of the rotation vector.
     angle = float(np.linalg.norm(vector))
     x, y, z = vector
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -65,11 +60,9 @@ def turned_by(vector, change):
 
 
 def without_rounding(columns):
-    """Columns (n, nv, k) in which one of no size beside the others is zero.
-
-    About an axis along a joint before it a turn does nothing: its derivative is the
-    rounding of zero, which a regression in scaled columns would take for information.
-    """
+    """Columns (n, nv, k) in which one of no size beside the others is zero."""
+    # About an axis along a joint before it a turn does nothing: its derivative is the
+    # rounding of zero, which a regression in scaled columns would take for information.
     size = np.sqrt((columns**2).sum(axis=(0, 1)))
     return np.where(size > _ROUNDING * size.max(initial=0.0), columns, 0.0)
 

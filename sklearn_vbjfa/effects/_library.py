@@ -52,15 +52,7 @@ _LIBRARY = {
 
 
 def closure(effect, library):
-    """Names of all effects that an effect contains, directly or not, a set of str.
-
-    Parameters
-    ----------
-    effect : Effect
-        What may contain plainer ones.
-    library : iterable of Effect
-        What is known of those.
-    """
+    """Names, a set, of all effects that an effect contains, directly or not."""
     by_name = {e.name: e for e in library}
     found, open_ = set(), list(effect.contains)
     while open_:

@@ -161,10 +161,7 @@ class EffectRange:
 
 
 def own_motions(effects, ranges, motion):
-    """Return the `Motion` that each effect's columns are made from, a list.
-
-    ranges : `EffectRange` of each effect, None where nothing is held, or empty.
-    """
+    """Return the `Motion` that each effect's columns are made from, in its range."""
     held = ranges or [None] * len(effects)
     pairs = zip(effects, held, strict=True)
     return [motion if one is None else one.within(motion) for _, one in pairs]
@@ -172,50 +169,22 @@ def own_motions(effects, ranges, motion):
 
 @dataclass(frozen=True, kw_only=True)
 class OutsideRange:
-    """Motion outside the range that effects of a joint were fitted on.
+    """Motion outside the range that effects of a joint were fitted on."""
 
-    Attributes
-    ----------
-    names : tuple of str
-        Effects that were not fitted there.
-    held : tuple of str
-        Those of them whose torque is held beyond the margin; the others go on by their
-        law.
-    joint : int
-        Joint, from zero.
-    quantity : {"position", "speed", "load", "direction"}
-        What is outside.
-    fitted : tuple of (float, float)
-        Range of the fit.
-    reached : float
-        Farthest value, but for the farthest half per cent of the rows.
-    share : float
-        Share of the rows that lie outside by more than the margin, see `EffectRange`.
-    """
-
-    names: tuple
-    joint: int
-    quantity: str
-    fitted: tuple
-    reached: float
-    share: float
+    names: tuple  # effects that were not fitted there
+    joint: int  # joint, from zero
+    quantity: str  # what is outside
+    fitted: tuple  # range of the fit
+    reached: float  # farthest value, but for the farthest half per cent of the rows
+    share: float  # rows that lie outside by more than the margin, see `EffectRange`
+    # those of them whose torque is held beyond the margin; others go on by their law
     held: tuple = ()
 
 
 def outside(ranges, held, signals, counts):
-    """Find what lies outside the ranges of effects, a tuple of `OutsideRange`.
-
-    Parameters
-    ----------
-    ranges : sequence of EffectRange
-        Of all effects.
-    held : sequence of bool
-        Whether predictions hold each effect within its range.
-    signals : dict of str to ndarray of shape (n, nv)
-        Positions, speeds and loads by quantity.
-    counts : dict of str to ndarray of shape (n, nv), bool
-        Rows to judge, by quantity.
-    """
+    """Find what lies outside the ranges of effects, a tuple of `OutsideRange`."""
+    # held: whether predictions hold each effect within its range; signals, counts (n,
+    # nv): positions, speeds and loads by quantity, and the rows to judge.
     found = {}
     for one, holds in zip(ranges, held, strict=True):
         for quantity in one.depends:

@@ -8,39 +8,21 @@ from scipy.special import erf
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rest:
-    r"""What is known of the speed of joints that may be standing.
+    """What is known of the speed of joints that may be standing."""
 
-    Attributes
-    ----------
-    speed : ndarray of shape (nv,)
-        Speed at or below which a joint may be standing [rad/s or m/s].
-    time : ndarray of shape (nv,)
-        Period of the fastest motion [s]: a joint that stands does so for as long as
-        that at least. Zero where it is not known.
-    noise : ndarray of shape (nv,)
-        Standard deviation of the noise of the velocities [rad/s or m/s].
+    # The sign of a velocity is its mean over what the true velocity may be, s(v, a) =
+    # E[sign(v + u + e)], u ~ U(-w, w), e ~ N(0, sigma^2), w = v_s / (1 + |a| T / v_s).
+    # Without u this is erf(v / (sqrt(2) sigma)). Below the speed v_s a joint may be
+    # sticking, and friction may have any value of its band. A joint that turns round
+    # passes those speeds without standing: with the acceleration a it changes its speed
+    # by abs(a) T in the time T, and the more times v_s that is, the narrower is the
+    # interval.
 
-    Notes
-    -----
-    The sign of a velocity is taken as its mean over what the true velocity may be,
-
-    .. math::
-
-        s(v, a) = E[\mathrm{sign}(v + u + e)], \quad
-        u \sim U(-w, w), \quad e \sim N(0, \sigma^2), \quad
-        w = \frac{v_s}{1 + |a| T / v_s}.
-
-    Without u this is erf(v / (sqrt(2) sigma)): the mean given an estimated velocity
-    with the deviation sigma of its noise. Below the speed v_s a joint may be sticking,
-    and friction may have any value of its band; the mean over speeds of -w to w is
-    v / w, zero where the joint stands. A joint that turns round passes through those
-    speeds without standing: with the acceleration a it changes its speed by abs(a) T in
-    the time T, and the more times v_s that is, the narrower is the interval.
-    """
-
+    # (nv,): v_s, at or below which a joint may be standing [rad/s or m/s]
     speed: np.ndarray
+    # (nv,): T, for which a joint stands at least [s]: the fastest period; 0 if unknown
     time: np.ndarray
-    noise: np.ndarray
+    noise: np.ndarray  # (nv,): sigma, of the velocities [rad/s or m/s]
 
     def pick(self, *joints):
         """Return what holds for a joint, or for the sum of the speeds of several."""
@@ -52,10 +34,8 @@ class Rest:
         )
 
     def sign(self, v, a, smoothing=0.0):
-        """Mean sign of velocities (n, nv) with accelerations (n, nv).
-
-        That of tanh(v / smoothing) where a speed is given.
-        """
+        """Mean sign of velocities (n, nv) with accelerations (n, nv)."""
+        # That of tanh(v / smoothing) where a speed is given.
         passed = np.abs(a) * self.time
         # vs / (1 + passed / vs), and zero where vs is
         width = self.speed**2 / np.maximum(self.speed + passed, _TINY)

@@ -13,11 +13,8 @@ _LEVEL = 1e-6
 
 
 def free_root(free, carriers):
-    """Name of the only free joint if it carries all other joints; None otherwise.
-
-    free : list of the free joints; carriers : for each joint the one that carries it,
-    None for the world.
-    """
+    """Name of the only free joint if it carries all other joints; None otherwise."""
+    # carriers: for each joint the one that carries it, None for the world.
     on_world = [name for name, above in carriers.items() if above is None]
     # A body that carries nothing is no base.
     return free[0] if len(free) == 1 and on_world == free != [*carriers] else None
@@ -40,10 +37,8 @@ def rotation_of(orientation):
 
 
 def check_free(name, orientation, robot):
-    """Refuse an orientation for a base that is not free.
-
-    name : free joint at the root, None without one; robot : how messages call it.
-    """
+    """Refuse an orientation for a base that is not free."""
+    # name: free joint at the root, None without one; robot: how messages call it.
     if name is None and orientation is not None:
         raise ValueError(
             f"{robot} has no free joint that alone carries all other joints, so that "

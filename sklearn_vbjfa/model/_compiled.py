@@ -123,19 +123,10 @@ def _project(state, screw, forces, moments, places, out, sample):
 
 
 def fill(q, v, a, tree, places, out):
-    """Fill in entries of the regressor matrices of n samples.
-
-    Parameters
-    ----------
-    q, v, a : ndarray of shape (n, nv)
-        Positions, velocities, accelerations.
-    tree : Tree
-        Robot.
-    places : ndarray of shape (nv, nv, 10)
-        Row of `out` for each torque, body and parameter; -1 for none.
-    out : ndarray of shape (n_entries, n)
-        Where to write; rows without an entry are left alone. Fastest if C-contiguous.
-    """
+    """Fill in entries of the regressor matrices of n samples, q, v, a (n, nv)."""
+    # places (nv, nv, 10): row of `out` (n_entries, n) for each torque, body and
+    # parameter, -1 for none. Rows without an entry are left alone; C-contiguous is
+    # fastest.
     n = q.shape[0]
     if n == 0:
         return

@@ -7,20 +7,9 @@ from sklearn_vbjfa.model._regressor import describe
 
 
 class CorrectedModel:
-    """A robot model that takes corrections, in any order.
+    """A robot model that takes corrections, in any order; `nominal` is left alone."""
 
-    Parameters
-    ----------
-    nominal : pinocchio.Model
-        Robot of the description, which is left alone.
-
-    Attributes
-    ----------
-    model : pinocchio.Model
-        The corrected robot.
-    gains : ndarray of shape (nv,)
-        What each torque channel reads, over the torque.
-    """
+    # gains (nv,): what each torque channel reads, over the torque.
 
     def __init__(self, nominal):
         self._nominal = nominal
@@ -45,11 +34,9 @@ class CorrectedModel:
         self.model.gravity = gravity
 
     def turn(self, joint, rotation):
-        """Turn the placement of a joint, with all it carries, by a matrix (3, 3).
-
-        The matrix counts in the frame of the description: a zero that was moved before
-        is moved along the turned axis.
-        """
+        """Turn the placement of a joint, with all it carries, by a matrix (3, 3)."""
+        # The matrix counts in the frame of the description: a zero that was moved
+        # before is moved along the turned axis.
         placement = self.model.jointPlacements[joint + 1]
         nominal = self._nominal.jointPlacements[joint + 1]
         turned = nominal.rotation @ rotation @ nominal.rotation.T

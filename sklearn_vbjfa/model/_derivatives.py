@@ -1,40 +1,21 @@
-r"""Derivatives of inverse dynamics by where the joints are and where gravity points.
+"""Derivatives of inverse dynamics by where the joints are and where gravity points.
 
 Turn what a joint carries by a small angle about an axis u through the joint. In the
 frame that turns with it nothing of it has moved; what it is carried by moves otherwise:
 angular velocity, angular acceleration and acceleration of the joint change by
 
-.. math::
-
-    \delta\omega = \omega \times u, \quad \delta\dot\omega = \dot\omega \times u, \quad
-    \delta A = A \times u,
+    dw = w × u,  ddw = dot(w) × u,  dA = A × u,
 
 so that a point at x of velocity V(x) has another acceleration, by Coriolis' theorem
 
-.. math::
-
-    \delta A(x) = \alpha + \beta \times x + 2\,\delta\omega \times V(x), \quad
-    \beta = \delta\dot\omega + \omega \times \delta\omega, \quad
-    \alpha = \delta A - \beta \times p - 2\,\delta\omega \times V(p).
+    dA(x) = alpha + beta × x + 2 dw × V(x),  beta = ddw + w × dw,
+    alpha = dA - beta × p - 2 dw × V(p).
 
 The forces that this takes, summed over all that a joint carries, need five sums over
-its mass, of 1, x, V, x x' and V x', and are linear in the three vectors alpha, beta and
-delta omega. Joints that carry the turned one feel its force turned as well. The same
-holds for a shift along u, with
-
-.. math::
-
-    \alpha = \dot\omega \times u + \omega \times (\omega \times u), \quad
-    \beta = \delta\omega = 0.
-
-These are Coriolis' and D'Alembert's principles; in spatial notation the derivative by a
-joint's own position is in [1]_.
-
-References
-----------
-.. [1] J. Carpentier, N. Mansard, "Analytical derivatives of rigid body dynamics
-   algorithms", Robotics: Science and Systems, 2018.
-   :doi:`10.15607/RSS.2018.XIV.038`
+its mass, of 1, x, V, x x' and V x', and are linear in alpha, beta and dw. Joints that
+carry the turned one feel its force turned as well. For a shift along u, alpha = dot(w)
+× u + w × (w × u) and beta = dw = 0. In spatial notation the derivative by a joint's own
+position is in Carpentier and Mansard (doi:10.15607/RSS.2018.XIV.038).
 """
 
 import functools
@@ -96,14 +77,13 @@ def _trace(A):
 
 
 class _Link:
-    """A joint and its body in some samples: vectors (3, n) in the world's axes.
+    """A joint and its body in some samples: vectors (3, n) in the world's axes."""
 
-    `base`, `placed` : origin of the joint before it moves, and its axes there (3, 3, n)
-    by columns; `origin`, `axes` : those of the body; `axis` : about or along which it
-    moves; `spin`, `gain` : angular velocity and acceleration of the body, `speed` and
-    `field` : velocity and acceleration of its origin, less gravity; with `_above` those
-    of what carries it, at `base`.
-    """
+    # `base`, `placed`: origin of the joint before it moves, and its axes there (3, 3,
+    # n) by columns; `origin`, `axes`: those of the body; `axis`: about or along which
+    # it moves; `spin`, `gain`: angular velocity and acceleration of the body, `speed`
+    # and `field`: velocity and acceleration of its origin, less gravity; with `_above`
+    # those of what carries it, at `base`.
 
     def __init__(self, q, v, a, tree, j, above):
         n = q.size
@@ -171,11 +151,10 @@ class _Link:
 
 
 class _Mass:
-    """Sums over the mass that a joint carries, and the wrench that moves it.
+    """Sums over the mass that a joint carries, and the wrench that moves it."""
 
-    `m`, `x`, `v`, `xx`, `vx` : sums of 1, x, V, x x' and V x'; `force`, `moment` :
-    those that its motion takes, about the world's origin.
-    """
+    # `m`, `x`, `v`, `xx`, `vx`: sums of 1, x, V, x x' and V x'; `force`, `moment`:
+    # those that its motion takes, about the world's origin.
 
     def __init__(self, link, inertial):
         m, first = inertial[0], inertial[1:4]
@@ -232,19 +211,10 @@ class _Mass:
 
 
 class TorqueDerivatives:
-    """Derivatives of a robot's torques by the placements of its joints, and by gravity.
+    """Derivatives of a robot's torques by its joints' placements, and by gravity."""
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot, see `load_model`.
-    q, v, a : ndarray of shape (n, nv)
-        Positions, velocities, accelerations.
-    inertial : ndarray of shape (nv, 10)
-        Parameters of the bodies.
-    nominal : pinocchio.Model, default=None
-        Robot before it was corrected; None if it was not.
-    """
+    # q, v, a (n, nv); inertial (nv, 10); nominal: the robot before it was corrected, if
+    # it was.
 
     def __init__(self, model, q, v, a, inertial, nominal=None):
         self._model, self._nominal = model, model if nominal is None else nominal
@@ -255,11 +225,9 @@ class TorqueDerivatives:
 
     @functools.cached_property
     def _made(self):
-        """Derivatives by turns and shifts (n, nv, nv, 3), and gravity (n, nv, 3).
-
-        The first joint is the one whose torque changes, the second the one moved.
-        Shifts are left out where no joint slides.
-        """
+        """Derivatives by turns and shifts (n, nv, nv, 3), and gravity (n, nv, 3)."""
+        # The first joint is the one whose torque changes, the second the one moved.
+        # Shifts are left out where no joint slides.
         n, nv = self._motion[0].shape
         shape = (n, nv, nv, 3)
         shifts = np.zeros(shape if self._tree.slides.any() else (n, 0))
@@ -329,12 +297,9 @@ class TorqueDerivatives:
         return found
 
     def by_turn(self, joint):
-        """Differentiate by turns of a joint's placement about its own axes.
-
-        The axes go through the origin that the robot had before it was corrected: with
-        its axis turns the way by which the zero of a slide was moved. Returns an
-        ndarray of shape (n, nv, 3), torques by angles [N m/rad].
-        """
+        """Differentiate by turns of a joint about its axes, (n, nv, 3) [N m/rad]."""
+        # The axes go through the origin that the robot had before it was corrected:
+        # with its axis turns the way by which the zero of a slide was moved.
         turns = self._made[0][:, :, joint]
         if not self._tree.slides[joint]:
             return turns

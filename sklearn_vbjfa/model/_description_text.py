@@ -25,29 +25,10 @@ _ROUNDING = 1e-9
 
 
 def description_text(source, model):
-    """Return the URDF of a robot as a text.
-
-    Parameters
-    ----------
-    source : str, os.PathLike or pinocchio.Model
-        What the robot was loaded from: a URDF is read again, with the references to
-        meshes in it and without comments; of MJCF and a model the URDF is written.
-    model : pinocchio.Model
-        The loaded robot.
-
-    Returns
-    -------
-    str
-        XML without declaration.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the file is no longer there.
-    ValueError
-        If it describes another robot by now, or the model has a joint that URDF has
-        no name for.
-    """
+    """Return the URDF of a robot as a text, XML without declaration."""
+    # A URDF is read again, with its references to meshes and without comments; of MJCF
+    # and a model the URDF is written. ValueError if the file describes another robot by
+    # now.
     if not isinstance(source, (str, os.PathLike)):
         return text_of_tree(model)
     path = Path(source)
@@ -68,18 +49,8 @@ def description_text(source, model):
 
 
 def urdf_to_fill(source):
-    """Return what the URDF of an identified robot is a copy of.
-
-    Parameters
-    ----------
-    source : str, os.PathLike or pinocchio.Model
-        What the robot was loaded from, or the text of a URDF.
-
-    Returns
-    -------
-    str, os.PathLike or pinocchio.Model
-        The source; of MJCF the text of a URDF with the same joints.
-    """
+    """Return what the URDF of an identified robot is a copy of."""
+    # The source itself; of MJCF the text of a URDF with the same joints.
     if is_text(source) or not isinstance(source, (str, os.PathLike)):
         return source
     if is_urdf(source):
@@ -108,22 +79,8 @@ def alike(one, other):
 
 
 def in_order(model, names):
-    """Return a model with its joints in another order, parents before children.
-
-    Readers of URDF put branches of a tree in an order of their own.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    names : sequence of str
-        Its joints, in the order that is wanted.
-
-    Raises
-    ------
-    ValueError
-        If these are not the joints of the robot.
-    """
+    """Return a model with its joints in another order, parents before children."""
+    # Readers of URDF put branches of a tree in an order of their own.
     own = joint_names(model)
     if tuple(names) == own:
         return model
@@ -163,26 +120,9 @@ def in_order(model, names):
 
 
 def text_of_tree(model, followers=None):
-    """Write the URDF of a tree of revolute and prismatic joints.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot, each joint of one degree of freedom.
-    followers : mapping of str to Link, default=None
-        Joints of it that follow others.
-
-    Returns
-    -------
-    str
-        XML without declaration: one link a joint, of the name of its body, without
-        shapes. Gravity has no place in it.
-
-    Raises
-    ------
-    ValueError
-        If a joint is none that URDF has, such as a helical one.
-    """
+    """Write the URDF of a tree of revolute and prismatic joints, with its followers."""
+    # One link a joint, of the name of its body, without shapes. Gravity has no place in
+    # it.
     pin = import_pinocchio()
     tree = describe(model, _parents(model))
     data = model.createData()

@@ -13,95 +13,47 @@ from sklearn_vbjfa.model._pinocchio import import_pinocchio
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """What a description says of a follower: position = multiplier * leader + offset.
+    """How a joint follows another: position = multiplier * leader + offset."""
 
-    Attributes
-    ----------
-    leader : str
-        Name of the joint that moves it, which may follow another one.
-    multiplier, offset : float
-        Of the leader's position; the offset in rad or m.
-    """
-
-    leader: str
+    leader: str  # name of the joint that moves it, which may follow another one
     multiplier: float
-    offset: float
+    offset: float  # [rad or m]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChainLink:
-    """One joint between the base and the body of a follower.
+    """One joint between the base and the body of a follower."""
 
-    Attributes
-    ----------
-    joint : int
-        Joint of the folded robot that moves it, from zero.
-    rate, offset : float
-        Its position is rate times that of `joint` plus offset.
-    slides : bool
-        Whether it is prismatic.
-    placement : pinocchio.SE3
-        Where it is in the frame of the joint before it.
-    axis : ndarray of shape (3,)
-        Its direction in its own frame.
-    """
-
-    joint: int
+    joint: int  # joint of the folded robot that moves it, from zero
+    # its position is rate times that of `joint` plus offset
     rate: float
     offset: float
-    slides: bool
-    placement: object
-    axis: np.ndarray
+    slides: bool  # whether it is prismatic
+    placement: object  # where it is in the frame of the joint before it
+    axis: np.ndarray  # (3,): its direction in its own frame
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FollowingBody:
-    """The body that a follower moves.
-
-    Attributes
-    ----------
-    name : str
-        Name of the follower.
-    leader : int
-        Joint of the folded robot that moves it, from zero.
-    chain : tuple of ChainLink
-        Joints from the base to the body.
-    gravity : ndarray of shape (3,)
-        Gravity [m/s^2].
-    parameters : ndarray of shape (10,)
-        Inertial parameters in the description, in Pinocchio's order.
-    """
+    """The body that a follower moves."""
 
     name: str
-    leader: int
-    chain: tuple
-    gravity: np.ndarray
-    parameters: np.ndarray
+    leader: int  # joint of the folded robot that moves it, from zero
+    chain: tuple  # joints from the base to the body
+    gravity: np.ndarray  # (3,) [m/s^2]
+    parameters: np.ndarray  # (10,): of the description, in Pinocchio's order
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Folded:
-    """A robot without its followers.
+    """A robot without its followers."""
 
-    Attributes
-    ----------
-    model : pinocchio.Model
-        Joints that are left, with their bodies.
-    followers : tuple of FollowingBody
-        Bodies that these move besides.
-    still : pinocchio.Model
-        The same joints, with the followers' bodies held where they are while the
-        leaders are at zero, so that no mass is missing.
-    full : pinocchio.Model
-        Robot in which followers are joints of their own.
-    links : mapping of str to Link
-        How they follow.
-    """
-
-    model: object
-    followers: tuple
+    model: object  # joints that are left, with their bodies
+    followers: tuple  # bodies that these move besides
+    # the same with the followers' bodies held where they are while the leaders are at
+    # zero, so that no mass is missing
     still: object
-    full: object
+    full: object  # robot in which followers are joints of their own
     links: dict
 
     @classmethod
@@ -111,27 +63,9 @@ class Folded:
 
 
 def foldable(carriers, links, path):
-    """Return the followers that carry nothing but followers, by name.
-
-    Parameters
-    ----------
-    carriers : mapping of str to (str or None)
-        For each joint the one that carries it.
-    links : mapping of str to Link
-        Followers.
-    path : pathlib.Path
-        File that messages name.
-
-    Returns
-    -------
-    dict of str to Link
-        With leaders that do not follow themselves.
-
-    Raises
-    ------
-    ValueError
-        If a leader is no joint, or joints follow each other in a ring.
-    """
+    """Return the followers that carry nothing but followers, by name."""
+    # Their leaders do not follow themselves. carriers: for each joint the one that
+    # carries it, or None; path: what messages name.
     for name, link in links.items():
         if link.leader not in carriers:
             raise ValueError(
@@ -169,20 +103,7 @@ def _resolved(name, links):
 
 
 def fold(full, links):
-    """Take followers out of a robot.
-
-    Parameters
-    ----------
-    full : pinocchio.Model
-        Robot in which followers are joints of their own.
-    links : mapping of str to Link
-        Followers that can be folded; see `foldable`.
-
-    Returns
-    -------
-    Folded
-        Robot without them, and their bodies.
-    """
+    """Take followers that are `foldable` out of a robot."""
     if not links:
         return Folded.without(full)
     pin = import_pinocchio()

@@ -3,8 +3,6 @@
 A `Lanes` value holds one number of each of `WIDTH` samples next to each other and is
 added and multiplied in one instruction. The compiler makes such vectors from loops of
 its own accord only where it can prove that no two arrays overlap, which it cannot here.
-Each lane is rounded like any other: a sample's result does not depend on its
-neighbours.
 """
 
 import operator

@@ -93,20 +93,7 @@ def load_model(model, base_orientation=None):
 
 
 def load_folded(model, base_orientation=None):
-    """Return a robot without the joints that follow others, and their bodies.
-
-    Parameters
-    ----------
-    model : str, os.PathLike or pinocchio.Model
-        As for `load_model`; a model has no joints that follow.
-    base_orientation : array-like of 4 floats, default=None
-        As for `load_model`.
-
-    Returns
-    -------
-    Folded
-        The model that `load_model` returns, and the bodies of its followers.
-    """
+    """As `load_model`, without the joints that follow others, and with their bodies."""
     pin = import_pinocchio()
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
@@ -123,35 +110,18 @@ def load_folded(model, base_orientation=None):
 
 
 def load_reduced(path, moving, base_orientation=None):
-    """Return the model of a description of which only some joints move.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        URDF or MJCF file.
-    moving : sequence of str
-        Names of the joints that move, in any order; the others are held at zero, of
-        whatever kind they are, and what they carry is one body with its parent. A joint
-        that follows one of them is as in `load_model`, unless it is named.
-    base_orientation : array-like of 4 floats, default=None
-        As for `load_model`.
-
-    Returns
-    -------
-    pinocchio.Model
-        As from `load_model`.
-    """
+    """As `load_model`, of a description of which only some joints move."""
+    # The others are held at zero, and what they carry is one body with its parent. A
+    # joint that follows one that moves is as in `load_model`, unless it is named.
     path, pin = Path(path), import_pinocchio()
     tree = parse_description(path)
     return _from_description(pin, tree, path, moving, base_orientation).still
 
 
 def movable_joints(path):
-    """Names of the joints that are neither fixed nor follow others, in file order.
-
-    Those that follow others are listed if they cannot be folded, see `load_model`; a
-    free joint that is held there is not.
-    """
+    """Names of the joints that are neither fixed nor follow others, in file order."""
+    # Those that follow others are listed if they cannot be folded, see `load_model`; a
+    # free joint that is held there is not.
     path = Path(path)
     tree = parse_description(path)
     if _is_mjcf(tree, path):
@@ -172,24 +142,9 @@ def movable_joints(path):
 
 
 def write_reduced(path, target, moving, base_orientation=None):
-    """Write a copy of a description in which all but some joints are fixed at zero.
-
-    Of an MJCF file the copy has the bodies and joints alone.
-
-    Parameters
-    ----------
-    path, target : str or os.PathLike
-        Files to read and to write.
-    moving : sequence of str
-        Names of the joints that move.
-    base_orientation : array-like of 4 floats, default=None
-        As for `load_model`.
-
-    Returns
-    -------
-    tuple of str
-        Names of the joints that were fixed, without that of a free base.
-    """
+    """Write a copy of a description in which all but some joints are fixed at zero."""
+    # Of an MJCF file the copy has the bodies and joints alone. Returns the joints that
+    # were fixed, without that of a free base.
     path = Path(path)
     tree = parse_description(path)
     if _is_mjcf(tree, path):
@@ -218,10 +173,8 @@ def _is_mjcf(tree, path):
 
 
 def _mjcf_robot(tree, path, base=None):
-    """Read what an MJCF file describes, `MjcfRobot`, and hold its base; what to say.
-
-    base : orientation of a free base, None for that of the file.
-    """
+    """Read what an MJCF file describes, `MjcfRobot`, and hold its base; what to say."""
+    # base: orientation of a free base, None for that of the file.
     robot = _mjcf_reading.read_mjcf(tree.getroot(), path, parse_description)
     free = [joint.name for joint in robot.joints if joint.kind == "free"]
     name = _base.free_root(free, _mjcf_reading.carriers(robot))
@@ -288,10 +241,8 @@ def _held_mjcf(robot, path, moving):
 
 
 def _folded_by(moving, carriers, links, path):
-    """Names of the followers that joints which move lead, if they can be folded.
-
-    carriers, links : as for `foldable`, of all joints, whose mistakes it refuses.
-    """
+    """Names of the followers that joints which move lead, if they can be folded."""
+    # carriers, links: as for `foldable`, of all joints, whose mistakes it refuses.
     foldable(carriers, links, path)
     follow = set(links)
     while True:
@@ -340,13 +291,7 @@ def _mimics(tree, path):
 
 
 def is_urdf(source):
-    """Whether a robot comes from a URDF file, whose text can be written again.
-
-    Parameters
-    ----------
-    source : str, os.PathLike or pinocchio.Model
-        What `load_model` takes.
-    """
+    """Whether a robot comes from a URDF file, whose text can be written again."""
     if not isinstance(source, (str, os.PathLike)):
         return False
     path = Path(source)
@@ -378,22 +323,7 @@ def _check_joints(loaded):
 
 
 def load_text(text, path):
-    """Return the model of a URDF that was read before.
-
-    What of it does not enter the model was said then.
-
-    Parameters
-    ----------
-    text : str
-        XML without declaration.
-    path : str or os.PathLike
-        File that messages name.
-
-    Returns
-    -------
-    pinocchio.Model
-        That of `load_folded`, without what followers move.
-    """
+    """Return the model of a URDF that was read before, as `load_folded`, in silence."""
     pin, path = import_pinocchio(), Path(path)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", _LEFT_OUT, UserWarning)
@@ -430,11 +360,9 @@ def _parsed(content, path):
 
 
 def _check_structure(content):
-    """Refuse XML that is no robot's, before a parser makes a tree of it.
-
-    Parsers call themselves once a level: a file of some hundred kilobytes can overrun
-    the stack of the process.
-    """
+    """Refuse XML that is no robot's, before a parser makes a tree of it."""
+    # Parsers call themselves once a level: a file of some hundred kilobytes can overrun
+    # the stack of the process.
     depth, elements = 0, 0
 
     def start(name, attributes):
@@ -523,10 +451,8 @@ def _check_known(moving, names, path):
 
 
 def _from_description(pin, tree, path, moving=None, base=None):
-    """Build and check a robot, `Folded`; say what of it does not enter the model.
-
-    moving : joints that are not held, None for all; base : orientation of a free base.
-    """
+    """Build and check a robot, `Folded`; say what of it does not enter the model."""
+    # moving: joints that are not held, None for all; base: orientation of a free base.
     if _is_mjcf(tree, path):
         robot, held = _mjcf_robot(tree, path, base)
         if moving is not None:
@@ -608,11 +534,9 @@ def _check_number(n_joints, path):
 
 
 def _left_out(mimics, model, between=()):
-    """Sentences on what of a description does not enter the model.
-
-    mimics : joints that are to follow others and could not be folded; between : those
-    that move another joint and nothing else.
-    """
+    """Sentences on what of a description does not enter the model."""
+    # mimics: joints that are to follow others and could not be folded; between: those
+    # that move another joint and nothing else.
     names = joint_names(model)
     found = []
     if mimics:
@@ -669,11 +593,9 @@ def joint_names(model):
 
 
 def body_names(model):
-    """Names of the bodies that the joints move, in Pinocchio's order.
-
-    Of several links that are fixed to each other, the one next to the joint; the
-    joint's own name where the description names none.
-    """
+    """Names of the bodies that the joints move, in Pinocchio's order."""
+    # Of several links that are fixed to each other, the one next to the joint; the
+    # joint's own name where the description names none.
     body = import_pinocchio().FrameType.BODY
     found = {}
     for frame in model.frames:
@@ -690,12 +612,10 @@ def is_prismatic(model):
 
 
 def joint_origin(model, joint):
-    """Axes (3, 3) of a joint's origin in the link that carries it, as a URDF has them.
-
-    Links that are fixed to each other are one body of the model, in whose axes the
-    placement is; that of the carrying link is among its frames. A model without frames
-    has the body's axes.
-    """
+    """Axes (3, 3) of a joint's origin in its carrying link, as a URDF has them."""
+    # Links that are fixed to each other are one body of the model, in whose axes the
+    # placement is; that of the carrying link is among its frames. A model without
+    # frames has the body's axes.
     pin = import_pinocchio()
     placed = model.jointPlacements[joint + 1].rotation
     name = model.names[joint + 1]
@@ -709,24 +629,15 @@ def joint_origin(model, joint):
 
 
 def nominal_parameters(model):
-    """Inertial parameters in the model, ndarray of shape (nv, 10).
-
-    Pinocchio's order: m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg, kg m,
-    kg m^2], about the joint frame.
-    """
+    """Inertial parameters (nv, 10) in the model, about the joint frames."""
+    # Pinocchio's order: m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg, kg m, kg
+    # m^2].
     return np.array([body.toDynamicParameters() for body in model.inertias[1:]])
 
 
 def solid_bodies(bodies, least=_SOLID):
-    """Return which bodies have mass and extension, ndarray of shape (nv,) of bool.
-
-    Parameters
-    ----------
-    bodies : ndarray of shape (nv, 10)
-        Inertial parameters.
-    least : float
-        Least eigenvalue of the pseudo-inertia, in units of the body's mass and length.
-    """
+    """Return which bodies (nv, 10) have mass and extension, (nv,) of bool."""
+    # least: eigenvalue of the pseudo-inertia, in units of the body's mass and length.
     solid = bodies[:, 0] > 0
     mass, size = body_scales(bodies[solid])
     smallest = min_eigenvalue(bodies[solid], mass_scale=mass, length_scale=size)

@@ -1,9 +1,8 @@
 """Writing an identified robot as MJCF, the description of MuJoCo.
 
 The tree is written from the Pinocchio model itself, with the frames of its joints: no
-URDF is needed, no shape and no mesh. Every joint has a motor; what a passive joint of
-MuJoCo cannot hold and a motor can, a constant and a spring without stable rest, is the
-motor's bias.
+URDF is needed, no shape and no mesh. What a passive joint of MuJoCo cannot hold, a
+constant and a spring without stable rest, is the bias of the joint's motor.
 """
 
 import xml.etree.ElementTree as ElementTree
@@ -34,20 +33,10 @@ _UNLIMITED = 1e6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tendon:
-    """A fixed tendon over two joints, with what rubs at the sum of their speeds.
+    """A fixed tendon over two joints, with what rubs at the sum of their speeds."""
 
-    Attributes
-    ----------
-    joints : tuple of 2 int
-        Joints, from zero.
-    sign : {1, -1}
-        Sum or difference: the coefficients are (1, sign).
-    damping, frictionloss, armature : float
-        None negative.
-    """
-
-    joints: tuple
-    sign: int
+    joints: tuple  # joints, from zero
+    sign: int  # sum or difference: the coefficients are (1, sign)
     damping: float = 0.0
     frictionloss: float = 0.0
     armature: float = 0.0
@@ -55,69 +44,38 @@ class Tendon:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FollowingJoint:
-    """A joint without a motor that follows another one, and its body.
-
-    Attributes
-    ----------
-    name : str
-        Name of the joint.
-    carrier : str or None
-        Joint that carries it, which may follow as well; None for the base.
-    leader : int
-        Joint that it follows, from zero.
-    rate, offset : float
-        Its position is rate times that of the leader plus offset.
-    slides : bool
-        Whether it is prismatic.
-    placement : pinocchio.SE3
-        Where it is in the frame of its carrier.
-    axis : ndarray of shape (3,)
-        Its direction in its own frame.
-    body : ndarray of shape (10,)
-        Inertial parameters.
-    """
+    """A joint without a motor that follows another one, and its body."""
 
     name: str
+    # joint that carries it, which may follow as well; None for the base
     carrier: str | None
-    leader: int
+    leader: int  # joint that it follows, from zero
+    # its position is rate times that of the leader plus offset
     rate: float
     offset: float
-    slides: bool
-    placement: object
-    axis: np.ndarray
-    body: np.ndarray
+    slides: bool  # whether it is prismatic
+    placement: object  # where it is in the frame of its carrier
+    axis: np.ndarray  # (3,): its direction in its own frame
+    body: np.ndarray  # (10,): inertial parameters
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointDynamics:
-    """What joints do by themselves, beside the bodies that they carry.
+    """What joints do by themselves, beside the bodies that they carry."""
 
-    Attributes
-    ----------
-    damping, frictionloss, armature, stiffness : ndarray of shape (nv,)
-        None negative.
-    springref : ndarray of shape (nv,)
-        Positions at which the springs rest.
-    ref : ndarray of shape (nv,)
-        Positions that encoders read at the zeros of the model.
-    constant, slope : ndarray of shape (nv,)
-        Torques constant + slope q that a motor has to produce besides.
-    gain : ndarray of shape (nv,)
-        Torque channel's reading, the motor's control, over the true torque.
-    tendons : tuple of Tendon
-        What couples joints.
-    """
-
+    # (nv,): none negative
     damping: np.ndarray
     frictionloss: np.ndarray
     armature: np.ndarray
     stiffness: np.ndarray
-    springref: np.ndarray
-    ref: np.ndarray
+    springref: np.ndarray  # (nv,): positions at which the springs rest
+    ref: np.ndarray  # (nv,): positions that encoders read at the zeros of the model
+    # (nv,): torques constant + slope q that a motor has to produce besides
     constant: np.ndarray
     slope: np.ndarray
+    # (nv,): torque channel's reading, the motor's control, over the true torque
     gain: np.ndarray
-    tendons: tuple = ()
+    tendons: tuple = ()  # what couples joints
 
     @classmethod
     def none(cls, nv):
@@ -133,33 +91,11 @@ class JointDynamics:
 def write_mjcf(
     path, model, bodies, dynamics, *, dt=None, name="robot", note="", followers=()
 ):
-    """Write a robot as MJCF.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File to write.
-    model : pinocchio.Model
-        Geometry, gravity and ranges of the joints; its zeros are those of the joints,
-        without what `dynamics.ref` says of the encoders.
-    bodies : ndarray of shape (nv, 10)
-        Inertial parameters, Pinocchio's order.
-    dynamics : JointDynamics
-        What joints do by themselves.
-    dt : float, default=None
-        Sample period of the robot's recordings [s]: the time step divides it.
-    name : str, default="robot"
-        Name of the model.
-    note : str, default=""
-        What a reader of the file has to know, a comment at its top.
-    followers : tuple of FollowingJoint, default=()
-        Joints that follow others, those that carry others first.
-
-    Raises
-    ------
-    ValueError
-        If a body has no positive mass, or a joint is helical.
-    """
+    """Write a robot as MJCF."""
+    # A body without positive mass and a helical joint are refused. model: its zeros are
+    # those of the joints, without what `dynamics.ref` says of the encoders; bodies (nv,
+    # 10); dt: sample period [s], which the time step divides; note: comment at the top;
+    # followers: those that carry others first.
     tree = _Tree(model, bodies, dynamics, followers)
     step = _time_step(dt)
     root = ElementTree.Element("mujoco", model=name)

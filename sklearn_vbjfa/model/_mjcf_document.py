@@ -1,12 +1,7 @@
 """MJCF as a document: files that it includes, classes of defaults, angles and turns.
 
 What MuJoCo's compiler makes of the text before it comes to bodies and joints, as its
-XML reference [1]_ has it.
-
-References
-----------
-.. [1] MuJoCo documentation, "XML Reference",
-   https://mujoco.readthedocs.io/en/stable/XMLreference.html
+XML reference has it: https://mujoco.readthedocs.io/en/stable/XMLreference.html
 """
 
 from dataclasses import dataclass
@@ -26,17 +21,10 @@ _SHORTEST = 1e-10
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Attributes:
-    """Attributes of one element, its classes of defaults included.
+    """Attributes of one element, its classes of defaults included."""
 
-    Attributes
-    ----------
-    what : str
-        The element, for messages.
-    own, default : dict of str to str
-        What it has itself and what its class gives it.
-    """
-
-    what: str
+    what: str  # the element, for messages
+    # what it has itself and what its class gives it
     own: dict
     default: dict
 
@@ -45,10 +33,8 @@ class Attributes:
         return self.own.get(key, self.default.get(key, otherwise))
 
     def numbers(self, key, otherwise=None, size=None, least=None):
-        """Return an attribute as finite numbers, ndarray; `otherwise` without it.
-
-        size : how many there must be; least : how many there must be at least.
-        """
+        """Return an attribute as finite numbers, ndarray; `otherwise` without it."""
+        # size: how many there must be; least: how many there must be at least.
         text = self.text(key)
         if text is None:
             return None if otherwise is None else np.array(otherwise, dtype=float)
@@ -89,22 +75,10 @@ class Attributes:
 
 
 class Document:
-    """An MJCF file with all that it includes.
+    """An MJCF file with all that it includes; the tree of `root` is changed."""
 
-    Parameters
-    ----------
-    root : xml.etree.ElementTree.Element
-        Its root, which is changed.
-    path : pathlib.Path
-        The file, beside which included ones are.
-    parse : callable
-        Function of a path to an `ElementTree`.
-
-    Attributes
-    ----------
-    degrees : bool
-        Whether angles are given in degrees.
-    """
+    # parse: function of a path to an `ElementTree`; degrees: whether angles are given
+    # in them.
 
     def __init__(self, root, path, parse):
         self._root, self._path, self._parse = root, path, parse
@@ -191,15 +165,7 @@ class Document:
             self._read_defaults(element, None, own, depth + 1)
 
     def attributes(self, element, childclass=None):
-        """Return the attributes of an element.
-
-        Parameters
-        ----------
-        element : Element
-            Any below the sections.
-        childclass : str or None, default=None
-            Class that the body around it gives.
-        """
+        """Return the attributes of an element; `childclass` is given by its body."""
         name = element.get("class", childclass) or _MAIN
         what = f"<{element.tag}> {element.get('name', '')!r}".replace(" ''", "")
         if name not in self._defaults:

@@ -1,7 +1,4 @@
-"""Mass and inertia of MJCF bodies: as they are given, or those of their shapes.
-
-The volumes and moments of inertia of solid primitives are textbook formulas.
-"""
+"""Mass and inertia of MJCF bodies: as they are given, or those of their shapes."""
 
 from dataclasses import dataclass
 
@@ -18,32 +15,16 @@ _SIZES = {"sphere": 1, "capsule": 2, "cylinder": 2, "ellipsoid": 3, "box": 3}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Masses:
-    """What a body consists of.
+    """What a body consists of."""
 
-    Attributes
-    ----------
-    inertia : pinocchio.Inertia
-        In the body's axes; zero without mass.
-    unknown : bool
-        Whether something of it has a mass that is not known, a mesh or a shell.
-    """
-
-    inertia: object
+    inertia: object  # in the body's axes; zero without mass
+    # whether something of it has a mass that is not known, a mesh or a shell
     unknown: bool
 
 
 def masses_of(document, body, shapes):
-    """Return the `Masses` of a body.
-
-    Parameters
-    ----------
-    document : Document
-        The file.
-    body : Element
-        Body.
-    shapes : list of (Attributes, pinocchio.SE3)
-        Its geoms, and where the frames around them are in the body.
-    """
+    """Return the `Masses` of a body."""
+    # shapes: its geoms, and where the frames around them are in the body.
     how = document.compiler.text("inertiafromgeom", "auto")
     if how not in ("auto", "true", "false"):
         raise ValueError(f"<compiler> has inertiafromgeom={how[:60]!r}")

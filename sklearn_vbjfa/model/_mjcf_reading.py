@@ -36,30 +36,18 @@ _SAVE = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Joint:
-    """A joint of a body.
+    """A joint of a body."""
 
-    Attributes
-    ----------
-    name, kind : str
-        Its name; "hinge", "slide", "ball" or "free".
-    axis, anchor : ndarray of shape (3,)
-        In the axes of the body; the anchor is a point of hinges.
-    ref : float
-        Its position where the body is as described [rad or m].
-    low, high : float
-        Limits of the position.
-    passive : tuple of str
-        What it does by itself in MuJoCo, in words.
-    """
-
+    # the kind is "hinge", "slide", "ball" or "free"
     name: str
     kind: str
+    # (3,) in the axes of the body; the anchor is a point of hinges
     axis: np.ndarray
     anchor: np.ndarray
-    ref: float = 0.0
+    ref: float = 0.0  # its position where the body is as described [rad or m]
     low: float = -np.inf
     high: float = np.inf
-    passive: tuple = ()
+    passive: tuple = ()  # what it does by itself in MuJoCo, in words
 
     def moved(self, position):
         """Motion of the body from where it is described, pinocchio.SE3."""
@@ -74,115 +62,55 @@ class Joint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Body:
-    """A body.
-
-    Attributes
-    ----------
-    name : str
-        Its name.
-    parent : int
-        Number of the body that carries it, -1 for the world.
-    placement : pinocchio.SE3
-        Where it is in its parent.
-    joints : tuple of Joint
-        Its joints, the one next to the parent first.
-    inertia : pinocchio.Inertia
-        In its axes; zero without mass.
-    """
+    """A body."""
 
     name: str
-    parent: int
-    placement: object
-    joints: tuple
-    inertia: object
+    parent: int  # number of the body that carries it, -1 for the world
+    placement: object  # where it is in its parent
+    joints: tuple  # its joints, the one next to the parent first
+    inertia: object  # in its axes; zero without mass
 
 
 @dataclass(frozen=True, kw_only=True)
 class Constraint:
-    """An equality constraint.
+    """An equality constraint."""
 
-    Attributes
-    ----------
-    kind, name : str
-        "connect", "weld", "tendon" or "joint", and how messages call it.
-    bodies : tuple of int
-        Bodies that it joins; empty for other kinds.
-    joints : tuple of str
-        Joints that it couples; empty for other kinds.
-    """
-
+    # "connect", "weld", "tendon" or "joint", and how messages call it
     kind: str
     name: str
-    bodies: tuple = ()
-    joints: tuple = ()
+    bodies: tuple = ()  # bodies that it joins; empty for other kinds
+    joints: tuple = ()  # joints that it couples; empty for other kinds
 
 
 @dataclass(frozen=True, kw_only=True)
 class Follower:
-    """A joint that another one moves.
-
-    Attributes
-    ----------
-    name : str
-        The joint.
-    link : Link
-        The one that moves it, and how.
-    """
+    """A joint that another one moves."""
 
     name: str
-    link: Link
+    link: Link  # the one that moves it, and how
 
 
 @dataclass(frozen=True, kw_only=True)
 class Beside:
-    """What a file has beside bodies, joints and constraints.
+    """What a file has beside bodies, joints and constraints."""
 
-    Attributes
-    ----------
-    tendons : tuple of str
-        Names of the tendons.
-    n_actuators : int
-        Number of actuators.
-    weightless : tuple of str
-        Bodies whose weight is compensated.
-    nameless : tuple of str
-        Names given to joints that have none.
-    unknown : tuple of str
-        Bodies with a mass that is not known, that of a mesh.
-    """
-
-    tendons: tuple = ()
+    tendons: tuple = ()  # names
     n_actuators: int = 0
-    weightless: tuple = ()
-    nameless: tuple = ()
-    unknown: tuple = ()
+    weightless: tuple = ()  # bodies whose weight is compensated
+    nameless: tuple = ()  # names given to joints that have none
+    unknown: tuple = ()  # bodies with a mass that is not known, that of a mesh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MjcfRobot:
-    """What an MJCF file says of a robot.
-
-    Attributes
-    ----------
-    name : str
-        Name of the model.
-    bodies : tuple of Body
-        Parents before children, in MuJoCo's order.
-    gravity : ndarray of shape (3,)
-        Gravity [m/s^2].
-    constraints : tuple of Constraint
-        What is to hold between bodies or joints, except followers.
-    followers : tuple of Follower
-        Joints that move with others.
-    beside : Beside
-        What else is in the file.
-    """
+    """What an MJCF file says of a robot."""
 
     name: str
-    bodies: tuple
-    gravity: np.ndarray
+    bodies: tuple  # parents before children, in MuJoCo's order
+    gravity: np.ndarray  # (3,) [m/s^2]
+    # what is to hold between bodies or joints, except followers
     constraints: tuple = ()
-    followers: tuple = ()
+    followers: tuple = ()  # joints that move with others
     beside: Beside = Beside()
 
     @property
@@ -239,27 +167,9 @@ class MjcfRobot:
 
 
 def read_mjcf(root, path, parse):
-    """Read a robot.
-
-    Parameters
-    ----------
-    root : xml.etree.ElementTree.Element
-        Root of the file, which is changed.
-    path : pathlib.Path
-        The file.
-    parse : callable
-        Function of a path to an `ElementTree`, for included files.
-
-    Returns
-    -------
-    MjcfRobot
-        All bodies and joints of the file, of whatever kind.
-
-    Raises
-    ------
-    ValueError
-        If something in the file cannot be read; the message names the file.
-    """
+    """Read all bodies and joints of an MJCF file; the tree of `root` is changed."""
+    # parse: function of a path to an `ElementTree`, for included files. A ValueError
+    # names the file.
     try:
         return _Reader(Document(root, path, parse)).robot()
     except ValueError as error:
@@ -315,10 +225,8 @@ class _Reader:
     # -- bodies --
 
     def _children(self, element, number, childclass, frame, joints, shapes, depth):
-        """Read what is in a body, the world or a frame: fill `joints` and `shapes`.
-
-        Returns the bodies in it, with their class of defaults and frame.
-        """
+        """Read what is in a body, the world or a frame: fill `joints` and `shapes`."""
+        # Returns the bodies in it, with their class of defaults and frame.
         if depth > DEEPEST:
             raise ValueError(f"bodies are nested more than {DEEPEST} deep")
         carried = []
@@ -571,15 +479,7 @@ def _times(inertia, factor):
 
 
 def held(robot, moving):
-    """Return the robot with all joints but some fixed at zero.
-
-    Parameters
-    ----------
-    robot : MjcfRobot
-        Robot.
-    moving : collection of str
-        Names of the joints that move.
-    """
+    """Return the robot with all joints but those named in `moving` fixed at zero."""
     bodies = []
     for body in robot.bodies:
         placement, kept = body.placement, []
@@ -603,24 +503,8 @@ def held(robot, moving):
 
 
 def hold_base(robot, name, turn=None):
-    """Hold the base of a robot.
-
-    Parameters
-    ----------
-    robot : MjcfRobot
-        Robot.
-    name : str
-        Free joint of the base, which nothing that moves carries.
-    turn : ndarray of shape (3, 3), default=None
-        Axes of the base in the world; None for those of the file.
-
-    Returns
-    -------
-    robot : MjcfRobot
-        Robot without that joint.
-    turn : ndarray of shape (3, 3)
-        Axes of the base in the world.
-    """
+    """Return the robot without its free joint, and the axes (3, 3) of its base."""
+    # turn: those in the world; None for those of the file.
     bodies = list(robot.bodies)
     at = next(k for k, x in enumerate(bodies) if name in [j.name for j in x.joints])
     base, above = bodies[at], np.eye(3)
@@ -638,15 +522,7 @@ def hold_base(robot, name, turn=None):
 
 
 def check_tree(robot, path):
-    """Refuse joints of other than one degree of freedom, and what closes loops.
-
-    Parameters
-    ----------
-    robot : MjcfRobot
-        Robot, with the joints held that do not count.
-    path : pathlib.Path
-        File that the message names.
-    """
+    """Refuse joints of other than one degree of freedom, and what closes loops."""
     moving = {joint.name for joint in robot.joints}
     carried_by = _carriers(robot)
     wrong = []
@@ -765,15 +641,8 @@ def _pinocchio_joint(joint):
 
 
 def write_robot(robot, target):
-    """Write a robot as MJCF: its bodies and joints alone, from which it is read again.
-
-    Parameters
-    ----------
-    robot : MjcfRobot
-        Robot of hinges and slides without constraints.
-    target : str or os.PathLike
-        File to write.
-    """
+    """Write a robot as MJCF, its bodies and joints alone, to be read again."""
+    # It has hinges and slides without constraints.
     root = ElementTree.Element("mujoco", model=robot.name)
     ElementTree.SubElement(
         root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false"

@@ -9,38 +9,21 @@ from sklearn_vbjfa.model._regressor import describe
 
 @dataclass(frozen=True)
 class Poses:
-    """Frames of the bodies in the world, for each row of positions.
+    """Frames of the bodies in the world, for each row of positions."""
 
-    Attributes
-    ----------
-    axes : ndarray of shape (n, nv + 1, 3, 3)
-        Directions of a body's frame, by columns; the first body is the base.
-    origins : ndarray of shape (n, nv + 1, 3)
-        Origins of the frames [m].
-    linear, angular : ndarray of shape (n, nv, 3)
-        Motion of each joint at unit speed, as a screw about the origin of the world: a
-        point p that it carries moves with linear + angular x p.
-    """
-
+    # (n, nv + 1, 3, 3): directions by columns; the first body is the base
     axes: np.ndarray
-    origins: np.ndarray
+    origins: np.ndarray  # (n, nv + 1, 3) [m]
+    # (n, nv, 3): motion of each joint at unit speed, as a screw about the origin of the
+    # world: a point p that it carries moves with linear + angular x p
     linear: np.ndarray
     angular: np.ndarray
 
 
 class JointPoses:
-    """Forward kinematics of a model whose joints have one degree of freedom each.
+    """Forward kinematics of a model whose joints have one degree of freedom each."""
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        As from `load_model`.
-
-    Attributes
-    ----------
-    carries : ndarray of shape (nv + 1, nv) of bool
-        Which joints move a body; the first body is the base.
-    """
+    # carries (nv + 1, nv): which joints move a body; the first body is the base.
 
     def __init__(self, model):
         self._parents = np.array(list(model.parents)[1:]) - 1

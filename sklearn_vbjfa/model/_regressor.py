@@ -1,13 +1,12 @@
 """Joint-torque regressors and inverse dynamics of many samples.
 
-A body is a cloud of points.  The point with coordinates xi in the frame of its joint is
-at ``p + xi_1 e_1 + xi_2 e_2 + xi_3 e_3``, with the frame's origin p and axes e_k in
-world coordinates, and accelerates with ``a + xi_1 d_1 + xi_2 d_2 + xi_3 d_3``.  Summing
-mass times acceleration, and its moment, over the points gives all ten columns of a
-body's regressor as cross products of two lists of four vectors, (p, e_1, e_2, e_3) and
-(a, d_1, d_2, d_3).  The torque of a joint is its screw times the forces on the bodies
-that it carries.  `sklearn_vbjfa.model._compiled` does this for some samples at a
-time; without Numba Pinocchio does, by its recursion.
+A body is a cloud of points. That of coordinates xi in the frame of its joint is at p +
+xi_1 e_1 + xi_2 e_2 + xi_3 e_3, with the origin p and the axes e_k in the world, and
+accelerates with a + xi_1 d_1 + xi_2 d_2 + xi_3 d_3. Mass times acceleration and its
+moment, summed over the points, are all ten columns of a body's regressor: cross
+products of (p, e_1, e_2, e_3) and (a, d_1, d_2, d_3). A joint's torque is its screw
+times the forces on what it carries. `_compiled` does this; without Numba Pinocchio's
+recursion.
 """
 
 import functools
@@ -29,34 +28,20 @@ _CACHE = 1 << 19
 
 
 class Tree(NamedTuple):
-    """What the compiled loop needs to know of a robot.
+    """What the compiled loop needs to know of a robot."""
 
-    Attributes
-    ----------
-    parents : ndarray of shape (nv,)
-        Number of the parent, -1 for none.
-    offsets : ndarray of shape (nv, 3)
-        Place of a joint at zero in the frame of its parent [m]; zero without parent.
-    frames : ndarray of shape (nv, 3, 3)
-        Its axes, by rows, in the frame of its parent.
-    axes : ndarray of shape (nv, 3)
-        Direction about or along which it moves, in its own frame.
-    turns, slides : ndarray of shape (nv,)
-        Radians and metres by unit of its position; a helical joint has both.
-    base : ndarray of shape (nv, 3)
-        Acceleration that takes the place of gravity, of joints without parent [m/s^2].
-    base_angular : ndarray of shape (3,)
-        Its angular part [rad/s^2].
-    """
-
-    parents: np.ndarray
+    parents: np.ndarray  # (nv,): number of the parent, -1 for none
+    # (nv, 3): place of a joint at zero in its parent's frame [m]; zero without parent
     offsets: np.ndarray
-    frames: np.ndarray
+    frames: np.ndarray  # (nv, 3, 3): its axes, by rows, in the frame of its parent
+    # (nv, 3): direction about or along which it moves, in its own frame
     axes: np.ndarray
+    # (nv,): radians and metres by unit of its position; a helical joint has both
     turns: np.ndarray
     slides: np.ndarray
+    # (nv, 3): acceleration in place of gravity, of joints without parent [m/s^2]
     base: np.ndarray
-    base_angular: np.ndarray
+    base_angular: np.ndarray  # (3,): its angular part [rad/s^2]
 
 
 def describe(model, parents):
@@ -94,22 +79,12 @@ def describe(model, parents):
 
 
 def rounding_entries(power):
-    """Return which entries of the regressor matrices are the rounding of a zero.
-
-    Where a torque does not depend on a parameter the recursive algorithm leaves some
-    1e-16, which a regression in standardised columns would take for information.  In
-    one torque all masses (first moments, inertias) have one unit and can be compared.
-
-    Parameters
-    ----------
-    power : ndarray of shape (nv, nv, k)
-        Mean or summed squares: torque, body, parameter (k >= 10).
-
-    Returns
-    -------
-    ndarray of shape (nv, nv, k), bool
-        Rounding; never a friction column.
-    """
+    """Return which entries (nv, nv, k) of the regressors are the rounding of a zero."""
+    # power: mean or summed squares of torque, body, parameter (k >= 10). Where a torque
+    # does not depend on a parameter the recursive algorithm leaves some 1e-16, which a
+    # regression in standardised columns would take for information. In one torque all
+    # masses (first moments, inertias) have one unit and can be compared; friction is
+    # never rounding.
     rounding = np.zeros(power.shape, dtype=bool)
     for kind in (slice(0, 1), slice(1, 4), slice(4, 10)):
         largest = power[:, :, kind].max(axis=(1, 2), keepdims=True)
@@ -130,24 +105,12 @@ def load_kernel():
 
 
 class TreeRegressor:
-    """Joint-torque regressors and inverse dynamics of a tree of joints.
+    """Joint-torque regressors and inverse dynamics of a tree of joints."""
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot with a fixed base whose joints have one degree of freedom each; see
-        `load_model`.
-    compiled : bool, default=None
-        Whether a loop compiled by Numba computes the regressors, several times as fast
-        as Pinocchio called for each sample; None does so where Numba is installed.
-
-    Attributes
-    ----------
-    nv : int
-        Number of joints.
-    support : ndarray of shape (nv, nv, 10), bool
-        Entries of a regressor matrix that are not zero in every motion.
-    """
+    # model: of a fixed base and joints of one degree of freedom each, see `load_model`;
+    # compiled: by Numba, several times as fast as Pinocchio called for each sample, or
+    # None where it is installed; support (nv, nv, 10): entries that are not zero in
+    # every motion.
 
     def __init__(self, model, compiled=None):
         self.nv = model.nv
@@ -169,10 +132,9 @@ class TreeRegressor:
         self._tree = describe(model, parents)
 
     def one_by_one(self):
-        """Return Pinocchio's function of (q, v, a), each (nv,), to (nv, nv, 10).
-
-        What it returns is overwritten by the next call; it is not for several threads.
-        """
+        """Return Pinocchio's function of (q, v, a), each (nv,), to (nv, nv, 10)."""
+        # What it returns is overwritten by the next call; it is not for several
+        # threads.
         compute = import_pinocchio().computeJointTorqueRegressor
         model, data, shape = (
             self._model,
@@ -182,22 +144,9 @@ class TreeRegressor:
         return lambda q, v, a: compute(model, data, q, v, a).reshape(shape)
 
     def __call__(self, q, v, a, out=None):
-        """Compute the regressor matrices.
-
-        Parameters
-        ----------
-        q, v, a : ndarray of shape (n, nv)
-            Positions, velocities, accelerations.
-        out : ndarray of shape (n, nv, nv, k), default=None
-            Where to write, C-contiguous, with k >= 10; columns after the tenth become
-            zero. None makes an array with k = 10.
-
-        Returns
-        -------
-        ndarray of shape (n, nv, nv, k)
-            Derivatives of the torque of a joint (second axis) by the parameters of a
-            body (third axis): m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
-        """
+        """Compute (n, nv, nv, k), the torque of a joint by parameters of a body."""
+        # q, v, a (n, nv); out: C-contiguous with k >= 10, whose columns after the tenth
+        # become zero. Parameters are m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz.
         n, nv = q.shape[0], self.nv
         if out is None:
             out = np.empty((n, nv, nv, 10))
@@ -214,19 +163,10 @@ class TreeRegressor:
         return out
 
     def entries(self, q, v, a, places, out):
-        """Compute single entries of the regressor matrices, samples last.
-
-        Parameters
-        ----------
-        q, v, a : ndarray of shape (n, nv)
-            Positions, velocities, accelerations.
-        places : ndarray of shape (nv, nv, 10)
-            Row of `out` for each torque, body and parameter; -1 for none, as it must
-            be outside the support.
-        out : ndarray of shape (n_entries, n)
-            Where to write; rows without an entry are left alone. Fastest if
-            C-contiguous.
-        """
+        """Compute single entries of the regressor matrices, samples last."""
+        # places (nv, nv, 10): row of `out` (n_entries, n) for each torque, body and
+        # parameter, -1 for none, as it must be outside the support. Rows without an
+        # entry are left alone.
         kernel = None if self.compiled is False else load_kernel()
         if kernel is not None:
             kernel(q, v, a, self._tree, places, out)
@@ -241,21 +181,9 @@ class TreeRegressor:
         out[places[used]] = np.reshape(matrices, (-1, np.count_nonzero(used))).T
 
     def torques(self, q, v, a, inertial):
-        """Compute inverse dynamics for any inertial parameters.
-
-        Parameters
-        ----------
-        q, v, a : ndarray of shape (n, nv)
-            Positions, velocities, accelerations.
-        inertial : array-like of shape (nv, 10)
-            Parameters of the bodies in the order of the regressor's columns; they need
-            not belong to any distribution of mass.
-
-        Returns
-        -------
-        ndarray of shape (n, nv)
-            Torques of gravity and inertia, without friction and rotors.
-        """
+        """Compute inverse dynamics (n, nv), without friction and rotors."""
+        # inertial (nv, 10): as the regressor's columns; they need not belong to any
+        # body.
         count = np.count_nonzero(self.support)
         places = np.full(self.support.shape, -1)
         places[self.support] = np.arange(count)

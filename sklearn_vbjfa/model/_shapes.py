@@ -27,74 +27,35 @@ class NoShapes(ValueError):
 
 @dataclass(frozen=True)
 class Shape:
-    """A convex shape on a body of the robot.
+    """A convex shape on a body of the robot."""
 
-    Attributes
-    ----------
-    link : str
-        Link of the URDF that it belongs to.
-    joint : int
-        Number of the body that carries it; 0 is the base.
-    axes, origin : ndarray of shape (3, 3) and (3,)
-        Its place in the frame of that body; directions by columns, [m].
-    geometry : coal.CollisionGeometry
-        Box, sphere, capsule, cylinder or convex polyhedron, in its own frame.
-    corners : ndarray of shape (n_corners, 3)
-        Points of its own frame whose convex hull, swept by a ball, holds it [m].
-    swept : float
-        Radius of that ball [m].
-    """
-
-    link: str
-    joint: int
+    link: str  # link of the URDF that it belongs to
+    joint: int  # number of the body that carries it; 0 is the base
+    # (3, 3): its place in the frame of that body; directions by columns, [m]
     axes: np.ndarray
     origin: np.ndarray
+    # box, sphere, capsule, cylinder or convex polyhedron, in its own frame
     geometry: object
+    # (n_corners, 3): points whose convex hull, swept by a ball, holds it [m]
     corners: np.ndarray
-    swept: float
+    swept: float  # radius of that ball [m]
 
 
 @dataclass(frozen=True)
 class RobotShapes:
-    """The shapes of a robot, and which of them are neighbours.
+    """The shapes of a robot, and which of them are neighbours."""
 
-    Attributes
-    ----------
-    shapes : tuple of Shape
-        In the order of the URDF.
-    neighbours : ndarray of shape (n_shapes, n_shapes) of bool
-        Whether their links are fixed together, or one joint of the description lies
-        between them.
-    """
-
-    shapes: tuple
+    shapes: tuple  # in the order of the URDF
+    # (n_shapes, n_shapes): links fixed together, or with one joint of the description
+    # between them
     neighbours: np.ndarray
 
 
 def load_shapes(path, model, package_dirs=()):
-    """Read the collision shapes of a URDF onto the bodies of a model.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        URDF file.
-    model : pinocchio.Model
-        Model of that file; joints may be held, as by `load_reduced` or
-        ``pinocchio.buildReducedModel``: what they carry is where the model has it.
-    package_dirs : sequence of str or os.PathLike
-        Folders in which packages of meshes are, or which are such packages. Beside
-        them the folder of the URDF and its parents are searched.
-
-    Returns
-    -------
-    RobotShapes
-
-    Raises
-    ------
-    NoShapes
-        If there is none, a mesh is not found or not readable, the model has other
-        links, or Pinocchio was built without coal.
-    """
+    """Read the collision shapes of a URDF onto the bodies of a model."""
+    # NoShapes where there are none. What held joints carry is where the model has it.
+    # Packages of meshes are looked for in package_dirs, in the folder of the URDF and
+    # in its parents.
     pin = import_pinocchio()
     if not hasattr(pin, "coal"):
         raise NoShapes(

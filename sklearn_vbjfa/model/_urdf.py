@@ -67,28 +67,11 @@ def write_urdf(
     turned=None,
     followers=None,
 ):
-    """Write a copy of a URDF with other inertias and friction.
-
-    Parameters
-    ----------
-    source : str or os.PathLike
-        File to read, or the text of a URDF.
-    target : str or os.PathLike
-        File to write.
-    model : pinocchio.Model
-        Model of the source.
-    parameters : ndarray of shape (nv, 10 + n_friction)
-        Inertial parameters [kg, kg m, kg m^2] and friction of each joint.
-    friction : tuple of str
-        Names of the friction columns; "viscous" and "coulomb" go to the joint's
-        dynamics, others have no place in URDF.
-    note : str, default=""
-        Comment at the top of the robot.
-    turned : mapping of str to ndarray of shape (3, 3), default=None
-        Joints whose origin is turned, in its own axes, by a rotation matrix.
-    followers : mapping of str to ndarray of shape (10,), default=None
-        Bodies of joints that follow others, by the joints' names.
-    """
+    """Write a copy of a URDF with other inertias and friction."""
+    # parameters (nv, 10 + n_friction) [kg, kg m, kg m^2]; friction: their names, of
+    # which "viscous" and "coulomb" have a place in URDF; note: comment at the top;
+    # turned: rotation matrices (3, 3) of joints' origins, in their own axes; followers:
+    # bodies (10,) of joints that follow others, by name.
     followers = {} if followers is None else followers
     if is_text(source):
         tree, like = ElementTree.ElementTree(ElementTree.fromstring(source)), None
@@ -141,17 +124,8 @@ def is_text(source):
 
 
 def check_possible(model, min_eigenvalues, kind):
-    """Refuse bodies that cannot exist, which no description may hold.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot.
-    min_eigenvalues : ndarray of shape (nv,)
-        Smallest pseudo-inertia eigenvalue of each body, positive where it can exist.
-    kind : str
-        What they are written as, for the message.
-    """
+    """Refuse bodies that cannot exist, which no description may hold."""
+    # min_eigenvalues (nv,): of the pseudo-inertias, positive where a body can exist.
     if (min_eigenvalues <= 0).any():
         names = joint_names(model)
         bad = [name for name, low in zip(names, min_eigenvalues) if low <= 0]
@@ -172,29 +146,7 @@ def write_identified(
     turned=None,
     followers=None,
 ):
-    """Write a URDF with identified bodies, or say why there can be none.
-
-    Parameters
-    ----------
-    source : str, os.PathLike or other
-        Robot description that the robot came from: its path, or its text.
-    path : str or os.PathLike
-        File to write.
-    model : pinocchio.Model
-        Robot.
-    bodies : ndarray of shape (nv, 10 + len(friction))
-        Inertial parameters and friction of each joint.
-    friction : tuple of str
-        Names of the friction columns.
-    min_eigenvalues : ndarray of shape (nv,)
-        Smallest pseudo-inertia eigenvalue of each body, positive where it can exist.
-    note : str, default=""
-        What a reader of the file has to know, written into it as a comment.
-    turned : mapping of str to ndarray of shape (3, 3), default=None
-        Joints whose origin is turned, see `write_urdf`.
-    followers : mapping of str to ndarray of shape (10,), default=None
-        Bodies of joints that follow others, see `write_urdf`.
-    """
+    """Write a URDF as `write_urdf`, or say why there can be none of these bodies."""
     if not isinstance(source, (str, os.PathLike)):
         raise ValueError(
             "to_urdf needs the URDF that the robot came from: give its path as "

@@ -28,21 +28,9 @@ _REMEDY = (
 
 
 def check_tree(tree, path):
-    """Refuse a URDF whose joints close a loop, naming the links.
-
-    Parameters
-    ----------
-    tree : xml.etree.ElementTree.ElementTree
-        Description, with the joints fixed that are held.
-    path : pathlib.Path
-        File that the message names.
-
-    Raises
-    ------
-    ValueError
-        If a link hangs on two joints, links hang on each other in a ring, or an
-        extension joins two links that move against each other.
-    """
+    """Refuse a URDF whose joints close a loop, naming the links."""
+    # A link hangs on two joints, links hang on each other in a ring, or an extension
+    # joins two links that move against each other.
     root = tree.getroot()
     above = {}
     for joint in root.findall("joint"):
@@ -99,24 +87,8 @@ def carriers(tree):
 
 
 def turn_base(tree, name, turn=None):
-    """Turn the link that a joint carries.
-
-    Parameters
-    ----------
-    tree : xml.etree.ElementTree.ElementTree
-        Description, which is changed.
-    name : str
-        Joint of the base, which nothing that moves carries.
-    turn : ndarray of shape (3, 3), default=None
-        Axes of the base in the world; None for those of the file.
-
-    Returns
-    -------
-    joint : xml.etree.ElementTree.Element
-        The joint.
-    turn : ndarray of shape (3, 3)
-        Axes of the base in the world.
-    """
+    """Turn the link that a joint carries; return the joint, and its axes (3, 3)."""
+    # turn: axes of the base in the world; None for those of the file.
     joints = {
         _link(joint.find("child")): joint for joint in tree.getroot().findall("joint")
     }

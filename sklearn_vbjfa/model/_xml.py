@@ -25,17 +25,8 @@ def add_comment(root, note):
 
 
 def write_tree(tree, target, like=None):
-    """Write an XML tree to a file, or leave the file as it was.
-
-    Parameters
-    ----------
-    tree : xml.etree.ElementTree.ElementTree
-        What to write; it is indented.
-    target : str or os.PathLike
-        File to write.
-    like : str, os.PathLike or None, default=None
-        File whose permissions the new one gets; None leaves them to the system.
-    """
+    """Write an indented XML tree to a file, or leave the file as it was."""
+    # like: file whose permissions the new one gets; None leaves them to the system.
     ElementTree.indent(tree)
     target = Path(target)
     # Written beside the target and moved: an interrupted run leaves no half of a file.

@@ -1,15 +1,12 @@
-r"""The projection stated for clarabel, a conic solver.
+"""The projection stated for clarabel, a conic solver.
 
-With displacement `d` from the vector to project, in units of a distance `s`, it reads
+With displacement d from the vector to project, in units of a distance s:
 
-.. math::
+    min_(d, t) t  such that  (t, T d - c / s) in SOC,
+    (M_j(x_0) - eps E) / s + M_j(d) >= 0,  x_0k / s + d_k >= 0.
 
-    \min_{d, t}\; t \quad \text{such that} \quad (t, T d - c / s) \in \text{SOC},
-    \quad (M_j(x_0) - \varepsilon E) / s + M_j(d) \succeq 0,
-    \quad x_{0k} / s + d_k \ge 0 .
-
-As a second-order cone the distance keeps the condition number of `T`, which its square,
-the quadratic form ``T' T``, would square.
+As a second-order cone the distance keeps the condition number of T, which its square,
+the quadratic form T' T, would square.
 """
 
 import clarabel
@@ -20,24 +17,9 @@ from sklearn_vbjfa.physical._programme import PrimalDual
 
 
 def solve_conic(programme, *, max_steps):
-    """Solve a programme with clarabel.
+    """Solve with clarabel; return where it ended, its iterations and its own words."""
+    # The answer is not finite where the solver broke down.
 
-    Parameters
-    ----------
-    programme : Programme
-        The projection in scaled variables.
-    max_steps : int
-        Largest number of iterations.
-
-    Returns
-    -------
-    answer : PrimalDual
-        Where the solver ended; not finite where it broke down.
-    n_iter : int
-        Iterations.
-    status : str
-        How it ended, in its own words.
-    """
     # The tolerances are absolute too. The distance of a consistent vector is the unit,
     # unless it is below the resolution, where it cannot be measured.
     upper = programme.distance(programme.clip(2 * programme.margin))

@@ -1,14 +1,10 @@
-r"""The projection as a convex programme: its data, consistent vectors, its certificate.
+"""The projection as a convex programme: its data, consistent vectors, its certificate.
 
-In scaled variables `x` (every parameter divided by its unit) the programme is
+In scaled variables x (every parameter divided by its unit), with T upper triangular and
+nonsingular:
 
-.. math::
-
-    \min_x \tfrac12 \| T x - c \|^2 \quad \text{such that} \quad
-    M_j(x) - \varepsilon E \succeq 0 \ \text{for every body},
-    \quad x_k \ge 0 \ \text{for the non-negative columns},
-
-with `T` upper triangular and nonsingular.
+    min_x |T x - c|^2 / 2  such that  M_j(x) - eps E >= 0 for every body,
+    x_k >= 0 for the non-negative columns.
 """
 
 from dataclasses import dataclass
@@ -32,21 +28,11 @@ _RESOLUTION = 1e-7
 
 @dataclass(frozen=True, kw_only=True)
 class PrimalDual:
-    """A vector with multipliers of its constraints, or a step from one to another.
+    """A vector with multipliers of its constraints, or a step from one to another."""
 
-    Attributes
-    ----------
-    vector : ndarray of shape (n_features,)
-        Vector in scaled units.
-    duals : ndarray of shape (n_bodies, n, n)
-        Multipliers of the bodies' matrices.
-    multipliers : ndarray of shape (n_nonnegative,)
-        Multipliers of the non-negative columns.
-    """
-
-    vector: np.ndarray
-    duals: np.ndarray
-    multipliers: np.ndarray
+    vector: np.ndarray  # (n_features,): vector in scaled units
+    duals: np.ndarray  # (n_bodies, n, n): multipliers of the bodies' matrices
+    multipliers: np.ndarray  # (n_nonnegative,): multipliers of the non-negative columns
 
     @property
     def is_finite(self):
@@ -65,53 +51,27 @@ class PrimalDual:
 
 @dataclass(frozen=True, kw_only=True)
 class Programme:
-    """The projection in scaled variables.
+    """The projection in scaled variables."""
 
-    Attributes
-    ----------
-    constraint : {"pseudo-inertia", "eq30"}
-        Which matrix of a body has to be positive definite.
-    body_columns : ndarray of int of shape (n_bodies, 10)
-        Columns of every body.
-    nonnegative : ndarray of int
-        Columns that must not be negative.
-    margin : float
-        Least eigenvalue (dimensionless) of every body's matrix.
-    point : ndarray of shape (n_features,)
-        The vector to project, divided by the units.
-    root : ndarray of shape (n_features, n_features)
-        Upper triangular `T`: metric and pull to the anchor as one square root.
-    shift : ndarray of shape (n_features,)
-        `c`: the distance of a vector is ``|T (vector - point) - c|``.
-    n_hidden : int
-        Dimensions that the metric does not see, and the anchor alone determines.
-    """
-
-    constraint: str
-    body_columns: np.ndarray
-    nonnegative: np.ndarray
-    margin: float
-    point: np.ndarray
+    constraint: str  # which matrix of a body has to be positive definite
+    body_columns: np.ndarray  # (n_bodies, 10): columns of every body
+    nonnegative: np.ndarray  # columns that must not be negative
+    margin: float  # least eigenvalue (dimensionless) of every body's matrix
+    point: np.ndarray  # (n_features,): the vector to project
+    # (n_features, n_features): T, metric and pull to the anchor as one square root
     root: np.ndarray
+    # (n_features,): `c`: the distance of a vector is ``|T (vector - point) - c|``
     shift: np.ndarray
+    # dimensions that the metric does not see; the anchor alone determines them
     n_hidden: int
 
     @classmethod
     def pulled(cls, point, *, metric_root, anchor, anchor_weight, **constraints):
-        """State the programme of a metric and of a pull to an anchor.
+        """State the programme of a metric and of a pull to an anchor."""
+        # metric_root: in scaled variables, largest column norm one (or zero). What the
+        # metric does not see is pulled to `anchor` with `anchor_weight`. The
+        # constraints are the other fields.
 
-        Parameters
-        ----------
-        point, anchor : ndarray of shape (n_features,)
-            Vector to project, and where what the metric does not see is pulled.
-        metric_root : ndarray of shape (n_features, n_features)
-            Square root of the metric in scaled variables, largest column norm one (or
-            zero).
-        anchor_weight : float
-            Weight of that pull.
-        **constraints
-            The other attributes.
-        """
         # |R x|^2 + w |N'(x - a)|^2 as one triangular factor: the stacked QR does not
         # square the condition number as R'R would.
         pull = np.sqrt(anchor_weight) * _null_space(metric_root).T
@@ -156,12 +116,10 @@ class Programme:
         return matrices - self.margin * np.eye(matrices.shape[-1])
 
     def lift(self, vector, floor):
-        """Return a vector moved inside the set along the bodies' unit matrices.
-
-        Adding ``t`` times the body whose matrix is the unit matrix raises the smallest
-        eigenvalue by exactly ``t``: to `floor`, and nothing is moved further than it
-        has to be. Non-negative columns end at ``floor - margin`` or above.
-        """
+        """Return a vector moved inside the set along the bodies' unit matrices."""
+        # Adding ``t`` times the body whose matrix is the unit matrix raises the
+        # smallest eigenvalue by exactly ``t``: to `floor`, and nothing is moved further
+        # than it has to be. Non-negative columns end at ``floor - margin`` or above.
         vector = vector.copy()
         unit = np.zeros(N_INERTIAL)
         unit[0] = 1.0
@@ -180,34 +138,12 @@ class Programme:
         return self.lift(vector, floor)
 
     def relative_gap(self, vector, duals, multipliers):
-        r"""Bound how far a consistent vector is from optimal.
-
-        For any positive semidefinite `Z_j` and non-negative `z_k`, weak duality of the
-        strongly convex programme gives
-
-        .. math::
-
-            \tfrac12 \|r(x)\|^2 - \tfrac12 \|r(x^\star)\|^2 \le
-            \sum_j \langle Z_j, M_j(x) - \varepsilon E \rangle + \sum_k z_k x_k
-            + \tfrac12 \| T^{-\top} (T^\top r - G^\top z) \|^2,
-
-        whatever a solver says of its own end.
-
-        Parameters
-        ----------
-        vector : ndarray of shape (n_features,)
-            Consistent vector in scaled units.
-        duals : ndarray of shape (n_bodies, n, n)
-            Symmetric matrices; their negative part is dropped.
-        multipliers : ndarray of shape (n_nonnegative,)
-            Multipliers of the non-negative columns; negative ones are dropped.
-
-        Returns
-        -------
-        gap : float
-            Upper bound on the excess of the squared distance, relative to it (or to
-            the square of the resolution, where that is larger).
-        """
+        """Bound how far a consistent vector is from optimal."""
+        # For any positive semidefinite Z_j and non-negative z_k (negative parts are
+        # dropped), weak duality of the strongly convex programme gives, relative to
+        # |r(x)|^2 or to the square of the resolution where that is larger,
+        #     |r(x)|^2 / 2 - |r(x*)|^2 / 2 <= sum_j <Z_j, M_j(x) - eps E>
+        #         + sum_k z_k x_k + |T^-T (T' r - G' z)|^2 / 2.
         duals, multipliers = raised(duals, 0.0), np.maximum(multipliers, 0.0)
         residual = self.residual(vector)
         complementarity = np.sum(duals * self.slack(vector))

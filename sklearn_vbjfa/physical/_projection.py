@@ -25,44 +25,20 @@ _HIDDEN_LIMIT = 100.0
 
 @dataclass(frozen=True, kw_only=True)
 class Metric:
-    """Validated metric with its square root.
+    """Validated metric with its square root."""
 
-    Attributes
-    ----------
-    matrix : ndarray of shape (n_features, n_features)
-        Symmetric positive semidefinite `A`.
-    root : ndarray of shape (n_features, n_features)
-        `R` with ``R' R = A``.
-    size : ndarray of shape (n_features,)
-        Square root of the diagonal.
-    basis : ndarray of shape (n_features, n_visible)
-        Orthonormal basis of what `A` sees, in units of `size`.
-    """
-
-    matrix: np.ndarray
-    root: np.ndarray
-    size: np.ndarray
+    matrix: np.ndarray  # (n_features, n_features): symmetric positive semidefinite `A`
+    root: np.ndarray  # (n_features, n_features): `R` with ``R' R = A``
+    size: np.ndarray  # (n_features,): square root of the diagonal
+    # (n_features, n_visible): orthonormal basis of what `A` sees, in units of `size`
     basis: np.ndarray
 
     def visible_part(self, theta):
-        """Drop what the metric does not see where it dwarfs what it sees.
-
-        A least-squares solve that does not cut its singular values returns 1e10 and
-        more along the directions without information.  Such numbers say nothing, and
-        neither scales nor anchors may come from them.
-
-        Parameters
-        ----------
-        theta : ndarray of shape (n_features,)
-            Parameter vector.
-
-        Returns
-        -------
-        theta : ndarray of shape (n_features,)
-            The vector, or its visible part.
-        hidden, visible : float
-            Lengths of both parts in units of the metric.
-        """
+        """Drop what the metric does not see where it dwarfs what it sees."""
+        # A least-squares solve that does not cut its singular values returns 1e10 and
+        # more along directions without information; neither scales nor anchors may come
+        # from those. Also returns the lengths of the hidden and the visible part in
+        # units of the metric.
         standardised = theta * self.size
         part = self.basis @ (self.basis.T @ standardised)
         hidden, visible = np.linalg.norm(standardised - part), np.linalg.norm(part)
@@ -90,26 +66,7 @@ class Metric:
 
 @one_blas_thread()
 def check_metric(metric, n_features):
-    """Validate a metric and take its square root.
-
-    Parameters
-    ----------
-    metric : array-like of shape (n_features, n_features)
-        Symmetric positive semidefinite matrix.
-    n_features : int
-        Length of the parameter vectors.
-
-    Returns
-    -------
-    metric : Metric
-        The symmetric part and its square root.
-
-    Raises
-    ------
-    ValueError
-        If the shape is wrong, a value is not finite, or the matrix is not symmetric
-        or not positive semidefinite beyond rounding.
-    """
+    """Validate a metric (n_features, n_features) and take its square root."""
     metric = np.asarray(metric, dtype=float)
     if metric.shape != (n_features, n_features):
         raise ValueError(
@@ -290,34 +247,16 @@ def _default_metric(rows, layout, mass_scale, length_scale):
 
 @dataclass(frozen=True, kw_only=True)
 class Projection:
-    """Where vectors are projected and in which distance; validated, in SI units.
-
-    Attributes
-    ----------
-    layout : ParameterLayout
-        The columns' roles.
-    metric : Metric
-        Distance.
-    constraint : {"pseudo-inertia", "eq30"}
-        Set.
-    margin : float
-        Least eigenvalue of each body's matrix in its own units.
-    mass_scale, length_scale : ndarray of shape (n_bodies,)
-        Those units [kg] and [m].
-    anchor : ndarray of shape (n_features,) or None
-        Where directions that the metric does not see are pulled; None for the vector.
-    anchor_weight : float
-        Strength of that pull.
-    max_solver_iter : int
-        Iterations of one solve.
-    """
+    """Where vectors are projected and in which distance; validated, in SI units."""
 
     layout: ParameterLayout
     metric: Metric
     constraint: str
-    margin: float
+    margin: float  # least eigenvalue of each body's matrix in its own units
+    # (n_bodies,): those units [kg] and [m]
     mass_scale: np.ndarray
     length_scale: np.ndarray
+    # (n_features,): where unseen directions are pulled; None for the vector
     anchor: np.ndarray | None
     anchor_weight: float
     max_solver_iter: int
@@ -376,11 +315,9 @@ class Projection:
 
     @one_blas_thread()
     def __call__(self, theta, *, price_anchor=True):
-        """Project one vector; return a :class:`ProjectionResult`.
-
-        What the anchor costs takes one more solve where the metric is singular, and is
-        nan without `price_anchor`.
-        """
+        """Project one vector; return a :class:`ProjectionResult`."""
+        # What the anchor costs takes one more solve where the metric is singular, and
+        # is nan without `price_anchor`.
         theta = self.metric.without_rounding(theta)
         bodies, kept = self.layout.body_columns, self.layout.nonnegative
         if np.all(self._eigenvalues(theta) >= self.margin) and np.all(theta[kept] >= 0):
@@ -492,10 +429,8 @@ class Projection:
 
 
 def _anchor_cost(vector, freer, root, max_steps):
-    """Share of a solution's squared distance that a programme with less pull saves.
-
-    With what is to be said of it: nothing, or why it is nan.
-    """
+    """Share of a solution's squared distance that a programme with less pull saves."""
+    # With what is to be said of it: nothing, or why it is nan.
     try:
         other = solve(freer, max_steps=max_steps).vector
     except ProjectionError as error:

@@ -1,11 +1,10 @@
 """Inertial parameters as matrices, and when a rigid body exists that has them.
 
-Pure functions of arrays, batched over the leading axes.  The ten parameters of a
-body stand in Pinocchio's order, ``(m, m c_x, m c_y, m c_z, I_xx, I_xy, I_yy, I_xz,
-I_yz, I_zz)``, with the inertia taken about the origin of the joint's frame.
-
-Source: Wensing, Kim and Slotine, "Linear Matrix Inequalities for Physically
-Consistent Inertial Parameter Identification", IEEE RA-L 3(1), 2018 [WKS2018]_.
+The ten parameters of a body stand in Pinocchio's order, (m, m c_x, m c_y, m c_z, I_xx,
+I_xy, I_yy, I_xz, I_yz, I_zz), with the inertia about the origin of the joint's frame.
+Functions are batched over the leading axes. Source: Wensing, Kim and Slotine, "Linear
+Matrix Inequalities for Physically Consistent Inertial Parameter Identification", IEEE
+RA-L 3(1), 2018 [WKS2018]_.
 """
 
 import numpy as np

@@ -1,27 +1,16 @@
-r"""Primal-dual refinement of a conic solver's answer.
+"""Primal-dual refinement of a conic solver's answer.
 
-The library's answer is not the end, for two reasons.  A general solver factors an
-indefinite, regularised system, which stops it at a relative gap of about 1e-7 with
-several bodies and 1e-4 with rods, in whatever form the distance is stated.  And
-directions that the metric hardly sees need more: at such a gap they are still placed by
-the barrier, not by the anchor.
+A general conic solver stops at a relative gap of 1e-7 with several bodies and 1e-4 with
+rods, at which its barrier still places what the metric hardly sees. Here the slack
+matrices are eliminated, which leaves one positive definite system, formed from square
+roots; its solutions are corrected, and the multipliers' step is made to balance the
+gradient. The path ends at a gap set beforehand, with Newton's steps to its one point:
+the answer is the same whatever the start and the rounding. Directions are those of
+Helmberg, Kojima and Monteiro (doi:10.1137/0806020), with slack S, multiplier Z and
+target m:
 
-Here the slack matrices are eliminated, which leaves one positive definite system of the
-size of the parameter vector.  Three things take the gap down to 1e-9 and less: the
-system is formed from the square roots of its parts, so that it is symmetric and
-semidefinite to the last digit; its solutions are corrected; and the multipliers' step
-is made to balance the gradient, which the formula for it does only in exact arithmetic.
-The path ends at a gap that is set beforehand, with Newton's steps to the one point that
-belongs to it, from which one more step leads to the optimum: the answer is the same
-whatever the start and the rounding on the way.
-
-The directions are those of Helmberg, Kojima and Monteiro (doi:10.1137/0806020): with
-slack `S`, multiplier `Z` and target `m`,
-
-.. math::
-
-    \Big(T^\top T + \sum_j [\operatorname{tr}(B_k S_j^{-1} B_l Z_j)]_{kl}\Big)
-    \mathrm{d}x = -T^\top r + m \sum_j [\operatorname{tr}(B_k S_j^{-1})]_k .
+    (T' T + sum_j [tr(B_k S_j^-1 B_l Z_j)]_kl) dx
+        = -T' r + m sum_j [tr(B_k S_j^-1)]_k.
 """
 
 import numpy as np
@@ -67,26 +56,9 @@ def clipped_starts(programme):
 
 
 def refine(programme, start, *, max_steps):
-    """Follow the central path from near an approximate solution to its end.
-
-    Parameters
-    ----------
-    programme : Programme
-        The projection in scaled variables.
-    start : PrimalDual
-        Approximate solution.
-    max_steps : int
-        Largest number of steps.
-
-    Returns
-    -------
-    end : PrimalDual
-        Refined solution; rounding may leave it outside the set by as much.
-    n_steps : int
-        Steps taken.
-    ended : str
-        How: "at its end", or what stopped it before.
-    """
+    """Follow the central path from near an approximate solution to its end."""
+    # Also returns the steps taken and how it ended. Rounding may leave the end outside
+    # the set by as much.
     kept = programme.nonnegative
     at = _inside(programme, start)
     order = len(at.duals) * programme.generators.shape[-1] + kept.size
@@ -142,26 +114,16 @@ def _inside(programme, start):
 
 
 class _Equations:
-    """Newton's equations at one point of the path.
+    """Newton's equations at one point of the path."""
 
-    The system is ``A' A`` for the stack `A` of the bodies' roots ``L^-1 B R`` (with
-    ``S = L L'`` and ``Z = R R'``), the roots of the bounds and `T`; the right side is
-    ``A' (bodies, bounds, metric)``.  Near the boundary the barrier's share is larger
-    than the metric's by more than the machine precision, and the sum is no longer
-    definite in floating point; the triangle of a QR decomposition of `A` is used then.
-    Either way the condition number is squared, which corrections with the residual of
-    the stack make good: the corrected seminormal equations of Bjoerck
-    (doi:10.1016/0024-3795(87)90101-7), repeated.
-
-    Parameters
-    ----------
-    programme : Programme
-        The projection in scaled variables.
-    at : PrimalDual
-        The point.
-    slack : ndarray of shape (n_bodies, n, n)
-        Its slack.  LinAlgError is raised where it is not definite.
-    """
+    # LinAlgError is raised where the slack is not definite. The system is A' A for the
+    # stack A of the bodies' roots L^-1 B R (with S = L L' and Z = R R'), the roots of
+    # the bounds and T; the right side is A' (bodies, bounds, metric). Near the boundary
+    # the barrier's share is larger than the metric's by more than the machine
+    # precision, and the sum is no longer definite in floating point; the triangle of a
+    # QR decomposition of A is used then. Either way the condition number is squared,
+    # which corrections with the residual of the stack make good: the corrected
+    # seminormal equations of Bjoerck (doi:10.1016/0024-3795(87)90101-7), repeated.
 
     def __init__(self, programme, at, slack):
         self._programme, self._at = programme, at
@@ -232,10 +194,8 @@ class _Equations:
         return step
 
     def direction(self, target, second_bodies=0.0, second_free=0.0):
-        """Return how far a step to a target can go, the step, and its change of slack.
-
-        The other two are the second-order terms of the equations.
-        """
+        """Return the reach of a step to a target, the step, and its change of slack."""
+        # second_bodies and second_free are the second-order terms of the equations.
         programme, at = self._programme, self._at
         bodies, kept = programme.body_columns, programme.nonnegative
         n_bodies, shape = len(bodies), at.duals.shape
@@ -272,11 +232,9 @@ class _Equations:
         return reach, iterate, change
 
     def predict_and_correct(self, mean, end):
-        """Return reach and step of Mehrotra's predictor and corrector.
-
-        The predictor tells how far the target can be lowered from `mean`, at most to
-        `end`, and its second-order term corrects the step.
-        """
+        """Return reach and step of Mehrotra's predictor and corrector."""
+        # The predictor tells how far the target can be lowered from `mean`, at most to
+        # `end`, and its second-order term corrects the step.
         reach, step, change = self.direction(0.0)
         kept = self._programme.nonnegative
         reach, step, _ = self.direction(

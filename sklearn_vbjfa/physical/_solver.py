@@ -1,7 +1,7 @@
 """Solve the projection's programme and certify the answer.
 
 clarabel solves, the refinement takes its answer to the last digits, and the programme
-certifies both.  Where clarabel has no answer, or one from which the refinement does not
+certifies both. Where clarabel has no answer, or one from which the refinement does not
 reach its gap (rods that are hardly spoiled, at distances of 1e-9 of the vector), the
 refinement starts from the vector with clipped eigenvalues.
 """
@@ -36,48 +36,19 @@ class ProjectionError(RuntimeError):
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """A consistent vector and what is known of it.
+    """A consistent vector and what is known of it."""
 
-    Attributes
-    ----------
-    vector : ndarray of shape (n_features,)
-        Consistent vector in scaled units.
-    gap : float
-        Certified excess of the squared distance, relative, see
-        `Programme.relative_gap`.
-    n_iter : int
-        Iterations of clarabel and steps of the refinement.
-    status : str
-        How clarabel ended, and how its refinement did if the gap is not what was aimed
-        at; "nothing to do" where neither was asked.
-    """
-
-    vector: np.ndarray
+    vector: np.ndarray  # (n_features,): consistent vector in scaled units
+    # certified excess of the squared distance, relative, see `Programme.relative_gap`
     gap: float
-    n_iter: int
-    status: str
+    n_iter: int  # iterations of clarabel and steps of the refinement
+    status: str  # how clarabel ended, and its refinement if the gap is not reached
 
 
 def solve(programme, *, max_steps):
-    """Solve a programme with clarabel, refine the answer and certify it.
+    """Solve a programme with clarabel, refine the answer and certify it."""
+    # ProjectionError if no answer has a certified gap below the limit.
 
-    Parameters
-    ----------
-    programme : Programme
-        The projection in scaled variables.
-    max_steps : int
-        Largest number of iterations of one solve, and of steps of its refinement.
-
-    Returns
-    -------
-    Solution
-        The nearest vector.
-
-    Raises
-    ------
-    ProjectionError
-        If no answer has a certified gap below the limit.
-    """
     # The least lift is an answer by itself where hardly anything has to move; no vector
     # is nearer than nothing, so its own squared distance bounds its excess.
     vector = programme.lift(programme.point, programme.margin)

@@ -344,11 +344,9 @@ def resolve_input_noise(input_noise, n_features):
 
 
 def noise_shares(noise, data, names):
-    """Shares (n_active,) of the inputs' variances that are noise, or None if unknown.
-
-    A share of 1 marks an input that holds no signal beyond its noise; the user is
-    warned of it.
-    """
+    """Shares (n_active,) of the inputs' variances that are noise, None if unknown."""
+    # A share of 1 marks an input that holds no signal beyond its noise; the user is
+    # warned of it.
     if noise is None:
         return None
     n_active = data.x_scale.shape[0]
@@ -388,10 +386,8 @@ class IndependentFit:
 
 
 def fit_independent(data, prior, initial_noise, *, max_iter, tol, accelerate=True):
-    """Run the iteration and derive coefficients, covariances and noise.
-
-    data : Standardised; initial_noise : share of each input's variance at the start.
-    """
+    """Run the iteration and derive coefficients, covariances and noise."""
+    # initial_noise: share of each input's variance at the start.
     moments = data.moments
     d = moments.xx.shape[0]
     state = _solver.start(moments, prior, np.full(d, initial_noise))
@@ -468,14 +464,6 @@ def _coefficient_covariance(moments, s, precision):
 
 
 def fit_moments(estimator, moments):
-    """Fit an estimator to second moments of rows that it never sees.
-
-    Parameters
-    ----------
-    estimator : BaseJointFactorRegressor
-        Estimator; it is fitted itself.
-    moments : Moments
-        Second moments of inputs and output.
-    """
+    """Fit an estimator, itself, to second moments of rows that it never sees."""
     estimator._validate_params()
     return estimator._fit_moments(moments)

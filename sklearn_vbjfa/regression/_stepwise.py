@@ -28,28 +28,13 @@ TIE = 1e-8
 
 @dataclass(frozen=True, kw_only=True)
 class StepwiseStep:
-    """One step of a stepwise regression.
+    """One step of a stepwise regression."""
 
-    Attributes
-    ----------
-    feature : int
-        Column of X that entered or left the model.
-
-    action : {"enter", "remove"}
-        What happened to it.
-
-    F : float
-        Partial F-ratio of the feature, on 1 and the residual degrees of freedom of
-        the larger of the two models; no unit.
-
-    p_value : float
-        Upper tail probability of `F`.
-    """
-
-    feature: int
-    action: str
+    feature: int  # column of X
+    action: str  # what happened to it
+    # partial F-ratio, on 1 and the residual degrees of freedom of the larger model
     F: float
-    p_value: float
+    p_value: float  # upper tail probability of `F`
 
 
 class StepwiseRegressor(LinearRegressor):
@@ -269,34 +254,21 @@ class StepwiseRegressor(LinearRegressor):
 
 @dataclass(frozen=True, kw_only=True)
 class StepwiseSelection:
-    """Outcome of :func:`select_features`.
+    """Outcome of :func:`select_features`."""
 
-    Attributes
-    ----------
-    selected : ndarray of shape (n_features,), dtype=bool
-        Features in the final model.
-
-    path : tuple of StepwiseStep
-        Steps in order.
-
-    status : {"converged", "max_iter", "revisited"}
-        Why the search ended; "revisited" if rounding proposed a model seen before.
-    """
-
-    selected: np.ndarray
+    selected: np.ndarray  # (n_features,): features in the final model
     path: tuple
+    # why the search ended; "revisited" if rounding proposed a model seen before
     status: str
 
 
 def sweep(table, pivot):
-    """Sweep a square matrix on one diagonal element (Goodnight, 1979).
-
-    Swept on a set S, a correlation matrix R of [X y] holds ``inv(R_SS)`` in the
-    block SS, the standardised coefficients in S y, and in the rest the products of
-    what S leaves unexplained: 1 - R^2 of each other feature on the diagonal, the
-    residual sum of squares in y y. The table (k, k), possibly swept on other
-    elements, is not modified.
-    """
+    """Sweep a square matrix on one diagonal element (Goodnight, 1979)."""
+    # Swept on a set S, a correlation matrix R of [X y] holds ``inv(R_SS)`` in the block
+    # SS, the standardised coefficients in S y, and in the rest the products of what S
+    # leaves unexplained: 1 - R^2 of each other feature on the diagonal, the residual
+    # sum of squares in y y. The table (k, k), possibly swept on other elements, is not
+    # modified.
     column = table[:, pivot].copy()
     row = table[pivot] / column[pivot]
     swept = table - np.outer(column, row)
@@ -307,11 +279,9 @@ def sweep(table, pivot):
 
 
 def select_features(correlation, dof, *, p_enter, p_remove, max_iter):
-    """Run forward selection with backward elimination until no test moves a feature.
-
-    correlation : products (d + 1, d + 1) of the unit-length columns of [X y], zero for
-    constants; dof : degrees of freedom of y before any feature enters.
-    """
+    """Run forward selection with backward elimination until no test moves a feature."""
+    # correlation: products (d + 1, d + 1) of the unit-length columns of [X y], zero for
+    # constants; dof: degrees of freedom of y before any feature enters.
     n_features = correlation.shape[0] - 1
     selected = np.zeros(n_features, dtype=bool)
     path = []

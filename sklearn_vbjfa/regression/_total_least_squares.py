@@ -168,19 +168,9 @@ class TotalLeastSquares(LinearRegressor):
         return self
 
     def _noise_coordinates(self, n_features):
-        """Coordinates with independent noise of unit variance, or without noise.
-
-        Returns
-        -------
-        whiten : ndarray of shape (n_features, n_features)
-            ``X @ whiten`` are the new coordinates.
-
-        exact : ndarray of shape (n_features,), dtype=bool
-            New coordinates that have no noise.
-
-        output_std : float
-            Noise standard deviation of y.
-        """
+        """Coordinates ``X @ whiten`` of independent noise, of unit variance or zero."""
+        # Returns whiten (n_features, n_features), which new coordinates are exact
+        # (n_features,), and the noise standard deviation of y.
         if (self.input_noise is None) != (self.output_noise is None):
             names = ["input_noise", "output_noise"]
             given, missing = names if self.output_noise is None else names[::-1]

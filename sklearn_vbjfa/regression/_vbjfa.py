@@ -382,12 +382,11 @@ class VBJFARegressor(BaseJointFactorRegressor):
 
 @dataclass(frozen=True, kw_only=True)
 class CorrelatedFit:
-    """Solutions in standardised units, spread over all active columns.
+    """Solutions in standardised units, spread over all active columns."""
 
-    `noisy` and `noiseless` are the linear models for the two kinds of queries, with
-    the solutions that they come from; alpha, relevant (d,) and psi (d, d) are the
-    precisions, the relevant inputs and the input noise.
-    """
+    # `noisy` and `noiseless` are the linear models for the two kinds of queries, with
+    # the solutions that they come from; alpha, relevant (d,) and psi (d, d) are the
+    # precisions, the relevant inputs and the input noise.
 
     noisy: LinearModel
     noiseless: LinearModel
@@ -407,25 +406,11 @@ def largest_noise_fraction(R, r):
 
 
 def fit_correlated(data, noise, labels, solve, *, select, dof=np.inf):
-    """Fit the model to standardised data.
-
-    Parameters
-    ----------
-    data : Standardised
-        Moments as a scatter matrix, and scales.
-    noise : None, float, ndarray of shape (d,) or (d, d)
-        The user's input noise, already validated; None estimates it.
-    labels : sequence
-        Names of the columns for messages.
-    solve : callable
-        `solve_correlated` with its settings, of moments and a noise covariance.
-    select : bool
-        For noiseless queries: reduce exactly dependent inputs to their generators and
-        fit only relevant ones, with one precision in common. Noisy queries are then
-        answered by all inputs as they are, see `_average`.
-    dof : float
-        Degrees of freedom with which the user's noise was estimated.
-    """
+    """Fit the model to standardised data and its moments as a scatter matrix."""
+    # noise: the user's, validated; None estimates it, `dof` are the degrees of freedom
+    # with which it was. select, for noiseless queries: reduce exactly dependent inputs
+    # to their generators and fit only relevant ones, with one precision in common;
+    # noisy queries are then answered by all inputs as they are, see `_average`.
     m = data.moments
     d = m.xx.size
     psi = _standard_noise(noise, data)
@@ -520,11 +505,9 @@ def _uncertainty(m, psi, coef, in_common, dof=np.inf):
 
 
 def _noisy_model(m, solution, solve):
-    """Model of y given noisy inputs, c = H'beta, with its variance v and uncertainty.
-
-    v is psi_y + beta'P beta. That of c is what a regression on the inputs as they are
-    leaves open, see `_uncertainty`.
-    """
+    """Model of y given noisy inputs: c = H'beta, its variance v and uncertainty."""
+    # v is psi_y + beta'P beta. That of c is what a regression on the inputs as they are
+    # leaves open, see `_uncertainty`.
     beta, latent = solution.state.beta_mean, solution.latent
     coef = latent.H.T @ beta  # [C5]
     exact = np.zeros_like(m.S)

@@ -7,27 +7,11 @@ from sklearn_vbjfa.simulation._terms import CHANNELS
 
 
 def true_torques(robot, tau, t):
-    """Turn measured torques into those at the joints.
-
-    The gains of the channels are divided out. A delay is taken back by reading the
-    recording later (or earlier) by it; a filter, y = x + B x for the torque x, by the
-    first terms of the series of its inverse, x = y - B y + B^2 y: it restores what the
-    filter lets through without blowing up the noise above.
-
-    Parameters
-    ----------
-    robot : TorqueModel
-        Robot.
-    tau : ndarray of shape (n, nv)
-        Measured torques [N m or N].
-    t : ndarray of shape (n,)
-        Times [s].
-
-    Returns
-    -------
-    ndarray of shape (n, nv)
-        Torques at the joints at the same times.
-    """
+    """Turn measured torques (n, nv) at times t (n,) into those at the joints."""
+    # The gains of the channels are divided out. A delay is taken back by reading the
+    # recording later (or earlier) by it; a filter, y = x + B x for the torque x, by the
+    # first terms of the series of its inverse, x = y - B y + B^2 y: it restores what
+    # the filter lets through without blowing up the noise above.
     out = tau / robot.gains
     for effect, coef in zip(robot.effects, robot.coefficients):
         if isinstance(effect, CHANNELS) and t.size > 1:

@@ -12,36 +12,10 @@ from sklearn_vbjfa.simulation._simulate import (
 
 
 def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
-    """Simulate a robot whose torques a controller sets, and holds until it does again.
-
-    Parameters
-    ----------
-    robot : TorqueModel
-        Robot.
-    control : callable
-        (row, q, v) -> torques (nv,) as the channels read them [N m or N]; row is a
-        float, such as 3.5 between rows 3 and 4.
-    q0, v0 : ndarray of shape (nv,)
-        Start [rad or m, and per s].
-    t : ndarray of shape (n,)
-        Times of the rows [s].
-    signals : mapping of str to ndarray of shape (n,), default=None
-        What was recorded beside the motion.
-    updates : int, default=1
-        How often the controller sets torques in a sample period.
-
-    Returns
-    -------
-    states : ndarray of shape (n, 3 * nv)
-        States [q | v | a].
-    tau : ndarray of shape (n, nv)
-        Torques of the controller.
-
-    Raises
-    ------
-    SimulationError
-        If the loop diverges.
-    """
+    """Simulate a robot whose torques a controller sets and then holds."""
+    # control: (row, q, v) -> torques (nv,) as the channels read them, row being 3.5
+    # between rows 3 and 4; updates: how often in a sample period. Returns states (n, 3
+    # nv), torques (n, nv).
     n, nv = t.size, robot.n_joints
     dynamics = ForwardDynamics(robot, Recorded(signals or {}, t))
     states, tau = np.empty((n, 3 * nv)), np.empty((n, nv))

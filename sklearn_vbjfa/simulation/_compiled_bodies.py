@@ -67,23 +67,9 @@ def _rows(body, x):
 
 @compiled
 def bodies_at(q, v, tree, bodies, armature, M, h):
-    """Write the inertia matrix and the nonlinear effects of a tree at a state.
-
-    Parameters
-    ----------
-    q, v : ndarray of shape (nv,)
-        State.
-    tree : Tree
-        Robot.
-    bodies : ndarray of shape (nv, 10)
-        Inertial parameters about the joint frames, Pinocchio's order.
-    armature : ndarray of shape (nv,)
-        Rotor inertias [kg m^2 or kg].
-    M : ndarray of shape (nv, nv)
-        Where to write the inertia matrix, rotors included.
-    h : ndarray of shape (nv,)
-        Where to write torques at rest of the accelerations, gravity included.
-    """
+    """Write the inertia matrix M (nv, nv) and nonlinear effects h (nv,) at a state."""
+    # bodies (nv, 10); armature (nv,): rotor inertias [kg m^2 or kg], which M includes;
+    # h: torques at rest of the accelerations, gravity included.
     nv = q.size
     state = np.zeros((nv, _STATE))
     for j in range(nv):

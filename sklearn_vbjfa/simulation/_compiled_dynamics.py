@@ -85,34 +85,18 @@ def accelerate(
     before,
     out,
 ):
-    """Accelerations at one state, see `ForwardDynamics.accelerate`.
-
-    Parameters
-    ----------
-    M, h, ML, hL : ndarray
-        Inertia matrix and nonlinear effects of the robot, and of what loads joints.
-    tau, q, v, mode, stuck : ndarray of shape (nv,)
-        True torques, state, signs of dry friction, joints that stick.
-    of_load : bool
-        Whether friction depends on the load.
-    lines : ndarray of shape (6, nv)
-        Viscous friction, constant torque, dry friction, that over the load, and the
-        ends of the load that it follows.
-    inertia, coupling : ndarray of shape (nv, nv)
-        Torque by acceleration and velocity, see `Terms`.
-    kinds, joints, numbers, memory : ndarray
-        Table of terms.
-    before : ndarray of shape (nv,)
-        Accelerations found before.
-    out : ndarray of shape (5, nv)
-        Where to write accelerations, needed dry friction, its limit, derivatives by
-        position and velocity.
-
-    Returns
-    -------
-    float
-        Power of torques that do not dissipate [W].
-    """
+    """Accelerations at one state, see `ForwardDynamics.accelerate`; power [W]."""
+    # M, h, ML, hL: inertia matrix and nonlinear effects of the robot, and of what loads
+    # joints; tau, q, v, mode, stuck (nv,): true torques, state, signs of dry friction,
+    # joints that stick.
+    # lines (6, nv): viscous friction, constant torque, dry friction, that over the
+    # load, and the ends of the load that it follows; of_load: whether friction depends
+    # on it; inertia, coupling (nv, nv): torque by acceleration and velocity, see
+    # `Terms`.
+    # kinds, joints, numbers, memory: table of terms; before (nv,): accelerations found
+    # before; out (5, nv), written: accelerations, needed dry friction, its limit,
+    # derivatives by position and velocity. The power is that of torques that do not
+    # dissipate.
     nv = q.size
     placed, smooth = lines[1].copy(), lines[0] * v
     dry, load_smooth = lines[2].copy(), np.zeros(nv)
@@ -220,44 +204,13 @@ def explicit_step(
     numbers,
     memory,
 ):
-    """Runge-Kutta step of order four, its error by one of order three.
-
-    Parameters
-    ----------
-    q, v, a : ndarray of shape (nv,)
-        State at the beginning.
-    power : float
-        Power there, as of `accelerate`.
-    tau, rate : ndarray of shape (nv,)
-        Torques at the beginning, and what they change by in a second.
-    h : float
-        Length of the step [s].
-    mode, stuck, fast : ndarray of shape (nv,)
-        Modes of friction, and fastest speeds, for the tolerance.
-    tolerance : float
-        Error that is allowed, in units of the fastest speeds.
-    tree, bodies, armature
-        Robot, see `bodies_at`.
-    loaded : ndarray of shape (nv, 10)
-        Bodies that load the joints, for friction in proportion to it.
-    of_load, ..., memory
-        As for `accelerate`.
-
-    Returns
-    -------
-    q, v : ndarray of shape (nv,)
-        Positions and velocities at the end.
-    work : float
-        Work of torques that do not dissipate [J].
-    power : float
-        Power at the end.
-    error : float
-        Error in units of what is allowed.
-    found : ndarray of shape (5, nv)
-        What `accelerate` writes, at the end.
-    M : ndarray of shape (nv, nv)
-        Inertia matrix at the end.
-    """
+    """Runge-Kutta step of order four, its error by one of order three."""
+    # q, v, a, power: at the beginning; tau, rate (nv,): torques there, and what they
+    # change by in a second; h: length of the step [s]; fast (nv,): fastest speeds, in
+    # units of which `tolerance` is; loaded (nv, 10): bodies that load the joints; the
+    # rest as `bodies_at` and `accelerate`.
+    # Returns q, v at the end, the work of torques that do not dissipate [J], power,
+    # error in units of what is allowed, what `accelerate` writes (5, nv), and M there.
     nv = q.size
     M, ML, before = np.empty((nv, nv)), np.empty((nv, nv)), a
     effects, load = np.empty(nv), np.empty(nv)

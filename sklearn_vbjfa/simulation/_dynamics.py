@@ -59,29 +59,14 @@ def _is_depth_first(model):
 
 
 class ForwardDynamics:
-    """Accelerations of a `TorqueModel`, with its friction, one state at a time.
+    """Accelerations of a `TorqueModel`, with its friction, one state at a time."""
 
-    Dry friction acts by modes: -1 or 1 for a joint that slides that way, 0 for one that
-    sticks, whose acceleration is zero, or that has none.
-
-    Parameters
-    ----------
-    robot : TorqueModel
-        Robot.
-    signals : callable, default=None
-        (name, t) -> value of what was recorded beside the motion.
-
-    Attributes
-    ----------
-    power : float
-        Power of all torques that need not dissipate [W]: of the drives, of springs.
-    mass : ndarray of shape (nv, nv)
-        Inertia matrix, rotors included.
-    has_dry : ndarray of shape (nv,), bool
-        Joints that can stick.
-    steps : module
-        Arithmetic of a step, compiled where Numba is installed.
-    """
+    # Dry friction acts by modes: -1 or 1 for a joint that slides that way, 0 for one
+    # that sticks, whose acceleration is zero, or that has none. signals: (name, t) ->
+    # value of what was recorded beside the motion; power: of all torques that need not
+    # dissipate [W], such as of drives and springs; mass (nv, nv): rotors included;
+    # has_dry (nv,): joints that can stick; steps: module with the arithmetic of a step,
+    # compiled where Numba is installed.
 
     def __init__(self, robot, signals=None):
         pin = import_pinocchio()
@@ -226,10 +211,8 @@ class ForwardDynamics:
     # -- accelerations -----------------------------------------------------------------
 
     def accelerate(self, q, v, tau, mode, stuck):
-        """Find the accelerations (nv,) under true torques tau, by modes of friction.
-
-        mode (nv,) : signs of dry friction; stuck (nv,), bool : joints that stick.
-        """
+        """Find the accelerations (nv,) under true torques tau, by modes of friction."""
+        # mode (nv,): signs of dry friction; stuck (nv,): joints that stick.
         pin, data = self._pin, self._data
         self.mass = M = self._inertia(self.model, data, q)
         h = pin.nonLinearEffects(self.model, data, q, v)
@@ -250,10 +233,8 @@ class ForwardDynamics:
         return self._fast is not None and not self.changes
 
     def explicit_step(self, q, v, a, power, *step):
-        """Do a compiled step; (q, v, work, (a, power), error) at its end.
-
-        Arguments are those of `explicit_step` in `_compiled_dynamics`, but the robot.
-        """
+        """Do a compiled step; (q, v, work, (a, power), error) at its end."""
+        # Arguments are those of `explicit_step` in `_compiled_dynamics`, but the robot.
         own = *step, *self._robot, *self._table
         q, v, work, self.power, error, self._found, self.mass = (
             self._fast.explicit_step(q, v, a, power, *own)

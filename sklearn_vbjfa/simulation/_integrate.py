@@ -1,33 +1,18 @@
-r"""Motion of a robot from its accelerations, through the events of dry friction.
+"""Motion of a robot from its accelerations, through the events of dry friction.
 
-Between events, at which a joint stops, turns round or breaks loose, the accelerations
-are smooth, and classical Runge-Kutta steps of order four follow them. The slope at the
-end of a step, which begins the next one, replaces the last of its four slopes in a
-formula of order three; the difference is the error estimate that the length of the next
-step is chosen by. A step in which a joint's velocity changes its sign is done again up
-to the time when it is zero, by the cubic through its values and slopes at both ends.
-There the joint sticks if dry friction can hold it, and slides on otherwise.
+Between events, at which a joint stops, turns round or breaks loose, accelerations are
+smooth, and classical Runge-Kutta steps of order four follow them. The slope at the end
+of a step replaces the last of its four slopes in a formula of order three; the
+difference is the error estimate. A step in which a joint's velocity changes its sign is
+done again up to the time when it is zero, by the cubic through its values and slopes at
+both ends. There the joint sticks if dry friction can hold it, and slides on otherwise.
+Where friction or a stiffness is so steep that steps would be short for stability alone,
+they are implicit: ROS34PW2 of order three with any Jacobian matrix A, here that of
+friction and springs, L-stable, with an embedded method of order two (Rang and
+Angermann, BIT 45(4), 2005, doi:10.1007/s10543-005-0035-y):
 
-Where smooth friction or a stiffness is so steep that those steps would be short for
-stability alone, steps are implicit: the Rosenbrock method ROS34PW2 of four stages, of
-order three with any Jacobian matrix A [1]_, here that of friction and springs,
-
-.. math::
-
-    (1 - \gamma h A)\,k_i = f(t + \alpha_i h, y + h \sum_j \alpha_{ij} k_j)
-    + h A \sum_j \gamma_{ij} k_j + \gamma_i h f_t, \quad
-    y(t + h) = y + h \sum_i b_i k_i.
-
-It is L-stable; its error estimate is that of an embedded method of order two.
-
-References
-----------
-.. [1] J. Rang, L. Angermann, "New Rosenbrock W-methods of order 3 for partial
-   differential algebraic equations of index 1", BIT Numerical Mathematics 45(4), 2005.
-   :doi:`10.1007/s10543-005-0035-y`
-.. [2] J. J. Judice, F. M. Pires, "A block principal pivoting algorithm for large-scale
-   strictly monotone linear complementarity problems", Computers & Operations Research
-   21(5), 1994. :doi:`10.1016/0305-0548(94)90106-6`
+    (1 - gamma h A) k_i = f(t + alpha_i h, y + h sum_j alpha_ij k_j)
+        + h A sum_j gamma_ij k_j + gamma_i h f_t,  y(t + h) = y + h sum_i b_i k_i.
 """
 
 from typing import NamedTuple
@@ -97,33 +82,11 @@ class _End(NamedTuple):
 
 
 class Integrator:
-    """A robot in motion.
+    """A robot in motion: its state under true torques tau (nv,) at a time t [s]."""
 
-    Parameters
-    ----------
-    dynamics : ForwardDynamics
-        Robot.
-    q, v : ndarray of shape (nv,)
-        Start [rad or m, and per s].
-    tau : ndarray of shape (nv,)
-        True torques at the start [N m or N].
-    t : float
-        Time of the start [s].
-
-    Attributes
-    ----------
-    q, v : ndarray of shape (nv,)
-        Present state.
-    work : float
-        Work of all torques that do not dissipate, since the start [J].
-    steps : int
-        Number of steps taken.
-    held : ndarray of shape (nv,), int
-        In how many sample periods a joint stopped so often that it was held from there
-        to the end.
-    held_since : float
-        Time of the first of these stops [s]; nan without any.
-    """
+    # work: of all torques that do not dissipate, since the start [J]; held (nv,): in
+    # how many sample periods a joint stopped so often that it was held from there to
+    # the end; held_since: time of the first of these stops [s], nan without any.
 
     def __init__(self, dynamics, q, v, tau, t):
         self._dynamics = dynamics
@@ -158,13 +121,13 @@ class Integrator:
         return own.accelerate(q, v, tau, self._mode, self._stuck), own.power
 
     def settle(self, tau):
-        """Find which joints at rest stick, and all accelerations.
-
-        Friction and accelerations of joints at rest solve a linear complementarity
-        problem: a joint sticks within its limit, or slides the way it is pushed.
-        Changing the first joint that does neither, again and again, ends at the one
-        solution, whatever the (positive definite) inertia matrix [2]_.
-        """
+        """Find which joints at rest stick, and all accelerations."""
+        # Friction and accelerations of joints at rest solve a linear complementarity
+        # problem: a joint sticks within its limit, or slides the way it is pushed.
+        # Changing the first joint that does neither, again and again, ends at the one
+        # solution, whatever the (positive definite) inertia matrix (Judice and Pires,
+        # Computers & Operations Research 21(5), 1994,
+        # doi:10.1016/0305-0548(94)90106-6).
         own = self._dynamics
         at_rest = own.has_dry & ((self.v == 0) | self._stuck)
         self.v[at_rest] = 0.0
@@ -191,13 +154,8 @@ class Integrator:
         self._way = own.steps.directions(self.v, slope[0])
 
     def advance(self, tau, after, dt):
-        """Go on for a sample period, in which torques go from `tau` to `after`.
-
-        Raises
-        ------
-        Diverged
-            If the numbers do not stay finite, or steps become ever shorter.
-        """
+        """Go on for a sample period, in which torques go from `tau` to `after`."""
+        # Diverged if the numbers do not stay finite, or steps become ever shorter.
         rate = (after - tau) / dt
         if self._stops_often:
             barred = (self._stops > MOST_STOPS).any()
@@ -223,10 +181,8 @@ class Integrator:
     # -- one step ----------------------------------------------------------------------
 
     def _attempt(self, tau, rate, h):
-        """Try a step of length h, or up to its first event; (length, result or None).
-
-        There is no result where the error is too large: the next step is shorter.
-        """
+        """Try a step of length h, or to its first event; its length and result."""
+        # There is no result where the error is too large: the next step is shorter.
         own, asked = self._dynamics, h
         slopes = own.by_position, own.by_velocity
         stiff = own.steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
@@ -379,10 +335,8 @@ class Integrator:
 
 
 def _root(v0, v1, a0, a1):
-    """First zero in (0, 1] of the cubic with these values and slopes at 0 and 1.
-
-    The signs of the values differ, or the first is zero.
-    """
+    """First zero in (0, 1] of the cubic with these values and slopes at 0 and 1."""
+    # The signs of the values differ, or the first is zero.
     c3, c2 = 2 * (v0 - v1) + a0 + a1, 3 * (v1 - v0) - 2 * a0 - a1
     low, high = 0.0, 1.0
     way = np.sign(v1)

@@ -42,45 +42,29 @@ _NARROW = 1e-3
 
 @dataclass(slots=True)
 class Row:
-    """One state, as lists of floats.
-
-    Attributes
-    ----------
-    q, v, a : list of float
-        Positions, velocities and accelerations of all joints.
-    t, known_t : float or None
-        Time [s], and that not earlier than the fit.
-    dt : float or None
-        Time since the state before [s]; None for the first.
-    signs : list of float
-        Mean signs of the velocities.
-    load, torque : list of float or None
-        Torques of the rigid bodies and of the whole model for effects of the load.
-    signals : mapping of str to float
-        What is recorded beside the motion.
-    """
+    """One state, as lists of floats."""
 
     q: list = field(default_factory=list)
     v: list = field(default_factory=list)
     a: list = field(default_factory=list)
+    # [s]; known_t is not earlier than the fit
     t: float | None = None
     known_t: float | None = None
-    dt: float | None = None
-    signs: list = field(default_factory=list)
+    dt: float | None = None  # time since the state before [s]; None for the first
+    signs: list = field(default_factory=list)  # mean signs of the velocities
+    # torques of the rigid bodies and of the whole model for effects of the load
     load: list | None = None
     torque: list | None = None
-    signals: dict = field(default_factory=dict)
+    signals: dict = field(default_factory=dict)  # what is recorded beside the motion
 
 
 # -- signs of velocities ---------------------------------------------------------------
 
 
 def sign_of(rest, smoothing=0.0) -> Callable:
-    """Return a function (v, a) -> mean sign of a velocity, by the rule of `Rest`.
-
-    rest : `Rest` of one joint or of a sum of speeds, or None; its noise is zero.
-    smoothing : that of tanh(v / smoothing), zero for the sign.
-    """
+    """Return a function (v, a) -> mean sign of a velocity, by the rule of `Rest`."""
+    # rest: `Rest` of one joint or of a sum of speeds, or None; its noise is zero.
+    # smoothing: that of tanh(v / smoothing), zero for the sign.
     speed = 0.0 if rest is None else float(rest.speed[0])
     time = 0.0 if rest is None else float(rest.time[0])
     square = speed * speed
@@ -352,10 +336,8 @@ _LAWS = {
 
 
 def law_of(effect, rest):
-    """Return a function of a `Row` to the columns of an effect of one joint.
-
-    None for one that is not of the library, or acts on several joints.
-    """
+    """Return a function of a `Row` to the columns of an effect of one joint."""
+    # None for one that is not of the library, or acts on several joints.
     law = _LAWS.get(type(effect))
     return None if law is None else law(effect, rest)
 

@@ -50,15 +50,7 @@ class SimulationError(ValueError):
 
 
 class Recorded:
-    """Signals recorded beside a motion, straight between their samples.
-
-    Parameters
-    ----------
-    signals : mapping of str to ndarray of shape (n,)
-        Values by name.
-    t : ndarray of shape (n,)
-        Their times [s].
-    """
+    """Signals (n,) recorded beside a motion at times t, straight in between."""
 
     def __init__(self, signals, t):
         self._signals, self._t = dict(signals), t
@@ -78,27 +70,10 @@ class Recorded:
 
 
 def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
-    """Simulate a robot that is driven by measured torques.
-
-    Parameters
-    ----------
-    robot : TorqueModel
-        Robot; its `dt` is the sample period unless `t` is given.
-    tau : array-like of shape (n, nv)
-        Torques that the channels measured [N m or N].
-    q0, v0 : array-like of shape (nv,)
-        Positions and velocities in the first row [rad or m, and per s]; velocities are
-        zero by default.
-    t : array-like of shape (n,), default=None
-        Times of the rows [s], on the clock of the fit.
-    signals : mapping of str to array-like of shape (n,), default=None
-        What was recorded beside the motion.
-
-    Returns
-    -------
-    ndarray of shape (n, 3 * nv)
-        States [q | v | a] at the times of the rows.
-    """
+    """Simulate a robot that is driven by measured torques; states (n, 3 nv)."""
+    # tau (n, nv): as the channels read them; q0, v0 (nv,): in the first row; t (n,):
+    # times of the rows [s] on the clock of the fit, by default every `dt` of the robot;
+    # signals: by name.
     q0, v0 = _start(robot, q0, v0)
     tau = _torques(robot, tau)
     t = _times(robot, t, len(tau))

@@ -17,20 +17,10 @@ _ROUNDING = 1e-14
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOutEffect:
-    """An effect that torques state by state do without.
-
-    Attributes
-    ----------
-    name : str
-        Effect.
-    joint : int
-        Joint, from zero.
-    reason : str
-        Why.
-    """
+    """An effect that torques state by state do without."""
 
     name: str
-    joint: int
+    joint: int  # from zero
     reason: str
 
 
@@ -46,20 +36,7 @@ def why_left_out(effect):
 
 
 def causal(model):
-    """Return a `TorqueModel` without what states one by one cannot have, and that.
-
-    Parameters
-    ----------
-    model : TorqueModel
-        Robot.
-
-    Returns
-    -------
-    TorqueModel
-        The same robot without the others.
-    tuple of LeftOutEffect
-        The others.
-    """
+    """Return a `TorqueModel` without effects that look ahead of a state, and those."""
     reasons = [
         "" if effect.in_model else why_left_out(effect) for effect in model.effects
     ]

@@ -6,11 +6,9 @@ _TINY = float(np.finfo(float).tiny)
 
 
 def step_error(h, a1, a4, a5, fast, tolerance):
-    """Error of such a step in units of what is allowed; nan where it is none.
-
-    a1, a4, a5 (nv,) : accelerations at its beginning, its last slope, and at its end;
-    fast (nv,) : fastest speeds.
-    """
+    """Error of such a step in units of what is allowed; nan where it is none."""
+    # a1, a4, a5 (nv,): accelerations at its beginning, its last slope, and at its end;
+    # fast (nv,): fastest speeds.
     allowed = tolerance * np.maximum(fast, h * np.abs(a1))
     return (h / 6.0) * np.max(np.abs(a4 - a5) / allowed)
 
@@ -37,13 +35,11 @@ def directions(v, a):
 
 
 def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
-    """How far joints are past an event, in units of what they may be, (nv,).
-
-    Those that slide turn round; exact (nv,) : velocities that count as zero. Those that
-    stick break loose beyond `holds` times the limit of their friction; an excess of
-    `loose` times the limit counts as none. Negative before the event, -inf for joints
-    without any.
-    """
+    """How far joints are past an event, in units of what they may be, (nv,)."""
+    # Those that slide turn round; exact (nv,): velocities that count as zero. Those
+    # that stick break loose beyond `holds` times the limit of their friction; an excess
+    # of `loose` times the limit counts as none. Negative before the event, -inf for
+    # joints without any.
     out = np.where(watched & ~stuck, -way * v / exact, -np.inf)
     excess = (np.abs(needed) - holds * limit) / np.maximum(loose * limit, _TINY)
     return np.where(stuck, excess, out)

@@ -1,17 +1,10 @@
 """Friction and effects as scalar laws, split by how they enter forward dynamics.
 
-A torque that the drive must produce beside the rigid bodies' is one of
-
-- smooth, a function of positions, velocities, time and memory;
-- dry, a size that is multiplied by the sign of the joint's velocity: at rest it may
-  take any value between minus and plus its size;
-- in proportion to the size of the load, smooth or dry;
-- in proportion to accelerations, which goes to the inertia matrix.
-
-The laws of the library's effects are a table of numbers, which one scalar function
-reads: `add_terms`, compiled by Numba where it is installed and plain Python otherwise.
-Effects that the library does not know are evaluated by their own columns, see
-`OtherEffects`.
+A torque that the drive must produce beside the rigid bodies' is smooth (of positions,
+velocities, time and memory), dry (a size times the sign of the joint's velocity, and
+anything between at rest), either of them over the load, or in proportion to
+accelerations. The library's effects are a table of numbers for one scalar function,
+`add_terms`, compiled where Numba is installed; others are evaluated by their columns.
 """
 
 import math
@@ -74,57 +67,34 @@ _SLOPE = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Terms:
-    """Friction and effects of a robot, as numbers.
+    """Friction and effects of a robot, as numbers."""
 
-    Attributes
-    ----------
-    viscous, constant, dry, load_dry, armature : ndarray of shape (nv,)
-        Viscous friction, constant torque, Coulomb friction, dry friction over the load,
-        and rotor inertia: what needs no table.
-    load_ends : ndarray of shape (2, nv)
-        Lowest and highest load that friction over the load follows.
-    inertia : ndarray of shape (nv, nv)
-        Torque of joint (row) by acceleration of joint (column), beside rigid bodies
-        and rotors.
-    coupling : ndarray of shape (nv, nv)
-        Torque of joint (row) by velocity of joint (column), beside `viscous`.
-    kinds, joints : ndarray of shape (n_terms,), int
-        The table: laws, and the joints that they act on.
-    numbers : ndarray of shape (n_terms, 6)
-        Parameters of each law, and the ends between which it follows its joint's
-        position or velocity, whichever it is a law of.
-    levels : tuple of callable
-        For each term that changes with time or a signal, its size: (t, signals) ->
-        float.
-    leveled : tuple of int
-        Their places in the table.
-    others : OtherEffects or None
-        Effects that are not in the table.
-    payloads : tuple of (float, ndarray of shape (10,))
-        Instants [s] and what the last body's parameters change by.
-    remembers : ndarray of shape (nv,), bool
-        Joints with a memory of where they turned.
-    bends : ndarray of shape (nv,), bool
-        Joints whose torque has a bend where they turn.
-    """
-
+    # (nv,): what needs no table; load_dry is over the load
     viscous: np.ndarray
     constant: np.ndarray
     dry: np.ndarray
     load_dry: np.ndarray
+    # (2, nv): lowest and highest load that friction over the load follows
     load_ends: np.ndarray
     armature: np.ndarray
+    # (nv, nv): torque of joint (row) by acceleration of joint (column), beside rigid
+    # bodies and rotors
     inertia: np.ndarray
+    # (nv, nv): torque of joint (row) by velocity of joint (column), beside `viscous`
     coupling: np.ndarray
+    # (n_terms,): the table: laws, and the joints that they act on
     kinds: np.ndarray
     joints: np.ndarray
+    # (n_terms, 6): parameters of each law, and the ends between which it follows its
+    # joint's position or velocity, whichever it is a law of
     numbers: np.ndarray
+    # sizes of terms that change with time or a signal: (t, signals) -> float
     levels: tuple
-    leveled: tuple
-    others: object
-    payloads: tuple
-    remembers: np.ndarray
-    bends: np.ndarray
+    leveled: tuple  # their places in the table
+    others: object  # effects that are not in the table
+    payloads: tuple  # instants [s], and what the last body's parameters (10,) change by
+    remembers: np.ndarray  # (nv,): joints with a memory of where they turned
+    bends: np.ndarray  # (nv,): joints whose torque has a bend where they turn
 
     @property
     def of_load(self):
@@ -156,11 +126,8 @@ class Terms:
 
     @classmethod
     def of(cls, robot, known=None):
-        """Sort the friction and effects of a `TorqueModel`.
-
-        known : mapping of str to float
-            Values of recorded signals, one of each.
-        """
+        """Sort the friction and effects of a `TorqueModel`."""
+        # known: values of recorded signals, one of each.
         nv = robot.n_joints
         made = _Table(nv, None if robot.rest is None else robot.rest.speed, robot.since)
         declared = dict(zip(robot.friction_names, robot.friction.T))
@@ -224,10 +191,8 @@ class _Table:
         self.add(kind, joint)
 
     def take(self, effect, coef, held):
-        """Take an effect of the library, held by an `EffectRange`; False if it is none.
-
-        Nor is friction over the load, if that of the joint is held within other ends.
-        """
+        """Take an effect of the library, in an `EffectRange`; False if it is none."""
+        # Nor is friction over the load, if that of the joint is held within other ends.
         found = _LAWS.get(type(effect))
         if found is None:
             return False
@@ -419,25 +384,13 @@ def add_terms(
     by_velocity,
     load_by_velocity,
 ):
-    """Add the torques of a table of terms at one state.
-
-    Parameters
-    ----------
-    kinds, joints, numbers : sequence
-        Columns of the table. Beyond its ends a term is as it is there.
-    memory : sequence of shape (n_terms, 2)
-        Position at which each term was last looked at, and its state there; the joint
-        has not turned since.
-    q, v : sequence of shape (nv,)
-        State.
-    placed, smooth, dry, load_smooth : mutable sequence of shape (nv,)
-        What depends on the position and time alone or couples joints, and may do work;
-        smooth friction; the size of dry friction; and smooth friction over the load.
-        Added to.
-    by_position, by_velocity, load_by_velocity : mutable sequence of shape (nv,)
-        Derivatives of the smooth torques by the joint's own position and velocity, and
-        that of smooth friction over the load. Added to.
-    """
+    """Add the torques of a table of terms (kinds, joints, numbers) at one state."""
+    # Beyond its ends a term is as it is there. memory (n_terms, 2): position at which
+    # each term was last looked at, and its state there; the joint has not turned since.
+    # Added to, all (nv,): placed, what depends on position and time alone or couples
+    # joints, and may do work; smooth friction; the size of dry friction; smooth
+    # friction over the load; and the derivatives of smooth torques by the joint's own
+    # position and velocity, and of load_smooth.
     for i in range(len(kinds)):
         kind, j = kinds[i], joints[i]
         row = numbers[i]
@@ -528,28 +481,13 @@ def remember(kinds, joints, numbers, memory, q):
 
 
 class OtherEffects:
-    """Effects that are not of the library, by their own columns at one state.
+    """Effects that are not of the library, by their own columns at one state."""
 
-    Their torque may depend on accelerations and loads, and may jump where a joint
-    turns, which is dry friction of that joint. What depends on several rows (a memory,
-    a derivative) has no torque at one state: it is left out.
-
-    Parameters
-    ----------
-    robot : TorqueModel
-        Robot.
-    effects : sequence of (Effect, ndarray, EffectRange or None)
-        Effects, their coefficients, and what they are held within.
-    known : mapping of str to float
-        Values of recorded signals, one of each.
-
-    Attributes
-    ----------
-    left_out : tuple of (Effect, str)
-        Effects that are left out, and why.
-    jumps : ndarray of shape (nv,), bool
-        Joints whose torque jumps where they turn.
-    """
+    # Their torque may depend on accelerations and loads, and may jump where a joint
+    # turns (`jumps`, (nv,)), which is dry friction of that joint. What depends on
+    # several rows (a memory, a derivative) has no torque at one state and is left out;
+    # left_out says why. effects: with coefficients, and the `EffectRange` that they are
+    # held within or None; known: values of recorded signals.
 
     def __init__(self, robot, effects, known):
         self._nv = robot.n_joints
@@ -627,10 +565,8 @@ class OtherEffects:
         return out
 
     def at(self, q, v, t, known, mode, stuck):
-        """Torques at a state, `StateTorques`.
-
-        mode (nv,) : signs of dry friction; stuck (nv,), bool : joints that stick.
-        """
+        """Torques at a state, `StateTorques`."""
+        # mode (nv,): signs of dry friction; stuck (nv,), bool: joints that stick.
         turning = self.jumps & ~stuck & (v * mode <= 0)
         v = np.where(turning, _TURNS * mode, v)
         held = self.jumps & stuck
@@ -656,26 +592,17 @@ class OtherEffects:
 
 @dataclass(frozen=True)
 class StateTorques:
-    """Torques of other effects at one state.
+    """Torques of other effects at one state."""
 
-    Attributes
-    ----------
-    torque, dry : callable
-        (a, load) -> torque (nv,), and the size of dry friction of joints that stick.
-    accelerates : bool
-        Whether they depend on the accelerations or the load.
-    """
-
+    # (a, load) -> torque (nv,), and the size of dry friction of joints that stick
     torque: Callable
     dry: Callable
-    accelerates: bool
+    accelerates: bool  # whether they depend on the accelerations or the load
 
     def tangent(self, a, ML, hL):
-        """Torque at no acceleration, and by accelerations, as they are around `a`.
-
-        ML, hL : inertia matrix and nonlinear effects of the load. Returns ndarrays
-        (nv,) and (nv, nv); None for the latter where there is nothing.
-        """
+        """Torque at no acceleration, and by accelerations, as they are around `a`."""
+        # ML, hL: inertia matrix and nonlinear effects of the load. Returns ndarrays
+        # (nv,) and (nv, nv); None for the latter where there is nothing.
         there = self.torque(a, ML @ a + hL)
         if not self.accelerates:
             return there, None

@@ -105,6 +105,8 @@ class RecordingView:
         Blocks of time; `blocks` are these, or phases of a motion that repeats.
     repetition : Repetition or None
         Motion that repeats.
+    phases : tuple of two ndarray of shape (m,), or None
+        Motion that each filtered row is from and the time in it [s], if any repeats.
     span_order : ndarray of int
         All blocks, parts in an order that does not depend on how they came.
     precision : ndarray of shape (nv,)
@@ -226,11 +228,12 @@ class RecordingView:
             length,
             self._by_content(),
         )
+        self.phases = None
         if self.repetition:
             t, begins = self.clock[self.index], self.repetition.begins
             recording = np.searchsorted(begins, t, side="right") - 1
-            motion, phase = self.repetition.phase(recording, t)
-            self.blocks = phase_blocks(motion, phase, correlation, length)
+            self.phases = self.repetition.phase(recording, t)
+            self.blocks = phase_blocks(*self.phases, correlation, length)
         # Blocks in an order that does not know in which order the parts came.
         parts = self.spans.label[np.r_[self.starts, self.index.size - 1]]
         bounds = [*parts[:-1], parts[-1] + 1]

@@ -107,6 +107,8 @@ class RecordingView:
         Motion that repeats.
     phases : tuple of two ndarray of shape (m,), or None
         Motion that each filtered row is from and the time in it [s], if any repeats.
+    repeats : float
+        How many times each phase is there; one where nothing repeats.
     span_order : ndarray of int
         All blocks, parts in an order that does not depend on how they came.
     precision : ndarray of shape (nv,)
@@ -228,12 +230,14 @@ class RecordingView:
             length,
             self._by_content(),
         )
-        self.phases = None
+        self.phases, self.repeats = None, 1.0
         if self.repetition:
             t, begins = self.clock[self.index], self.repetition.begins
             recording = np.searchsorted(begins, t, side="right") - 1
             self.phases = self.repetition.phase(recording, t)
             self.blocks = phase_blocks(*self.phases, correlation, length)
+            once = self.blocks.n_blocks * self.blocks.length
+            self.repeats = max(self.index.size * self.step / once, 1.0)
         # Blocks in an order that does not know in which order the parts came.
         parts = self.spans.label[np.r_[self.starts, self.index.size - 1]]
         bounds = [*parts[:-1], parts[-1] + 1]

@@ -24,6 +24,7 @@ from sklearn_vbjfa.effects._ranges import own_motions
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.physical._threads import one_blas_thread
+from sklearn_vbjfa.recording._repetition import find_repetition
 from sklearn_vbjfa.robot._joint_moments import Numbering, piece_moments, sum_moments
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._ranges import SignalRanges
@@ -510,14 +511,25 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
 # -- passes over segments --------------------------------------------------------------
 
 
-def numbered(made, lowpass):
-    """Divide segments into blocks of time, see `Numbering`."""
-    return Numbering.of([lowpass.centres(one.n_rows).size for one in made])
+def numbered(recording, plan):
+    """Divide filtered rows into blocks of time, or of phases, see `Numbering`."""
+    sizes = [part.stop - part.start for part in recording.segments]
+    centres = [plan.lowpass.centres(n) for n in sizes]
+    lengths, clock = [own.size for own in centres], recording.clock()
+    # A mean period holds each phase once.
+    if clock is None or plan.repeats or not sum(lengths):
+        return Numbering.of(lengths)
+    repetition = find_repetition(recording.q, clock, recording.segments)
+    if not repetition:
+        return Numbering.of(lengths)
+    number = np.repeat(np.arange(len(lengths)), lengths)
+    t = repetition.begins[number] + plan.dt * np.concatenate(centres)
+    motion, phase = repetition.phase(number, t)
+    return Numbering.of(lengths, (motion, phase / (plan.dt * plan.lowpass.step)))
 
 
-def equations(made, lowpass):
-    """Yield the equations of segments, piece by piece, with their blocks of time."""
-    numbering = numbered(made, lowpass)
+def equations(made, lowpass, numbering=None):
+    """Yield the equations of segments, piece by piece, with blocks of a numbering."""
     for segment in made:
         for outputs in segment.pieces(lowpass):
             yield segment.equations(lowpass, outputs, numbering)
@@ -525,9 +537,7 @@ def equations(made, lowpass):
 
 def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
     """Second moments (`JointMoments`) of the filtered equations of segments."""
-    # `numbering` gives the blocks of time if `made` are not all the segments. None if
-    # every segment is shorter than the filter.
-    numbering = numbering or numbered(made, lowpass)
+    # None if every segment is shorter than the filter.
     tasks = [
         (segment, lowpass, outputs, numbering)
         for segment in made

@@ -34,6 +34,7 @@ from sklearn_vbjfa.robot._equations import (
     held_columns,
     is_plain,
     joined,
+    numbered,
     plain_coefficients,
     segments,
     unexcited_entries,
@@ -271,10 +272,10 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         plus or minus 1.645 of them. They allow for residuals correlated in time, as
         unmodelled effects are: the deviations for independent residuals are scaled by
         the ratio of observed to expected scatter between forty blocks of time (see
-        Notes). After `partial_fit` rows count as independent; nan if the regressor
-        provides none. The projection moves `theta_` into the physically consistent
-        set, and undetermined directions to the model's values; no deviation is given
-        for that.
+        Notes), or of phases where a motion repeats. After `partial_fit` rows count as
+        independent; nan if the regressor provides none. The projection moves `theta_`
+        into the physically consistent set, and undetermined directions to the model's
+        values; no deviation is given for that.
     theta_prior_std_ : ndarray of shape (p,)
         Standard deviations of the bodies' parameters by the description alone, at the
         scale that each body turned out to have; nan for what it does not say, and
@@ -357,9 +358,10 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
     `theta_std_` compares the scatter between forty blocks of time, over all recordings,
     with that expected of white residuals after the fit (a block sandwich estimate,
     unbiased for white residuals, with Student's t for the number of blocks). Blocks
-    are merged until neighbours are nearly uncorrelated or sixteen remain. Residuals
-    that stay correlated over a tenth of the recordings or longer still make it too
-    small.
+    are merged until neighbours are nearly uncorrelated or sixteen remain. Where a
+    motion repeats, within a recording or between recordings, blocks are its phases:
+    what is not modelled comes again with it and does not average out. Residuals that
+    stay correlated over a tenth of the recordings or longer still make it too small.
 
     With ``criterion="simulation"`` bodies, friction and coefficients of effects are
     refined by steps of Gauss and Newton on the sensitivities of simulated positions,
@@ -508,6 +510,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         periods = measure_periods(self, recording, self.effects_)
         plan, recording, states = self._prepare(recording, periods)
         self._adopt(plan)
+        self._numbering = numbered(recording, plan)
         if periods is None:
             self.torque_noise_ = given_noise(
                 self.torque_noise, self.features_.n_joints_, self.dt, plan.cutoff
@@ -606,7 +609,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         """Begin with the gains that second moments show, `RelativeGains`."""
         plan = self._plan.passes()[0]
         made = segments(recording, states, plan, self.features_)
-        moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
+        moments = self._moments(made, plan.lowpass)
         zeros = self._unneeded_entries(moments)
         units = [] if isinstance(self.gains, str) else list(self.gains)
         found = relative_gains(
@@ -703,7 +706,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             self._load = self._known_torque(self.effects_)
             plan = replace(self._plan, tangents=True)
             made = segments(recording, states, plan, self.features_, theta=self._load)
-            moments = accumulate(made, plan.lowpass, n_jobs=self.n_jobs)
+            moments = self._moments(made, plan.lowpass)
             self._tangent_powers = self._powers_of(moments)
             zeros = self._unneeded_entries(moments)
             if relative is not None:
@@ -740,7 +743,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         names, units = effect_names(self.effects_, self.features_.model_)
         self.parameter_names_ = self.features_.parameter_names_ + names
         self.parameter_units_ = self.features_.parameter_units_ + units
-        self._load, self._signal_ends = None, {}
+        self._load, self._signal_ends, self._numbering = None, {}, None
         self._description = described_bodies(self)
 
     def _take(self, X, y, groups, sample_weight, t, signals):
@@ -816,8 +819,13 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         """Estimate from segments, in parallel where second moments suffice."""
         lowpass = self._plan.lowpass
         if takes_moments(self.regressor, self.block_noise):
-            return self._estimate_moments(accumulate(made, lowpass, n_jobs=self.n_jobs))
-        return self._estimate_rows(equations(made, lowpass))
+            return self._estimate_moments(self._moments(made, lowpass))
+        return self._estimate_rows(equations(made, lowpass, self._numbering))
+
+    def _moments(self, made, lowpass):
+        """Second moments of segments, with those of the blocks of the fit."""
+        numbering = self._numbering
+        return accumulate(made, lowpass, n_jobs=self.n_jobs, numbering=numbering)
 
     def _estimate_rows(self, pieces):
         """Estimate from equations, which may be a stream."""
@@ -1555,7 +1563,7 @@ def pieces_of(identifier, X, y, groups, *, halves=None):
 
     def pieces(states):
         made = segments(recording, states, plan, features, theta=identifier._load)
-        return list(equations(made, plan.lowpass))
+        return list(equations(made, plan.lowpass, numbered(recording, plan)))
 
     def of_rows(states, both=None):
         return RecordingStates.of_rows(recording.segments, states, both)

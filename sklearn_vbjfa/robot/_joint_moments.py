@@ -27,19 +27,41 @@ class Numbering:
 
     rows: int  # per block
     together: int = 1  # recordings per block, if there are more recordings than blocks
+    # (n, 2) of each recording: block of each row, where these are phases of a motion
+    keys: list | None = None
 
     @classmethod
-    def of(cls, lengths):
-        """Divide recordings of these numbers of filtered rows."""
-        return cls(
-            rows=max(-(-sum(lengths) // _BLOCKS), _FEWEST_ROWS),
-            together=-(-len(lengths) // _BLOCKS),
-        )
+    def of(cls, lengths, phases=None):
+        """Divide recordings of these numbers of filtered rows.
+
+        phases : where a motion repeats, the motion (n,) and the time in it (n,), in
+        filtered rows, of all rows. Motions are divided then, as recordings are: what is
+        not modelled comes again with the phase, and is no further evidence.
+        """
+        if phases is None:
+            return cls(
+                rows=max(-(-sum(lengths) // _BLOCKS), _FEWEST_ROWS),
+                together=-(-len(lengths) // _BLOCKS),
+            )
+        motion, phase = np.unique(phases[0], return_inverse=True)[1], phases[1].copy()
+        spans = []
+        for own in (motion == k for k in range(motion.max() + 1)):
+            phase[own] -= phase[own].min()
+            spans.append(int(phase[own].max()) + 1)
+        made = cls.of(spans)
+        number = (phase // made.rows).astype(int) if made.together == 1 else 0 * motion
+        keys = np.column_stack([motion // made.together, number])
+        return replace(made, keys=np.split(keys, np.cumsum(lengths)[:-1]))
 
     def parts(self, recording, rows):
         """Divide rows (a slice) of a recording, given by its number."""
         # Returns keys (n_parts, 2), recording and block number of each part, and starts
         # (n_parts,), the first row of each part within the slice.
+        if self.keys is not None:
+            own = self.keys[recording][rows]
+            new = (np.diff(own, axis=0) != 0).any(axis=1)
+            starts = np.flatnonzero(np.r_[True, new])
+            return own[starts], starts
         if self.together > 1:
             return np.array([[recording // self.together, 0]]), np.zeros(1, dtype=int)
         numbers = np.arange(rows.start // self.rows, -(-rows.stop // self.rows))
@@ -245,7 +267,8 @@ def piece_moments(Phi, tau, weight, difference=None, parts=None):
     if keys is not None:
         columns, Gs, gs = zip(*made)
         n = np.add.reduceat(weight, starts, axis=0)
-        blocks = (BlockMoments(keys=keys, n=n, columns=columns, G=Gs, g=gs),)
+        parts = BlockMoments(keys=keys, n=n, columns=columns, G=Gs, g=gs)
+        blocks = _merge_blocks((), (parts,))
     return JointMoments(
         n=weight.sum(axis=0),
         n_rows=(weight > 0).sum(axis=0),

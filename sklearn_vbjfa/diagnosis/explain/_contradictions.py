@@ -256,7 +256,7 @@ class _Deviations:
         if not groups.shown().any():
             return -np.inf
         coef = groups.coefficients()[0]
-        excess = regression.excess(family, 0, coef, regression.scores)
+        excess = regression.excess(family, 0, coef, regression)
         return float(groups.tempered(excess).evidence(self.scale)[0])
 
     def _beside(self, regression, family, scale):

@@ -192,7 +192,7 @@ class FinalFit:
         used = (count > 0) & (squares > 0)
         factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
         grams, scores, places = [], [], []
-        for block, place in _blocks_of_time(view):
+        for block, place in _blocks(view):
             declared = view.Z[:, block].transpose(1, 0, 2)
             rows = np.concatenate([declared, extra[block]], axis=2)
             rows = (rows * factor[:, None]).reshape(-1, rows.shape[2])
@@ -265,12 +265,15 @@ def _shares(weight, values, total):
     return np.where(mean > 0, squares / np.where(mean > 0, mean, 1.0), 0.0)
 
 
-def _blocks_of_time(view):
-    """Yield the rows of each block of a view, a slice, and its place (recording, k)."""
+def _blocks(view):
+    """Yield the rows of each block of a view and its place, as `Numbering` has them."""
     edges = [*view.starts.tolist(), view.index.size]
-    numbering = Numbering.of(np.diff(edges).tolist())
+    phases = view.phases and (view.phases[0], view.phases[1] / view.step)
+    numbering = Numbering.of(np.diff(edges).tolist(), phases)
+    places = []
     for number, (first, last) in enumerate(itertools.pairwise(edges)):
-        places, starts = numbering.parts(number, slice(0, last - first))
-        begins = [*(first + starts), last]
-        for place, (begin, end) in zip(places, itertools.pairwise(begins)):
-            yield slice(begin, end), place
+        own, starts = numbering.parts(number, slice(0, last - first))
+        places.append(np.repeat(own, np.diff([*starts, last - first]), axis=0))
+    places, label = np.unique(np.concatenate(places), axis=0, return_inverse=True)
+    for k, place in enumerate(places):
+        yield np.flatnonzero(label.ravel() == k), place

@@ -383,7 +383,7 @@ class Path:
             rest = spectrum_of(fit.without(i), self.settings)
             scale = self.settings.scale
             more = float(groups.integrated(scale, member.scale)[0])
-            excess = self._excess(fit, i, fit.scores)
+            excess = self._excess(fit, i, fit)
             evidence = min(
                 float(groups.tempered(excess).evidence(scale)[0]),
                 excess.tempered(whole + more - rest.log_evidence(), member.width),
@@ -685,9 +685,12 @@ class Path:
         fit = spectrum_of(fit, self.settings)
         for _ in range(self.settings.most):
             self._moved()
-            added = []
+            added, self._noise = [], fit
             for joint in self.candidates:
                 offers = self._offers(fit, joint)
+                if self.view.repetition:
+                    # What comes again with each phase would all be taken for effects.
+                    offers = self._surest(fit, offers)
                 # One is expected of each joint here.
                 count = max(len(self.candidates[joint]), 1)
                 least = self.log_prior - np.log(self.settings.expected / count)
@@ -700,7 +703,7 @@ class Path:
                 break
             fit = Fit(fit.base, [*fit.members, *added])
             fit = spectrum_of(self._scaled(fit), self.settings)
-        self._noise = fit.scores
+        self._noise = fit
         return fit.base
 
     def begin(self):

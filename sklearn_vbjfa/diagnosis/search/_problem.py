@@ -334,6 +334,8 @@ class Fit:
             for j, own in one.moments.between(other.moments).items():
                 taken[j] += np.tensordot(own, covariance[a, b], 2)
         taken *= base.density
+        # What comes again with each phase is known no better for it.
+        fill = fill / problem.view.repeats
         return fill * power, np.maximum(fill * np.diff(edges) - taken, 0.0)
 
     def groups(self, family):
@@ -376,7 +378,7 @@ class Fit:
         # score counts where it is larger: that of independent blocks is as large at all
         # frequencies.
         # family, c, coef: group, its shape, direction (k,) of its coefficients that
-        # counts; noise: residuals in whitened rows (nv, m), see `scores`.
+        # counts; noise: fit under the same weights that leaves the noise.
         problem, base = self.problem, self.base
         direction = family.columns[:, :, c] @ coef
         cross = np.zeros(base.L.shape[0])
@@ -402,8 +404,8 @@ class Fit:
         if not promised > 0:
             return Excess()
         # What the group itself explains of them is no noise.
-        noise = noise - rows * ((rows * noise).sum() / promised)
-        view, products = problem.view, (rows * noise).sum(axis=0)
+        rest = noise.scores - rows * ((rows * noise.scores).sum() / promised)
+        view, products = problem.view, (rows * rest).sum(axis=0)
 
         def powers(scores):
             own = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
@@ -413,13 +415,12 @@ class Fit:
         usual, freedom = float(max(1.0, slow.mean(), power.mean())), np.inf
         if view.repetition:
             # What is not modelled comes again with each phase, and there are few, of
-            # which the fit has taken as many as it has parameters.
+            # which the fit that leaves the noise has taken as many as its parameters.
             again, late = powers(view.blocks.sums(products))
-            heard = int(problem.heard.sum())
-            rows, taken = heard * (again.size + 1), base.L.shape[0] + self._coef.size
-            fewer = rows / max(rows - taken, heard)
+            taken = (base.L.shape[0] + noise.n_coefficients) / problem.heard.sum()
+            freedom = float(max(again.size - taken, 1.0))
+            fewer = again.size / freedom
             usual = float(max(usual, fewer * late.mean(), fewer * again.mean()))
-            freedom = float(max(again.size - 1, 1))
         effect = family.effects[c]
         if not (effect.slow or effect.trend or effect.jumping):
             return Excess(ratio=usual, freedom=freedom, usual=usual)

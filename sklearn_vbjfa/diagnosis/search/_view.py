@@ -59,9 +59,10 @@ class RecordingView:
     # recording; Z (nv, m, r) and back (p, r), see `reduced`.
     # blocks: by which folds are left out and evidence is tempered, spans of time or, of
     # a motion that repeats, phases; span_order: all of them, parts in an order that
-    # does not depend on how they came; floor (nv,): mean square of the residual from
-    # noise alone, nan if unknown; precision (nv,): weights of the joints in the
-    # declared model's fit.
+    # does not depend on how they came; phases: motion of each filtered row and time in
+    # it [s], None where none repeats; repeats: how many times each phase is there;
+    # floor (nv,): mean square of the residual from noise alone, nan if unknown;
+    # precision (nv,): weights of the joints in the declared model's fit.
 
     def __init__(
         self,
@@ -174,11 +175,14 @@ class RecordingView:
             length,
             self._by_content(),
         )
+        self.phases, self.repeats = None, 1.0
         if self.repetition:
             t, begins = self.clock[self.index], self.repetition.begins
             recording = np.searchsorted(begins, t, side="right") - 1
-            motion, phase = self.repetition.phase(recording, t)
-            self.blocks = phase_blocks(motion, phase, correlation, length)
+            self.phases = self.repetition.phase(recording, t)
+            self.blocks = phase_blocks(*self.phases, correlation, length)
+            once = self.blocks.n_blocks * self.blocks.length
+            self.repeats = max(self.index.size * self.step / once, 1.0)
         # Blocks in an order that does not know in which order the parts came.
         parts = self.spans.label[np.r_[self.starts, self.index.size - 1]]
         bounds = [*parts[:-1], parts[-1] + 1]

@@ -175,7 +175,7 @@ def test_values_are_linearised_until_they_stay(truth):
 def test_the_base_of_the_evidence_is_the_description():
     """A corrected robot must not make the effect that corrected it improbable."""
     path, fit = placed(searched([TILT]), [BaseTilt()])
-    path._noise = fit.scores
+    path._noise = fit
     assert path.log_odds(fit)[0] > 50
     assert path.own_odds(fit)[0] > 20
 

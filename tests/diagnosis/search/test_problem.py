@@ -296,8 +296,12 @@ def test_the_order_of_recordings_does_not_matter():
         assert odds[1][name] == pytest.approx(value, rel=1e-4)
 
 
-def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(fitted):
-    """The trace of the hat matrix, band by band."""
+@pytest.mark.parametrize("repeats", [1.0, 3.0])
+def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(
+    monkeypatch, fitted, repeats
+):
+    """The trace of the hat matrix, band by band; what repeats is there once."""
+    monkeypatch.setattr(fitted.problem.view, "repeats", repeats)
     power, freedom = fitted.powers()
     made, cosines = fitted.problem, fitted.problem.cosines
     n = cosines.band.size
@@ -308,12 +312,16 @@ def test_powers_by_band_leave_the_freedom_that_the_fit_has_not_taken(fitted):
     hat = np.einsum("ij,jk,ik->i", A, np.linalg.inv(A.T @ A + np.diag(penalty)), A)
     for j in range(2):
         own = hat[j * n : (j + 1) * n]
-        left = cosines.fill[j] * np.bincount(cosines.band) - np.bincount(
-            cosines.band, own
-        )
+        fill = cosines.fill[j] / repeats
+        left = fill * np.bincount(cosines.band) - np.bincount(cosines.band, own)
         assert_allclose(freedom[j], np.maximum(left, 0.0), atol=1e-4)
         squares = np.bincount(cosines.band, fitted.residual[j] ** 2)
-        assert_allclose(power[j], cosines.fill[j] * squares, rtol=1e-9)
+        assert_allclose(power[j], fill * squares, rtol=1e-9)
+
+
+def leaving(scores):
+    """Return what stands for a fit that leaves some noise."""
+    return SimpleNamespace(scores=scores, n_coefficients=0)
 
 
 def literal_scores(fit, own, coef, noise=None):
@@ -347,16 +355,17 @@ def test_the_scatter_of_a_score_is_that_of_its_blocks(path, fitted):
     coef = np.array([1.0, 0.2])
     scores, promised = literal_scores(fitted, own.member(0), coef)
     plain = scores.var(ddof=1) * scores.size / promised
-    found = fitted.excess(own, 0, coef, fitted.scores)
+    found = fitted.excess(own, 0, coef, fitted)
     assert found.ratio >= max(1.0, plain) * (1 - 1e-6)
     # Of white noise there is little more.
     assert found.ratio < 3.0
     # Its size does not matter, nor that of the direction.
-    again = fitted.excess(own, 0, 1e3 * coef, fitted.scores)
+    again = fitted.excess(own, 0, 1e3 * coef, fitted)
     assert again.ratio == pytest.approx(found.ratio, rel=1e-6)
     # Ten times the noise has a hundred times the variance.
     loud, louder = (
-        fitted.excess(own, 0, coef, size * fitted.scores).ratio for size in (10, 100)
+        fitted.excess(own, 0, coef, leaving(size * fitted.scores)).ratio
+        for size in (10, 100)
     )
     assert louder == pytest.approx(100 * loud, rel=1e-6)
 
@@ -372,8 +381,8 @@ def test_an_effect_that_comes_and_goes_is_worth_less(path, fitted):
     shape[1] = direction
     slow[1] = sign * fitted.problem.cosines.rows(shape)[1]
     slow *= rows.std() / slow[1].std()
-    white = fitted.excess(own, 0, coef, rows)
-    assert fitted.excess(own, 0, coef, slow).ratio > 3.0 * white.ratio
+    white = fitted.excess(own, 0, coef, leaving(rows))
+    assert fitted.excess(own, 0, coef, leaving(slow)).ratio > 3.0 * white.ratio
 
 
 @pytest.mark.parametrize(
@@ -389,7 +398,7 @@ def test_functions_of_time_are_told_by_the_slowest_changes(path, fitted, effect,
     # A score that changes its sign a few times.
     turns = np.cos(1.5 * np.pi * np.arange(rows.shape[1]) / rows.shape[1])
     noise = fitted.scores + 9.0 * rows * turns * fitted.scores.std() / rows.std()
-    found = fitted.excess(own, 0, coef, noise)
+    found = fitted.excess(own, 0, coef, leaving(noise))
     scores, promised = literal_scores(fitted, own.member(0), coef, noise)
     order = fitted.problem.view.span_order
     power = dct(scores[order], norm="ortho")[1:] ** 2 * scores.size / promised

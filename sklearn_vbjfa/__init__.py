@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
     from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
     from sklearn_vbjfa.robot._features import RigidBodyFeatures
-    from sklearn_vbjfa.robot._identified import IdentifiedRobot, load_identified
     from sklearn_vbjfa.robot._identifier import RobotIdentifier
     from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+    from sklearn_vbjfa.robot._robot import IdentifiedRobot, load_identified
     from sklearn_vbjfa.robot._states import StateEstimator
 
 __version__ = "0.2.0.dev0"
@@ -45,7 +45,7 @@ __all__ = [
 # once, and can be stopped while the rest is loaded.
 _MODULES = {
     "EffectDiscovery": "diagnosis._discovery",
-    "IdentifiedRobot": "robot._identified",
+    "IdentifiedRobot": "robot._robot",
     "InstrumentalVariables": "regression._instrumental_variables",
     "JFARegressor": "regression._jfa",
     "JointTorqueRegressor": "robot._joint_torque",
@@ -58,7 +58,7 @@ _MODULES = {
     "StepwiseRegressor": "regression._stepwise",
     "TotalLeastSquares": "regression._total_least_squares",
     "VBJFARegressor": "regression._vbjfa",
-    "load_identified": "robot._identified",
+    "load_identified": "robot._robot",
     "load_model": "model._loading",
     "replicate_noise": "regression._replicates",
 }

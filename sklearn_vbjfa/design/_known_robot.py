@@ -11,7 +11,6 @@ from sklearn_vbjfa.effects import RotorInertia, resolve
 from sklearn_vbjfa.model._loading import joint_names, nominal_parameters
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH, STANDSTILL_SHARE
-from sklearn_vbjfa.robot._prediction import predictor_of
 
 # Friction of a robot of which only the description is known.
 _FRICTION = ("viscous", "coulomb")
@@ -44,8 +43,8 @@ class KnownRobot:
         """Take what is known from a path, a model or an identified robot."""
         if isinstance(model, cls):
             return model
-        if hasattr(model, "_predictor"):
-            return cls._identified(model)
+        if hasattr(model, "robot_"):
+            return cls._identified(model.robot_)
         return cls._described(model)
 
     @classmethod
@@ -68,37 +67,40 @@ class KnownRobot:
 
     @classmethod
     def _identified(cls, robot):
-        predictor = predictor_of(robot)
-        full = predictor.features
+        full = robot.features_
         nv = full.n_joints_
-        bodies = predictor.bodies(predictor.theta)
+        bodies = robot.bodies(robot.theta_)
         effects = _on_all_joints(full.friction_, nv)
         coefficients = [bodies[:, 10 + k] for k in range(len(full.friction_))]
         coefficients = list(np.concatenate([np.zeros(0), *coefficients])[:, None])
-        for effect, own in zip(predictor.effects, predictor.split(predictor.theta)):
+        for effect, own in zip(robot.effects_, robot.split(robot.theta_)):
             if effect.in_model:
                 # the model itself holds it
                 continue
             effects += (effect,)
             coefficients.append(own)
         features = RigidBodyFeatures(full.model_, friction=()).load()
-        estimator = predictor.plan.state_estimator
+        estimator = robot.plan.state_estimator
         variance = getattr(estimator, "noise_variance_", np.zeros(nv))
         encoder = np.sqrt(np.broadcast_to(variance, (nv,)))
-        _tell_unknown(np.isnan(encoder), predictor.joint_names)
-        given = getattr(robot, "model", None)
+        _tell_unknown(np.isnan(encoder), robot.joint_names_)
+        given = robot.source
         # The floor has the encoders' share in it, which depends on the motion; a saved
         # robot has no other.
-        noise = getattr(robot, "torque_noise_", robot.noise_floor_)
+        noise = (
+            robot.noise_floor_ if robot.torque_noise_ is None else robot.torque_noise_
+        )
         noise = np.array(noise, dtype=float)
         # A floor that is not known: what the model left is more than noise.
-        left = getattr(robot, "output_noise_", np.full(nv, np.nan))
+        left = (
+            np.full(nv, np.nan) if robot.output_noise_ is None else robot.output_noise_
+        )
         return cls(
             features=features,
-            inertial=predictor.inertial(),
+            inertial=robot.inertial(),
             effects=effects,
             coefficients=tuple(np.atleast_1d(c) for c in coefficients),
-            joint_names=predictor.joint_names,
+            joint_names=robot.joint_names_,
             torque_noise=np.where(np.isfinite(noise), noise, left),
             cutoff=float(robot.cutoff_),
             encoder_noise=np.where(np.isnan(encoder), 0.0, encoder),

@@ -33,10 +33,6 @@ from sklearn_vbjfa.recording._signals import OfferedSignals, survey
 from sklearn_vbjfa.robot._identifier import (
     RecordingRegressorMixin,
     RobotIdentifier,
-    asked_again,
-    beginning_with,
-    linear_part,
-    tell_spreads,
 )
 from sklearn_vbjfa.robot._plan import check_effects
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
@@ -361,7 +357,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             say(len(found.effects), "final model")
             self.judged_ = self.plain_
             if found.effects:
-                again = beginning_with(self._with(found.effects), self.plain_)
+                again = self._with(found.effects).begin_with(self.plain_)
                 self.judged_ = _fitted(again, part)
             models = Models(
                 declared=self.declared_, plain=self.plain_, judged=self.judged_
@@ -461,7 +457,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if not found:
             return search(view, (), settings, self.alpha)
         theta = self.plain_.theta_unconstrained_
-        motion = view.motion_of(linear_part(self.plain_, theta))
+        motion = view.motion_of(self.plain_.robot_.linear_part(theta))
         return put_together(view, motion, heard, found)
 
     def _with_plain_terms(self):
@@ -473,7 +469,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _with(self, effects):
         """Return the model with the plain terms and effects, not fitted."""
-        asked = asked_again(self.plain_)
+        asked = _asked_again(self.plain_)
         asked["effects"] = (*asked["effects"], *effects)
         return clone(self.plain_).set_params(**asked)
 
@@ -487,11 +483,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["standstill"] = self.judged_.standstill_
         view = RecordingView(self.plain_, whole, silent, repetition=repetition)
         effects = tuned_on(view, found.effects, found.settings)
-        again = beginning_with(self._with(effects).set_params(**band), self.judged_)
+        again = self._with(effects).set_params(**band).begin_with(self.judged_)
         self.identifier_ = _fitted(again, whole)
         effects = added_effects(self.identifier_, len(effects))
         final = FinalFit(self.plain_, self.identifier_, view, effects)
-        tell_spreads(self.identifier_, final.effect_estimates)
+        self.identifier_.tell_spreads(final.effect_estimates)
         return final
 
     def _set(self, outcome):
@@ -542,6 +538,16 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         check_is_fitted(self)
         known = {"groups": groups, "t": t, "signals": signals}
         return self.identifier_.predict(X, **known, return_std=return_std)
+
+
+def _asked_again(identifier):
+    """Parameters for a fit with the effects of a fitted identifier, a dict."""
+    # Channels that were the units of gains stay that.
+    asked = {"effects": identifier.effects_}
+    if identifier.gains_ is not None:
+        names = identifier.joint_names_
+        asked["gains"] = tuple(names[j] for j in identifier.gains_.references)
+    return asked
 
 
 def _is_plain(effect):

@@ -19,7 +19,6 @@ from sklearn_vbjfa.recording._faults import levels
 from sklearn_vbjfa.recording._reader import read_recording
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.robot._equations import accumulate, segments
-from sklearn_vbjfa.robot._identifier import conclude, declare, noise_of, tell_noise
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._plan import (
     MotionFacts,
@@ -100,10 +99,10 @@ def fit_recordings(identifier, source):
     files = _files(source)
     dt = check_dt(identifier.dt)
     check_input_noise(identifier.input_noise)
-    declare(identifier)
+    identifier.load()
     _check_settings(identifier)
     urdf = identifier.model if isinstance(identifier.model, (str, PathLike)) else None
-    names, nv = identifier.joint_names_, len(identifier.joint_names_)
+    names = identifier.joint_names_
     load = partial(_load, dt=dt, urdf=urdf and fspath(urdf), names=names)
 
     def sums(function, merge, *arguments):
@@ -138,11 +137,7 @@ def fit_recordings(identifier, source):
     moments = sums(
         _moments, _add, plan, identifier.features_, halves, numbering, numbers
     )
-    identifier.n_features_in_ = nv
-    conclude(identifier, plan, moments)
-    if identifier.torque_noise is None:
-        tell_noise(identifier, sums(_noise, operator.add, identifier))
-    return identifier
+    return identifier.fit_moments(plan, moments, partial(sums, _noise, operator.add))
 
 
 def _files(source):
@@ -247,10 +242,9 @@ def _summarise(load, file, estimator, keep):
     return smooth(load(file), estimator, False, keep, None)[1]
 
 
-def _noise(load, file, identifier):
+def _noise(load, file, robot):
     """Noise of the torques of one file's recordings, a list."""
-    recording = load(file)
-    return noise_of(identifier, recording.q, recording.tau, recording.segments)
+    return robot.noise_facts(load(file))
 
 
 def _first_numbers(files, counts):

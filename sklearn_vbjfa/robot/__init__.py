@@ -6,8 +6,8 @@ from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._output_error import SimulationCriteria
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
+from sklearn_vbjfa.robot._spreads import EffectOfTime
 from sklearn_vbjfa.robot._states import StateEstimator
-from sklearn_vbjfa.robot._time_effects import EffectOfTime
 
 __all__ = [
     "EffectOfTime",

@@ -41,7 +41,7 @@ class Loop:
     @classmethod
     def of(cls, predictor, theta, recording, states, controller, reference):
         """Simulate all recordings from their measured first states."""
-        predictor = replace(predictor, theta=theta)
+        predictor = replace(predictor, theta_=theta)
         robot, nv = predictor.torque_model(), recording.tau.shape[1]
         plan, simulated = predictor.plan, np.empty((*recording.tau.shape, 3))
         clock = plan.clock(recording)
@@ -106,7 +106,7 @@ def refine_controlled(
     def value(loop):
         return float(found.joint_weights @ loop.torques**2)
 
-    first = loop = run(predictor.theta)
+    first = loop = run(predictor.theta_)
     held = held_parameters(predictor)
     unconstrained, std = found.theta_unconstrained, found.std
     taken, converged = 0, False

@@ -14,7 +14,6 @@ from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
 from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
-from sklearn_vbjfa.robot._identifier import estimate_of, pieces_of
 from sklearn_vbjfa.robot._plan import corrects_noise
 from sklearn_vbjfa.robot._residuals import collect_residuals
 
@@ -97,9 +96,10 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
             f"period=None; got {identifier.period!r}."
         )
     base = clone(identifier).fit(train[0], train[1], groups=train[2])
-    train_pieces = pieces_of(base, *train)
-    measured_pieces = pieces_of(base, *train, halves="noise")
-    test_pieces = pieces_of(base, *test)
+    robot = base.robot_
+    train_pieces, test_pieces = robot.pieces(*train), robot.pieces(*test)
+    halves = None if base.input_noise is None else "noise"
+    measured_pieces = robot.pieces(*train, halves=halves)
     chosen = methods(len(base.parameter_names_))
     if names is not None:
         chosen = {name: chosen[name] for name in names}
@@ -112,9 +112,9 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
         if corrects_noise(model.regressor):
             pieces = measured_pieces
         if name == "IV":
-            pieces = pieces_of(base, *train, halves="instruments")
+            pieces = robot.pieces(*train, halves="instruments")
         try:
-            found = estimate_of(base, pieces, model)
+            found = model.estimated(pieces, robot.plan)
         except ValueError as error:
             nothing = np.full(len(base.joint_names_), np.nan)
             results.append(

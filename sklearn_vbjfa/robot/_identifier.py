@@ -1,39 +1,33 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
-import copy
 from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.metrics import r2_score
-from sklearn.utils.validation import check_array, check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.model._description_text import description_text
-from sklearn_vbjfa.model._loading import is_urdf, joint_names
+from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,
     torques_in_order,
 )
 from sklearn_vbjfa.recording._recording import (
-    check_cutoff,
     check_dt,
     contiguous_groups,
 )
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
-from sklearn_vbjfa.robot import _model_file
 from sklearn_vbjfa.robot._bodies import described_bodies, little_learned
 from sklearn_vbjfa.robot._closed_loop import refine_controlled
-from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._controller import check_reference
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
     held_columns,
     is_plain,
-    joined,
     numbered,
     plain_coefficients,
     segments,
@@ -82,14 +76,6 @@ from sklearn_vbjfa.robot._plan import (
     resolve_standstill,
     takes_moments,
 )
-from sklearn_vbjfa.robot._prediction import (
-    PredictsTorques,
-    TorquePredictor,
-    TorqueSpread,
-    predictor_of,
-    recording_of,
-    split_effects,
-)
 from sklearn_vbjfa.robot._ranges import effect_ranges, ends, sum_ranges
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
@@ -102,17 +88,18 @@ from sklearn_vbjfa.robot._recording_checks import (
     check_widths,
     warn_of_disorder,
 )
-from sklearn_vbjfa.robot._residuals import collect_residuals
-from sklearn_vbjfa.robot._states import RecordingStates, fit_states
-from sklearn_vbjfa.robot._time_effects import Spread
+from sklearn_vbjfa.robot._robot import (
+    IdentifiedRobot,
+    SimulatesTorques,
+    recording_of,
+    split_effects,
+)
+from sklearn_vbjfa.robot._spreads import ColumnPowers, Spread, TorqueSpread
+from sklearn_vbjfa.robot._states import fit_states
 from sklearn_vbjfa.robot._torque_noise import (
     filtered_noise,
     given_noise,
-    noise_facts,
-    rows_looked_at,
-    seen,
 )
-from sklearn_vbjfa.robot._written import mjcf_of, urdf_of
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -159,7 +146,7 @@ class RecordingRegressorMixin(RegressorMixin):
         return r2_score(y, predicted, sample_weight=sample_weight)
 
 
-class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
+class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     """Identify a robot: joint positions and torques in, rigid-body model out.
 
     The whole chain: state estimation, regressor matrices, parallel low-pass filtering
@@ -535,18 +522,14 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self._tell_loads(made)
         self._signal_ends = ends(recording.signals)
         if periods is None and self.torque_noise is None:
-            X = recording.inputs
-            clock = plan.clock(recording)
-            known = clock, recording.signals
-            facts = noise_of(self, X, recording.tau, recording.segments, *known)
-            tell_noise(self, facts)
+            self._tell_noise(self.robot_.noise_facts(recording, plan.clock(recording)))
         if self.criterion == "simulation":
             self._refine(recording, states, reference)
         return self
 
     def _refine(self, recording, states, reference):
         """Refine the parameters of the torque fit by simulation; set `criteria_`."""
-        predictor = self._predictor()
+        robot = self.robot_
 
         def estimate_from(states):
             known = {"theta": self._load}
@@ -557,7 +540,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         found = replace(estimate_from(states), std=self.theta_std_)
         names = ("identifiable_", "effect_ranges_", "_powers")
         kept = {name: getattr(self, name) for name in names}
-        known = predictor, found, recording, states
+        known = robot, found, recording, states
         if self.controller is None:
             refined = refine(*known, self)
         else:
@@ -578,11 +561,6 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
 
     # An identifier whose load the next fit begins with, in place of a first pass.
     _before = None
-
-    def _after(self, fitted):
-        """Begin the next fit with the load of a fitted identifier, where it has one."""
-        self._before = fitted
-        return self
 
     def _load_before(self):
         """Known torque of `_before`; None if its effects that need no load differ."""
@@ -724,6 +702,106 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         else:
             tell_unsettled(found)
         return found
+
+    # -- for other rooms -------------------------------------------------------------
+
+    def load(self):
+        """Load the model without data.
+
+        Returns
+        -------
+        self : object
+            With the names of joints and parameters, `effects_` and `features_`.
+        """
+        if self.criterion != "torque":
+            raise ValueError(
+                "Second moments alone cannot be refined by simulation, which needs the "
+                "recordings themselves: set criterion='torque', or use fit."
+            )
+        self._online = None
+        self._declare()
+        return self
+
+    def fit_moments(self, plan, moments, facts=lambda robot: ()):
+        """Identify the robot from second moments that were computed elsewhere.
+
+        Parameters
+        ----------
+        plan : Plan
+            How states and equations were made.
+        moments : JointMoments
+            Of all equations.
+        facts : callable
+            Called with the fitted `robot_` where the torque noise is to be measured;
+            returns `NoiseFacts` of all recordings.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+        """
+        self._adopt(plan)
+        self.n_features_in_ = plan.standstill.size
+        self.torque_noise_ = given_noise(
+            self.torque_noise, plan.standstill.size, plan.dt, plan.cutoff
+        )
+        self._set(self._estimate_moments(moments))
+        if self.torque_noise is None:
+            self._tell_noise(facts(self.robot_))
+        return self
+
+    def estimated(self, pieces, plan):
+        """Estimate from the equations of a fitted robot.
+
+        Parameters
+        ----------
+        pieces : list of Equations
+            See `IdentifiedRobot.pieces`.
+        plan : Plan
+            How they were made.
+
+        Returns
+        -------
+        Estimate
+            Parameters with what is known of them.
+        """
+        self.load()._adopt(plan)
+        return self._estimate_rows(pieces)
+
+    def begin_with(self, fitted):
+        """Begin the next fit with the load of a fitted identifier, where it has one.
+
+        Parameters
+        ----------
+        fitted : RobotIdentifier
+            Of the same robot.
+
+        Returns
+        -------
+        self : object
+            Not fitted.
+        """
+        self._before = fitted
+        return self
+
+    def tell_spreads(self, estimates):
+        """Take how well the last effects are known, for predictions.
+
+        Parameters
+        ----------
+        estimates : sequence
+            For each of them, with the tuned parameters `shape` and the joint
+            `covariance` of coefficients and shape.
+        """
+        if estimates:
+            own = [Spread(shape=e.shape, covariance=e.covariance) for e in estimates]
+            self._spreads = (*self._spreads[: -len(own)], *own)
+
+    def _tell_noise(self, facts):
+        """Set the noise floor from the torque noise of all recordings."""
+        if facts:
+            self.torque_noise_ = filtered_noise(facts, self.dt, self.cutoff_)
+        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
 
     # -- from the arguments to a plan --------------------------------------------------
 
@@ -1116,22 +1194,37 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         Values of effects that correct the robot (a tilt, a gain), tuned shapes, dry
         friction at rest, and noise above the low-pass are not in it.
         """
-        return self._predictor().predict(X, groups, t, signals, return_std=return_std)
+        known = groups, t, signals
+        return self.robot_.predict(X, *known, return_std=return_std)
 
-    def _predictor(self):
-        """Return the `TorquePredictor` of the fit, or say that there was none."""
+    @property
+    def robot_(self):
+        """The identified robot without data and estimator, an `IdentifiedRobot`."""
         check_is_fitted(self)
-        return TorquePredictor(
-            features=self.features_,
+        from sklearn_vbjfa import __version__
+
+        return IdentifiedRobot(
+            features_=self.features_,
             plan=self._plan,
-            theta=self.theta_,
+            theta_=self.theta_,
             load=self._load,
-            ranges=self.effect_ranges_,
+            effect_ranges_=self.effect_ranges_,
             signal_ends=self._signal_ends,
             spreads=self._spreads,
             state_cutoff=self.state_cutoff,
             powers=self._powers,
             spread=self._torque_spread,
+            theta_std_=self.theta_std_,
+            theta_unconstrained_=self.theta_unconstrained_,
+            identifiable_=self.identifiable_,
+            known_=known_parameters(self),
+            noise_floor_=self.noise_floor_,
+            torque_noise_=self.torque_noise_,
+            output_noise_=self.output_noise_,
+            joint_weights=self.estimator_.joint_weights_,
+            gains_=self.gains_,
+            source=self.model,
+            package=f"sklearn_vbjfa {__version__}",
         )
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):
@@ -1177,9 +1270,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         >>> bool((found.std[:, 0] > 0).all())
         True
         """
-        predictor = self._predictor()
-        X, signals = predictor.checked(X, signals)
-        return predictor.of_time(predictor.ask(X, groups, t, signals=signals))
+        return self.robot_.effects_of_time(X, groups, t, signals)
 
     def residuals(
         self,
@@ -1226,41 +1317,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         their ranges as in `predict`. Where a joint is at rest (zero weight), dry
         friction has its mean, as there.
         """
-        predictor = self._predictor()
-        X, signals = predictor.checked(X, signals)
-        y = torques_in_order(y, self.joint_names_)
-        y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
-        check_widths(self.joint_names_, X, y)
-        weight = check_weight(sample_weight, y.shape)
-        if isinstance(cutoff, str) and cutoff == "fit":
-            cutoff = self.cutoff_
-        elif cutoff is None:
-            cutoff = np.inf
-        else:
-            cutoff = check_cutoff(cutoff, check_dt(self.dt), "cutoff")
-        lowpass = _lowpass.design(self.dt or 1.0, cutoff)
-        check_length(contiguous_groups(groups, X.shape[0]), lowpass, cutoff)
-        clock = predictor.clock(t, X.shape[0])
-        recording = self._recording(X, y, groups, weight, clock, signals)
-        states, rest = predictor.query(X, groups)
-        states = RecordingStates.of_rows(recording.segments, states)
-
-        def compared(rest):
-            made = segments(
-                recording,
-                states,
-                replace(predictor.held_plan, repeats=False),
-                self.features_,
-                theta=self._load,
-                rest=rest,
-            )
-            return collect_residuals(equations(made, lowpass), self.theta_)
-
-        found = compared(None)
-        if not (found.weight > 0).all():
-            # Weighted rows have the columns of the fit; rows at rest are predicted.
-            found = found.filled(compared(rest))
-        return found
+        known = groups, sample_weight, t, signals
+        return self.robot_.residuals(X, y, *known, cutoff=cutoff)
 
     def to_urdf(self, path):
         """Write the robot description with the identified inertias and friction.
@@ -1316,8 +1374,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         >>> {one.name for one in left_out}
         {'offset'}
         """
-        check_is_fitted(self)
-        return urdf_of(self, self.model, path)
+        return self.robot_.to_urdf(path)
 
     def save(self, path):
         """Write the identified robot to a file that predicts without the data.
@@ -1355,8 +1412,7 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         ...     load_identified(f"{folder}/arm.json")
         <IdentifiedRobot: 6 joints, effects: none>
         """
-        check_is_fitted(self)
-        _model_file.write(path, saved_of(self))
+        self.robot_.save(path)
 
     def to_mjcf(self, path):
         """Write the identified robot as MJCF, the description of MuJoCo.
@@ -1417,203 +1473,4 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         ...     robot.to_mjcf(Path(folder, "identified.xml"))
         ()
         """
-        check_is_fitted(self)
-        return mjcf_of(self, path)
-
-
-# -- used by other rooms --------------------------------------------------------------
-
-
-def saved_of(identifier):
-    """Return what a file holds of a fitted identifier, `SavedRobot`."""
-    from sklearn_vbjfa import __version__
-
-    nominal = identifier.features_.nominal_
-    return _model_file.SavedRobot(
-        predictor=predictor_of(identifier),
-        urdf=description_text(identifier.model, nominal),
-        from_file=is_urdf(identifier.model),
-        theta_std=identifier.theta_std_,
-        identifiable=identifier.identifiable_,
-        known=known_parameters(identifier),
-        noise_floor=identifier.noise_floor_,
-        gains=identifier.gains_,
-        package=f"sklearn_vbjfa {__version__}",
-    )
-
-
-def declare(identifier):
-    """Load an identifier's model; set the names of joints and parameters."""
-    if identifier.criterion != "torque":
-        raise ValueError(
-            "Second moments alone cannot be refined by simulation, which needs the "
-            "recordings themselves: set criterion='torque', or use fit."
-        )
-    identifier._online = None
-    identifier._declare()
-
-
-def conclude(identifier, plan, moments):
-    """Fit an identifier to second moments computed elsewhere by a plan."""
-    identifier._adopt(plan)
-    identifier.torque_noise_ = given_noise(
-        identifier.torque_noise, plan.standstill.size, plan.dt, plan.cutoff
-    )
-    identifier._set(identifier._estimate_moments(moments))
-
-
-def corrected(identifier, effects):
-    """Return a fitted identifier with its robot corrected, parameters as they were."""
-    # effects: `ModelEffect` of those that correct it, beside its own, or in place of
-    # them where they are the same with other values.
-    other = copy.copy(identifier)
-    own = {effect.key(): effect for effect in (*identifier.effects_, *effects)}
-    other.features_ = identifier.features_.corrected(own.values())
-    return other
-
-
-def noise_of(identifier, X, y, segments, clock=None, signals=None):
-    """Measure the torque noise of recordings, `NoiseFacts` of each segment."""
-    # X: positions or states; y: torques; segments: slices; clock: time of each row [s]
-    # or None; signals: recorded beside the motion, by name.
-    if not seen(identifier.dt, identifier.cutoff_):
-        return []
-    found, predictor = [], predictor_of(identifier)
-    for rows in map(rows_looked_at, segments):
-        t = None if clock is None else clock[rows]
-        own = {name: values[rows] for name, values in (signals or {}).items()}
-        asked = predictor.ask(X[rows], t=t, signals=own).noiseless(predictor.plan)
-        residual = y[rows] - predictor.torques(asked)
-        band = identifier.dt, identifier.cutoff_
-        found.append(noise_facts(residual, y[rows], asked.states, *band))
-    return found
-
-
-def tell_noise(identifier, facts):
-    """Set the noise floor from the torque noise of all recordings."""
-    if facts:
-        identifier.torque_noise_ = filtered_noise(
-            facts, identifier.dt, identifier.cutoff_
-        )
-    identifier.noise_floor_ = np.hypot(
-        identifier.torque_noise_, identifier.input_noise_torque_
-    )
-
-
-def states_of(identifier, X, groups=None):
-    """States (n, 3 nv) of a recording, smoothed as a fitted identifier does."""
-    return predictor_of(identifier).query(X, groups)[0]
-
-
-def equations_of(
-    identifier, X, y, groups, weight, t=None, *, states=None, signals=None
-):
-    """Return the filtered `Equations` of a recording, as in a fitted identifier."""
-    # Their `index` gives the row at the centre of each. states: `states_of` the
-    # recording, where they are known already; signals: recorded beside the motion.
-    # Columns of effects in the model are the derivatives by their values, for other
-    # fits to correct them; they have no part in what is predicted, see `linear_part`.
-    recording = identifier._recording(X, y, groups, weight, t, signals)
-    if states is None:
-        states = states_of(identifier, X, groups)
-    plan = replace(identifier._plan, repeats=False, tangents=True)
-    made = segments(
-        recording,
-        RecordingStates.of_rows(recording.segments, states),
-        plan,
-        identifier.features_,
-        theta=identifier._load,
-    )
-    return joined(equations(made, plan.lowpass))
-
-
-def linear_part(identifier, theta):
-    """Parameters (p,) without the values that a fitted identifier's model holds."""
-    held = np.concatenate(
-        [
-            np.zeros(identifier.features_.n_parameters_, dtype=bool),
-            *(np.repeat(e.in_model, len(e.coefficients)) for e in identifier.effects_),
-        ]
-    )
-    return np.where(held, 0.0, theta)
-
-
-def beginning_with(identifier, fitted):
-    """Let the next fit of an identifier begin with the load of a fitted one."""
-    return identifier._after(fitted)
-
-
-def outside_of(identifier, recording):
-    """Find where a recording leaves what a fitted identifier was fitted on."""
-    # Rows without weight do not count. Returns a tuple of `OutsideRange`.
-    t = recording.clock(stamped=True)
-    known = t, recording.weight, recording.signals
-    predictor = predictor_of(identifier)
-    return predictor.outside(predictor.ask(recording.inputs, recording.groups, *known))
-
-
-def pieces_of(identifier, X, y, groups, *, halves=None):
-    """Equations of a recording for other estimators, a list of `Equations`."""
-    # halves: use of the states of the even and the odd samples. "noise" gives the
-    # difference of their regressors, "instruments" the odd ones as instruments of the
-    # even.
-    weight = np.ones(y.shape)
-    recording = identifier._recording(X, y, groups, weight)
-    plan, features = identifier._plan, identifier.features_
-
-    def pieces(states):
-        made = segments(recording, states, plan, features, theta=identifier._load)
-        return list(equations(made, plan.lowpass, numbered(recording, plan)))
-
-    def of_rows(states, both=None):
-        return RecordingStates.of_rows(recording.segments, states, both)
-
-    known = plan.state_estimator is not None and identifier.input_noise is not None
-    if halves == "instruments":
-        even, odd = plan.state_estimator.split_transform(X, groups)
-        # An equation counts only where the joint moves in both halves.
-        return [
-            replace(
-                one,
-                weight=np.minimum(one.weight, other.weight),
-                instruments=other.Phi,
-            )
-            for one, other in zip(pieces(of_rows(even)), pieces(of_rows(odd)))
-        ]
-    both = None
-    if halves == "noise" and known:
-        both = plan.state_estimator.split_transform(X, groups=groups)
-    return pieces(of_rows(states_of(identifier, X, groups), both))
-
-
-def estimate_of(identifier, pieces, settings):
-    """Estimate from a fitted identifier's equations with another one's settings."""
-    other = clone(settings)
-    other._declare()
-    other._adopt(identifier._plan)
-    return other._estimate_rows(pieces)
-
-
-def tell_spreads(identifier, estimates):
-    """Tell a fitted identifier how well its last effects are known, for predictions."""
-    # estimates: for each of them, with the tuned parameters `shape` and the joint
-    # `covariance` of coefficients and shape.
-    if estimates:
-        own = [Spread(shape=one.shape, covariance=one.covariance) for one in estimates]
-        identifier._spreads = (*identifier._spreads[: -len(own)], *own)
-
-
-def asked_again(identifier):
-    """Parameters for a fit with the effects of a fitted identifier, a dict."""
-    # Channels that were the units of gains stay that.
-    asked = {"effects": identifier.effects_}
-    if identifier.gains_ is not None:
-        names = identifier.joint_names_
-        asked["gains"] = tuple(names[j] for j in identifier.gains_.references)
-    return asked
-
-
-def load_parameters(identifier):
-    """Parameters used for the effects' load in a fit; None without load."""
-    # Those of the features, and behind them the effects' that need none: `make_motion`.
-    return identifier._load
+        return self.robot_.to_mjcf(path)

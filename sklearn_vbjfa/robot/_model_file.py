@@ -4,7 +4,7 @@
 are taken by name from the library, or from the classes that the reader was given.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import numpy as np
 
@@ -16,16 +16,15 @@ from sklearn_vbjfa.effects._follower import Follower
 from sklearn_vbjfa.effects._library import available
 from sklearn_vbjfa.model._description_text import in_order
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_text
-from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._equations import is_plain
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import ChannelGains
 from sklearn_vbjfa.robot._known_masses import CommonGain, KnownMass
 from sklearn_vbjfa.robot._places import read_place, readable, spelled, spelled_all
-from sklearn_vbjfa.robot._plan import Plan, effect_names
-from sklearn_vbjfa.robot._prediction import TorquePredictor, TorqueSpread
+from sklearn_vbjfa.robot._plan import Plan
+from sklearn_vbjfa.robot._robot import IdentifiedRobot
+from sklearn_vbjfa.robot._spreads import ColumnPowers, Spread, TorqueSpread
 from sklearn_vbjfa.robot._states import StateEstimator
-from sklearn_vbjfa.robot._time_effects import Spread
 
 FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1
@@ -33,64 +32,30 @@ _URDF_IS = ("that of the robot", "written from a model")
 _KNOWN = ("yes", "in combination", "from the description", "no")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SavedRobot:
-    """What a file holds of an identified robot."""
-
-    predictor: TorquePredictor  # what predicts the torques
-    urdf: str  # robot description, XML without declaration
-    # whether the robot came from that description; else it was written from the tree of
-    # a `pinocchio.Model`
-    from_file: bool
-    theta_std: np.ndarray  # (p,)
-    identifiable: np.ndarray  # (p,): parameters that the data determine individually
-    known: tuple  # what the recording says of each parameter; see `known_parameters`
-    # (nv,): torque residuals expected from noise alone [N m or N]
-    noise_floor: np.ndarray
-    gains: ChannelGains | None
-    package: str  # and version that the robot was saved with at first
-
-    @property
-    def names(self):
-        """Names of the parameters, tuple of str."""
-        return self._of_parameters()[0]
-
-    @property
-    def units(self):
-        """Units of the parameters, tuple of str."""
-        return self._of_parameters()[1]
-
-    def _of_parameters(self):
-        features = self.predictor.features
-        names, units = effect_names(self.predictor.effects, features.model_)
-        return features.parameter_names_ + names, features.parameter_units_ + units
-
-
 # -- writing ---------------------------------------------------------------------------
 
 
-def write(path, saved):
-    """Write a `SavedRobot` as JSON."""
-    write_whole(path, f"{readable(_content(saved))}\n")
+def write(path, robot):
+    """Write an `IdentifiedRobot` as JSON."""
+    write_whole(path, f"{readable(_content(robot))}\n")
 
 
-def _content(saved):
+def _content(robot):
     """Return what a file holds, dicts and lists of plain values."""
-    predictor = saved.predictor
-    features, plan = predictor.features, predictor.plan
+    features, plan = robot.features_, robot.plan
     nominal = features.nominal_
     kinds = is_prismatic(nominal)
     return {
         "format": FORMAT,
         "version": VERSION,
-        "saved_with": saved.package,
+        "saved_with": robot.package,
         "joints": [
             {
                 "name": name,
                 "kind": "prismatic" if prismatic else "revolute",
                 "standstill": spelled(plan.standstill[j]),
                 "standstill_unit": SPEED[int(prismatic)],
-                "noise_floor": spelled(saved.noise_floor[j]),
+                "noise_floor": spelled(robot.noise_floor_[j]),
                 "noise_floor_unit": "N" if prismatic else "N m",
                 "channel_gain": spelled(features.gains_[j]),
             }
@@ -103,60 +68,59 @@ def _content(saved):
             "angular_unit": "rad/s^2",
         },
         "friction": list(features.friction_),
-        "parameters": _parameters(saved, slice(0, features.n_parameters_)),
-        "effects": _effects(saved),
-        "unknown_gains": None if saved.gains is None else _gains(saved.gains),
-        "fit": _fit(predictor),
-        "ranges": [_range(one, joint_names(nominal)) for one in predictor.ranges],
+        "parameters": _parameters(robot, slice(0, features.n_parameters_)),
+        "effects": _effects(robot),
+        "unknown_gains": None if robot.gains_ is None else _gains(robot.gains_),
+        "fit": _fit(robot),
+        "ranges": [_range(one, joint_names(nominal)) for one in robot.effect_ranges_],
         "signals": {
             name: {"lowest": spelled(low), "highest": spelled(high)}
-            for name, (low, high) in predictor.signal_ends.items()
+            for name, (low, high) in robot.signal_ends.items()
         },
-        "column_powers": _powers(predictor),
-        "torque_spread": _torque_spread(predictor.spread),
-        "urdf_is": _URDF_IS[0 if saved.from_file else 1],
-        "urdf": saved.urdf.split("\n"),
+        "column_powers": _powers(robot),
+        "torque_spread": _torque_spread(robot.spread),
+        "urdf_is": _URDF_IS[0 if robot.comes_from_urdf else 1],
+        "urdf": robot.description_.split("\n"),
     }
 
 
-def _parameters(saved, rows):
+def _parameters(robot, rows):
     """Return a slice of the parameters, a list of dict."""
-    theta, load = saved.predictor.theta, _load_of_all(saved.predictor)
+    theta, load = robot.theta_, _load_of_all(robot)
     return [
         {
-            "name": saved.names[k],
+            "name": robot.parameter_names_[k],
             "value": spelled(theta[k]),
-            "unit": saved.units[k],
-            "std": spelled(saved.theta_std[k]),
-            "identifiable": bool(saved.identifiable[k]),
-            "known": saved.known[k],
+            "unit": robot.parameter_units_[k],
+            "std": spelled(robot.theta_std_[k]),
+            "identifiable": bool(robot.identifiable_[k]),
+            "known": robot.known_[k],
             "in_load": None if load[k] is None else spelled(load[k]),
         }
         for k in range(theta.size)[rows]
     ]
 
 
-def _load_of_all(predictor):
+def _load_of_all(robot):
     """Value of each parameter in the load of the effects; None where it has none."""
-    n = predictor.theta.size
-    if predictor.load is None:
+    n = robot.theta_.size
+    if robot.load is None:
         return n * [None]
     part_of = np.ones(n, dtype=bool)
-    at = predictor.features.n_parameters_
-    for effect in predictor.effects:
+    at = robot.features_.n_parameters_
+    for effect in robot.effects_:
         part_of[at : at + len(effect.coefficients)] = is_plain(effect)
         at += len(effect.coefficients)
-    values = iter(predictor.load)
+    values = iter(robot.load)
     return [next(values) if own else None for own in part_of]
 
 
-def _effects(saved):
+def _effects(robot):
     """Return the effects, a list of dict."""
-    predictor = saved.predictor
-    names, kinds = predictor.joint_names, is_prismatic(predictor.features.model_)
-    at, found = predictor.features.n_parameters_, []
-    spreads = predictor.spreads
-    for effect, spread in zip(predictor.effects, spreads):
+    names, kinds = robot.joint_names_, is_prismatic(robot.features_.model_)
+    at, found = robot.features_.n_parameters_, []
+    spreads = robot.spreads
+    for effect, spread in zip(robot.effects_, spreads):
         rows = slice(at, at + len(effect.coefficients))
         at = rows.stop
         settings = _settings(effect)
@@ -168,7 +132,7 @@ def _effects(saved):
                 "joint": names[effect.joint],
                 "shape": settings,
                 "shape_units": {key: units[key] for key in settings if key in units},
-                "parameters": _parameters(saved, rows),
+                "parameters": _parameters(robot, rows),
                 "spread": {
                     "of": list(spread.shape),
                     "covariance": spelled_all(spread.covariance),
@@ -198,7 +162,7 @@ def _settings(effect):
         if plain is _NOT_PLAIN:
             raise ValueError(
                 f"{key} of the effect {effect.name!r} is {value!r}, and only numbers, "
-                "texts, true, false, None and tuples of these can be saved: give it "
+                "texts, true, false, None and tuples of these can be robot: give it "
                 "such a parameter."
             )
         found[key] = plain
@@ -250,10 +214,10 @@ def _gains(gains):
     }
 
 
-def _fit(predictor):
+def _fit(robot):
     """Return how the fit smoothed and filtered, a dict."""
-    plan, states = predictor.plan, predictor.plan.state_estimator
-    period, cutoff = plan.fastest_period, predictor.state_cutoff
+    plan, states = robot.plan, robot.plan.state_estimator
+    period, cutoff = plan.fastest_period, robot.state_cutoff
     return {
         "dt": None if plan.dt is None else spelled(plan.dt),
         "dt_unit": "s",
@@ -304,9 +268,9 @@ def _range(one, names):
     } | found
 
 
-def _powers(predictor):
+def _powers(robot):
     """Return how large columns were in the fit; None where that is not known."""
-    powers, names = predictor.powers, predictor.joint_names
+    powers, names = robot.powers, robot.joint_names_
     if powers is None:
         return None
     return {
@@ -339,7 +303,7 @@ def _torque_spread(spread):
 
 
 def read(path, effects=()):
-    """Read a `SavedRobot`; ValueError if something in the file is missing or wrong."""
+    """Read an `IdentifiedRobot`; ValueError for what is missing or wrong."""
     # effects: classes of those that are not in the library.
     file = read_place(path)
     if not isinstance(file.value, dict) or file.value.get("format") != FORMAT:
@@ -355,7 +319,7 @@ def read(path, effects=()):
             f"is {version}, and this release reads versions up to {VERSION}: install a "
             "newer sklearn-vbjfa"
         )
-    return _saved(file, _classes(effects))
+    return _read_robot(file, _classes(effects))
 
 
 def _classes(effects):
@@ -374,7 +338,7 @@ def _classes(effects):
     return found
 
 
-def _saved(file, classes):
+def _read_robot(file, classes):
     model = _nominal(file)
     names = joint_names(model)
     effects, parameters, spreads = _read_effects(file["effects"], names, classes)
@@ -385,12 +349,12 @@ def _saved(file, classes):
         raise friction.wrong(f"is of no use: {error}") from error
     features = features.corrected(effects)
     rows = file["parameters"].items() + parameters
-    predictor = TorquePredictor(
-        features=features,
+    robot = IdentifiedRobot(
+        features_=features,
         plan=_plan(file, effects),
-        theta=np.array([row["value"].number() for row in rows]),
+        theta_=np.array([row["value"].number() for row in rows]),
         load=_load(rows),
-        ranges=tuple(
+        effect_ranges_=tuple(
             _read_range(one, names)
             for one in file["ranges"].items(
                 len(names) * len(features.friction_) + len(effects)
@@ -407,22 +371,19 @@ def _saved(file, classes):
         state_cutoff=_read_state_cutoff(file["fit"]["state_cutoff"]),
         powers=_read_powers(file["column_powers"], names, features, effects),
         spread=_read_torque_spread(file, features, effects),
-    )
-    saved = SavedRobot(
-        predictor=predictor,
-        urdf="\n".join(file["urdf"].texts()),
-        from_file=file["urdf_is"].one_of(_URDF_IS) == _URDF_IS[0],
-        theta_std=np.array([row["std"].number() for row in rows]),
-        identifiable=np.array([row["identifiable"].truth() for row in rows], bool),
-        known=tuple(row["known"].one_of(_KNOWN) for row in rows),
-        noise_floor=np.array(
+        text="\n".join(file["urdf"].texts()),
+        from_urdf=file["urdf_is"].one_of(_URDF_IS) == _URDF_IS[0],
+        theta_std_=np.array([row["std"].number() for row in rows]),
+        identifiable_=np.array([row["identifiable"].truth() for row in rows], bool),
+        known_=tuple(row["known"].one_of(_KNOWN) for row in rows),
+        noise_floor_=np.array(
             [j["noise_floor"].number() for j in file["joints"].items()]
         ),
-        gains=_read_gains(file["unknown_gains"], names),
+        gains_=_read_gains(file["unknown_gains"], names),
         package=file["saved_with"].text(),
     )
-    _check_names(file, rows, saved)
-    return saved
+    _check_names(file, rows, robot)
+    return robot
 
 
 def _of_joints(file, key):
@@ -644,17 +605,17 @@ def _read_gains(place, names):
     )
 
 
-def _check_names(file, rows, saved):
+def _check_names(file, rows, robot):
     """Refuse parameters that are not those of the joints, friction and effects."""
-    n = saved.predictor.features.n_parameters_
+    n = robot.features_.n_parameters_
     file["parameters"].items(n)
-    for row, name in zip(rows, saved.names):
+    for row, name in zip(rows, robot.parameter_names_):
         if row["name"].text() != name:
             raise row["name"].wrong(
                 f"is {row['name'].value!r} where {name!r} is expected, of joints, "
                 "friction and effects in their order"
             )
-    theta = saved.predictor.theta
+    theta = robot.theta_
     if not np.isfinite(theta).all():
         raise rows[int(np.argmin(np.isfinite(theta)))]["value"].wrong(
             "must hold a finite number"

@@ -122,7 +122,7 @@ class Windows:
         """Cut a recording into windows of some number of rows."""
         # states: `RecordingStates`. What remains of a recording is left out, half of it
         # at each end; recordings shorter than a window are left out.
-        nv = predictor.features.n_joints_
+        nv = predictor.features_.n_joints_
         picked, start = [], []
         for part, own in zip(recording.segments, states.own):
             n = part.stop - part.start
@@ -187,7 +187,7 @@ def _tell_unknown_noise(predictor):
     if estimator is None or not np.isnan(estimator.noise_variance_).any():
         return
     unknown = np.isnan(estimator.noise_variance_)
-    names = [name for name, bad in zip(predictor.joint_names, unknown) if bad]
+    names = [name for name, bad in zip(predictor.joint_names_, unknown) if bad]
     warnings.warn(
         f"The encoder noise of {', '.join(names)} is not known, as no recording is "
         "long enough to show it: windows start exactly at the smoothed states, and the "
@@ -353,7 +353,7 @@ class Normal:
         """Differentiate the criterion at simulated windows."""
         scale = fit.scale(windows)
         W, L, nv = windows.measured.shape
-        p = fit.predictor.theta.size
+        p = fit.predictor.theta_.size
         H, g = np.zeros((p, p)), np.empty((W, p))
         cross, step = np.empty((W, 2 * nv, p)), np.empty((W, 2 * nv))
         per_window = 8 * L * nv * (4 * p + 8 * nv)
@@ -388,7 +388,7 @@ def refine(predictor, found, recording, states, settings):
     """Refine the parameters of a torque fit by output error."""
     # Steps of Gauss and Newton, damped after Levenberg and Marquardt in the metric of
     # the torque fit, each projected onto the physically consistent parameters in its
-    # own metric, and taken only where the criterion falls. predictor: `TorquePredictor`
+    # own metric, and taken only where the criterion falls. predictor: `IdentifiedRobot`
     # of the torque fit; found: its `Estimate`; recording, states: what was fitted;
     # settings: has `window` and `projector`. Returns `Refined`.
     rows = window_rows(settings.window, predictor, recording, states)
@@ -415,7 +415,7 @@ def refine(predictor, found, recording, states, settings):
 
 def _refine(predictor, found, windows, projector):
     """Refine on windows; see `refine`."""
-    nv = predictor.features.n_joints_
+    nv = predictor.features_.n_joints_
     fit = Fit.of(predictor, windows, np.zeros((windows.count, 2 * nv)))
     before = fit.position_errors(windows)
     value, count = fit.criterion(windows), windows.observations.sum()
@@ -444,8 +444,8 @@ def _refine(predictor, found, windows, projector):
         if fell < TOLERANCE * count:
             converged = True
             break
-    theta = fit.predictor.theta
-    torque = [_torque_errors(found.moments, x) for x in (predictor.theta, theta)]
+    theta = fit.predictor.theta_
+    torque = [_torque_errors(found.moments, x) for x in (predictor.theta_, theta)]
     criteria = SimulationCriteria(
         position_before=before,
         position_after=fit.position_errors(windows),
@@ -485,18 +485,18 @@ def _step(predictor, found, normal, own, held, projector):
     """Parameters after a step in the metric `own`: as solved, and projected."""
     change = scaled_eigen(own).solve(-normal.g.sum(axis=0))
     change[held] = 0.0
-    raw = predictor.theta + change
+    raw = predictor.theta_ + change
     asked = replace(found, theta=raw, theta_unconstrained=raw, metric=own)
-    theta = project(asked, projector, predictor.features).theta
-    return raw, np.where(held, predictor.theta, theta)
+    theta = project(asked, projector, predictor.features_).theta
+    return raw, np.where(held, predictor.theta_, theta)
 
 
 def _try(fit, normal, theta, windows):
     """Simulate with other parameters, starts following; None where it fails."""
-    change = theta - fit.predictor.theta
+    change = theta - fit.predictor.theta_
     z = fit.z + normal.step + normal.cross @ change
     try:
-        return Fit.of(replace(fit.predictor, theta=theta), windows, z)
+        return Fit.of(replace(fit.predictor, theta_=theta), windows, z)
     except (SimulationError, ValueError):
         # Diverging motion, or a robot without positive inertia.
         return None

@@ -46,7 +46,7 @@ class Slopes:
 
 def slopes(predictor, recording, states):
     """Differentiate the torques of a robot along motions."""
-    # predictor: `TorquePredictor`; recording: `Recording` with the segments and clock
+    # predictor: `IdentifiedRobot`; recording: `Recording` with the segments and clock
     # of the motions; states (n, 3 nv). Returns `Slopes`, of true torques.
     mass, damping, stiffness = _of_bodies(predictor, states)
     extra = _differences(predictor, recording, states)
@@ -54,11 +54,11 @@ def slopes(predictor, recording, states):
         recording,
         [states[part] for part in recording.segments],
         predictor.held_plan,
-        predictor.features,
+        predictor.features_,
         theta=predictor.load,
     )
     Phi = np.concatenate([one(slice(None)) for one in rows])
-    Phi /= predictor.features.gains_[:, None]
+    Phi /= predictor.features_.gains_[:, None]
     Phi[:, :, held_parameters(predictor)] = 0.0
     return Slopes(
         mass=mass + extra.mass,
@@ -72,8 +72,8 @@ def slopes(predictor, recording, states):
 def held_parameters(predictor):
     """Return which parameters (p,) a simulation does not depend on as columns."""
     # Values of effects in the model, and effects that a simulation leaves out.
-    held = [np.zeros(predictor.features.n_parameters_, dtype=bool)]
-    for effect in predictor.effects:
+    held = [np.zeros(predictor.features_.n_parameters_, dtype=bool)]
+    for effect in predictor.effects_:
         out = effect.in_model or isinstance(effect, tuple(LEFT_OUT))
         held.append(np.full(len(effect.coefficients), out))
     return np.concatenate(held)
@@ -82,7 +82,7 @@ def held_parameters(predictor):
 def _of_bodies(predictor, states):
     """Differentiate the rigid bodies' torques, three arrays (n, nv, nv)."""
     pin = import_pinocchio()
-    model = with_bodies(predictor.features.model_, predictor.inertial())
+    model = with_bodies(predictor.features_.model_, predictor.inertial())
     data, nv = model.createData(), model.nv
     out = np.empty((3, states.shape[0], nv, nv))
     for i, (q, v, a) in enumerate(states.reshape(-1, 3, nv)):
@@ -95,20 +95,20 @@ def _of_bodies(predictor, states):
 
 def _beside_bodies(predictor, recording, states):
     """Torques (n, nv) of friction and effects, without those of the channels."""
-    features, nv = predictor.features, predictor.features.n_joints_
+    features, nv = predictor.features_, predictor.features_.n_joints_
     _, v, a = np.split(states, 3, axis=1)
-    own = predictor.bodies(predictor.theta)[:, 10:]
+    own = predictor.bodies(predictor.theta_)[:, 10:]
     columns = _friction.columns(features.friction_, v, a)
     torque = np.einsum("njk,jk->nj", columns, own)
     # Effects whose torque depends on the state alone.
     out = (*CHANNELS, *LEFT_OUT)
-    moving = [not (e.in_model or isinstance(e, out)) for e in predictor.effects]
+    moving = [not (e.in_model or isinstance(e, out)) for e in predictor.effects_]
     if any(moving):
         known = {"theta": predictor.load}
         motion = motion_of(recording, states, predictor.held_plan, features, **known)
-        held = own_motions(predictor.effects, predictor.held, motion)
-        coefs = predictor.split(predictor.theta)
-        for effect, coef, one in compress(zip(predictor.effects, coefs, held), moving):
+        held = own_motions(predictor.effects_, predictor.held, motion)
+        coefs = predictor.split(predictor.theta_)
+        for effect, coef, one in compress(zip(predictor.effects_, coefs, held), moving):
             which = slice(0, nv) if effect.whole_robot else effect.joint
             torque[:, which] += effect.columns(one) @ coef
     return torque

@@ -14,7 +14,6 @@ from scipy import special
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.recording._columns import torques_in_order
 from sklearn_vbjfa.recording._recording import check_dt
-from sklearn_vbjfa.robot._prediction import predictor_of
 from sklearn_vbjfa.simulation._simulate import SimulationError
 
 # Level of the one-sided test by which an error is clearly smaller than another.
@@ -274,8 +273,8 @@ def simulate_windows(
     not clearly better than a robot that stays and one that keeps its velocity on \
 joint_5, joint_6
     """
-    predictor = predictor_of(robot)
-    names, nv = predictor.joint_names, len(predictor.joint_names)
+    predictor = robot.robot_
+    names, nv = predictor.joint_names_, len(predictor.joint_names_)
     X, signals = predictor.checked(X, signals)
     y = _torques(y, names, len(X))
     if predictor.plan.dt is None:
@@ -320,7 +319,7 @@ joint_5, joint_6
 
 def _measured(predictor, X, groups, t, signals, window):
     """Cut a recording into windows that nothing has been simulated in yet."""
-    nv, dt = len(predictor.joint_names), check_dt(predictor.plan.dt)
+    nv, dt = len(predictor.joint_names_), check_dt(predictor.plan.dt)
     asked = predictor.ask(X, groups, t, signals=signals)
     clock = _times(t, len(X))
     if clock is None:
@@ -328,8 +327,8 @@ def _measured(predictor, X, groups, t, signals, window):
     states, _ = predictor.query(X, groups)
     rows = _rows(asked, predictor.plan.standstill, _length(window, dt), dt)
     return SimulatedWindows(
-        joint_names=predictor.joint_names,
-        prismatic=np.array(is_prismatic(predictor.features.model_)),
+        joint_names=predictor.joint_names_,
+        prismatic=np.array(is_prismatic(predictor.features_.model_)),
         starts=rows[:, 0],
         t=clock[rows],
         positions=X[rows][..., :nv],

@@ -11,7 +11,6 @@ import numpy as np
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.recording._recording import contiguous_groups
 from sklearn_vbjfa.robot import TorqueResiduals
-from sklearn_vbjfa.robot._identifier import equations_of, states_of
 from sklearn_vbjfa.robot._joint_moments import joint_moments
 from sklearn_vbjfa.robot._weights import least_squares, noise_weights
 
@@ -37,7 +36,8 @@ class Equations:
 def equations(identifier, part):
     """Build the equations of a part, filtered and masked as in the fit."""
     X, y, groups = part
-    states = states_of(identifier, X, groups)
+    robot = identifier.robot_
+    states = robot.query(X, groups)[0]
     nv = y.shape[1]
     v, a = states[:, nv : 2 * nv], states[:, 2 * nv :]
     columns = np.zeros((X.shape[0], nv, 6))
@@ -46,7 +46,7 @@ def equations(identifier, part):
     columns[:, SIXTH, 3:] = np.column_stack([a[:, FIFTH], v[:, FIFTH], both])
     lowpass = _lowpass.design(identifier.dt, identifier.cutoff_)
     parts = contiguous_groups(groups, X.shape[0])
-    made = equations_of(identifier, X, y, groups, np.ones(y.shape))
+    made = robot.equations(robot.recording(X, y, groups, np.ones(y.shape)), states)
     coupling = np.concatenate([lowpass(columns[rows]) for rows in parts])
     return Equations(
         Phi=made.Phi,

@@ -24,7 +24,6 @@ from sklearn_vbjfa import (
     VBJFARegressor,
 )
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot._identifier import estimate_of, pieces_of
 from sklearn_vbjfa.robot._plan import corrects_noise
 
 FRICTION = ("viscous", "coulomb")
@@ -116,8 +115,9 @@ def run_condition(encoder_noise, cutoff, *, duration=50.0, names=None):
     )
     part = (recording.q, recording.tau, recording.groups)
     base = shared.fit(*part)
-    pieces = pieces_of(base, *part)
-    measured = pieces_of(base, *part, halves="noise")
+    robot = base.robot_
+    pieces = robot.pieces(*part)
+    measured = robot.pieces(*part, halves="noise")
     results = {}
     for name, settings in methods().items():
         if names is not None and name not in names:
@@ -125,11 +125,11 @@ def run_condition(encoder_noise, cutoff, *, duration=50.0, names=None):
         model = RobotIdentifier(**{**shared.get_params(), **settings})
         rows = measured if corrects_noise(model.regressor) else pieces
         if name.startswith("IV"):
-            rows = pieces_of(base, *part, halves="instruments")
+            rows = robot.pieces(*part, halves="instruments")
         start = time.perf_counter()
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = estimate_of(base, rows, model)
+            found = model.estimated(rows, robot.plan)
         seconds = time.perf_counter() - start
         # These states are true: a joint that moves slowly does not stand.
         error = base.features_.matrices(new.states) @ found.theta - new.tau

@@ -42,7 +42,6 @@ from sklearn_vbjfa.datasets._catalogue import protocols
 from sklearn_vbjfa.diagnosis.explain._split import split_in_time
 from sklearn_vbjfa.recording._recording import take_arrays
 from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
-from sklearn_vbjfa.robot._identifier import estimate_of, pieces_of
 from sklearn_vbjfa.robot._residuals import collect_residuals
 
 SETS = {
@@ -137,12 +136,14 @@ def _rank(pieces):
 def partial_least_squares(base, train, test):
     """Errors of PLS on the untouched part, of components up to the equations' rank."""
     settings = dict(methods(len(base.parameter_names_))["PLS"])
-    pieces = list(pieces_of(base, *train))
+    robot = base.robot_
+    pieces = robot.pieces(*train)
     counts = sorted({int(c) for c in np.geomspace(1, _rank(pieces), 8)})
     grid = {"n_components": counts}
     settings["regressor"] = clone(settings["regressor"]).set_params(param_grid=grid)
-    found = estimate_of(base, pieces, clone(base).set_params(**settings))
-    return collect_residuals(pieces_of(base, *test), found.theta).normalised_error()
+    model = clone(base).set_params(**settings)
+    found = model.estimated(pieces, robot.plan)
+    return collect_residuals(robot.pieces(*test), found.theta).normalised_error()
 
 
 def judge_set(q, tau, groups, identifier, names=tuple(RIVALS), **settings):

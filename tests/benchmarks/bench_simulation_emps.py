@@ -29,7 +29,6 @@ from bench_protocol_emps import (
 from sklearn_vbjfa import RobotIdentifier, StateEstimator
 from sklearn_vbjfa.datasets import fetch_emps
 from sklearn_vbjfa.effects import AsymmetricFriction, Spring, Stribeck
-from sklearn_vbjfa.robot._identified import torque_model
 from sklearn_vbjfa.simulation._simulate import simulate
 
 SKIPPED = 20  # rows
@@ -95,7 +94,9 @@ def left_out(part, structure, criterion):
         kept[begin:end] = False
         try:
             robot = fit(part, structure, criterion, kept)
-            errors.append(position_error(torque_model(robot), part, slice(begin, end)))
+            errors.append(
+                position_error(robot.robot_.torque_model(), part, slice(begin, end))
+            )
         except ValueError:
             # Its simulation diverges: the candidate is out.
             errors.append(np.inf)
@@ -119,7 +120,8 @@ def _rms(values):
 def plain_model(part):
     """`TorqueModel` of the authors' least squares."""
     theta = authors_least_squares(authors_states(part.q[:, 0], part.dt), part.tau[:, 0])
-    robot = torque_model(fit(part, "viscous, Coulomb, offset", "torque"))
+    fitted = fit(part, "viscous, Coulomb, offset", "torque")
+    robot = fitted.robot_.torque_model()
     bodies = np.array([[theta[0], 0, 0, 0, 1, 0, 1, 0, 0, 1.0]])
     return replace(robot, bodies=bodies, friction=theta[None, 1:])
 
@@ -149,8 +151,8 @@ def report(recording, judge=True):
     declared = fit(fitted, "viscous, Coulomb, offset", "torque")
     models = {
         "plain least squares, authors' filters": plain_model(fitted),
-        "RobotIdentifier, viscous, Coulomb, offset": torque_model(declared),
-        f"chosen: {best[0]}; {best[1]}": torque_model(robot),
+        "RobotIdentifier, viscous, Coulomb, offset": declared.robot_.torque_model(),
+        f"chosen: {best[0]}; {best[1]}": robot.robot_.torque_model(),
     }
     errors = [
         [

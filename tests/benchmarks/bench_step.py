@@ -54,7 +54,7 @@ def measure(n_joints, names, n_states):
     left = {(one.name, one.joint) for one in stepper.left_out_}
     kept = without(
         predictor,
-        [k for k, e in enumerate(predictor.effects) if (e.name, e.joint) in left],
+        [k for k, e in enumerate(predictor.effects_) if (e.name, e.joint) in left],
     )
     X = random_motion(rng, n_joints, n_states)
     warmth = rng.normal(size=n_states)
@@ -64,7 +64,7 @@ def measure(n_joints, names, n_states):
     signals = {name: warmth for name in used}
     expected = kept.torques(kept.ask(X, signals=signals))
     off = np.abs(torque - expected).max() / expected.std(axis=0).max()
-    model = predictor.features.model_
+    model = predictor.features_.model_
     data = model.createData()
     alone, _ = each(
         lambda q, v, a: pin.rnea(model, data, q, v, a), [r[:3] for r in rows]

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from sklearn.linear_model import RidgeCV
 
 pytest.importorskip("pinocchio")
 
@@ -242,14 +243,12 @@ def report():
 
 
 def test_a_method_that_fails(here, capsys, monkeypatch):
-    source, right = write(columns()), _comparison.estimate_of
+    source = write(columns())
 
-    def wrong(base, pieces, model):
-        if type(model.regressor).__name__ == "RidgeCV":
-            raise ValueError("It does not converge.")
-        return right(base, pieces, model)
+    def wrong(self, X, y, sample_weight=None):
+        raise ValueError("It does not converge.")
 
-    monkeypatch.setattr(_comparison, "estimate_of", wrong)
+    monkeypatch.setattr(RidgeCV, "fit", wrong)
     code, out, err = run(capsys, "identify", source, "--urdf", "arm.urdf")
     assert code == 3
     assert "ridge failed: It does not converge." in out.splitlines()

@@ -26,7 +26,6 @@ from sklearn_vbjfa.robot._corrections import (  # noqa: E402
     corrections_of,
     note_of_corrections,
 )
-from sklearn_vbjfa.robot._identifier import declare  # noqa: E402
 
 FRICTION = ("viscous", "coulomb")
 BODY = """<inertial><origin xyz="{0} 0.05 0.1"/><mass value="{1}"/>
@@ -231,7 +230,7 @@ def test_a_slider_is_off_by_millimetres(tmp_path):
     robot = RobotIdentifier(
         source, dt=0.01, effects=[JointZero(1, zero=0.02)], friction=("viscous",)
     )
-    declare(robot)
+    robot.load()
     (off,) = corrections_of(robot).zeros
     assert off.plain_unit == "mm"
     assert off.subtract == 0.02

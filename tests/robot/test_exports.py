@@ -31,13 +31,13 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     ViscousQuadratic,
 )
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
-from sklearn_vbjfa.robot._column_powers import ColumnPowers  # noqa: E402
 from sklearn_vbjfa.robot._exports import (  # noqa: E402
     LeftOut,
     as_tendons,
     in_line,
     to_mjcf,
 )
+from sklearn_vbjfa.robot._spreads import ColumnPowers  # noqa: E402
 from sklearn_vbjfa.simulation._torque_model import TorqueModel  # noqa: E402
 from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402

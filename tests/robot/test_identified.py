@@ -20,7 +20,6 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Spring,
     TorqueGain,
 )
-from sklearn_vbjfa.robot._identified import torque_model  # noqa: E402
 
 
 def rigid(model, bodies, states):
@@ -59,7 +58,7 @@ def loaded(simulated):
 
 
 def test_a_torque_model_holds_what_predict_knows(loaded, simulated, new_motion):
-    known = torque_model(loaded)
+    known = loaded.robot_.torque_model()
     states = new_motion.states
     _, v, a = np.split(states, 3, axis=1)
     t = 3.0 + new_motion.dt * np.arange(len(states))
@@ -88,7 +87,7 @@ def test_a_torque_model_holds_what_predict_knows(loaded, simulated, new_motion):
 
 
 def test_a_robot_without_effects_has_no_load(identified):
-    known = torque_model(identified)
+    known = identified.robot_.torque_model()
     assert known.load is None
     assert known.effects == ()
     assert known.coefficients == ()
@@ -104,7 +103,7 @@ def test_a_tilted_base_is_in_the_model(simulated):
         model, dt=simulated.dt, effects=[BaseTilt()], friction=("viscous",)
     )
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
-    gravity = torque_model(robot).model.gravity.linear
+    gravity = robot.robot_.torque_model().model.gravity.linear
     assert np.abs(gravity - model.gravity.linear).max() > 1e-3
     np.testing.assert_allclose(
         np.linalg.norm(gravity), np.linalg.norm(model.gravity.linear), rtol=1e-12
@@ -113,9 +112,7 @@ def test_a_tilted_base_is_in_the_model(simulated):
 
 def test_a_model_of_an_unfitted_robot_is_refused(simulated):
     with pytest.raises(ValueError, match="not fitted"):
-        torque_model(
-            RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=("viscous",))
-        )
+        _ = RobotIdentifier(simulated.urdf, dt=simulated.dt).robot_
 
 
 @pytest.fixture(scope="module")

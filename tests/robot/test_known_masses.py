@@ -11,7 +11,6 @@ from sklearn_vbjfa._core._scaled_eigen import scaled_eigen  # noqa: E402
 from sklearn_vbjfa.effects import LoadFriction, Payload  # noqa: E402
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, PlainEstimate  # noqa: E402
 from sklearn_vbjfa.robot._known_masses import common_gain  # noqa: E402
-from sklearn_vbjfa.robot._prediction import predictor_of  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.02
@@ -239,7 +238,7 @@ def test_sizes_of_what_files_leave_out_are_in_true_units(tmp_path):
     assert_allclose(left.size, np.sqrt(np.mean(added**2, axis=0)).max(), rtol=0.05)
     # A gain as an effect adds (g - 1) times the torque of the robot.
     torque = np.sqrt(np.mean((recorded(noise=0.0) / GAINS) ** 2, axis=0))
-    powers = predictor_of(robot).powers.effects
+    powers = robot.robot_.powers.effects
     sizes = {
         effect.joint: np.sqrt(own[effect.joint, 0, 0])
         for effect, own in zip(robot.effects_, powers)

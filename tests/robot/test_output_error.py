@@ -20,15 +20,12 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Stribeck,
 )
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
-from sklearn_vbjfa.robot._identified import torque_model  # noqa: E402
-from sklearn_vbjfa.robot._identifier import declare  # noqa: E402
 from sklearn_vbjfa.robot._output_error import (  # noqa: E402
     Normal,
     Windows,
     deviations,
     run_windows,
 )
-from sklearn_vbjfa.robot._prediction import predictor_of  # noqa: E402
 from sklearn_vbjfa.robot._sensitivities import propagate, slopes  # noqa: E402
 from sklearn_vbjfa.robot._states import RecordingStates  # noqa: E402
 from sklearn_vbjfa.simulation import PositionController  # noqa: E402
@@ -60,7 +57,7 @@ def identified(model, effects=(), duration=6.0, **given):
 
 
 def windows_of(robot, states, tau, rows):
-    predictor = predictor_of(robot)
+    predictor = robot.robot_
     recording = predictor.recording(states, tau)
     own = RecordingStates.of_rows(recording.segments, states)
     return predictor, Windows.of(predictor, recording, own, rows)
@@ -84,10 +81,10 @@ def sensitivities(robot, states, tau, rows=60):
 
     def positions(theta, starts=windows.start):
         made = run_windows(replace(predictor, theta=theta), windows, starts)
-        return made[:, :, : predictor.features.n_joints_]
+        return made[:, :, : predictor.features_.n_joints_]
 
     made = run_windows(predictor, windows, windows.start)
-    nv = predictor.features.n_joints_
+    nv = predictor.features_.n_joints_
     found = slopes(predictor, windows.part(slice(None)), made.reshape(-1, 3 * nv))
     return predictor, windows, made, propagate(found, made, DT), positions
 
@@ -102,7 +99,7 @@ def test_sensitivities_are_derivatives_of_the_simulation(case):
     # Effects of some size, which the torques did not have.
     robot.theta_[robot.features_.n_parameters_ :] = 0.4
     predictor, windows, _, S, positions = sensitivities(robot, states, tau)
-    theta, nv = predictor.theta, model.nv
+    theta, nv = predictor.theta_, model.nv
     p = theta.size
     for k in range(p):
         step = 1e-4 * max(abs(theta[k]), 0.1)
@@ -175,7 +172,7 @@ def simulated(model, duration=12.0, seed=3, noise=2e-4, torque_noise=0.0):
         rows = groups == g
         start = states[rows][0]
         made[rows] = simulate(
-            torque_model(truth), tau[rows], start[:nv], start[nv : 2 * nv]
+            truth.robot_.torque_model(), tau[rows], start[:nv], start[nv : 2 * nv]
         )
     q = made[:, :nv] + noise * rng.normal(size=(t.size, nv))
     return q, tau + torque_noise * rng.normal(size=tau.shape), groups, truth, made
@@ -291,7 +288,7 @@ def test_effects_are_refined_and_their_shapes_stay():
     robot, *_ = identified(model)
     spring = 3.0
     tau = tau + spring * states[:, :1]
-    truth = torque_model(robot)
+    truth = robot.robot_.torque_model()
     truth = replace(
         truth, effects=(Spring(0),), coefficients=(np.array([spring, 0.5]),)
     )
@@ -397,7 +394,7 @@ def test_what_the_simulation_does_not_see_stays():
     model = arm("z", gravity=0.0)
     t, states, tau = planned(model, 20.0)
     robot, *_ = identified(model)
-    made = simulate(torque_model(robot), tau, *states[0, :2, None])
+    made = simulate(robot.robot_.torque_model(), tau, *states[0, :2, None])
     settings = {**SETTINGS, "friction": (*FRICTION, "rotor_inertia")}
     plain = RobotIdentifier(model, **{**settings, "criterion": "torque"})
     q = made[:, :1] + 1e-4 * np.random.default_rng(1).normal(size=(t.size, 1))
@@ -431,7 +428,9 @@ def controlled(model, duration=8.0, noise=2e-4, torque_noise=0.3, feedforward=Fa
         return controller.torque(*np.array(here), q, v)
 
     start = states[0, :nv], states[0, nv : 2 * nv]
-    made, tau = simulate_controlled(torque_model(truth), control, *start, t, updates=10)
+    made, tau = simulate_controlled(
+        truth.robot_.torque_model(), control, *start, t, updates=10
+    )
     rng = np.random.default_rng(2)
     q = made[:, :nv] + noise * rng.normal(size=(t.size, nv))
     tau = tau + torque_noise * rng.normal(size=tau.shape)
@@ -474,7 +473,7 @@ def test_a_controlled_mass_follows_the_solution_of_its_equation():
     model = arm("z", gravity=0.0)
     robot, *_ = identified(model)
     m = robot.theta_[0]
-    quiet = torque_model(robot)
+    quiet = robot.robot_.torque_model()
     quiet = replace(quiet, friction=0.0 * quiet.friction)
     K, D = 4.0 * m, 2.0 * m  # poles at -1 +- i sqrt(3)
     loop = PositionController(K, D)
@@ -547,7 +546,7 @@ def test_bad_input_is_named(case):
 
 def test_second_moments_are_not_simulated():
     with pytest.raises(ValueError, match="needs the recordings themselves"):
-        declare(RobotIdentifier(arm("ZY"), **SETTINGS))
+        RobotIdentifier(arm("ZY"), **SETTINGS).load()
 
 
 def test_rows_of_a_running_robot_are_not_simulated():

@@ -13,7 +13,6 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects, load_identified
-from sklearn_vbjfa.robot._prediction import predictor_of
 from sklearn_vbjfa.robot._ranges import SignalRanges
 from tests.effects._arms import arm, inverse_dynamics, motion
 
@@ -286,13 +285,13 @@ def test_the_deviation_of_a_held_torque_is_that_at_the_end():
         torque, std = fitted.predict(rows, return_std=True)
     end = np.tile([high, 1.0], (3, 1))
     phi = np.hstack([fitted.features_.matrices(rows)[:, 1], end])
-    known = predictor_of(fitted).spread
+    known = fitted.robot_.spread
     assert_allclose(torque[:, 1], phi @ fitted.theta_, rtol=1e-9)
     told = np.isfinite(np.diagonal(known.covariance))
     C, phi = known.covariance[np.ix_(told, told)], phi[:, told]
     variance = np.einsum("nk,kl,nl->n", phi, C, phi) + known.rest[1]
     assert_allclose(std[:, 1], np.sqrt(variance), rtol=1e-6)
-    free = replace(predictor_of(fitted), ranges=()).predict(rows, return_std=True)
+    free = replace(fitted.robot_, effect_ranges_=()).predict(rows, return_std=True)
     assert free[1][2, 1] > 2 * std[2, 1]
 
 

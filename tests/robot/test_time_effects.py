@@ -12,7 +12,6 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects
-from sklearn_vbjfa.robot._identifier import tell_spreads
 from tests.effects._arms import arm, inverse_dynamics, motion, with_changed_body
 
 MODEL = arm("ZYX")
@@ -129,9 +128,8 @@ def test_deviation_with_the_time_constant_beside_the_coefficient():
     """The delta method by hand: d/dD = f e, d/dT = D f t / T^2 e, e = exp(-t/T)."""
     robot = fit("coulomb")
     covariance = np.array([[0.04, -0.1], [-0.1, 0.9]])
-    tell_spreads(
-        robot, [SimpleNamespace(shape=("time_constant",), covariance=covariance)]
-    )
+    known = SimpleNamespace(shape=("time_constant",), covariance=covariance)
+    robot.tell_spreads([known])
     later = T + START + 30.0
     slopes = np.exp(-later / CONSTANT)[:, None] * np.column_stack(
         [np.ones_like(T), D * later / CONSTANT**2]
@@ -152,14 +150,14 @@ def test_deviation_follows_the_unit_of_the_torque():
     for scale in (1.0, 1e3):
         robot = fit()
         known = SimpleNamespace(shape=(), covariance=scale**2 * covariance)
-        tell_spreads(robot, [known])
+        robot.tell_spreads([known])
         deviations.append(robot.effects_of_time(STATES)[0].std)
     assert_allclose(deviations[1], 1e3 * deviations[0])
 
 
 def test_the_warning_says_how_far_and_how_much():
     robot = fit("coulomb")
-    tell_spreads(robot, [SimpleNamespace(shape=(), covariance=np.array([[0.25]]))])
+    robot.tell_spreads([SimpleNamespace(shape=(), covariance=np.array([[0.25]]))])
     later = T[-1] + START + 20.0 + T
     # The mean square of an exponential over as long as the motion takes.
     faded = np.sqrt((np.exp(-2 * later / CONSTANT)).mean())

@@ -4,13 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa import RigidBodyFeatures
+from sklearn_vbjfa import IdentifiedRobot, RigidBodyFeatures
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.robot._equations import is_plain
 from sklearn_vbjfa.robot._plan import Plan
-from sklearn_vbjfa.robot._prediction import TorquePredictor
-from sklearn_vbjfa.robot._time_effects import Spread
+from sklearn_vbjfa.robot._spreads import Spread
 from tests.model._robots import random_body
 from tests.model._trees import ALIGNED, OBLIQUE, build
 
@@ -74,7 +73,7 @@ def random_effect(name, rng, nv, prismatic, length):
 
 
 def random_predictor(rng, nv, names, *, since=0.0, length=200, gravity=None):
-    """`TorquePredictor` of a random tree with effects of given names."""
+    """`IdentifiedRobot` of a random tree with effects of given names."""
     kinds = rng.choice([*ALIGNED, *OBLIQUE], size=nv)
     model = build(rng, kinds, gravity=gravity)
     features = RigidBodyFeatures(model, FRICTION).load()
@@ -106,10 +105,10 @@ def random_predictor(rng, nv, names, *, since=0.0, length=200, gravity=None):
         ]
         return np.concatenate([np.empty(0), *made])
 
-    return TorquePredictor(
-        features=features.corrected(effects),
+    return IdentifiedRobot(
+        features_=features.corrected(effects),
         plan=plan,
-        theta=np.r_[parameters(), coefficients()],
+        theta_=np.r_[parameters(), coefficients()],
         load=np.r_[parameters(), coefficients(is_plain)],
         spreads=tuple(
             Spread.of_deviations(np.ones(len(effect.coefficients)))
@@ -139,15 +138,15 @@ def random_motion(rng, nv, length=200):
 
 def without(predictor, left_out):
     """Return the same predictor without effects at some places."""
-    effects, at = [], predictor.features.n_parameters_
-    theta, load = [predictor.theta[:at]], [predictor.load[:at]]
+    effects, at = [], predictor.features_.n_parameters_
+    theta, load = [predictor.theta_[:at]], [predictor.load[:at]]
     begin = begin_load = at
-    for k, effect in enumerate(predictor.effects):
+    for k, effect in enumerate(predictor.effects_):
         end = begin + len(effect.coefficients)
         end_load = begin_load + (len(effect.coefficients) if is_plain(effect) else 0)
         if k not in left_out:
             effects.append(effect)
-            theta.append(predictor.theta[begin:end])
+            theta.append(predictor.theta_[begin:end])
             load.append(predictor.load[begin_load:end_load])
         begin, begin_load = end, end_load
     return replace(

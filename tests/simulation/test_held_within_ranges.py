@@ -68,10 +68,10 @@ def widened(low, high, share):
 
 def held(predictor, **ends):
     """Return the same predictor, its effects held, all signs taken as they are."""
-    nv = predictor.features.n_joints_
+    nv = predictor.features_.n_joints_
     unknown = range_of(Spring(), *3 * [(np.nan, np.nan)])
-    own = (range_of(effect, **ends) for effect in predictor.effects)
-    declared = nv * len(predictor.features.friction_) * [unknown]
+    own = (range_of(effect, **ends) for effect in predictor.effects_)
+    declared = nv * len(predictor.features_.friction_) * [unknown]
     plan = replace(predictor.plan, standstill=np.full(nv, -1.0))
     return replace(predictor, plan=plan, ranges=(*declared, *own))
 
@@ -82,7 +82,7 @@ def with_effect(rng, effect, coef):
     return replace(
         predictor,
         plan=replace(predictor.plan, effects=(effect,)),
-        theta=np.r_[predictor.theta, coef],
+        theta=np.r_[predictor.theta_, coef],
         load=np.r_[predictor.load, () if "load" in effect.needs else coef],
     )
 
@@ -93,8 +93,8 @@ def torques(predictor, X):
 
 def load_of(predictor, X):
     """Torques of the bodies that load the joints, by Pinocchio."""
-    bodies = predictor.bodies(predictor.load[: predictor.features.n_parameters_])
-    model = predictor.features.model_.copy()
+    bodies = predictor.bodies(predictor.load[: predictor.features_.n_parameters_])
+    model = predictor.features_.model_.copy()
     model.armature = np.zeros(model.nv)
     for j, body in enumerate(bodies):
         model.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body[:10].copy())
@@ -251,12 +251,12 @@ def test_a_simulation_has_the_predicted_torques(name, twin):
     else:
         predictor = random_predictor(rng, 3, [name])
         # Positive, so that friction brakes.
-        at = predictor.features.n_parameters_
-        predictor.theta[at:] = 0.1 + abs(predictor.theta[at:])
+        at = predictor.features_.n_parameters_
+        predictor.theta_[at:] = 0.1 + abs(predictor.theta_[at:])
         predictor = replace(predictor, load=predictor.load.copy())
     # What is simulated loads the joints as well.
-    bodies = predictor.features.n_parameters_
-    predictor.load[:bodies] = predictor.theta[:bodies]
+    bodies = predictor.features_.n_parameters_
+    predictor.load[:bodies] = predictor.theta_[:bodies]
     predictor = held(predictor, load=(-0.3, 0.5))
     t = DT * np.arange(40)
     tau = torques(predictor, np.zeros((1, 9))) + 4.0 * np.sin(
@@ -274,7 +274,7 @@ def test_a_simulation_has_the_predicted_torques(name, twin):
     assert_allclose(own[:last], tau[:last], rtol=0, atol=1e-9 * size)
     beyond = np.abs(own - torques(replace(predictor, ranges=()), X))[:last].max()
     if name in BOUNDED:
-        assert np.ptp(X[:last, predictor.effects[0].joint]) > 0.45
+        assert np.ptp(X[:last, predictor.effects_[0].joint]) > 0.45
         assert beyond == 0.0
     else:
         assert beyond > 1e-4
@@ -368,12 +368,12 @@ def test_two_frictions_over_the_load_of_a_joint_have_their_own_ends(twin):
 def test_derivatives_are_those_of_the_held_torque(name, twin):
     rng = np.random.default_rng(1)
     predictor = held(random_predictor(rng, 1, [name], gravity=np.zeros(3)))
-    if name == "counterbalance" and not predictor.effects:
+    if name == "counterbalance" and not predictor.effects_:
         pytest.skip("the joint slides")
     dynamics = _dynamics.ForwardDynamics(predictor.torque_model())
     dynamics.start(np.zeros(1))
     mode, stuck = np.zeros(1), np.zeros(1, dtype=bool)
-    (effect,) = predictor.effects
+    (effect,) = predictor.effects_
     (quantity, *_) = effect.depends
     step = 1e-6
 

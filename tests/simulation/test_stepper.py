@@ -26,7 +26,7 @@ LIBRARY = effects.available()
 
 def asked(predictor, X, t=None, signals=None):
     """Torques of all rows at once."""
-    used = {name for effect in predictor.effects for name in effect.recorded}
+    used = {name for effect in predictor.effects_ for name in effect.recorded}
     own = {name: x for name, x in (signals or {}).items() if name in used}
     return predictor.torques(predictor.ask(X, t=t, signals=own))
 
@@ -47,12 +47,12 @@ def check(predictor, X, t=None, signals=None):
     stepper = Stepper(predictor.torque_model())
     future = [
         k
-        for k, effect in enumerate(predictor.effects)
+        for k, effect in enumerate(predictor.effects_)
         if effect.memory == "future" and not effect.in_model
     ]
     told = [(one.name, one.joint) for one in stepper.left_out_]
     assert told == [
-        (predictor.effects[k].name, predictor.effects[k].joint) for k in future
+        (predictor.effects_[k].name, predictor.effects_[k].joint) for k in future
     ]
     expected = asked(without(predictor, future), X, t, signals)
     found = stepped(stepper, X, t, signals)
@@ -100,7 +100,7 @@ def test_the_whole_library_at_once(seed):
 def test_bodies_that_are_none():
     rng = np.random.default_rng(0)
     predictor = random_predictor(rng, 3, ["load_friction", "payload"])
-    bodies = predictor.bodies(predictor.theta)
+    bodies = predictor.bodies(predictor.theta_)
     bodies[0, 0], bodies[1, :10], bodies[2, 0] = 0.0, 0.0, -1e-9
     check(predictor, random_motion(rng, 3))
 
@@ -116,7 +116,7 @@ def test_reset_begins_a_recording():
     rng = np.random.default_rng(2)
     names = ["presliding", "backlash", "delay", "torque_filter"]
     predictor = random_predictor(rng, 2, names)
-    for effect in predictor.effects:
+    for effect in predictor.effects_:
         if effect.name == "delay":
             effect.set_params(delay=0.02)
         if effect.name == "torque_filter":
@@ -200,8 +200,8 @@ def with_effects(rng, own, nv=3):
     plain = sum(len(e.coefficients) for e in own if "load" not in e.needs)
     made = replace(
         predictor,
-        plan=replace(predictor.plan, effects=(*predictor.effects, *own)),
-        theta=np.r_[predictor.theta, rng.normal(size=widths)],
+        plan=replace(predictor.plan, effects=(*predictor.effects_, *own)),
+        theta=np.r_[predictor.theta_, rng.normal(size=widths)],
         load=np.r_[predictor.load, rng.normal(size=plain)],
     )
     if made.plan.timed:
@@ -279,7 +279,7 @@ def test_bad_states_are_named(stepper):
 
 def test_effects_that_do_not_suit_the_robot():
     predictor = random_predictor(np.random.default_rng(0), 3, ["payload"])
-    predictor.effects[0].set_params(joint=1)
+    predictor.effects_[0].set_params(joint=1)
     with pytest.raises(ValueError, match="only the last body carries a payload"):
         Stepper(predictor.torque_model())
     loaded = random_predictor(np.random.default_rng(0), 3, ["load_friction"])

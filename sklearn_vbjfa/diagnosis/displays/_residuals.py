@@ -6,7 +6,7 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_vbjfa.diagnosis.displays._base import Display
 from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._equations import make_motion
-from sklearn_vbjfa.robot._identifier import RobotIdentifier, states_of
+from sklearn_vbjfa.robot._identifier import RobotIdentifier
 
 # Points of one panel: more are a blot, and slow.
 _POINTS = 4000
@@ -296,7 +296,12 @@ def _signals(robot, X, groups, t, index, joints):
     clock = check_clock(t, X.shape[0], robot.dt)
     rigid = robot.theta_[: robot.features_.n_parameters_]
     motion = make_motion(
-        robot.features_, states_of(robot, X, groups), clock, parts, rigid, robot.cutoff_
+        robot.features_,
+        robot.robot_.query(X, groups)[0],
+        clock,
+        parts,
+        rigid,
+        robot.cutoff_,
     )
     kinds, load = motion.prismatic[joints], motion.load[index][:, joints]
     signals = {

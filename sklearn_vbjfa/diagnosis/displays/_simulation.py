@@ -5,8 +5,8 @@ from sklearn.utils.validation import check_is_fitted
 
 from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
 from sklearn_vbjfa.diagnosis.displays._base import Display
-from sklearn_vbjfa.robot._identified import IdentifiedRobot
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
+from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._windows import simulate_windows
 
 # Most windows of a figure of one's own: more are no longer told apart.

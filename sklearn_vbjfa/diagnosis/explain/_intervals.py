@@ -10,7 +10,6 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core._sandwich import block_variance
 from sklearn_vbjfa.robot._equations import held_columns, make_motion
-from sklearn_vbjfa.robot._identifier import linear_part, load_parameters
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 
@@ -71,7 +70,7 @@ class FinalFit:
             view.states,
             view.clock,
             view.parts,
-            load_parameters(identifier),
+            identifier.robot_.load,
             view.robot.cutoff_,
             effects=effects,
             signals=view.signals,
@@ -92,7 +91,7 @@ class FinalFit:
 
     def _predicted(self, theta):
         """Torques of the completed model with some parameters, (m, nv)."""
-        Phi, theta = self.view.equations.Phi, linear_part(self.identifier, theta)
+        Phi, theta = self.view.equations.Phi, self.identifier.robot_.linear_part(theta)
         predicted = Phi @ theta[: Phi.shape[2]]
         for own, coef in zip(self._columns, self._split(theta)):
             predicted = predicted + own @ coef
@@ -117,7 +116,7 @@ class FinalFit:
 
     def residuals(self):
         """Residuals before and after, a pair of TorqueResiduals."""
-        theta = linear_part(self.declared, self.declared.theta_)
+        theta = self.declared.robot_.linear_part(self.declared.theta_)
         before = self.nominal.equations.Phi @ theta
         return self._compared(before), self.residuals_of(self.identifier.theta_)
 

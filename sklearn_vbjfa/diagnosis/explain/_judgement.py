@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.explain._price import (
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.explain._whitening import memory_seconds
 from sklearn_vbjfa.recording._signals import OfferedSignals
-from sklearn_vbjfa.robot._identifier import RobotIdentifier, outside_of
+from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 
 # The wider band reaches this many times as far as that of the fit, and at least to
@@ -147,7 +147,7 @@ def judge(models, found, split, whole):
             model.view, part.tau, max(p.stop - p.start for p in part.segments)
         ),
         price=price,
-        outside=outside_of(completed, rest),
+        outside=completed.robot_.outside_of(rest),
     )
 
 

@@ -17,12 +17,6 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording._recording import check_clock
 from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
-from sklearn_vbjfa.robot._identifier import (
-    corrected,
-    equations_of,
-    linear_part,
-    states_of,
-)
 
 # Directions of the scaled Gram matrix below this are never used.
 _RANK = 1e-12
@@ -73,12 +67,12 @@ class RecordingView:
         begins=None,
         repetition=None,
     ):
-        self.robot = robot
+        self.robot = robot = robot.robot_
         self.declared = robot.features_.friction_
         self.floor = robot.noise_floor_**2
         self.parts = recording.segments
         self.clock = check_clock(recording.t, recording.n_samples, robot.dt)
-        self.states = states_of(robot, recording.inputs, recording.groups)
+        self.states = robot.query(recording.inputs, recording.groups)[0]
         self.signals = recording.signals
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
         self._begins, self.repetition = begins, repetition
@@ -110,7 +104,7 @@ class RecordingView:
             if len(root._corrected) >= _KEPT:
                 root._corrected.pop(next(iter(root._corrected)))
             other = copy.copy(root)
-            other.robot, other._corrections = corrected(root.robot, wanted), key
+            other.robot, other._corrections = root.robot.corrected(wanted), key
             if (other.gains != root.gains).any():
                 # Columns are multiplied with what channels read.
                 other._families = {}
@@ -140,16 +134,8 @@ class RecordingView:
         recording, leave_out = self._given
         weight = recording.weight.astype(float)
         weight[:, list(leave_out)] = 0.0
-        self.equations = equations_of(
-            self.robot,
-            recording.inputs,
-            recording.tau,
-            recording.groups,
-            weight,
-            self.clock,
-            states=self.states,
-            signals=recording.signals,
-        )
+        weighted = replace(recording, weight=weight, t=self.clock)
+        self.equations = self.robot.equations(weighted, self.states)
         self.index, tau = self.equations.index, self.equations.tau
         self.root = np.sqrt(self.equations.weight)
         self.target = (tau * self.root).T
@@ -159,9 +145,9 @@ class RecordingView:
     def _set_blocks(self):
         """Take blocks and joint weights from the robot's fit."""
         robot = self.robot
-        weights = robot.estimator_.joint_weights_
+        weights = robot.joint_weights
         self.precision = np.where(self.root.any(axis=0), weights, 0.0)
-        theta = linear_part(robot, robot.theta_unconstrained_)
+        theta = robot.linear_part(robot.theta_unconstrained_)
         residual = self.equations.tau - self.equations.Phi @ theta
         correlation = correlation_time(
             residual, self.equations.weight, self.step, self.starts

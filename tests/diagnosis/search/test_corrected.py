@@ -14,7 +14,6 @@ from sklearn_vbjfa.effects import (
     Offset,
     TorqueGain,
 )
-from sklearn_vbjfa.robot._identifier import equations_of
 from tests.diagnosis._faulty import PLAIN, with_faults
 from tests.diagnosis.search._searches import coulomb, search
 
@@ -77,13 +76,9 @@ def test_equations_are_those_of_an_identifier_with_the_corrected_model(view, eff
     torque = recording.torque()
     robot.fit(recording.position, torque)
     assert robot.cutoff_ == view.robot.cutoff_
-    expected = equations_of(
-        robot,
-        recording.position,
-        torque,
-        np.zeros(torque.shape[0], int),
-        np.ones_like(torque),
-    )
+    fitted, weight = robot.robot_, np.ones_like(torque)
+    whole = fitted.recording(recording.position, torque, weight=weight)
+    expected = fitted.equations(whole)
     gains = np.ones(3)
     for effect in effects:
         if isinstance(effect, TorqueGain):

@@ -1,0 +1,970 @@
+"""Identified robots: what a fit leaves when data and estimator are put away."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from sklearn.utils.validation import check_array
+
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.effects._ranges import outside, own_motions
+from sklearn_vbjfa.effects._rest import Rest
+from sklearn_vbjfa.model._description_text import description_text, urdf_to_fill
+from sklearn_vbjfa.model._loading import is_prismatic, is_urdf, joint_names
+from sklearn_vbjfa.recording._columns import (
+    columns_beside,
+    positions_in_order,
+    torques_in_order,
+)
+from sklearn_vbjfa.recording._recording import (
+    Recording,
+    check_clock,
+    check_cutoff,
+    check_dt,
+    contiguous_groups,
+    take_arrays,
+)
+from sklearn_vbjfa.recording._signals import signals_for
+from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
+from sklearn_vbjfa.robot._equations import (
+    equations,
+    is_plain,
+    joined,
+    motion_of,
+    numbered,
+    regressor_rows,
+    segments,
+)
+from sklearn_vbjfa.robot._estimate import min_eigenvalues
+from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
+from sklearn_vbjfa.robot._known import note_of_masses
+from sklearn_vbjfa.robot._plan import Plan, effect_names
+from sklearn_vbjfa.robot._ranges import (
+    outside_text,
+    signals_outside_text,
+    warn_outside,
+)
+from sklearn_vbjfa.robot._recording_checks import (
+    check_length,
+    check_weight,
+    check_widths,
+)
+from sklearn_vbjfa.robot._residuals import collect_residuals
+from sklearn_vbjfa.robot._spreads import (
+    ColumnPowers,
+    TorqueSpread,
+    beyond_text,
+    effect_of_time,
+)
+from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
+from sklearn_vbjfa.robot._torque_noise import noise_facts, rows_looked_at, seen
+from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation._stepper import Stepper, causal
+from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
+
+# Periods of the cut-off at each end in which the smoother sees one side only, ...
+_EDGE_PERIODS = 1.0
+# ... but at most this share of a recording.
+_EDGE_SHARE = 0.25
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Query:
+    """Rows of a recording without torques."""
+
+    recording: Recording  # the rows, with their clock
+    states: np.ndarray  # (n, 3 * nv): in the band of the fit
+    rest: Rest  # velocity signs at rest
+    smoother: object = None  # what the states come from; None if they were given
+
+    def noiseless(self, plan):
+        """Return the same query, its states taken for those of the robot."""
+        nothing = np.zeros(self.recording.nv)
+        return replace(self, rest=plan.rest(nothing))
+
+    def signals(self, features, inertial=None):
+        """Return positions, speeds, directions and, with inertial parameters, loads."""
+        # Arrays of shape (n, nv) by their names in `EffectRange`.
+        q, v, a = np.split(self.states, 3, axis=1)
+        found = {"position": q, "speed": np.abs(v), "direction": np.sign(v)}
+        if inertial is not None:
+            found["load"] = features.torques(q, v, a, inertial)
+        return found
+
+    def counts(self, standstill):
+        """Rows in which each signal can be judged, (n, nv), bool, by its name."""
+        # Not those in which the smoother sees one side only, nor those without weight;
+        # a joint at rest has no speed, as in the fit.
+        shape = self.states.shape[0], self.recording.nv
+        inner = np.zeros(shape, dtype=bool)
+        for part in self.recording.segments:
+            edge = self._edge(part.stop - part.start)
+            inner[part.start + edge : part.stop - edge] = True
+        if self.recording.weight is not None:
+            inner &= self.recording.weight > 0
+        speeds = np.abs(self.states[:, shape[1] : 2 * shape[1]])
+        moves = inner & (speeds > standstill)
+        return {"position": inner, "speed": moves, "load": inner, "direction": moves}
+
+    def _edge(self, n):
+        if self.smoother is None:
+            return 0
+        slowest = self.smoother.cutoff_.min()
+        if not np.isfinite(slowest):
+            return 0
+        rows = int(_EDGE_PERIODS / (slowest * self.smoother.dt))
+        return min(rows, int(_EDGE_SHARE * n))
+
+
+def split_effects(effects, coefs):
+    """Split coefficients of effects into those of each, a list."""
+    widths = [len(effect.coefficients) for effect in effects]
+    return np.split(coefs, np.cumsum(widths)[:-1]) if widths else []
+
+
+def recording_of(names, dt, X, y, groups=None, weight=None, t=None, signals=None):
+    """Make a `Recording` of checked arrays; zero torques where none are given."""
+    nv = len(names)
+    return take_arrays(
+        X,
+        np.zeros((X.shape[0], nv)) if y is None else y,
+        groups,
+        weight,
+        t,
+        dt=check_dt(dt) if X.shape[1] == nv or dt is not None else None,
+        joint_names=names,
+        signals=signals,
+    )
+
+
+class SimulatesTorques:
+    """A robot with `robot_`, its identified value."""
+
+    def simulate(self, tau, q0, v0=None, t=None, *, signals=None):
+        """Simulate the identified robot, driven by measured torques.
+
+        Parameters
+        ----------
+        tau : array-like of shape (n_samples, nv)
+            Torques that the channels measured [N m or N], one row per sample, or a data
+            frame with the joints' names. Between rows they go straight.
+        q0 : array-like of shape (nv,)
+            Positions in the first row [rad or m].
+        v0 : array-like of shape (nv,), default=None
+            Velocities in the first row [rad/s or m/s]; None is at rest.
+        t : array-like of shape (n_samples,), default=None
+            Times of the rows [s], on the clock of the fit, at the sample period of the
+            fit. None counts from the beginning of the fit.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, for effects that vary with them.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3 * nv)
+            States [q | v | a]; the first row is the start.
+
+        Raises
+        ------
+        ValueError
+            If torques, times or the start do not suit the robot (the message says what
+            and where), the start lies outside the joint limits, or the robot has no
+            positive inertia.
+        SimulationError
+            A ValueError; if the motion diverges, or its energy exceeds what was put in
+            by more than 1 %, as with identified friction that drives a joint.
+
+        Warns
+        -----
+        UserWarning
+            If a joint leaves its limits, at which there are no stops; and of effects
+            that have no forward dynamics (`effects.Elastic`, `effects.Jerk`).
+
+        Notes
+        -----
+        Friction and all other effects are those of `predict`. Dry friction holds a
+        joint at rest up to its size; the times at which joints stop, turn round and
+        break loose are found, and steps of Runge's and Kutta's fourth order between
+        them are as long as their error estimate allows. Where smooth friction or a
+        stiffness is steep the steps are implicit (a Rosenbrock method). Delays and
+        filters of a torque channel, and its gain, are taken back from `tau` first.
+
+        Without feedback errors add up: two motions under the same torques part within
+        seconds wherever gravity or a neighbour drives them apart. Compare with a
+        recording over windows of about a second, each from a measured state.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording().select(0)
+        >>> robot = RobotIdentifier(
+        ...     recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")
+        ... )
+        >>> robot = robot.fit(recording.q, recording.tau)
+        >>> states = robot.state_estimator_.transform(recording.q)
+        >>> rows = slice(1000, 1050)  # half a second
+        >>> q0, v0 = states[1000, :6], states[1000, 6:12]
+        >>> simulated = robot.simulate(recording.tau[rows], q0, v0)
+        >>> simulated.shape
+        (50, 18)
+        """
+        model = self.robot_.torque_model()
+        tau = torques_in_order(tau, model.joint_names)
+        return simulate(model, tau, q0, v0, t, signals=signals)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+class IdentifiedRobot(SimulatesTorques):
+    """An identified robot without its data, for prediction, simulation and control.
+
+    `RobotIdentifier.robot_` is one, and `load_identified` reads one from the file that
+    `save` wrote. Nothing of it changes; only `step` remembers the motion.
+
+    Attributes
+    ----------
+    joint_names_ : tuple of str
+        Joints, in the order of all columns.
+    theta_, theta_std_ : ndarray of shape (p,)
+        Parameters and their standard deviations, as in `RobotIdentifier`.
+    parameter_names_, parameter_units_ : tuple of str
+        Names ("joint_1:m") and units of the parameters.
+    identifiable_ : ndarray of shape (p,), bool
+        Parameters that the data determined individually.
+    known_ : tuple of str
+        "yes", "in combination" or "no": whether the recording tells a parameter by
+        itself, together with others, or not at all.
+    effects_ : tuple of Effect
+        Effects in use.
+    effect_ranges_ : tuple of EffectRange
+        What each effect was fitted on.
+    gains_ : ChannelGains or None
+        Gains of the torque channels, if they were unknown.
+    features_ : RigidBodyFeatures
+        The robot, corrected by its effects in ``model_``, and as described in
+        ``nominal_``.
+    min_eigenvalues_ : ndarray of shape (nv,)
+        Smallest pseudo-inertia eigenvalue of each body, positive if it is physically
+        consistent.
+    noise_floor_ : ndarray of shape (nv,)
+        Torque residuals expected from noise alone [N m or N].
+    standstill_ : ndarray of shape (nv,)
+        Speeds at or below which a joint may be standing [rad/s or m/s].
+    cutoff_ : float
+        Highest frequency that was identified [Hz].
+    dt : float or None
+        Sample period of the fit [s].
+    description_ : str
+        Robot description (URDF), not corrected.
+    left_out_ : tuple of LeftOutEffect
+        Effects that `step` does without, as they need what comes after a state, each
+        with `name`, `joint` (from zero) and `reason`.
+
+    See Also
+    --------
+    load_identified : Reads it from a file.
+    RobotIdentifier : Identifies robots.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import numpy as np
+    >>> from sklearn_vbjfa import RobotIdentifier, load_identified
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> recording = load_demo_recording().select(0)
+    >>> fitted = RobotIdentifier(recording.urdf, dt=recording.dt)
+    >>> fitted = fitted.fit(recording.q, recording.tau)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     fitted.save(f"{folder}/arm.json")
+    ...     robot = load_identified(f"{folder}/arm.json")
+    >>> torque = robot.predict(recording.q)
+    >>> bool(np.array_equal(torque, fitted.predict(recording.q)))
+    True
+
+    State by state, as in a control loop:
+
+    >>> q, v, a = np.zeros((3, 6))
+    >>> first = robot.step(q, v, a)
+    >>> second = robot.step(q + 1e-5, v + 0.01, a)
+    >>> robot.reset()
+    """
+
+    features_: RigidBodyFeatures  # the robot, corrected by its effects
+    plan: Plan  # how the fit smoothed and filtered, with the values of the effects
+    theta_: np.ndarray  # (p,)
+    # parameters that the load of the effects is made with; see `make_motion`
+    load: np.ndarray | None = None
+    # what each effect was fitted on: first friction by joint, then the effects, of
+    # which those that are not `bounded` are held within theirs. Empty, or for all
+    effect_ranges_: tuple = ()
+    # lowest and highest value of each recorded signal in the fit
+    signal_ends: Mapping = field(default_factory=dict)
+    spreads: tuple = ()  # how well each effect is known
+    # [Hz], of a smoother for positions where the fit was given states
+    state_cutoff: object = "auto"
+    # how large columns of friction and effects were in the fit
+    powers: ColumnPowers | None = None
+    # how far measured torques may be from predicted ones
+    spread: TorqueSpread | None = None
+    theta_std_: np.ndarray | None = None  # (p,)
+    theta_unconstrained_: np.ndarray | None = None  # (p,): before the projection
+    identifiable_: np.ndarray | None = None  # (p,): determined individually
+    known_: tuple = ()  # what the recording says of each; see `known_parameters`
+    # (nv,): torque residuals expected from noise alone, those of the torques' noise,
+    # and what a fit left beside noise of positions [N m or N]
+    noise_floor_: np.ndarray | None = None
+    torque_noise_: np.ndarray | None = None
+    output_noise_: np.ndarray | None = None
+    joint_weights: np.ndarray | None = None  # (nv,): in the fit
+    gains_: ChannelGains | None = None
+    # description that the robot came from, path or model, and its text where that is
+    # all there is; whether it came from a URDF or was written from a model's tree
+    source: object = None
+    text: str | None = None
+    from_urdf: bool | None = None
+    package: str = ""  # and version that the robot was saved with at first
+    _stepper: object = None
+
+    def __repr__(self):
+        """Tell the size of the robot and its effects."""
+        effects = ", ".join(effect.name for effect in self.effects_)
+        return (
+            f"<IdentifiedRobot: {len(self.joint_names_)} joints, effects: "
+            f"{effects or 'none'}>"
+        )
+
+    def __getstate__(self):
+        """Return what is copied: all but the motion that `step` remembers."""
+        return vars(self) | {"_stepper": None}
+
+    # -- by the names of a fitted estimator ------------------------------------------
+
+    @property
+    def robot_(self):
+        """The robot itself."""
+        return self
+
+    @property
+    def description_(self):
+        """Robot description (URDF), not corrected."""
+        if self.text is not None:
+            return self.text
+        return description_text(self.source, self.features_.nominal_)
+
+    @property
+    def comes_from_urdf(self):
+        """Whether the description is a URDF, or was written from a model's tree."""
+        return is_urdf(self.source) if self.from_urdf is None else self.from_urdf
+
+    @property
+    def min_eigenvalues_(self):
+        """Smallest pseudo-inertia eigenvalue of each body, (nv,)."""
+        return min_eigenvalues(self.bodies(self.theta_))
+
+    @property
+    def parameter_names_(self):
+        """Names of the parameters, tuple of str."""
+        return self._of_parameters()[0]
+
+    @property
+    def parameter_units_(self):
+        """Units of the parameters, tuple of str."""
+        return self._of_parameters()[1]
+
+    def _of_parameters(self):
+        features = self.features_
+        names, units = effect_names(self.effects_, features.model_)
+        return features.parameter_names_ + names, features.parameter_units_ + units
+
+    @property
+    def left_out_(self):
+        """Effects that `step` does without, tuple of LeftOutEffect."""
+        return causal(self.torque_model())[1]
+
+    @property
+    def dt(self):
+        """Sample period of the fit [s], or None."""
+        return self.plan.dt
+
+    @property
+    def state_estimator_(self):
+        """Smoother of positions in the fit; None if states were given."""
+        return self.plan.state_estimator
+
+    @property
+    def standstill_(self):
+        """Speeds at or below which a joint may be standing, (nv,)."""
+        return self.plan.standstill
+
+    @property
+    def cutoff_(self):
+        """Highest frequency that was identified [Hz]."""
+        return self.plan.cutoff
+
+    # -- what it is asked -------------------------------------------------------------
+
+    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
+        """Predict the joint torques, as `RobotIdentifier.predict` does.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+            Joint positions [rad or m], sampled with `dt` and smoothed as in the fit;
+            or states [q | v | a], taken as noiseless.
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        t : array-like of shape (n_samples,), default=None
+            Time [s] on the clock of the fit, for effects that vary with time. None: the
+            motion begins when the first recording of the fit began.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, for effects that vary with them.
+        return_std : bool, default=False
+            Whether to return the standard deviation of measured torques about the
+            predicted ones as well; see `RobotIdentifier.predict`.
+
+        Returns
+        -------
+        torque : ndarray of shape (n_samples, nv)
+            Joint torques [N m] or forces [N], friction included; those of the
+            `RobotIdentifier` that was saved.
+        std : ndarray of shape (n_samples, nv)
+            Their standard deviations [N m or N], only with `return_std`.
+
+        Raises
+        ------
+        ValueError
+            If X does not suit the robot, a signal is missing, or `return_std` is asked
+            of a robot whose fit had no covariance.
+
+        Warns
+        -----
+        UserWarning
+            If the motion leaves what effects were fitted on; see
+            `RobotIdentifier.predict`.
+        """
+        X, signals = self.checked(X, signals)
+        if return_std and self.spread is None:
+            raise ValueError(
+                "return_std needs the covariance of the parameters, which this robot "
+                "does not have: its regressor gives none (leave regressor=None, or use "
+                "VBJFARegressor or JFARegressor), or it was saved by a version that "
+                "did not keep it (fit and save again)."
+            )
+        asked = self.ask(X, groups, t, signals=signals)
+        warn_outside(self.said_outside(asked), stacklevel=2)
+        rows = self._rows(asked)
+        torques = np.concatenate([one.predict(self.theta_) for one in rows])
+        if not return_std:
+            return torques
+        noiseless = asked.smoother is None
+        spreads = [self.spread.std(one, noiseless=noiseless) for one in rows]
+        return torques, np.concatenate(spreads)
+
+    def effects_of_time(self, X, groups=None, t=None, signals=None):
+        """Return what effects of time add; see `RobotIdentifier.effects_of_time`."""
+        X, signals = self.checked(X, signals)
+        return self.of_time(self.ask(X, groups, t, signals=signals))
+
+    def residuals(
+        self,
+        X,
+        y,
+        groups=None,
+        sample_weight=None,
+        t=None,
+        signals=None,
+        *,
+        cutoff="fit",
+    ):
+        """Torque residuals on a recording; see `RobotIdentifier.residuals`."""
+        X, signals = self.checked(X, signals)
+        y = torques_in_order(y, self.joint_names_)
+        y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
+        check_widths(self.joint_names_, X, y)
+        weight = check_weight(sample_weight, y.shape)
+        if isinstance(cutoff, str) and cutoff == "fit":
+            cutoff = self.plan.cutoff
+        elif cutoff is None:
+            cutoff = np.inf
+        else:
+            cutoff = check_cutoff(cutoff, check_dt(self.plan.dt), "cutoff")
+        lowpass = _lowpass.design(self.plan.dt or 1.0, cutoff)
+        check_length(contiguous_groups(groups, X.shape[0]), lowpass, cutoff)
+        clock = self.clock(t, X.shape[0])
+        recording = self.recording(X, y, groups, weight, clock, signals)
+        states, rest = self.query(X, groups)
+        states = RecordingStates.of_rows(recording.segments, states)
+
+        def compared(rest):
+            made = segments(
+                recording,
+                states,
+                replace(self.held_plan, repeats=False),
+                self.features_,
+                theta=self.load,
+                rest=rest,
+            )
+            return collect_residuals(equations(made, lowpass), self.theta_)
+
+        found = compared(None)
+        if not (found.weight > 0).all():
+            # Weighted rows have the columns of the fit; rows at rest are predicted.
+            found = found.filled(compared(rest))
+        return found
+
+    def step(self, q, v, a, t=None, signals=None):
+        """Predict the torques of the next state of a running robot.
+
+        Rows of states one after another get the torques that `predict` gives them
+        together, without the effects in `left_out_`. Hysteresis, play, delays and lags
+        remember the states since `reset`.
+
+        Parameters
+        ----------
+        q, v, a : array-like of shape (nv,)
+            Positions [rad or m], velocities and accelerations, taken as noiseless.
+        t : float, default=None
+            Time [s] on the clock of the fit, later than that of the state before; used
+            where effects vary with time or have a lag. None counts `dt` from the start
+            of the fit.
+        signals : mapping of str to float, default=None
+            What is recorded beside the motion, for effects that vary with it.
+
+        Returns
+        -------
+        ndarray of shape (nv,)
+            Joint torques [N m] or forces [N], friction included.
+
+        Raises
+        ------
+        ValueError
+            If a state is not of the robot's size or not finite, a signal or the time
+            is missing, or time does not go on; such a state is not remembered.
+
+        Notes
+        -----
+        A state takes some 10 microseconds for seven joints with friction, and as long
+        after an hour as at first. One robot object is for one loop; copy it
+        (`copy.deepcopy`) for another. Nothing is said of motion outside what was
+        fitted: ask `predict` for that before.
+        """
+        if self._stepper is None:
+            object.__setattr__(self, "_stepper", Stepper(self.torque_model()))
+        return self._stepper.step(q, v, a, t, signals)
+
+    def reset(self):
+        """Forget the motion: the next state is the first one of a recording."""
+        if self._stepper is not None:
+            self._stepper.reset()
+
+    def save(self, path):
+        """Write the robot to a file again, the same one that it was read from.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write.
+
+        Raises
+        ------
+        FileNotFoundError
+            If its folder does not exist.
+        """
+        # What reads a robot makes one.
+        from sklearn_vbjfa.robot import _model_file
+
+        _model_file.write(path, self)
+
+    def to_urdf(self, path):
+        """Write the robot description with the identified inertias and friction.
+
+        The file is that of `RobotIdentifier.to_urdf`. For a robot that was identified
+        from a `pinocchio.Model`, it has one link a joint, without shapes.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have; see `RobotIdentifier.to_urdf`.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent.
+        """
+        notes = [
+            _note_of_gravity(self.features_.nominal_.gravity.linear),
+            note_of_gains(self.gains_),
+            *note_of_corrections(self),
+            note_of_masses(self),
+        ]
+        return to_urdf(
+            path,
+            urdf_to_fill(self.text or self.source),
+            self.torque_model(),
+            self.min_eigenvalues_,
+            self.powers,
+            notes,
+            turned_joints(self),
+        )
+
+    def to_mjcf(self, path):
+        """Write the identified robot as MJCF, the description of MuJoCo.
+
+        The file is that of `RobotIdentifier.to_mjcf`.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have; see `RobotIdentifier.to_mjcf`.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent.
+        """
+        return to_mjcf(
+            path,
+            self.torque_model(),
+            self.min_eigenvalues_,
+            self.powers,
+            [note_of_units(self.gains_), note_of_masses(self)],
+        )
+
+    @property
+    def joint_names_(self):
+        """Names of the joints, tuple of str."""
+        return joint_names(self.features_.model_)
+
+    @property
+    def effects_(self):
+        """Effects in use, tuple of Effect."""
+        return self.plan.effects
+
+    @property
+    def held(self):
+        """Ranges that the effects in use are held within, None where they are not."""
+        own = self.effect_ranges_[len(self.effect_ranges_) - len(self.effects_) :]
+        return tuple(
+            None if effect.bounded else one for effect, one in zip(self.effects_, own)
+        )
+
+    @property
+    def held_plan(self):
+        """The plan for predictions, with what effects are held within."""
+        return replace(self.plan, ranges=self.held)
+
+    # -- parameters by what they belong to ------------------------------------------
+
+    def split(self, parameters):
+        """Split parameters (p,) into those of each effect, a list."""
+        # In the first of several passes effects of the load are missing.
+        return split_effects(self.effects_, parameters[self.features_.n_parameters_ :])
+
+    def bodies(self, parameters):
+        """Inertial and friction parameters of each joint, (nv, 10 + n_friction)."""
+        rigid = parameters[: self.features_.n_parameters_]
+        return rigid.reshape(self.features_.n_joints_, -1)
+
+    def inertial(self):
+        """Inertial parameters (nv, 10)."""
+        return np.ascontiguousarray(self.bodies(self.theta_)[:, :10])
+
+    # -- queries --------------------------------------------------------------------
+
+    def checked(self, X, signals):
+        """Return positions or states, and the signals that effects vary with."""
+        beside = columns_beside(X, self.joint_names_)
+        # Positions and states are both accepted, whichever were fitted.
+        X = check_array(positions_in_order(X, self.joint_names_), dtype=np.float64)
+        check_widths(self.joint_names_, X)
+        return X, signals_for(self.effects_, signals, beside, X.shape[0])
+
+    def clock(self, t, n_samples):
+        """Return the time of each row of a query [s], stamped if effects need it."""
+        # Without stamps it begins as the fit did.
+        dt, time = self.plan.dt, self.plan.time
+        if t is not None and self.plan.timed:
+            return check_clock(t, n_samples, dt)
+        clock = check_clock(None, n_samples, dt)
+        return clock if time is None or clock is None else clock + time[0]
+
+    def smoother(self, X, groups, *, in_band=False):
+        """State estimator of a query; None if X holds states."""
+        # With `in_band` it smooths to the identified band.
+        if X.shape[1] == 3 * self.features_.n_joints_:
+            return None
+        estimator = self.plan.state_estimator
+        if estimator is None:
+            dt = check_dt(self.plan.dt)
+            estimator = fit_states(dt, self.state_cutoff, X, groups)
+        return smooth_to(estimator, self.plan.cutoff) if in_band else estimator
+
+    def smoothed(self, X, groups, estimator):
+        """States (n, 3 nv) by an estimator, and the `Rest` of their velocities."""
+        if estimator is None:
+            return X, self.plan.rest(np.zeros(self.features_.n_joints_))
+        states = estimator.transform(X, groups=groups)
+        return states, self.plan.rest(estimator.velocity_noise())
+
+    def query(self, X, groups):
+        """States (n, 3 nv) of a query as the fit smooths, and the `Rest` of them."""
+        return self.smoothed(X, groups, self.smoother(X, groups))
+
+    def recording(self, X, y=None, groups=None, weight=None, t=None, signals=None):
+        """Make a `Recording` of checked arrays; zero torques where none are given."""
+        return recording_of(
+            self.joint_names_, self.plan.dt, X, y, groups, weight, t, signals
+        )
+
+    def ask(self, X, groups=None, t=None, weight=None, signals=None):
+        """Make the `Query` of the rows of a recording."""
+        smoother = self.smoother(X, groups, in_band=True)
+        states, rest = self.smoothed(X, groups, smoother)
+        clock = self.clock(t, X.shape[0])
+        return Query(
+            recording=self.recording(X, None, groups, weight, clock, signals),
+            states=states,
+            rest=rest,
+            smoother=smoother,
+        )
+
+    # -- answers --------------------------------------------------------------------
+
+    def torques(self, asked):
+        """Torques (n, nv) that are predicted for a `Query`."""
+        return np.concatenate([one.predict(self.theta_) for one in self._rows(asked)])
+
+    def _rows(self, asked):
+        """Return the `RegressorRows` of each segment of a `Query`."""
+        recording = asked.recording
+        own = [asked.states[rows] for rows in recording.segments]
+        return regressor_rows(
+            recording,
+            own,
+            self.held_plan,
+            self.features_,
+            theta=self.load,
+            rest=asked.rest,
+        )
+
+    def outside(self, asked):
+        """Find where a `Query` leaves what was fitted, tuple of `OutsideRange`."""
+        inertial = None
+        if any("load" in one.depends for one in self.effect_ranges_):
+            inertial = self.inertial()
+        signals = asked.signals(self.features_, inertial)
+        held = [one is not None for one in self.held]
+        held = [False] * (len(self.effect_ranges_) - len(held)) + held
+        return outside(
+            self.effect_ranges_, held, signals, asked.counts(self.plan.standstill)
+        )
+
+    def said_outside(self, asked):
+        """Say where a `Query` leaves what was fitted, a list of str."""
+        found = self.outside(asked)
+        joints = self.joint_names_, is_prismatic(self.features_.model_)
+        said = [outside_text(found, *joints)] if found else []
+        said += signals_outside_text(self.signal_ends, asked.recording.signals)
+        timed = self.of_time(asked)
+        return said + (beyond_text(timed, self.plan.time, *joints) if timed else [])
+
+    def of_time(self, asked):
+        """Share of each effect of time in a `Query`, tuple of `EffectOfTime`."""
+        if not any(effect.slow for effect in self.effects_):
+            return ()
+        known = {"theta": self.load, "rest": asked.rest}
+        motion = motion_of(
+            asked.recording, asked.states, self.held_plan, self.features_, **known
+        )
+        motions = own_motions(self.effects_, self.held, motion)
+        known = self.effects_, self.split(self.theta_), self.spreads, motions
+        return tuple(
+            effect_of_time(effect, coef, spread, own, self.plan.time)
+            for effect, coef, spread, own in zip(*known)
+            if effect.slow
+        )
+
+    # -- for other fits, and for simulation -------------------------------------------
+
+    def torque_model(self):
+        """Return the `TorqueModel` of the robot, its states taken as noiseless."""
+        bodies, nv = self.bodies(self.theta_), self.features_.n_joints_
+        return TorqueModel(
+            model=self.features_.model_,
+            bodies=np.ascontiguousarray(bodies[:, :10]),
+            friction_names=self.features_.friction_,
+            friction=bodies[:, 10:].copy(),
+            effects=self.effects_,
+            coefficients=tuple(own.copy() for own in self.split(self.theta_)),
+            ranges=self.held,
+            gains=self.features_.gains_.copy(),
+            load=self._load(),
+            rest=self.plan.rest(np.zeros(nv)),
+            since=None if self.plan.time is None else self.plan.time[0],
+            dt=self.plan.dt,
+        )
+
+    def _load(self):
+        """Return the `Load` of the effects, or None."""
+        if self.load is None:
+            return None
+        bodies = self.bodies(self.load)
+        rest, coefficients = self.load[self.features_.n_parameters_ :], []
+        for effect in self.effects_:
+            width = len(effect.coefficients) if is_plain(effect) else 0
+            own, rest = np.split(rest, [width])
+            coefficients.append(own)
+        return Load(
+            bodies=np.ascontiguousarray(bodies[:, :10]),
+            friction=bodies[:, 10:].copy(),
+            coefficients=tuple(coefficients),
+        )
+
+    def corrected(self, effects):
+        """Return the robot corrected by effects, beside or in place of its own."""
+        own = {effect.key(): effect for effect in (*self.effects_, *effects)}
+        return replace(self, features_=self.features_.corrected(own.values()))
+
+    def linear_part(self, theta):
+        """Parameters (p,) without the values that the model holds."""
+        held = [np.zeros(self.features_.n_parameters_, dtype=bool)]
+        held += [np.repeat(e.in_model, len(e.coefficients)) for e in self.effects_]
+        return np.where(np.concatenate(held), 0.0, theta)
+
+    def equations(self, recording, states=None):
+        """Return the filtered `Equations` of a recording, as in the fit.
+
+        Columns of effects in the model are the derivatives by their values, for other
+        fits to correct them; they have no part in what is predicted.
+        """
+        if states is None:
+            states = self.query(recording.inputs, recording.groups)[0]
+        plan = replace(self.plan, repeats=False, tangents=True)
+        made = RecordingStates.of_rows(recording.segments, states)
+        made = segments(recording, made, plan, self.features_, theta=self.load)
+        return joined(equations(made, plan.lowpass))
+
+    def pieces(self, X, y, groups, *, halves=None):
+        """Equations of a recording for other estimators, a list of `Equations`.
+
+        halves : use of the states of the even and the odd samples. "noise" gives the
+        difference of their regressors, "instruments" the odd ones as instruments of the
+        even.
+        """
+        recording = self.recording(X, y, groups, np.ones(y.shape))
+        plan = self.plan
+
+        def pieces(states):
+            made = segments(recording, states, plan, self.features_, theta=self.load)
+            return list(equations(made, plan.lowpass, numbered(recording, plan)))
+
+        def of_rows(states, both=None):
+            return RecordingStates.of_rows(recording.segments, states, both)
+
+        if halves == "instruments":
+            even, odd = plan.state_estimator.split_transform(X, groups)
+            # An equation counts only where the joint moves in both halves.
+            return [
+                replace(
+                    one,
+                    weight=np.minimum(one.weight, other.weight),
+                    instruments=other.Phi,
+                )
+                for one, other in zip(pieces(of_rows(even)), pieces(of_rows(odd)))
+            ]
+        both = None
+        if halves == "noise" and plan.state_estimator is not None:
+            both = plan.state_estimator.split_transform(X, groups=groups)
+        return pieces(of_rows(self.query(X, groups)[0], both))
+
+    def noise_facts(self, recording, clock=None):
+        """Measure the torque noise of a recording; `NoiseFacts` of each segment."""
+        band = self.plan.dt, self.plan.cutoff
+        if not seen(*band):
+            return []
+        found = []
+        for rows in map(rows_looked_at, recording.segments):
+            t = None if clock is None else clock[rows]
+            own = {name: values[rows] for name, values in recording.signals.items()}
+            asked = self.ask(recording.inputs[rows], t=t, signals=own)
+            asked, y = asked.noiseless(self.plan), recording.tau[rows]
+            facts = noise_facts(y - self.torques(asked), y, asked.states, *band)
+            found.append(facts)
+        return found
+
+    def outside_of(self, recording):
+        """Find where a recording leaves what was fitted, tuple of `OutsideRange`."""
+        t = recording.clock(stamped=True)
+        known = t, recording.weight, recording.signals
+        return self.outside(self.ask(recording.inputs, recording.groups, *known))
+
+
+def _note_of_gravity(gravity):
+    """Say that a file has no gravity, where it is not what programs take for it."""
+    if np.array_equal(gravity, [0.0, 0.0, -9.81]):
+        return ""
+    x, y, z = gravity
+    return f"Gravity, which URDF has no place for, was {x:g} {y:g} {z:g} m/s^2."
+
+
+def load_identified(path, effects=()):
+    """Read an identified robot from a file that `RobotIdentifier.save` wrote.
+
+    Nothing in the file is executed: it is JSON, and effects are taken from the library
+    by name.
+
+    Parameters
+    ----------
+    path : str or os.PathLike
+        File.
+    effects : iterable of type, default=()
+        Classes of effects that are not in the library, if the robot has any.
+
+    Returns
+    -------
+    IdentifiedRobot
+        The robot; it predicts what the fitted identifier did.
+
+    Raises
+    ------
+    FileNotFoundError
+        If there is no such file.
+    ValueError
+        If it is not JSON, holds no identified robot or one of a newer version, or
+        something in it is missing or wrong; the message names the key.
+    ImportError
+        If Pinocchio is not installed.
+
+    See Also
+    --------
+    RobotIdentifier.save : Writes the file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from sklearn_vbjfa import RobotIdentifier, load_identified
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> recording = load_demo_recording().select(0)
+    >>> fitted = RobotIdentifier(recording.urdf, dt=recording.dt)
+    >>> fitted = fitted.fit(recording.q, recording.tau)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     fitted.save(f"{folder}/arm.json")
+    ...     robot = load_identified(f"{folder}/arm.json")
+    >>> robot.joint_names_[:2]
+    ('joint_1', 'joint_2')
+    """
+    from sklearn_vbjfa.robot import _model_file
+
+    return _model_file.read(path, effects)

@@ -1,0 +1,233 @@
+"""How large the torques of friction and effects are, and how well they are known."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from sklearn.base import clone
+
+from sklearn_vbjfa.effects import TorqueGain
+from sklearn_vbjfa.effects._base import TORQUE
+from sklearn_vbjfa.model._regressor import rounding_entries
+
+# Relative step of the derivative by a shape parameter.
+_STEP = 1e-3
+# Time outside the fit, as a share of its duration, from which a prediction says so.
+_MARGIN = 0.1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Spread:
+    """How well an effect's coefficients and shape are known."""
+
+    shape: tuple  # parameters that were tuned with the coefficients
+    covariance: np.ndarray  # (k + n_shape, k + n_shape): of coefficients and shape
+
+    @classmethod
+    def of_deviations(cls, deviations):
+        """Independent coefficients with given deviations (k,), the shape as given."""
+        return cls(shape=(), covariance=np.diag(np.square(deviations)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EffectOfTime:
+    """The share of an effect of time in predicted torques.
+
+    Attributes
+    ----------
+    name : str
+        Effect.
+    label : str
+        What an engineer calls it.
+    joint : int
+        Joint, from zero.
+    torque : ndarray of shape (n, nv)
+        What it adds [N m or N].
+    std : ndarray of shape (n, nv)
+        Standard deviation of that [N m or N], from the covariance of its coefficients
+        and of the shape parameters that were tuned with them; nan where the regressor
+        tells none.
+    beyond : ndarray of shape (n,)
+        Time of each row after the last one of the fit [s]; negative before the first
+        one, zero in between.
+    """
+
+    name: str
+    label: str
+    joint: int
+    torque: np.ndarray
+    std: np.ndarray
+    beyond: np.ndarray
+
+
+def effect_of_time(effect, coef, spread, motion, time):
+    """Compute the share of an effect with coefficients (k,) in a motion."""
+    # spread: `Spread`; time: first and last time of the fit [s].
+
+    def columns(one):
+        made = one.columns(motion)
+        if one.whole_robot:
+            return made
+        own = np.zeros((made.shape[0], motion.n_joints, made.shape[1]))
+        own[:, one.joint] = made
+        return own
+
+    own = columns(effect)
+    slopes = []
+    for name in spread.shape:
+        value = getattr(effect, name)
+        step = _STEP * abs(value)
+        above, below = (
+            columns(clone(effect).set_params(**{name: value + way * step})) @ coef
+            for way in (0.5, -0.5)
+        )
+        slopes.append(((above - below) / step)[:, :, None])
+    slopes = np.concatenate([own, *slopes], axis=2)
+    variance = np.einsum("njk,kl,njl->nj", slopes, spread.covariance, slopes)
+    first, last = time
+    return EffectOfTime(
+        name=effect.name,
+        label=type(effect).describe(effect.shape(), lambda joint: f"joint {joint + 1}"),
+        joint=effect.joint,
+        torque=own @ coef,
+        std=np.sqrt(np.maximum(variance, 0.0)),
+        beyond=np.maximum(motion.t - last, 0.0) + np.minimum(motion.t - first, 0.0),
+    )
+
+
+def beyond_text(found, time, names, prismatic):
+    """Say which effects of time are predicted outside the time of the fit."""
+    # found: `EffectOfTime` of each; time: first and last time of the fit [s]. Returns a
+    # list of str, empty if there is nothing to say.
+    said = []
+    margin = _MARGIN * (time[1] - time[0])
+    for one in found:
+        for rows, where in (
+            (one.beyond > margin, "beyond"),
+            (one.beyond < -margin, "before"),
+        ):
+            if not rows.any():
+                continue
+            power, variance = (
+                (x[rows] ** 2).mean(axis=0) for x in (one.torque, one.std)
+            )
+            # Of a payload, the joint that feels it most.
+            joint = int(np.argmax(power))
+            size, deviation = np.sqrt(power[joint]), np.sqrt(variance[joint])
+            if not (size > 0 or deviation > 0):
+                continue
+            unit = TORQUE[int(prismatic[joint])]
+            known = f" +- {deviation:.2g}" if np.isfinite(deviation) else ""
+            said.append(
+                f"{names[joint]}: {one.label} predicted up to "
+                f"{np.abs(one.beyond[rows]).max():.3g} s {where} the time of the fit, "
+                f"{size:.2g}{known} {unit} (root mean square, one standard deviation)"
+            )
+    return said
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TorqueSpread:
+    """How far measured torques may be from predicted ones, in the band of the fit."""
+
+    # (p, p): infinite on the diagonal where nothing tells a parameter
+    covariance: np.ndarray
+    # (nv,): variance of the noise of the positions in the residual [(N m or N)^2]
+    through: np.ndarray
+    # (nv,): variance of all else in it: noise of torques, what the model lacks
+    rest: np.ndarray
+
+    @classmethod
+    def of_estimate(cls, found):
+        """Take what an `Estimate` has; None where its regressor has no covariance."""
+        if found.covariance is None:
+            return None
+        told, moments = np.isfinite(np.diagonal(found.covariance)), found.moments
+        known = found.covariance[np.ix_(told, told)]
+        through, rest = found.noise()
+        # A fit takes part of the noise for its own: residuals of its rows are smaller,
+        # in the mean by the variance of what is predicted in them.
+        taken = np.einsum("jik,ik->j", moments.G[:, told][:, :, told], known)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            taken = np.where(moments.n > 0, taken / moments.n, 0.0)
+        return cls(
+            # Symmetric to the last bit, of which a file holds one half.
+            covariance=0.5 * (found.covariance + found.covariance.T),
+            through=through**2,
+            rest=rest**2 + taken,
+        )
+
+    def std(self, rows, *, noiseless):
+        """Deviations (n, nv) for `RegressorRows`, with noise of positions or not."""
+        # Infinite where a row asks for a parameter that nothing tells.
+        told = np.isfinite(np.diagonal(self.covariance))
+        known = self.covariance[np.ix_(told, told)]
+        variance = self.rest if noiseless else self.rest + self.through
+        made = []
+        for Phi in rows.blocks():
+            own = Phi[:, :, told]
+            spread = np.einsum("njk,njk->nj", own @ known, own) + variance
+            asked = (Phi != 0) & ~told & ~_rounding(Phi, rows.n_rigid)
+            made.append(np.where(asked.any(axis=2), np.inf, spread))
+        return np.sqrt(np.maximum(np.concatenate(made), 0.0))
+
+
+def _rounding(Phi, n_rigid):
+    """Entries (nv, p) of matrices (n, nv, p) that are the rounding of a zero."""
+    nv = Phi.shape[1]
+    found = np.zeros(Phi.shape[1:], dtype=bool)
+    power = (Phi[:, :, :n_rigid] ** 2).sum(axis=0).reshape(nv, nv, -1)
+    found[:, :n_rigid] = rounding_entries(power).reshape(nv, -1)
+    return found
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ColumnPowers:
+    """Mean products of the columns of friction and effects in a fitted recording."""
+
+    # The square of the root mean square of an effect's torque is coef' (products) coef.
+
+    friction: np.ndarray  # (nv, n_friction): mean squares of the declared columns
+    # (nv, k, k): products of each effect's columns in the equations of every joint; nan
+    # where they are not known
+    effects: tuple = ()
+
+    @classmethod
+    def of_moments(cls, moments, n_rigid, n_friction, effects, gains):
+        """Take them from a fit's `JointMoments`, whose columns are the parameters."""
+        # The effects come last, in the first of several passes fewer; gains (nv,): what
+        # the rows of each joint are multiplied by.
+        nv = moments.n.size
+        with np.errstate(divide="ignore", invalid="ignore"):
+            mean = moments.G / (np.asarray(gains) ** 2 * moments.n)[:, None, None]
+        own = mean[:, :n_rigid, :n_rigid].diagonal(axis1=1, axis2=2)
+        width = n_rigid // nv
+        own = own.reshape(nv, nv, width)[np.arange(nv), np.arange(nv)]
+        found, at = [], n_rigid
+        for effect in effects:
+            stop = at + len(effect.coefficients)
+            block = mean[:, at:stop, at:stop].copy()
+            if isinstance(effect, TorqueGain):
+                # Its column is the true torque already.
+                block *= (np.asarray(gains) ** 2)[:, None, None]
+            # Values in the model have columns only where they are corrected.
+            if effect.in_model and not block.any():
+                block[:] = np.nan
+            found.append(block)
+            at = stop
+        return cls(friction=own[:, width - n_friction :].copy(), effects=tuple(found))
+
+    def with_tangents(self, other, effects):
+        """Return them with the products of effects in the model from others."""
+        taken = [
+            theirs if effect.in_model else ours
+            for effect, ours, theirs in zip(effects, self.effects, other.effects)
+        ]
+        return replace(self, effects=tuple(taken))
+
+    def in_units(self, unit):
+        """Return them with torques in another unit, of this size in the present one."""
+        scale = 1.0 / unit**2
+        return ColumnPowers(
+            friction=scale * self.friction,
+            effects=tuple(scale * block for block in self.effects),
+        )

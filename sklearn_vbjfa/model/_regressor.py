@@ -108,9 +108,9 @@ class TreeRegressor:
     """Joint-torque regressors and inverse dynamics of a tree of joints."""
 
     # model: of a fixed base and joints of one degree of freedom each, see `load_model`;
-    # compiled: by Numba, several times as fast as Pinocchio called for each sample, or
-    # None where it is installed; support (nv, nv, 10): entries that are not zero in
-    # every motion.
+    # compiled: by Numba, several times as fast as Pinocchio called for each sample;
+    # None does so where Numba is installed; support (nv, nv, 10): entries that are not
+    # zero in every motion.
 
     def __init__(self, model, compiled=None):
         self.nv = model.nv

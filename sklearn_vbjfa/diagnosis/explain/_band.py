@@ -32,10 +32,10 @@ class Band:
     sample_rate: float  # [Hz]; nan if unknown
 
 
-def measure_band(view, tau, longest):
+def measure_band(view, asked, tau, longest):
     """Describe the band of a fitted declared model, as a `Band`."""
-    # view: `RecordingView` of the part that was searched; tau (n, nv): its torques as
-    # recorded [N m or N]; longest: rows of its longest piece.
+    # view: `RecordingView` of the part that was searched; asked: its cut-off as given;
+    # tau (n, nv): its torques as recorded [N m or N]; longest: rows of its longest piece.
     robot = view.robot
     estimator, nv = robot.state_estimator_, view.nv
     bandwidth, fastest, smoothed_at, automatic = np.nan, 0, np.nan, np.nan
@@ -48,7 +48,7 @@ def measure_band(view, tau, longest):
     weight = view.equations.weight
     return Band(
         cutoff=float(robot.cutoff_),
-        decided_by=_decided_by(robot, bandwidth),
+        decided_by=_decided_by(robot, asked, bandwidth),
         automatic=automatic,
         bandwidth=bandwidth,
         fastest=fastest,
@@ -59,10 +59,10 @@ def measure_band(view, tau, longest):
     )
 
 
-def _decided_by(robot, bandwidth):
+def _decided_by(robot, asked, bandwidth):
     """Say what the cut-off of a fitted identifier follows from."""
     finite = np.isfinite(robot.cutoff_)
-    if not isinstance(robot.cutoff, str):
+    if not isinstance(asked, str):
         return "given" if finite else "none"
     if robot.state_estimator_ is None:
         return "states"

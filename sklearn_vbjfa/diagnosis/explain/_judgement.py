@@ -144,7 +144,10 @@ def judge(models, found, split, whole):
         n_undecided=count - len(split.stretches),
         guard=float(guard * dt),
         band=measure_band(
-            model.view, part.tau, max(p.stop - p.start for p in part.segments)
+            model.view,
+            models.plain.cutoff,
+            part.tau,
+            max(p.stop - p.start for p in part.segments),
         ),
         price=price,
         outside=completed.robot_.outside_of(rest),

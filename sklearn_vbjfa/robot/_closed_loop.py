@@ -20,6 +20,7 @@ from sklearn_vbjfa.robot._output_error import (
 from sklearn_vbjfa.robot._sensitivities import held_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
 from sklearn_vbjfa.simulation._closed_loop import simulate_controlled
+from sklearn_vbjfa.simulation._controller import PositionController
 from sklearn_vbjfa.simulation._simulate import SimulationError
 
 _MOST_ROUNDS = 20
@@ -147,3 +148,44 @@ def refine_controlled(
     return Refined(
         theta=loop.theta, unconstrained=unconstrained, std=std, criteria=criteria
     )
+
+
+# -- a controller and its reference ----------------------------------------------------
+
+
+def check_reference(controller, reference, y, dt):
+    """Return the reference (n, nv) of a closed loop, refusing what does not suit it."""
+    n, nv = y.shape
+    if controller is None:
+        if reference is not None:
+            raise ValueError(
+                "reference is given without a controller: set controller to a "
+                "PositionController with criterion='simulation'."
+            )
+        return None
+    if not isinstance(controller, PositionController):
+        raise ValueError(
+            f"controller must be a PositionController or None; got {controller!r}."
+        )
+    controller.gains(nv)
+    controller.updates(dt)
+    if reference is None:
+        raise ValueError(
+            "controller needs the commanded positions: give fit(..., reference=), one "
+            f"row per sample, shape ({n}, {nv})."
+        )
+    reference = np.asarray(reference, dtype=float)
+    if reference.ndim == 1 and nv == 1:
+        reference = reference[:, None]
+    if reference.shape != (n, nv):
+        raise ValueError(
+            f"reference must hold one row per sample and one column per joint, shape "
+            f"({n}, {nv}); got {reference.shape}."
+        )
+    bad = np.argwhere(~np.isfinite(reference))
+    if bad.size:
+        raise ValueError(
+            f"reference holds {reference[tuple(bad[0])]} in row {bad[0][0]}, joint "
+            f"{bad[0][1]}."
+        )
+    return reference

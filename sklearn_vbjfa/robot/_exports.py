@@ -41,7 +41,7 @@ from sklearn_vbjfa.model._corrected import CorrectedModel
 from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.model._mjcf import JointDynamics, Tendon, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_identified
-from sklearn_vbjfa.robot._following import follower_parameters, following_joints
+from sklearn_vbjfa.robot._features import follower_parameters, following_joints
 
 # Effects that have the column of a declared friction, whose coefficients add up.
 _PLAIN = {

@@ -21,8 +21,7 @@ from sklearn_vbjfa.recording._recording import (
 from sklearn_vbjfa.recording._signals import check_useful, signals_for
 from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot._bodies import described_bodies, little_learned
-from sklearn_vbjfa.robot._closed_loop import refine_controlled
-from sklearn_vbjfa.robot._controller import check_reference
+from sklearn_vbjfa.robot._closed_loop import check_reference, refine_controlled
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
@@ -40,24 +39,24 @@ from sklearn_vbjfa.robot._estimate import (
     min_eigenvalues,
     project,
 )
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._following import refuse_followers, with_followers
+from sklearn_vbjfa.robot._features import (
+    RigidBodyFeatures,
+    refuse_followers,
+    with_followers,
+)
 from sklearn_vbjfa.robot._gains import (
     channel_gains,
     check_gains,
+    check_masses,
+    common_gain,
     declared_gains,
     gain_places,
+    mass_places,
     relative_gains,
     with_gains,
 )
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._known import known_parameters
-from sklearn_vbjfa.robot._known_masses import (
-    check_masses,
-    common_gain,
-    mass_places,
-)
 from sklearn_vbjfa.robot._model_values import (
     MOST_CORRECTIONS,
     ModelValues,
@@ -94,7 +93,12 @@ from sklearn_vbjfa.robot._robot import (
     recording_of,
     split_effects,
 )
-from sklearn_vbjfa.robot._spreads import ColumnPowers, Spread, TorqueSpread
+from sklearn_vbjfa.robot._spreads import (
+    ColumnPowers,
+    Spread,
+    TorqueSpread,
+    known_parameters,
+)
 from sklearn_vbjfa.robot._states import fit_states
 from sklearn_vbjfa.robot._torque_noise import (
     filtered_noise,

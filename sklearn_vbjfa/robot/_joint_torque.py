@@ -15,7 +15,7 @@ from sklearn_vbjfa._core._lowpass import decimate, filter_weight
 from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._equations import Equations
 from sklearn_vbjfa.robot._estimate import default_regressor, estimate
-from sklearn_vbjfa.robot._feature_columns import check_as_computed, parameter_names_of
+from sklearn_vbjfa.robot._features import check_as_computed, parameter_names_of
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._recording_checks import check_weight
 

@@ -10,7 +10,7 @@ from scipy.linalg import blas
 
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.robot._equations import RegressorRows
-from sklearn_vbjfa.robot._following import refuse_followers
+from sklearn_vbjfa.robot._features import refuse_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, joint_moments
 from sklearn_vbjfa.robot._plan import takes_moments
 from sklearn_vbjfa.robot._ranges import SignalRanges

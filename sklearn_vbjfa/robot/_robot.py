@@ -39,7 +39,6 @@ from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
-from sklearn_vbjfa.robot._known import note_of_masses
 from sklearn_vbjfa.robot._plan import Plan, effect_names
 from sklearn_vbjfa.robot._ranges import (
     outside_text,
@@ -57,6 +56,7 @@ from sklearn_vbjfa.robot._spreads import (
     TorqueSpread,
     beyond_text,
     effect_of_time,
+    note_of_masses,
 )
 from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
 from sklearn_vbjfa.robot._torque_noise import noise_facts, rows_looked_at, seen

@@ -17,7 +17,7 @@ from sklearn_vbjfa.model._loading import (  # noqa: E402
     write_reduced,
 )
 from sklearn_vbjfa.robot import RigidBodyFeatures  # noqa: E402
-from sklearn_vbjfa.robot._following import with_followers  # noqa: E402
+from sklearn_vbjfa.robot._features import with_followers  # noqa: E402
 
 
 def link(name, mass):

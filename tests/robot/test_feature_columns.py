@@ -23,7 +23,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import JointTorqueRegressor, PhysicalProjector, RigidBodyFeatures
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot._feature_columns import check_as_computed, parameter_names_of
+from sklearn_vbjfa.robot._features import check_as_computed, parameter_names_of
 
 FRICTION = ("viscous", "coulomb", "offset")
 

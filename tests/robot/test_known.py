@@ -5,7 +5,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.model._loading import body_names
-from sklearn_vbjfa.robot._known import (
+from sklearn_vbjfa.robot._spreads import (
     body_masses,
     known_parameters,
     note_of_masses,

@@ -10,7 +10,7 @@ from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen  # noqa: E402
 from sklearn_vbjfa.effects import LoadFriction, Payload  # noqa: E402
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, PlainEstimate  # noqa: E402
-from sklearn_vbjfa.robot._known_masses import common_gain  # noqa: E402
+from sklearn_vbjfa.robot._gains import common_gain  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.02

@@ -35,7 +35,8 @@ class Band:
 def measure_band(view, asked, tau, longest):
     """Describe the band of a fitted declared model, as a `Band`."""
     # view: `RecordingView` of the part that was searched; asked: its cut-off as given;
-    # tau (n, nv): its torques as recorded [N m or N]; longest: rows of its longest piece.
+    # tau (n, nv): its torques as recorded [N m or N]; longest: rows of its longest
+    # piece.
     robot = view.robot
     estimator, nv = robot.state_estimator_, view.nv
     bandwidth, fastest, smoothed_at, automatic = np.nan, 0, np.nan, np.nan

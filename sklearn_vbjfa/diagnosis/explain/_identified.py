@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.model._loading import nominal_parameters
-from sklearn_vbjfa.robot._following import nominal_followers
-from sklearn_vbjfa.robot._known import known_parameters
+from sklearn_vbjfa.robot._features import nominal_followers
+from sklearn_vbjfa.robot._spreads import known_parameters
 
 # Inertial parameters of a body, Pinocchio's.
 _INERTIAL = 10

@@ -34,7 +34,7 @@ from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import corrections_of
-from sklearn_vbjfa.robot._known import body_masses
+from sklearn_vbjfa.robot._spreads import body_masses
 
 # Points of a picture.
 _POINTS = 4000

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.robot._known_masses import PAYLOAD
+from sklearn_vbjfa.robot._gains import PAYLOAD
 
 _PAYLOAD = (
     "; a known payload that is picked up or put down in the recording, or between two "

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.robot._gains import ChannelGains
-from sklearn_vbjfa.robot._known import BodyMass
-from sklearn_vbjfa.robot._known_masses import CommonGain, KnownMass
+from sklearn_vbjfa.robot._gains import ChannelGains, CommonGain, KnownMass
+from sklearn_vbjfa.robot._spreads import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome
 
 NAMES = tuple(f"joint{j + 1}" for j in range(3))

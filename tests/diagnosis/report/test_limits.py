@@ -26,7 +26,7 @@ from sklearn_vbjfa.diagnosis.report._limits import (
 from sklearn_vbjfa.diagnosis.report._verdict import judge
 from sklearn_vbjfa.recording._repetition import RepeatedMotion
 from sklearn_vbjfa.robot._bodies import Departure
-from sklearn_vbjfa.robot._known import BodyMass
+from sklearn_vbjfa.robot._spreads import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome
 
 

@@ -445,12 +445,12 @@ def _without_torque_limits(model):
 
 def _agreeing(urdf, model, path):
     """Return the model of a description, refused if it is of another robot."""
-    from sklearn_vbjfa.model import _loading
+    from sklearn_vbjfa.model import joint_names, load_reduced, movable_joints
 
-    names = _loading.joint_names(model)
+    names = joint_names(model)
     if not urdf.is_file():
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
-    movable = _loading.movable_joints(urdf)
+    movable = movable_joints(urdf)
     missing = [name for name in names if name not in movable]
     if missing:
         raise ValueError(
@@ -458,8 +458,8 @@ def _agreeing(urdf, model, path):
             f"has {', '.join(movable)}. Leave --urdf out, or give the description that "
             "close-loop was run with."
         )
-    own = _loading.load_reduced(urdf, names)
-    order = _loading.joint_names(own)
+    own = load_reduced(urdf, names)
+    order = joint_names(own)
     for j, name in enumerate(names, 1):
         k = order.index(name) + 1
         # What holds a joint may come from elsewhere where others are held.
@@ -488,7 +488,7 @@ def _limits(arguments, robot):
     """Collect the limits, joints in the order of the robot; and what was read."""
     from sklearn_vbjfa.design import MotionLimits
     from sklearn_vbjfa.design._refusal import MotionRefused
-    from sklearn_vbjfa.model._loading import joint_names
+    from sklearn_vbjfa.model import joint_names
 
     names, described = robot.known.joint_names, joint_names(robot.model)
     given = {name: np.full(len(names), np.nan) for name in _LIMITS}
@@ -639,7 +639,7 @@ def _template(names, model, given=None):
     turn to each side, through half of the range in a second, and ten times that speed
     in a second.
     """
-    from sklearn_vbjfa.model._loading import joint_names
+    from sklearn_vbjfa.model import joint_names
 
     described = joint_names(model)
     rows = {}

@@ -17,7 +17,7 @@ from sklearn_vbjfa.datasets._robots import (
     true_inertias,
     with_inertias,
 )
-from sklearn_vbjfa.model._loading import nominal_parameters
+from sklearn_vbjfa.model import nominal_parameters
 
 if TYPE_CHECKING:
     import pinocchio as pin

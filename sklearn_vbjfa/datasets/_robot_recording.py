@@ -19,7 +19,7 @@ from sklearn_vbjfa.datasets._robots import (
     true_inertias,
     with_inertias,
 )
-from sklearn_vbjfa.model._loading import import_pinocchio, load_model
+from sklearn_vbjfa.model import import_pinocchio, load_model
 from sklearn_vbjfa.recording._recording import Recording
 
 # Share of a joint's range and speed that the motion keeps to.

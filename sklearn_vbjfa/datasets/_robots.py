@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_model
+from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 from sklearn_vbjfa.physical import inertial_parameters, pseudo_inertia
 
 if TYPE_CHECKING:

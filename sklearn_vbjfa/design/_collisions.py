@@ -12,9 +12,13 @@ from itertools import combinations
 import numpy as np
 
 from sklearn_vbjfa.design._capsules import capsule_around, segment_distances
-from sklearn_vbjfa.model._loading import import_pinocchio, load_model
-from sklearn_vbjfa.model._poses import JointPoses
-from sklearn_vbjfa.model._shapes import NoShapes, load_shapes
+from sklearn_vbjfa.model import (
+    JointPoses,
+    NoShapes,
+    import_pinocchio,
+    load_model,
+    load_shapes,
+)
 
 # Random positions that tell which pairs touch wherever the robot is.
 _SAMPLES = 200

@@ -12,7 +12,7 @@ from scipy.linalg import qr
 
 from sklearn_vbjfa.effects._base import Motion
 from sklearn_vbjfa.effects._rest import Rest
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 
 # Step of positions [rad or m]; velocities and accelerations take steps of one, by which
 # the bodies' columns have exact differences: they are of second and of first degree.

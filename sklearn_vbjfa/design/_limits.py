@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.design._refusal import MotionRefused, rounded_up
-from sklearn_vbjfa.model._loading import (
+from sklearn_vbjfa.model import (
     is_prismatic,
     joint_names,
     load_model,

@@ -793,7 +793,7 @@ def _versions():
     """Versions of what the motion was computed with."""
     import scipy
 
-    from sklearn_vbjfa.model._loading import import_pinocchio
+    from sklearn_vbjfa.model import import_pinocchio
 
     return (
         f"numpy {np.__version__}, scipy {scipy.__version__}, pinocchio "

@@ -37,10 +37,15 @@ from sklearn_vbjfa.effects import (
     ViscousQuadratic,
 )
 from sklearn_vbjfa.effects._follower import Follower
-from sklearn_vbjfa.model._corrected import CorrectedModel
-from sklearn_vbjfa.model._loading import is_prismatic
-from sklearn_vbjfa.model._mjcf import JointDynamics, Tendon, write_mjcf
-from sklearn_vbjfa.model._urdf import check_possible, write_identified
+from sklearn_vbjfa.model import (
+    CorrectedModel,
+    JointDynamics,
+    Tendon,
+    check_possible,
+    is_prismatic,
+    write_identified,
+    write_mjcf,
+)
 from sklearn_vbjfa.robot._following import follower_parameters, following_joints
 
 # Effects that have the column of a declared friction, whose coefficients add up.

@@ -7,10 +7,14 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.effects import _declared as _friction
-from sklearn_vbjfa.model._corrected import CorrectedModel
-from sklearn_vbjfa.model._derivatives import TorqueDerivatives
-from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_folded
-from sklearn_vbjfa.model._regressor import TreeRegressor
+from sklearn_vbjfa.model import (
+    CorrectedModel,
+    TorqueDerivatives,
+    TreeRegressor,
+    is_prismatic,
+    joint_names,
+    load_folded,
+)
 from sklearn_vbjfa.physical._pseudo_inertia import INERTIAL_NAMES
 
 

@@ -9,8 +9,7 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_array, check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.model._description_text import description_text
-from sklearn_vbjfa.model._loading import is_urdf, joint_names
+from sklearn_vbjfa.model import description_text, is_urdf, joint_names
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,

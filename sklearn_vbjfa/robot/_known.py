@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.model._loading import body_names, nominal_parameters
+from sklearn_vbjfa.model import body_names, nominal_parameters
 
 # A mass is known if its deviation, and what the projection moves it by, are below this
 # share of it: a body that may as well have half or no mass was not weighed.

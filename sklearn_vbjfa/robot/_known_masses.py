@@ -14,7 +14,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from sklearn_vbjfa.effects import Payload
-from sklearn_vbjfa.model._loading import body_names
+from sklearn_vbjfa.model import body_names
 from sklearn_vbjfa.robot._estimate import LOST
 from sklearn_vbjfa.robot._gains import HALF_WIDTH
 

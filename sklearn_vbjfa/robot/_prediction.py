@@ -11,8 +11,7 @@ import numpy as np
 from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa.effects._ranges import outside, own_motions
-from sklearn_vbjfa.model._loading import is_prismatic, joint_names
-from sklearn_vbjfa.model._regressor import rounding_entries
+from sklearn_vbjfa.model import is_prismatic, joint_names, rounding_entries
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,

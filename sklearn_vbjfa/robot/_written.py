@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa.model._description_text import urdf_to_fill
+from sklearn_vbjfa.model import urdf_to_fill
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
 from sklearn_vbjfa.robot._gains import note_of_gains, note_of_units

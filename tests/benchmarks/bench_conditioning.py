@@ -120,7 +120,7 @@ def robot_motion(model, n, seed):
 
 def robot_regressors(model, n, seed, chunk=5000):
     """Yield blocks (n_block, nv, 11 nv): rigid bodies and viscous friction."""
-    from sklearn_vbjfa.model._regressor import TreeRegressor
+    from sklearn_vbjfa.model import TreeRegressor
 
     regressor = TreeRegressor(model)
     for rows in np.array_split(np.arange(n), max(n // chunk, 1)):
@@ -142,7 +142,7 @@ def least_squares_of_factor(factor):
 def robot_errors(noise, n, seed=0):
     """Relative errors of new torques: scatter, QR; their difference; rank and size."""
     from sklearn_vbjfa.datasets import load_arm_model
-    from sklearn_vbjfa.model._loading import nominal_parameters
+    from sklearn_vbjfa.model import nominal_parameters
     from sklearn_vbjfa.robot._joint_moments import joint_moments
     from sklearn_vbjfa.robot._weights import least_squares
 

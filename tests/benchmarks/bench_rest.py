@@ -43,7 +43,7 @@ def _model(robot):
     """Model of a robot by name."""
     from importlib import resources
 
-    from sklearn_vbjfa.model._loading import load_model
+    from sklearn_vbjfa.model import load_model
 
     files = {"demo_arm": "demo_arm.urdf", "head": "head.urdf"}
     name = files.get(robot, "kr300_nominal.urdf")

@@ -7,7 +7,7 @@ pin = pytest.importorskip("pinocchio")
 pytest.importorskip("coal")
 
 from sklearn_vbjfa.design._collisions import Approach, Clearance  # noqa: E402
-from sklearn_vbjfa.model._loading import load_model, load_reduced  # noqa: E402
+from sklearn_vbjfa.model import load_model, load_reduced  # noqa: E402
 from tests.model._shaped import (  # noqa: E402
     BALL,
     BLOCK,

@@ -4,7 +4,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.model._loading import body_names
+from sklearn_vbjfa.model import body_names
 from sklearn_vbjfa.robot._known import (
     body_masses,
     known_parameters,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.model._loading import nominal_parameters
+from sklearn_vbjfa.model import nominal_parameters
 from sklearn_vbjfa.robot._following import nominal_followers
 from sklearn_vbjfa.robot._known import known_parameters
 

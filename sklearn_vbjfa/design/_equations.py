@@ -69,7 +69,7 @@ def _moved(motion, name, joint, step):
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class MotionEquations:
     """Rows of all joints for the states of a motion."""
 
     states: np.ndarray  # (n, 3 nv)
@@ -189,7 +189,7 @@ class EquationModel:
         return load
 
     def __call__(self, states, t=None):
-        """Return the `Equations` of states (n, 3 nv) at times (n,) [s]."""
+        """Return the `MotionEquations` of states (n, 3 nv) at times (n,) [s]."""
         entries = self.features.entries(states)
         motion = self._motion(states, entries, t)
         rows = [[entries[kept]] for kept in self._kept_of]
@@ -200,7 +200,7 @@ class EquationModel:
                     rows[j].append(columns[:, j].T)
             else:
                 rows[one.effect.joint].append(columns.T)
-        return Equations(states, tuple(map(np.concatenate, rows)), motion)
+        return MotionEquations(states, tuple(map(np.concatenate, rows)), motion)
 
     # -- derivatives ------------------------------------------------------------------
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.design._criterion import SAME_COLUMNS
 from sklearn_vbjfa.design._design import MARGIN, ROOM
-from sklearn_vbjfa.design._promise import SAME_COLUMNS
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._charts import line_figure
 from sklearn_vbjfa.diagnosis.report._evidence import (

@@ -9,11 +9,14 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.model._loading import load_model
     from sklearn_vbjfa.physical import PhysicalProjector
     from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
-    from sklearn_vbjfa.regression._jfa import JFARegressor
+    from sklearn_vbjfa.regression._joint_factor import JFARegressor
     from sklearn_vbjfa.regression._locally_weighted import LocallyWeightedRegressor
-    from sklearn_vbjfa.regression._replicates import NoiseCovariance, replicate_noise
     from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
-    from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
+    from sklearn_vbjfa.regression._total_least_squares import (
+        NoiseCovariance,
+        TotalLeastSquares,
+        replicate_noise,
+    )
     from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
     from sklearn_vbjfa.robot._features import RigidBodyFeatures
     from sklearn_vbjfa.robot._identified import IdentifiedRobot, load_identified
@@ -49,11 +52,14 @@ _MODULES = {
     "model._loading": ("load_model",),
     "physical": ("PhysicalProjector",),
     "regression._instrumental_variables": ("InstrumentalVariables",),
-    "regression._jfa": ("JFARegressor",),
+    "regression._joint_factor": ("JFARegressor",),
     "regression._locally_weighted": ("LocallyWeightedRegressor",),
-    "regression._replicates": ("NoiseCovariance", "replicate_noise"),
     "regression._stepwise": ("StepwiseRegressor",),
-    "regression._total_least_squares": ("TotalLeastSquares",),
+    "regression._total_least_squares": (
+        "NoiseCovariance",
+        "TotalLeastSquares",
+        "replicate_noise",
+    ),
     "regression._vbjfa": ("VBJFARegressor",),
     "robot._features": ("RigidBodyFeatures",),
     "robot._identified": ("IdentifiedRobot", "load_identified"),

@@ -16,6 +16,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import ndtri
 
+from sklearn_vbjfa._core._linear_systems import or_one
+
 # Evidence at which two causes count as told apart: a sum of squared differences of 50
 # noise variances is a difference of log likelihoods of 25.
 DECIDED = 50.0
@@ -226,7 +228,7 @@ def expected_intervals(problem, robot, states, step):
     n = model.n_model
     M = problem.information(states, step)[:n, :n]
     size = np.sqrt(np.diag(M))
-    safe = np.where(size > 0, size, 1.0)
+    safe = or_one(size)
     variance = np.diag(np.linalg.pinv(M / np.outer(safe, safe), hermitian=True))
     width = np.where(size > 0, _NINETY * np.sqrt(variance) / safe, np.inf)
     features = robot.features

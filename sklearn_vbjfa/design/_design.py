@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.utils import check_random_state
 
+from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.design._collisions import Clearance
 from sklearn_vbjfa.design._criterion import (
     Questions,
@@ -323,7 +324,7 @@ def _questions(equations, candidates, reference, noise):
     weight = np.broadcast_to(1.0 / (len(reference) * noise**2), rows.motion.q.shape)
     M = information_of(rows, equations.places, equations.n_columns, weight)
     power = np.diag(M)
-    scale = np.where(power > 0, 1.0 / np.sqrt(np.where(power > 0, power, 1.0)), 1.0)
+    scale = np.where(power > 0, 1.0 / np.sqrt(or_one(power)), 1.0)
     spans = tuple(equations.spans[equations.n_own :])
     m = len(spans)
     blank = Questions(equations.n_model, scale, spans, np.zeros(m), np.zeros((m, m)))

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import qr
 
+from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.effects._base import Motion
 from sklearn_vbjfa.effects._rest import Rest
 from sklearn_vbjfa.model import is_prismatic
@@ -124,7 +125,7 @@ class EquationModel:
         B = B[:, seen] / size[seen]
         if A.shape[1]:
             norms = np.linalg.norm(A, axis=0)
-            Q, _ = np.linalg.qr(A / np.where(norms > 0, norms, 1.0))
+            Q, _ = np.linalg.qr(A / or_one(norms))
             B = B - Q @ (Q.T @ B)
         R, pivots = qr(B, mode="r", pivoting=True)
         diagonal = np.abs(np.diag(R))

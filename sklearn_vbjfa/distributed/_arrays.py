@@ -5,11 +5,11 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _moments
 from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
+from sklearn_vbjfa.regression._base import check_sample_weight
 from sklearn_vbjfa.regression._joint_factor import (
     BaseJointFactorRegressor,
     fit_moments,
 )
-from sklearn_vbjfa.regression._sklearn_compat import check_sample_weight
 
 
 def fit_array(estimator, X, y, sample_weight=None):

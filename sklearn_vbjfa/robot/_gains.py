@@ -18,7 +18,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import TorqueGain
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE
 from sklearn_vbjfa.robot._weights import noise_weights

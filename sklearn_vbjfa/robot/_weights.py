@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa._core._scaled_eigen import ROUNDING, scaled_eigen
+from sklearn_vbjfa._core._linear_systems import ROUNDING, scaled_eigen
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 
 

@@ -262,7 +262,7 @@ sys.exit(program())
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 @pytest.mark.parametrize(
-    "module", ["numpy", "tempfile", "sklearn_vbjfa.physical._threads"]
+    "module", ["numpy", "tempfile", "sklearn_vbjfa.physical._solver"]
 )
 def test_imports_can_be_interrupted(module, name):
     number = getattr(signal, name)

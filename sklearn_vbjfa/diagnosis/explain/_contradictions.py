@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.diagnosis.explain._evidence import p_value
 from sklearn_vbjfa.effects import Coulomb, Offset, Payload, Viscous
 
